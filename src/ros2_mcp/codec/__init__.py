@@ -1,0 +1,1 @@
+"""Bytes to values to JSON and back; pictures."""

@@ -1,0 +1,1 @@
+"""May I, and how fast? Decides, never acts."""

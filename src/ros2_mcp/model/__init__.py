@@ -1,0 +1,1 @@
+"""Frozen data, names and errors; imports nothing of ours."""

@@ -1,0 +1,33 @@
+"""Received messages as they travel through the server: bytes with times, not yet values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One received message.
+
+    `received_ns` and `source_ns` are Unix times in nanoseconds (receiver's and publisher's clock; `source_ns` is 0
+    where the middleware gives none). `sequence` counts the publisher's messages, or is None where unknown.
+    `data` is CDR with its four-byte encapsulation header.
+    """
+
+    received_ns: int
+    source_ns: int
+    sequence: int | None
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What became of a subscription's messages so far.
+
+    `received` were taken from the middleware; of these `dropped` were discarded by our own bounds (oldest first).
+    `lost` never reached us: gaps in the publishers' sequence numbers; None where that cannot be known.
+    """
+
+    received: int = 0
+    dropped: int = 0
+    lost: int | None = 0

@@ -1,0 +1,1 @@
+"""What a robot can do: plain async functions with dataclass results, no MCP."""

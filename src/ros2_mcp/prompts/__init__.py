@@ -1,0 +1,1 @@
+"""Ready prompts and the user's own."""

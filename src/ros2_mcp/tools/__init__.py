@@ -1,0 +1,1 @@
+"""What the model sees: one module per family of tools."""

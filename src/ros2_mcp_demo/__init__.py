@@ -1,0 +1,1 @@
+"""A simulated robot made of ordinary ROS 2 nodes."""
