@@ -1,0 +1,127 @@
+"""The differential-drive base: from commanded to driven velocity, wheels, slip, collisions, dead reckoning. No ROS."""
+
+# pyright: basic
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+RADIUS = 0.2
+WHEEL_RADIUS = 0.05
+WHEEL_SEPARATION = 0.32
+LINEAR_ACCELERATION = 1.0
+LINEAR_BRAKING = 2.0
+ANGULAR_ACCELERATION = 4.0
+TICKS_PER_TURN = 4096
+SLIP_STDDEV = 0.01
+SLIP_TIME_S = 1.0
+
+
+@dataclass
+class Pose:
+    """Position in m, heading in radians within ±π."""
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+
+    def moved(self, distance, turn):
+        """The pose after an arc of that length (m) and turn (rad)."""
+        middle = self.yaw + turn / 2
+        return Pose(
+            self.x + distance * math.cos(middle),
+            self.y + distance * math.sin(middle),
+            wrapped(self.yaw + turn),
+        )
+
+
+class Wheel:
+    """One driven wheel: its encoder counts whole ticks, the ground feels a slowly varying slip."""
+
+    def __init__(self, rng):
+        self._rng = rng
+        self._slip = 0.0
+        self._residue = 0.0
+        self.angle = 0.0
+        self.velocity = 0.0
+
+    def roll(self, speed, dt):
+        """Turn so that the rim runs at `speed` (m/s); returns metres over ground and metres the encoder counted."""
+        self._drift(dt)
+        self.velocity = speed / WHEEL_RADIUS
+        ticks = self.velocity * dt / (2 * math.pi) * TICKS_PER_TURN + self._residue
+        self._residue = ticks - round(ticks)
+        counted = round(ticks) * 2 * math.pi / TICKS_PER_TURN
+        self.angle += counted
+        return speed * dt * (1.0 - self._slip), counted * WHEEL_RADIUS
+
+    def _drift(self, dt):
+        keep = math.exp(-dt / SLIP_TIME_S)
+        self._slip = (
+            keep * self._slip + math.sqrt(1 - keep * keep) * SLIP_STDDEV * self._rng.standard_normal()
+        )
+
+
+class Base:
+    """The moving base. `pose` is where it truly stands, `odometry` where its encoders believe it stands.
+
+    `linear` (m/s) and `angular` (rad/s) are the velocities it drives with; `blocked` tells that it is commanded
+    to move but stands against something.
+    """
+
+    def __init__(self, world, rng, pose=None):
+        self._world = world
+        self.left, self.right = Wheel(rng), Wheel(rng)
+        self.pose = pose or Pose()
+        self.odometry = Pose()
+        self.linear = self.angular = 0.0
+        self.acceleration = 0.0
+        self.blocked = False
+        self.travelled = 0.0
+
+    def step(self, linear, angular, dt):
+        """Drive for `dt` s towards the wanted velocities (m/s, rad/s) as far as acceleration and walls allow."""
+        before = self.linear
+        braking = abs(linear) < abs(self.linear) or linear * self.linear < 0
+        self.linear = approach(self.linear, linear, (LINEAR_BRAKING if braking else LINEAR_ACCELERATION) * dt)
+        self.angular = approach(self.angular, angular, ANGULAR_ACCELERATION * dt)
+        if self._would_collide(dt):
+            self.linear = 0.0
+        self.blocked = abs(linear) > 0.01 and self._touches(linear)
+        self.acceleration = (self.linear - before) / dt
+        self._roll(dt)
+
+    def reset_odometry(self):
+        """Dead reckoning starts again here, at the origin."""
+        self.odometry = Pose()
+
+    def _roll(self, dt):
+        half_turn_speed = self.angular * WHEEL_SEPARATION / 2
+        left, counted_left = self.left.roll(self.linear - half_turn_speed, dt)
+        right, counted_right = self.right.roll(self.linear + half_turn_speed, dt)
+        self.pose = self.pose.moved((left + right) / 2, (right - left) / WHEEL_SEPARATION)
+        self.odometry = self.odometry.moved(
+            (counted_left + counted_right) / 2, (counted_right - counted_left) / WHEEL_SEPARATION
+        )
+        self.travelled += abs(left + right) / 2
+
+    def _touches(self, direction):
+        """Whether a centimetre in the direction of that speed would run into something."""
+        return self._blocked_at(self.pose.moved(math.copysign(0.01, direction), 0.0))
+
+    def _would_collide(self, dt):
+        return self.linear != 0.0 and self._blocked_at(self.pose.moved(self.linear * dt, self.angular * dt))
+
+    def _blocked_at(self, pose):
+        clearance = self._world.clearance(pose.x, pose.y)
+        return clearance < RADIUS and clearance <= self._world.clearance(self.pose.x, self.pose.y)
+
+
+def approach(value, target, step):
+    """`value` moved towards `target` by at most `step`."""
+    return value + max(-step, min(step, target - value))
+
+
+def wrapped(angle):
+    """The same direction within ±π."""
+    return math.remainder(angle, 2 * math.pi)

@@ -1,0 +1,35 @@
+"""A three-cell lithium battery: charge, current and voltage. No ROS."""
+
+# pyright: basic
+from __future__ import annotations
+
+import numpy as np
+
+CAPACITY_AH = 5.0
+CELLS = 3
+IDLE_CURRENT = 0.5
+DRIVE_CURRENT = 3.0  # A more for each m/s of a wheel's rim
+INTERNAL_RESISTANCE = 0.08
+
+_CURVE_CHARGE = (0.0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0)
+_CURVE_VOLTAGE = (3.0, 3.3, 3.45, 3.55, 3.65, 3.78, 3.95, 4.05, 4.2)  # of one cell, unloaded
+
+
+class Battery:
+    """`charge` is the share that is left (0 to 1), `current` what flows out now (A)."""
+
+    def __init__(self, charge=0.87):
+        self.charge = charge
+        self.current = IDLE_CURRENT
+        self.drain_rate = 1.0
+
+    def step(self, speed, dt):
+        """Discharge for `dt` s with the wheels running at `speed` (m/s, both added up)."""
+        self.current = IDLE_CURRENT + DRIVE_CURRENT * speed
+        self.charge = max(0.0, self.charge - self.drain_rate * self.current * dt / 3600 / CAPACITY_AH)
+
+    @property
+    def voltage(self):
+        """The voltage at the terminals under the present load."""
+        unloaded = CELLS * float(np.interp(self.charge, _CURVE_CHARGE, _CURVE_VOLTAGE))
+        return unloaded - INTERNAL_RESISTANCE * self.current

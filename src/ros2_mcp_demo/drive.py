@@ -1,0 +1,126 @@
+"""One drive to a goal: plan, follow, look out, plan anew, give up. No ROS."""
+
+# pyright: basic
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .base import Pose, wrapped
+from .planner import RESOLUTION, Costmap, Pursuit, inflated, plan
+
+PATIENCE_S = 5.0
+LOOK_EVERY_S = 0.4
+MEMORY_S = 10.0
+YAW_TOLERANCE = 0.06
+KNOWN_WITHIN = 0.15
+
+
+class Surroundings:
+    """The map and what was seen lately besides it."""
+
+    def __init__(self, cells, origin, resolution):
+        self._cells, self._origin, self._resolution = cells, origin, resolution
+        self._known = inflated(cells != 0, KNOWN_WITHIN / resolution)
+        self._seen = {}
+
+    def see(self, points, now):
+        """Remember points (n, 2) that the map does not explain, for `MEMORY_S`."""
+        columns, rows = np.floor((points - self._origin) / self._resolution).astype(int).T
+        on_map = (
+            (rows >= 0) & (rows < self._known.shape[0]) & (columns >= 0) & (columns < self._known.shape[1])
+        )
+        points, rows, columns = points[on_map], rows[on_map], columns[on_map]
+        for x, y in points[~self._known[rows, columns]]:
+            self._seen[(math.floor(x / RESOLUTION), math.floor(y / RESOLUTION))] = (x, y, now)
+        self._seen = {cell: seen for cell, seen in self._seen.items() if now - seen[2] < MEMORY_S}
+
+    def costmap(self):
+        """Where the robot may be, as far as is known now."""
+        points = [(x, y) for x, y, _ in self._seen.values()]
+        return Costmap.from_occupancy(self._cells, self._origin, self._resolution, points)
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A place in the map (m), a heading (rad) or None for any, and how near is near enough (m)."""
+
+    x: float
+    y: float
+    yaw: float | None = None
+    tolerance: float = 0.15
+
+
+class Drive:
+    """Call `step` until `outcome` is set: (reached, reason in words). `path` is the present plan."""
+
+    def __init__(self, goal, surroundings, now):
+        self.goal = goal
+        self.outcome = None
+        self.state = "planning"
+        self.replans = -1
+        self.path = []
+        self._surroundings = surroundings
+        self._pursuit = None
+        self._next_look = now
+        self._hindered_since = None
+
+    def step(self, pose: Pose, now, blocked, fastest, turning):
+        """The velocities (m/s, rad/s) to drive with from here; `blocked` tells that the base stands against something."""
+        if self._has_arrived(pose):
+            return self._turn_to_heading(pose, turning)
+        if now >= self._next_look:
+            self._next_look = now + LOOK_EVERY_S
+            self._look(pose)
+        hindered = blocked or self._pursuit is None
+        self._watch_patience(now, hindered)
+        if self.outcome or self._pursuit is None:
+            return 0.0, 0.0
+        linear, angular = self._pursuit.velocity(pose, fastest, turning)
+        self.state = "waiting" if blocked else ("driving" if linear > 0 else "turning")
+        return linear, angular
+
+    def remaining(self, pose: Pose):
+        """The way still to go in m; the straight line while there is no plan."""
+        if self._pursuit is None:
+            return math.dist((pose.x, pose.y), (self.goal.x, self.goal.y))
+        return self._pursuit.remaining(pose)
+
+    def _has_arrived(self, pose):
+        """Near enough; once it turns to the final heading it stays arrived unless it is pushed away."""
+        reach = self.goal.tolerance * (1.3 if self.state == "turning" else 0.8)
+        return math.dist((pose.x, pose.y), (self.goal.x, self.goal.y)) <= reach
+
+    def _turn_to_heading(self, pose, turning):
+        error = 0.0 if self.goal.yaw is None else wrapped(self.goal.yaw - pose.yaw)
+        if abs(error) <= YAW_TOLERANCE:
+            self.outcome = (True, "arrived")
+            return 0.0, 0.0
+        self.state = "turning"
+        return 0.0, math.copysign(min(turning, 0.1 + 1.5 * abs(error)), error)
+
+    def _look(self, pose):
+        costmap = self._surroundings.costmap()
+        if self._pursuit is not None and self._is_open(costmap):
+            return
+        path = plan(costmap, (pose.x, pose.y), (self.goal.x, self.goal.y))
+        self.replans += 1
+        if path is None:
+            self.state, self._pursuit, self.path = "replanning", None, []
+        else:
+            self.path, self._pursuit = path, Pursuit(path)
+
+    def _is_open(self, costmap):
+        ahead = self._pursuit.ahead()[8:]  # what is nearer cannot be avoided any more
+        return all(costmap.is_free(x, y) for x, y in ahead)
+
+    def _watch_patience(self, now, hindered):
+        if not hindered:
+            self._hindered_since = None
+        elif self._hindered_since is None:
+            self._hindered_since = now
+        elif now - self._hindered_since > PATIENCE_S:
+            cause = "no free way to the goal" if self._pursuit is None else "the base is blocked"
+            self.outcome = (False, f"gave up after {PATIENCE_S:g} s: {cause}")

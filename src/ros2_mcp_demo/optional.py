@@ -1,0 +1,37 @@
+"""Interface packages that this ROS installation may lack; what needs them is left out and named."""
+
+# pyright: basic
+from __future__ import annotations
+
+import importlib
+
+
+def module(name):
+    """The module, or None where it is not installed."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        return None
+
+
+tf2_msgs = module("tf2_msgs.msg")
+demo_services = module("ros2_mcp_demo_interfaces.srv")
+demo_actions = module("ros2_mcp_demo_interfaces.action")
+lifecycle = module("rclpy.lifecycle")
+pillow = module("PIL.Image")
+
+
+def left_out():
+    """What the robot goes without, one phrase for each missing package."""
+    absent = []
+    if tf2_msgs is None:
+        absent.append("/tf and /tf_static (no tf2_msgs)")
+    if demo_services is None:
+        absent.append("/set_mode, /spawn_obstacle, /slow_echo (no ros2_mcp_demo_interfaces)")
+    if demo_actions is None:
+        absent.append("/navigate_to (no ros2_mcp_demo_interfaces)")
+    if lifecycle is None:
+        absent.append("/gripper_driver (no rclpy.lifecycle)")
+    if pillow is None:
+        absent.append("/camera/image_raw/compressed (no Pillow)")
+    return absent

@@ -1,0 +1,205 @@
+"""Finding a way over an occupancy grid (A*) and following it (pure pursuit). No ROS."""
+
+# pyright: basic
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .base import Pose, wrapped
+
+RESOLUTION = 0.1
+INFLATION = 0.33
+LOOKAHEAD = 0.35
+TURN_FIRST = math.radians(50)
+
+_NEIGHBOURS = [(dx, dy, math.hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
+
+
+@dataclass
+class Costmap:
+    """Where the middle of the robot may be: `blocked` is bool (rows, columns), row 0 at the smallest y."""
+
+    blocked: np.ndarray
+    origin: tuple[float, float]
+    resolution: float = RESOLUTION
+
+    @classmethod
+    def from_occupancy(cls, cells, origin, resolution, points=()):
+        """Coarsen a map (int8, unknown counts as occupied), add seen points (n, 2) in m, and inflate."""
+        factor = round(RESOLUTION / resolution)
+        rows, columns = cells.shape[0] // factor, cells.shape[1] // factor
+        coarse = cells[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
+        costmap = cls((coarse != 0).any(axis=(1, 3)), origin)
+        for x, y in points:
+            row, column = costmap.cell(x, y)
+            if costmap.holds(row, column):
+                costmap.blocked[row, column] = True
+        costmap.blocked = inflated(costmap.blocked, INFLATION / RESOLUTION)
+        return costmap
+
+    def cell(self, x, y):
+        """Row and column of a point."""
+        return (
+            math.floor((y - self.origin[1]) / self.resolution),
+            math.floor((x - self.origin[0]) / self.resolution),
+        )
+
+    def point(self, row, column):
+        """The middle of a cell."""
+        return (
+            self.origin[0] + (column + 0.5) * self.resolution,
+            self.origin[1] + (row + 0.5) * self.resolution,
+        )
+
+    def holds(self, row, column):
+        """Whether the cell lies on the map."""
+        return 0 <= row < self.blocked.shape[0] and 0 <= column < self.blocked.shape[1]
+
+    def is_free(self, x, y):
+        """Whether the middle of the robot may be at a point."""
+        row, column = self.cell(x, y)
+        return self.holds(row, column) and not self.blocked[row, column]
+
+    def is_clear(self, start, end):
+        """Whether the straight line between two points is free all along."""
+        steps = max(1, math.ceil(math.dist(start, end) / (self.resolution / 2)))
+        shares = [step / steps for step in range(steps + 1)]
+        return all(
+            self.is_free(start[0] + s * (end[0] - start[0]), start[1] + s * (end[1] - start[1]))
+            for s in shares
+        )
+
+
+def inflated(blocked, cells):
+    """Grow what is blocked by a disc of that radius in cells."""
+    reach = math.floor(cells)
+    padded = np.pad(blocked, reach)
+    grown = np.zeros_like(blocked)
+    rows, columns = blocked.shape
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            if math.hypot(dx, dy) <= cells:
+                grown |= padded[reach + dy : reach + dy + rows, reach + dx : reach + dx + columns]
+    return grown
+
+
+def plan(costmap, start, goal):
+    """A path [(x, y), …] in m from start to goal that stays free, or None when there is none.
+
+    A start inside the inflation is allowed, so that a robot close to a wall can leave it.
+    """
+    if not costmap.is_free(*goal):
+        return None
+    cells = _search(costmap, costmap.cell(*start), costmap.cell(*goal))
+    if cells is None:
+        return None
+    return shortened(costmap, [start, *(costmap.point(*cell) for cell in cells[1:-1]), goal])
+
+
+def _search(costmap, start, goal):
+    came_from, cost, open_cells = {start: start}, {start: 0.0}, [(0.0, start)]
+    closed = set()
+    while open_cells:
+        _, cell = heapq.heappop(open_cells)
+        if cell == goal:
+            return _trace(came_from, cell)
+        if cell in closed:
+            continue
+        closed.add(cell)
+        for neighbour, length in _steps(costmap, cell):
+            if cost[cell] + length < cost.get(neighbour, math.inf):
+                cost[neighbour], came_from[neighbour] = cost[cell] + length, cell
+                heapq.heappush(open_cells, (cost[neighbour] + math.dist(neighbour, goal), neighbour))
+    return None
+
+
+def _steps(costmap, cell):
+    """The cells one can go to: free ones, and from a blocked cell its neighbours nearby (leaving an inflated zone)."""
+    for dx, dy, length in _NEIGHBOURS:
+        row, column = cell[0] + dy, cell[1] + dx
+        if costmap.holds(row, column):
+            if not costmap.blocked[row, column]:
+                yield (row, column), length
+            elif costmap.blocked[cell]:
+                yield (row, column), 20 * length
+
+
+def _trace(came_from, cell):
+    cells = [cell]
+    while came_from[cell] != cell:
+        cell = came_from[cell]
+        cells.append(cell)
+    return cells[::-1]
+
+
+def shortened(costmap, path):
+    """Leave out points that a straight free line can skip."""
+    short, last = [path[0]], 0
+    while last < len(path) - 1:
+        ahead = len(path) - 1
+        while ahead > last + 1 and not costmap.is_clear(path[last], path[ahead]):
+            ahead -= 1
+        short.append(path[ahead])
+        last = ahead
+    return short
+
+
+def path_length(path):
+    """The length of a path in m."""
+    return sum(math.dist(path[i], path[i + 1]) for i in range(len(path) - 1))
+
+
+class Pursuit:
+    """Pure pursuit: steer at a point of the path that lies a little ahead."""
+
+    def __init__(self, path):
+        self._points = _densified(path)
+        self._reached = 0
+
+    def remaining(self, pose: Pose):
+        """The way still to go, in m."""
+        if self._reached >= len(self._points) - 1:
+            return math.dist((pose.x, pose.y), self._points[-1])
+        return math.dist((pose.x, pose.y), self._points[self._reached]) + path_length(
+            self._points[self._reached :]
+        )
+
+    def ahead(self):
+        """The points not yet passed."""
+        return self._points[self._reached :]
+
+    def velocity(self, pose: Pose, fastest, turning):
+        """Linear (m/s) and angular (rad/s) velocity now, within the two limits."""
+        target = self._target(pose)
+        distance = math.dist((pose.x, pose.y), target)
+        bearing = wrapped(math.atan2(target[1] - pose.y, target[0] - pose.x) - pose.yaw)
+        if abs(bearing) > TURN_FIRST:
+            return 0.0, math.copysign(min(turning, 2.0 * abs(bearing)), bearing)
+        linear = min(fastest * math.cos(bearing) ** 2, 0.05 + 0.8 * self.remaining(pose))
+        angular = 2 * linear * math.sin(bearing) / max(distance, 0.1) + 0.5 * bearing
+        return linear, max(-turning, min(turning, angular))
+
+    def _target(self, pose):
+        here = (pose.x, pose.y)
+        window = range(self._reached, min(self._reached + 20, len(self._points)))
+        self._reached = min(window, key=lambda i: math.dist(here, self._points[i]))
+        for point in self._points[self._reached :]:
+            if math.dist(here, point) >= LOOKAHEAD:
+                return point
+        return self._points[-1]
+
+
+def _densified(path, spacing=0.05):
+    points = [path[0]]
+    for i in range(len(path) - 1):
+        start, end = path[i], path[i + 1]
+        steps = max(1, math.ceil(math.dist(start, end) / spacing))
+        points += [
+            (start[0] + s / steps * (end[0] - start[0]), start[1] + s / steps * (end[1] - start[1]))
+            for s in range(1, steps + 1)
+        ]
+    return points

@@ -1,0 +1,124 @@
+"""The robot and its world without ROS: what moves, what is measured and what may drive. Same seed, same story."""
+
+# pyright: basic
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from . import picture
+from .base import RADIUS, Base, Pose, wrapped
+from .battery import Battery
+from .world import ROOM, Pillar, World
+
+IDLE, MANUAL, AUTONOMOUS = "idle", "manual", "autonomous"
+MODES = (IDLE, MANUAL, AUTONOMOUS)
+
+BEAMS = 360
+RANGE_MIN, RANGE_MAX = 0.12, 5.0
+DROPOUT = 0.002
+CAMERA_FORWARD = 0.15
+SPAWN_COLOR = (226, 120, 30)
+MAX_SPAWN_RADIUS = 1.0
+
+_BEAM_ANGLES = -math.pi + np.arange(BEAMS) * (2 * math.pi / BEAMS)
+
+
+class Simulation:
+    """The state of everything. `now` is the simulated time in s, `wanted` the velocities (m/s, rad/s) asked for."""
+
+    def __init__(self, seed=7):
+        streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)]
+        drive, self._lidar_rng, self._camera_rng, self._imu_rng, self._place_rng = streams
+        self.world = World()
+        self.base = Base(self.world, drive)
+        self.battery = Battery()
+        self.mode = MANUAL
+        self.motors_enabled = True
+        self.wanted = (0.0, 0.0)
+        self.now = 0.0
+        self.gyro_bias = 0.002
+        self._steps = 0
+
+    def step(self, dt):
+        """Let `dt` s pass."""
+        self._steps += 1
+        self.now = self._steps * dt
+        self.base.step(*(self.wanted if self.can_drive() else (0.0, 0.0)), dt)
+        rims = abs(self.base.left.velocity) + abs(self.base.right.velocity)
+        self.battery.step(rims * 0.05, dt)
+
+    def can_drive(self):
+        """Whether the motors have power: enabled, not idle, battery not empty."""
+        return self.motors_enabled and self.mode != IDLE and self.battery.charge > 0.0
+
+    def is_moving(self):
+        """Whether the base drives at all."""
+        return abs(self.base.linear) > 0.005 or abs(self.base.angular) > 0.01
+
+    def scan(self, noise_stddev):
+        """One turn of the laser: float32 ranges (BEAMS,) in m from -π upwards, infinite where nothing came back."""
+        pose = self.base.pose
+        ranges = self.world.cast(pose.x, pose.y, pose.yaw + _BEAM_ANGLES)
+        ranges = ranges + noise_stddev * self._lidar_rng.standard_normal(BEAMS)
+        lost = (ranges > RANGE_MAX) | (self._lidar_rng.random(BEAMS) < DROPOUT)
+        return np.where(lost, np.inf, np.maximum(ranges, RANGE_MIN)).astype(np.float32)
+
+    def scan_points(self, ranges):
+        """Where in the map the beams of a scan ended, (n, 2) in m."""
+        pose, hit = self.base.pose, np.isfinite(ranges)
+        angles, ranges = pose.yaw + _BEAM_ANGLES[hit], ranges[hit]
+        return np.column_stack([pose.x + ranges * np.cos(angles), pose.y + ranges * np.sin(angles)])
+
+    def photo(self, brightness):
+        """The camera's picture, uint8 (rows, columns, 3) RGB."""
+        return picture.render(self.world, self._camera_pose(), brightness, self._camera_rng)
+
+    def depth_photo(self):
+        """The depth picture, float32 (rows, columns) in m, infinite for the sky."""
+        return picture.render_depth(self.world, self._camera_pose())
+
+    def inertia(self):
+        """What the IMU feels: yaw (rad), yaw rate (rad/s), acceleration (x, y, z) in m/s²."""
+        noise = self._imu_rng.standard_normal(5)
+        base = self.base
+        return (
+            wrapped(base.pose.yaw + 0.002 * noise[0]),
+            base.angular + self.gyro_bias + 0.003 * noise[1],
+            (
+                base.acceleration + 0.03 * noise[2],
+                base.linear * base.angular + 0.03 * noise[3],
+                9.81 + 0.03 * noise[4],
+            ),
+        )
+
+    def localize(self):
+        """Where the robot believes to be in the map: its true pose to about a centimetre."""
+        noise, pose = self._place_rng.standard_normal(3), self.base.pose
+        return Pose(
+            pose.x + 0.008 * noise[0], pose.y + 0.008 * noise[1], wrapped(pose.yaw + 0.004 * noise[2])
+        )
+
+    def spawn(self, name, x, y, radius):
+        """Put a pillar into the world. Returns None, or in words why not."""
+        reason = self._why_not_spawn(x, y, radius)
+        if reason is None:
+            self.world.place(Pillar(name, x, y, radius, 0.7, SPAWN_COLOR))
+        return reason
+
+    def _why_not_spawn(self, x, y, radius):
+        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(radius)):
+            return "x, y and radius must be finite numbers"
+        if not 0.0 < radius <= MAX_SPAWN_RADIUS:
+            return f"radius must be greater than 0 and at most {MAX_SPAWN_RADIUS} m, not {radius:g} m"
+        x_min, y_min, x_max, y_max = ROOM
+        if not (x_min <= x <= x_max and y_min <= y <= y_max):
+            return f"({x:g}, {y:g}) is outside the world, which spans x {x_min:g} to {x_max:g}, y {y_min:g} to {y_max:g} m"
+        gap = math.dist((x, y), (self.base.pose.x, self.base.pose.y)) - radius - RADIUS
+        if gap < 0.02:
+            return "it would overlap the robot"
+        return None
+
+    def _camera_pose(self):
+        return self.base.pose.moved(CAMERA_FORWARD, 0.0)
