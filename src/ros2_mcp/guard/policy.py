@@ -1,0 +1,33 @@
+"""What this server allows: one place that decides, and never acts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ros2_mcp.model.errors import BadValue, Refused
+
+MAX_RATE_HZ = 1000.0
+MAX_DURATION_S = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """The rules that hold for every command."""
+
+    read_only: bool = False
+
+    def require_write(self, what: str) -> None:
+        """Raises `Refused` when this server may only read."""
+        if self.read_only:
+            raise Refused(f"{what} is refused: this server is read-only.", "Start it without --read-only to allow it.")
+
+
+def bounded(name: str, value: float, low: float, high: float, unit: str) -> float:
+    """`value` if it lies within the limits, which end users can rely on.
+
+    Raises:
+        BadValue: naming the limits.
+    """
+    if not low <= value <= high:
+        raise BadValue(name, f"{value:g} {unit} is out of range.", f"Give {low:g} to {high:g} {unit}.")
+    return value

@@ -1,0 +1,84 @@
+"""ROS names: topics, services, nodes and interface types, checked and brought into one form."""
+
+from __future__ import annotations
+
+import difflib
+import fnmatch
+import re
+from collections.abc import Iterable, Sequence
+
+from ros2_mcp.model.errors import BadName
+
+_NAME = re.compile(r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")
+_TYPE = re.compile(r"^(?P<package>[a-z][a-z0-9_]*)/(?:(?P<kind>msg|srv|action)/)?(?P<name>[A-Za-z][A-Za-z0-9_]*)$")
+
+
+def absolute(name: str, what: str = "topic") -> str:
+    """The fully qualified name: `scan` and `/scan` are `/scan`.
+
+    Raises:
+        BadName: where ROS 2 does not allow the name.
+    """
+    full = name.strip()
+    if full.startswith("~"):
+        raise BadName(f"{name!r} is private to a node.", f"Give the full {what} name, such as /node_name{full[1:]}.")
+    if not full.startswith("/"):
+        full = "/" + full
+    if not _NAME.match(full):
+        raise BadName(
+            f"{name!r} is not a valid {what} name.",
+            "A name is made of parts like /robot1/scan: letters, digits and underscores, not starting with a digit.",
+        )
+    return full
+
+
+def node_name(name: str) -> tuple[str, str]:
+    """Name and namespace of a node: `/arm/driver` is `("driver", "/arm")`."""
+    full = absolute(name, "node")
+    namespace, _, base = full.rpartition("/")
+    return base, namespace or "/"
+
+
+def full_node_name(name: str, namespace: str) -> str:
+    """Joins what `node_name` parts."""
+    return f"{namespace.rstrip('/')}/{name}"
+
+
+def interface_type(name: str, kind: str) -> str:
+    """The full type name: `std_msgs/String` and `std_msgs.msg.String` are `std_msgs/msg/String`.
+
+    Raises:
+        BadName: if it is not a type's name, or of another kind than `kind` (`msg`, `srv` or `action`).
+    """
+    match = _TYPE.match(name.strip().replace(".", "/").replace("::", "/"))
+    if match is None:
+        raise BadName(f"{name!r} is not the name of a type.", f"Write it as package/{kind}/Name.")
+    found = match["kind"] or kind
+    if found != kind:
+        raise BadName(f"{name!r} is a {found} type, but a {kind} type is needed here.")
+    return f"{match['package']}/{kind}/{match['name']}"
+
+
+def is_hidden(name: str) -> bool:
+    """Whether ROS hides the name by convention: a part that starts with an underscore."""
+    return "/_" in name
+
+
+def matching(names: Iterable[str], pattern: str) -> list[str]:
+    """The names that a pattern selects: a glob if it has `*`, `?` or `[`, else any part of the name; empty is all."""
+    if any(sign in pattern for sign in "*?["):
+        return [name for name in names if fnmatch.fnmatchcase(name, pattern)]
+    return [name for name in names if pattern.lower() in name.lower()]
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """The known name that `name` was most likely meant to be, or an empty string."""
+    by_folded = {candidate.lower(): candidate for candidate in known}
+    close = difflib.get_close_matches(name.lower(), list(by_folded), n=1, cutoff=0.6)
+    return by_folded[close[0]] if close else ""
+
+
+def did_you_mean(name: str, known: Sequence[str], otherwise: str = "") -> str:
+    """A hint for an unknown name: the nearest known one, or `otherwise`."""
+    near = nearest(name, known)
+    return f"Did you mean {near}?" if near else otherwise

@@ -1,0 +1,124 @@
+"""Quality of service: what endpoints offer and ask for, what we choose, and why two of them do not match."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from ros2_mcp.model.names import full_node_name
+
+_LIVELINESS_RANK = {"automatic": 0, "manual_by_topic": 1}
+
+
+@dataclass(frozen=True, slots=True)
+class QoS:
+    """The policies of one endpoint. `"unknown"` where the middleware does not tell; None is an infinite duration."""
+
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    history: str = "keep_last"
+    depth: int = 10
+    deadline_ns: int | None = None
+    lifespan_ns: int | None = None
+    liveliness: str = "automatic"
+    liveliness_lease_ns: int | None = None
+
+    def request(self) -> dict[str, str | int]:
+        """The policies that the bridge sets on an endpoint of ours."""
+        return {
+            "reliability": self.reliability,
+            "durability": self.durability,
+            "history": self.history,
+            "depth": self.depth,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """A publisher or subscriber of a topic, as the graph tells it."""
+
+    node: str
+    type: str
+    hash: str
+    gid: str
+    qos: QoS
+
+    @classmethod
+    def parse(cls, raw: Mapping[str, object]) -> Endpoint:
+        """From the bridge's `endpoints` answer."""
+        qos = raw["qos"]
+        assert isinstance(qos, dict)
+        return cls(
+            node=full_node_name(str(raw["node"]), str(raw["namespace"])),
+            type=str(raw["type"]),
+            hash=str(raw["hash"]),
+            gid=str(raw["gid"]),
+            qos=QoS(**qos),  # pyright: ignore[reportUnknownArgumentType]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The QoS we use for an endpoint of ours and the reason, in words."""
+
+    qos: QoS
+    reason: str
+
+
+def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100) -> Choice:
+    """What a subscription needs so that it matches every publisher and loses as little as possible."""
+    if not publishers:
+        return Choice(QoS("best_effort", "volatile", depth=depth), "no publisher is known; this matches any")
+    reliable = all(publisher.qos.reliability == "reliable" for publisher in publishers)
+    latched = all(publisher.qos.durability == "transient_local" for publisher in publishers)
+    return Choice(
+        QoS("reliable" if reliable else "best_effort", "transient_local" if latched else "volatile", depth=depth),
+        f"{_offer(publishers, 'reliability', 'reliable')}; {_offer(publishers, 'durability', 'transient_local')}",
+    )
+
+
+def for_publishing(subscribers: Sequence[Endpoint]) -> Choice:
+    """What a publisher needs so that it reaches every subscriber."""
+    if not subscribers:
+        return Choice(QoS(), "no subscriber is known; the defaults of ROS 2")
+    latched = any(subscriber.qos.durability == "transient_local" for subscriber in subscribers)
+    best_effort = all(subscriber.qos.reliability == "best_effort" for subscriber in subscribers)
+    durability = "transient_local, because a subscriber asks for it" if latched else "volatile, as nobody asks for more"
+    reliability = "best_effort, as no subscriber asks for more" if best_effort else "reliable, which every subscriber takes"
+    return Choice(
+        QoS(
+            "best_effort" if best_effort else "reliable",
+            "transient_local" if latched else "volatile",
+            depth=10 if latched else 100,
+        ),
+        f"{reliability}; {durability}",
+    )
+
+
+def mismatch(publisher: QoS, subscriber: QoS) -> str:
+    """Why these two never exchange a message, in words; empty if they do. Rules of DDS request/offered matching."""
+    reasons: list[str] = []
+    if publisher.reliability == "best_effort" and subscriber.reliability == "reliable":
+        reasons.append("the publisher offers best_effort, the subscriber asks for reliable")
+    if publisher.durability == "volatile" and subscriber.durability == "transient_local":
+        reasons.append("the publisher offers volatile, the subscriber asks for transient_local")
+    if _is_longer(publisher.deadline_ns, subscriber.deadline_ns):
+        reasons.append("the publisher's deadline is longer than the subscriber asks for")
+    if _LIVELINESS_RANK.get(publisher.liveliness, 0) < _LIVELINESS_RANK.get(subscriber.liveliness, 0):
+        reasons.append("the publisher's liveliness is weaker than the subscriber asks for")
+    if _is_longer(publisher.liveliness_lease_ns, subscriber.liveliness_lease_ns):
+        reasons.append("the publisher's liveliness lease is longer than the subscriber asks for")
+    return "; ".join(reasons)
+
+
+def _offer(publishers: Sequence[Endpoint], policy: str, wanted: str) -> str:
+    offering = sum(getattr(publisher.qos, policy) == wanted for publisher in publishers)
+    if offering == len(publishers):
+        return f"every publisher offers {wanted}"
+    return f"{offering or 'none'} of {len(publishers)} publisher(s) offer{'s' * (offering < 2)} {wanted}"
+
+
+def _is_longer(offered_ns: int | None, asked_ns: int | None) -> bool:
+    if asked_ns is None:
+        return False
+    return offered_ns is None or offered_ns > asked_ns

@@ -1,0 +1,130 @@
+"""Nodes: which there are, and what each offers and uses."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import NotFound
+from ros2_mcp.robot import Robot
+
+_PARAMETER_SERVICES = (
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class NodeList:
+    """The nodes of the graph by full name; `duplicates` are names that several nodes share, which is a fault."""
+
+    nodes: Sequence[str]
+    total: int
+    settled: bool
+    duplicates: Sequence[str]
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{len(self.nodes)} of {self.total} nodes. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """A topic, service or action of a node, with its type."""
+
+    name: str
+    type: str
+
+
+@dataclass(frozen=True, slots=True)
+class NodeInfo:
+    """What one node offers and uses; the six parameter services that every node has are left out."""
+
+    node: str
+    publishes: Sequence[Offer]
+    subscribes: Sequence[Offer]
+    services: Sequence[Offer]
+    service_clients: Sequence[Offer]
+    actions: Sequence[Offer]
+    action_clients: Sequence[Offer]
+    has_parameters: bool
+    is_lifecycle: bool
+
+    def summary(self) -> str:
+        """One line."""
+        return (
+            f"{self.node} publishes {len(self.publishes)} and subscribes to {len(self.subscribes)} topics, "
+            f"offers {len(self.services)} services and {len(self.actions)} actions."
+        )
+
+
+async def list_nodes(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> NodeList:
+    """The nodes whose full names match the pattern, sorted; our own bridge is left out."""
+    raw = await robot.graph("nodes")
+    own = robot.bridge.hello.node if robot.bridge.hello else ""
+    every = [names.full_node_name(name, namespace) for name, namespace in raw["nodes"]]
+    visible = sorted(name for name in every if name != own and (include_hidden or not names.is_hidden(name)))
+    chosen = names.matching(visible, pattern)
+    duplicates = [name for name, count in Counter(visible).items() if count > 1]
+    notes = [f"{len(chosen)} match, the first {limit} are shown."] if len(chosen) > limit else []
+    notes += ["Discovery had not settled yet: ask again."] if not raw["settled"] else []
+    return NodeList(chosen[:limit], len(visible), raw["settled"], duplicates, " ".join(notes))
+
+
+async def node_info(robot: Robot, node: str) -> NodeInfo:
+    """What a node publishes, subscribes to, serves and calls.
+
+    Raises:
+        NotFound: if no such node is in the graph.
+    """
+    name, namespace = names.node_name(node)
+    try:
+        raw = await robot.graph("node", name=name, namespace=namespace)
+    except NotFound as error:
+        known = await list_nodes(robot, include_hidden=True)
+        full = names.full_node_name(name, namespace)
+        hint = names.did_you_mean(full, known.nodes, "ros2_node_list shows what is there.")
+        raise NotFound(f"There is no node {full}.", hint) from error
+    return _assemble(names.full_node_name(name, namespace), raw)
+
+
+def _assemble(node: str, raw: dict[str, Any]) -> NodeInfo:
+    servers = _offers(raw["servers"])
+    own_parameters = {f"{node}/{service}" for service in _PARAMETER_SERVICES}
+    served = {offer.name for offer in servers}
+    return NodeInfo(
+        node,
+        publishes=_visible(_offers(raw["publishers"])),
+        subscribes=_visible(_offers(raw["subscribers"])),
+        services=[offer for offer in _visible(servers) if offer.name not in own_parameters],
+        service_clients=_visible(_offers(raw["clients"])),
+        actions=_actions(servers),
+        action_clients=_actions(_offers(raw["clients"])),
+        has_parameters=own_parameters <= served,
+        is_lifecycle=f"{node}/change_state" in served,
+    )
+
+
+def _offers(raw: Sequence[tuple[str, list[str]]]) -> list[Offer]:
+    return [Offer(name, " | ".join(types)) for name, types in sorted(raw)]
+
+
+def _visible(offers: Sequence[Offer]) -> list[Offer]:
+    return [offer for offer in offers if not names.is_hidden(offer.name)]
+
+
+def _actions(services: Sequence[Offer]) -> list[Offer]:
+    ending = "/_action/send_goal"
+    return [
+        Offer(offer.name[: -len(ending)], offer.type.removesuffix("_SendGoal"))
+        for offer in services
+        if offer.name.endswith(ending)
+    ]

@@ -1,0 +1,149 @@
+"""Publishing: once or repeatedly, and the truth about who received it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from time import monotonic
+from typing import Any
+
+from ros2_mcp.guard.policy import MAX_DURATION_S, MAX_RATE_HZ, bounded
+from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.topics import mismatches
+from ros2_mcp.robot import Robot, Sent
+
+MATCH_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """What to publish: once, or at `frequency_hz` for `duration_s`."""
+
+    topic_name: str
+    topic_type: str
+    data: dict[str, Any]
+    frequency_hz: float | None = None
+    duration_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """What became of it.
+
+    `status` is `published` if at least one subscriber was matched when it was sent, `nobody_listening` if none was,
+    and `failed` with an `error` where several were published and this one could not be. `acknowledged` is null where
+    that is not known.
+    """
+
+    status: str
+    topic_name: str
+    topic_type: str = ""
+    sent: int = 0
+    subscribers: int = 0
+    acknowledged: bool | None = None
+    stopped_with_zero: bool = False
+    elapsed: float = 0.0
+    qos: str = ""
+    note: str = ""
+    error: str = ""
+
+    def summary(self) -> str:
+        """One line."""
+        if self.error:
+            return f"{self.topic_name}: {self.error}"
+        reached = f"reached {self.subscribers} subscriber(s)" if self.subscribers else "no subscriber was there"
+        return f"{self.topic_name}: {self.sent} message(s) sent, {reached}. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedSeveral:
+    """What became of each."""
+
+    topics: Sequence[Published]
+
+    def summary(self) -> str:
+        """A line for each topic."""
+        return "\n".join(published.summary() for published in self.topics)
+
+
+async def publish(robot: Robot, publication: Publication, report: Report = silent) -> Published:
+    """Publishes, after every value has been checked against its definition; nothing is sent if one does not fit.
+
+    Raises:
+        BadValue: naming the path of a value that does not fit, or a limit that is out of range.
+        TypeConflict: if the topic has another type.
+        Refused: if this server is read-only.
+    """
+    sent = await _send(robot, publication, report)
+    return Published(
+        "published" if sent.matched else "nobody_listening",
+        sent.topic,
+        sent.type,
+        sent.sent,
+        sent.matched,
+        sent.acked,
+        sent.stopped_with_zero,
+        round(sent.elapsed_s, 6),
+        f"{sent.choice.qos.reliability}, {sent.choice.qos.durability}: {sent.choice.reason}",
+        await _note(robot, sent),
+    )
+
+
+async def publish_several(
+    robot: Robot, publications: Sequence[Publication], report: Report = silent
+) -> PublishedSeveral:
+    """Publishes on several topics at the same time; an `error` of one leaves the others."""
+    if not publications:
+        raise BadInput("No topics are given.", 'Give a list of {"topic_name", "message_type", "data"}.')
+    return PublishedSeveral(await asyncio.gather(*(_publish_or_error(robot, p, report) for p in publications)))
+
+
+async def _publish_or_error(robot: Robot, publication: Publication, report: Report) -> Published:
+    try:
+        return await publish(robot, publication, report)
+    except RobotError as error:
+        return Published("failed", publication.topic_name, error=str(error))
+
+
+async def _send(robot: Robot, publication: Publication, report: Report) -> Sent:
+    topic, kind, data = publication.topic_name, publication.topic_type, publication.data
+    rate_hz, duration_s = publication.frequency_hz, publication.duration_s
+    if rate_hz is None and duration_s is None:
+        return await robot.publish(topic, kind, data, wait_match_s=MATCH_S)
+    if rate_hz is None or duration_s is None:
+        given, missing = ("duration", "frequency") if rate_hz is None else ("frequency", "duration")
+        raise BadInput(f"{given} is given without {missing}.", "To repeat, give both; to publish once, give neither.")
+    bounded("frequency", rate_hz, 0.01, MAX_RATE_HZ, "Hz")
+    bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
+    ticking = asyncio.create_task(_tick(topic, duration_s, report))
+    try:
+        return await robot.repeat(topic, kind, data, rate_hz=rate_hz, duration_s=duration_s, wait_match_s=MATCH_S)
+    finally:
+        ticking.cancel()
+
+
+async def _tick(topic: str, duration_s: float, report: Report) -> None:
+    started = monotonic()
+    while True:
+        await asyncio.sleep(1.0)
+        elapsed = min(monotonic() - started, duration_s)
+        await report(elapsed, duration_s, f"{topic}: publishing for {elapsed:.0f} of {duration_s:g} s")
+
+
+async def _note(robot: Robot, sent: Sent) -> str:
+    notes: list[str] = []
+    if not sent.matched:
+        there = await robot.endpoints(sent.topic)
+        own = robot.bridge.hello.node if robot.bridge.hello else ""
+        ours = [publisher for publisher in there.publishers if publisher.node == own]
+        reasons = mismatches(ours, there.subscribers)
+        notes.append("Nobody received it." if not reasons else f"Nobody received it: {' '.join(reasons)}")
+    if sent.acked is False:
+        notes.append("Not every subscriber has acknowledged it in time.")
+    if sent.late:
+        notes.append(f"{sent.late} period(s) were missed.")
+    if sent.stopped_with_zero:
+        notes.append("A zero command was sent at the end.")
+    return " ".join(notes)

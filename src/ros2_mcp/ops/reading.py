@@ -1,0 +1,336 @@
+"""Reading topics: collect samples for a while, then show as many as fit.
+
+Samples stay bytes until it is known which of them are shown.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from time import monotonic
+from typing import Any
+
+from ros2_mcp.guard.policy import MAX_DURATION_S, bounded
+from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.model.pictures import Picture
+from ros2_mcp.model.samples import Counts, Sample
+from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
+from ros2_mcp.robot import Listening, Robot, TopicEndpoints
+
+FIRST_MESSAGE_S = 5.0
+LIMITED_S = 20.0
+MAX_SAMPLES = 100_000
+MAX_BYTES = 64_000_000
+MAX_PICTURES = 4
+_PICTURE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """How messages are shown: chosen fields, elements shown of long arrays, every n-th message, bytes of text."""
+
+    fields: Sequence[str] = ()
+    max_array: int | None = None
+    every_n: int = 1
+    max_bytes: int = 32_000
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What to read: a topic, and when to stop. With neither limit: the first message, waiting at most 5 s."""
+
+    topic_name: str
+    topic_type: str = ""
+    duration_s: float | None = None
+    message_limit: int | None = None
+
+    @property
+    def longest_s(self) -> float:
+        """How long reading takes at most."""
+        if self.duration_s is not None:
+            return self.duration_s
+        return FIRST_MESSAGE_S if self.message_limit is None else LIMITED_S
+
+    @property
+    def enough(self) -> int | None:
+        """After how many messages reading ends early; None is never."""
+        if self.duration_s is None and self.message_limit is None:
+            return 1
+        return self.message_limit
+
+
+@dataclass(frozen=True, slots=True)
+class Reading(WithPictures):
+    """The messages of one topic.
+
+    `count` messages are shown, of `received` ones; `dropped` were discarded by this server's memory bounds, `lost`
+    never arrived (null where that cannot be known). `truncated` names paths whose values are summaries.
+    """
+
+    topic_name: str
+    topic_type: str = ""
+    messages: Sequence[dict[str, Any]] = ()
+    received_at: Sequence[str] = ()
+    count: int = 0
+    duration: float = 0.0
+    received: int = 0
+    dropped: int = 0
+    lost: int | None = None
+    publishers: Sequence[str] = ()
+    qos: str = ""
+    truncated: Sequence[str] = ()
+    note: str = ""
+    error: str = ""
+
+    def summary(self) -> str:
+        """One line."""
+        if self.error:
+            return f"{self.topic_name}: {self.error}"
+        shown = "" if self.count == self.received else f", {self.count} shown"
+        return f"{self.topic_name}: {self.received} message(s) in {self.duration:.2f} s{shown}. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class Readings(WithPictures):
+    """The messages of several topics, read at the same time; an `error` of one leaves the others."""
+
+    topics: Sequence[Reading]
+    duration: float
+
+    def summary(self) -> str:
+        """A line for each topic."""
+        return "\n".join(reading.summary() for reading in self.topics)
+
+
+@dataclass(frozen=True, slots=True)
+class Echo(WithPictures):
+    """The next message of a topic, or `received` false and the reason."""
+
+    topic_name: str
+    topic_type: str
+    received: bool
+    message: dict[str, Any] | None
+    received_at: str
+    waited: float
+    publishers: Sequence[str]
+    truncated: Sequence[str]
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        what = "a message" if self.received else "no message"
+        return f"{self.topic_name}: {what} after {self.waited:.2f} s. {self.note}".rstrip()
+
+
+@dataclass(slots=True)
+class Collection:
+    """Samples collected so far, bounded; the oldest are dropped and counted."""
+
+    every_n: int
+    samples: deque[Sample] = field(default_factory=lambda: deque[Sample]())
+    seen: int = 0
+    kept_bytes: int = 0
+    dropped: int = 0
+
+    def add(self, samples: Sequence[Sample], enough: int | None) -> bool:
+        """Takes samples in; true as soon as there are enough."""
+        for sample in samples:
+            self.seen += 1
+            if (self.seen - 1) % self.every_n == 0:
+                self._keep(sample)
+            if enough is not None and len(self.samples) >= enough:
+                return True
+        return False
+
+    def _keep(self, sample: Sample) -> None:
+        self.samples.append(sample)
+        self.kept_bytes += len(sample.data)
+        while len(self.samples) > MAX_SAMPLES or (self.kept_bytes > MAX_BYTES and len(self.samples) > 1):
+            self.kept_bytes -= len(self.samples.popleft().data)
+            self.dropped += 1
+
+
+async def read(robot: Robot, request: Request, view: View, report: Report = silent) -> Reading:
+    """Messages of one topic.
+
+    Raises:
+        NotFound: if the topic is not there and its type is not given.
+        TypeConflict: if it has several types, or another than the given one.
+        BadValue: if a limit is out of range, or a field is not in the type.
+    """
+    _check_request(request, view)
+    started = monotonic()
+    wait_s = request.longest_s
+    async with robot.listen(request.topic_name, request.topic_type, wait_s=wait_s) as listening:
+        _check_fields(robot, listening.type, view)
+        collection = Collection(view.every_n)
+        await _collect(listening, collection, request, started, report)
+        counts = listening.counts
+        elapsed = monotonic() - started
+        note = "" if collection.seen else await _why_nothing(robot, listening)
+        if collection.seen and request.enough and len(collection.samples) < request.enough:
+            note = await _why_few(robot, listening, collection)
+    return await _show(robot, listening, collection, counts, elapsed, view, note)
+
+
+async def read_several(robot: Robot, requests: Sequence[Request], view: View, report: Report = silent) -> Readings:
+    """Messages of several topics, truly at the same time."""
+    if not requests:
+        raise BadInput("No topics are given.", 'Give a list such as [{"name": "/odom", "duration": 2}].')
+    started = monotonic()
+    share = View(view.fields, view.max_array, view.every_n, max(view.max_bytes // len(requests), 1000))
+    readings = await asyncio.gather(*(_read_or_error(robot, request, share, report) for request in requests))
+    images = [image for reading in readings for image in reading.images]
+    return Readings(readings, monotonic() - started, pictures=facts(images), images=images)
+
+
+async def _read_or_error(robot: Robot, request: Request, view: View, report: Report) -> Reading:
+    try:
+        return await read(robot, request, view, report)
+    except RobotError as error:
+        return Reading(request.topic_name, error=str(error))
+
+
+async def echo(robot: Robot, topic: str, topic_type: str, timeout_s: float, view: View) -> Echo:
+    """The next message of a topic, waiting for the topic and for the message."""
+    reading = await read(robot, Request(topic, topic_type, timeout_s, 1), view)
+    return Echo(
+        reading.topic_name,
+        reading.topic_type,
+        received=bool(reading.messages),
+        message=reading.messages[0] if reading.messages else None,
+        received_at=reading.received_at[0] if reading.received_at else "",
+        waited=reading.duration,
+        publishers=reading.publishers,
+        truncated=reading.truncated,
+        note=reading.note,
+        pictures=reading.pictures,
+        images=reading.images,
+    )
+
+
+def _check_request(request: Request, view: View) -> None:
+    bounded("duration", request.longest_s, 0.0, MAX_DURATION_S, "s")
+    bounded("every_n", view.every_n, 1, 1_000_000, "messages")
+    if request.message_limit is not None:
+        bounded("message_limit", request.message_limit, 1, MAX_SAMPLES, "messages")
+
+
+def _check_fields(robot: Robot, type_name: str, view: View) -> None:
+    if view.fields:
+        from ros2_mcp.codec.select import parse_fields
+
+        parse_fields(robot.definitions, type_name, view.fields)
+
+
+async def _collect(
+    listening: Listening, collection: Collection, request: Request, started: float, report: Report
+) -> None:
+    deadline = started + request.longest_s
+    while (left := deadline - monotonic()) > 0:
+        samples = await listening.take(min(left, 1.0))
+        if collection.add(samples, request.enough):
+            return
+        elapsed = monotonic() - started
+        if elapsed > 1.0:
+            await report(elapsed, request.longest_s, f"{listening.topic}: {collection.seen} messages")
+    collection.add(await listening.take(0.0), None)
+
+
+async def _why_nothing(robot: Robot, listening: Listening) -> str:
+    now = await robot.endpoints(listening.topic)
+    if not now.publishers:
+        return "Nobody publishes on it now." if not listening.publishers else "Its publisher left during the read."
+    if listening.type not in {publisher.type for publisher in now.publishers}:
+        return f"It is published with the type {', '.join(now.types)}."
+    return f"{len(now.publishers)} publisher(s) there, but nothing was sent: {_nodes(now)}."
+
+
+async def _why_few(robot: Robot, listening: Listening, collection: Collection) -> str:
+    now = await robot.endpoints(listening.topic)
+    last = iso_time(collection.samples[-1].received_ns) if collection.samples else "unknown"
+    left = len(listening.publishers) - len(now.publishers)
+    gone = f" {left} publisher(s) left during the read." if left > 0 else ""
+    return f"The time ended before all the messages came; the last came at {last}.{gone}"
+
+
+def _nodes(endpoints: TopicEndpoints) -> str:
+    return ", ".join(sorted({publisher.node for publisher in endpoints.publishers}))
+
+
+async def _show(
+    robot: Robot,
+    listening: Listening,
+    collection: Collection,
+    counts: Counts,
+    elapsed: float,
+    view: View,
+    note: str,
+) -> Reading:
+    samples = list(collection.samples)
+    shown, messages, truncated = await asyncio.to_thread(_render, robot, listening.type, samples, view)
+    images, problem = await asyncio.to_thread(_pictures, robot, listening.type, shown)
+    omitted = len(samples) - len(shown)
+    if omitted:
+        note = f"{note} {omitted} more are not shown, evenly left out: choose fields or every_n to see more.".strip()
+    return Reading(
+        listening.topic,
+        listening.type,
+        messages,
+        [iso_time(sample.received_ns) for sample in shown],
+        count=len(messages),
+        duration=round(elapsed, 6),
+        received=collection.seen + counts.dropped,
+        dropped=collection.dropped + counts.dropped,
+        lost=counts.lost,
+        publishers=sorted({publisher.node for publisher in listening.publishers}),
+        qos=f"{listening.choice.qos.reliability}, {listening.choice.qos.durability}: {listening.choice.reason}",
+        truncated=truncated,
+        note=f"{note} {problem}".strip(),
+        pictures=facts(images),
+        images=images,
+    )
+
+
+def _render(
+    robot: Robot, type_name: str, samples: Sequence[Sample], view: View
+) -> tuple[list[Sample], list[dict[str, Any]], list[str]]:
+    """As many of the samples as fit, evenly spread, first and last included."""
+    from ros2_mcp.codec.render import RenderOptions, render
+
+    if not samples:
+        return [], [], []
+
+    def rendered(sample: Sample, max_bytes: int):
+        options = RenderOptions(max_array=view.max_array, max_bytes=max_bytes, fields=tuple(view.fields) or None)
+        return render(robot.definitions, type_name, robot.decode(type_name, sample), options=options)
+
+    size = rendered(samples[-1], view.max_bytes).bytes + 60
+    shown = spread(samples, max(view.max_bytes // size, 1))
+    results = [rendered(sample, max(view.max_bytes // len(shown), 500)) for sample in shown]
+    truncated = sorted({path for result in results for path in result.truncated})
+    return shown, [result.value for result in results], truncated
+
+
+def spread(samples: Sequence[Sample], most: int) -> list[Sample]:
+    """At most `most` of the samples, evenly spread, the first and the last among them."""
+    if len(samples) <= most:
+        return list(samples)
+    if most == 1:
+        return [samples[-1]]
+    step = (len(samples) - 1) / (most - 1)
+    return [samples[round(index * step)] for index in range(most)]
+
+
+def _pictures(robot: Robot, type_name: str, samples: Sequence[Sample]) -> tuple[list[Picture], str]:
+    if type_name not in _PICTURE_TYPES:
+        return [], ""
+    from ros2_mcp.codec.pictures import picture_of
+
+    try:
+        chosen = spread(samples, MAX_PICTURES)
+        return [picture_of(type_name, robot.decode(type_name, sample)) for sample in chosen], ""
+    except RobotError as error:
+        return [], f"No picture: {error}"

@@ -1,0 +1,60 @@
+"""What every operation's result has in common."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from datetime import datetime, timezone
+from typing import Any
+
+from ros2_mcp.model.pictures import Picture
+
+Report = Callable[[float, float, str], Awaitable[None]]
+"""Told of progress: done so far, the whole, and a readable line."""
+
+HIDDEN = {"hidden": True}
+"""Metadata of a result's field that is not part of its JSON, such as a picture."""
+
+
+async def silent(_done: float, _whole: float, _line: str) -> None:
+    """A `Report` for callers that do not want to know."""
+
+
+@dataclass(frozen=True, slots=True)
+class PictureFacts:
+    """What a picture shows; the picture itself travels beside the result."""
+
+    width: int
+    height: int
+    mime: str
+    note: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WithPictures:
+    """Base of results that carry pictures."""
+
+    pictures: Sequence[PictureFacts] = ()
+    images: Sequence[Picture] = field(default=(), metadata=HIDDEN)
+
+
+def facts(pictures: Sequence[Picture]) -> list[PictureFacts]:
+    """What the pictures show."""
+    return [PictureFacts(p.width, p.height, p.mime, p.note) for p in pictures]
+
+
+def as_json(value: Any) -> Any:
+    """A result as JSON values, field by field, without what is hidden."""
+    if is_dataclass(value):
+        return {f.name: as_json(getattr(value, f.name)) for f in fields(value) if not f.metadata.get("hidden")}
+    if isinstance(value, Mapping):
+        return value
+    if isinstance(value, (list, tuple)):
+        return [as_json(item) for item in value]
+    return value
+
+
+def iso_time(unix_ns: int) -> str:
+    """A Unix time in nanoseconds as ISO 8601 in UTC with microseconds."""
+    moment = datetime.fromtimestamp(unix_ns // 1000 / 1e6, tz=timezone.utc)
+    return moment.isoformat(timespec="microseconds").replace("+00:00", "Z")

@@ -1,0 +1,165 @@
+"""How topics flow: rate, jitter, gaps, bandwidth and age, without decoding more than a header's stamp."""
+
+from __future__ import annotations
+
+import asyncio
+import statistics
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from time import monotonic
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.robot import Listening, Robot
+
+MAX_TOPICS = 20
+_GAP_FACTOR = 3.0
+_OTHER_CLOCK_S = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class TopicStats:
+    """The flow of one topic over a window. Times in seconds; null where there were too few messages to tell.
+
+    `jitter_s` is the standard deviation of the periods. `gaps` counts periods longer than three times the median one.
+    `age_mean_s` and `age_max_s` compare the header's stamp with the time of receipt.
+    """
+
+    topic_name: str
+    topic_type: str = ""
+    publishers: int = 0
+    count: int = 0
+    rate_hz: float | None = None
+    period_mean_s: float | None = None
+    period_min_s: float | None = None
+    period_max_s: float | None = None
+    jitter_s: float | None = None
+    gaps: int = 0
+    longest_gap_s: float | None = None
+    bytes_per_second: float = 0.0
+    mean_size_bytes: float | None = None
+    age_mean_s: float | None = None
+    age_max_s: float | None = None
+    lost: int | None = None
+    dropped: int = 0
+    note: str = ""
+    error: str = ""
+
+    def summary(self) -> str:
+        """One line."""
+        if self.error:
+            return f"{self.topic_name}: {self.error}"
+        rate = "rate unknown" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
+        return f"{self.topic_name}: {self.count} message(s), {rate}. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class Stats:
+    """The flow of several topics over the same window."""
+
+    topics: Sequence[TopicStats]
+    duration: float
+
+    def summary(self) -> str:
+        """A line for each topic."""
+        return "\n".join(topic.summary() for topic in self.topics)
+
+
+@dataclass(slots=True)
+class Flow:
+    """What is kept of each message: when it came, how big it was, and how old it said it was."""
+
+    has_header: bool
+    received_ns: list[int] = field(default_factory=lambda: list[int]())
+    sizes: list[int] = field(default_factory=lambda: list[int]())
+    ages_s: list[float] = field(default_factory=lambda: list[float]())
+
+    def add(self, sample: Sample) -> None:
+        """Takes one message in."""
+        self.received_ns.append(sample.received_ns)
+        self.sizes.append(len(sample.data))
+        if self.has_header:
+            self.ages_s.append((sample.received_ns - header_stamp_ns(sample.data)) / 1e9)
+
+
+async def measure(robot: Robot, topics: Sequence[str], duration_s: float, report: Report = silent) -> Stats:
+    """Measures several topics at once; an `error` of one leaves the others.
+
+    Raises:
+        BadInput: if there are no topics, or too many.
+        BadValue: if the duration is out of range.
+    """
+    if not 1 <= len(topics) <= MAX_TOPICS:
+        raise BadInput(f"{len(topics)} topics are given.", f"Give 1 to {MAX_TOPICS}.")
+    bounded("duration", duration_s, 0.1, 600.0, "s")
+    started = monotonic()
+    results = await asyncio.gather(*(_measure_or_error(robot, topic, duration_s, report) for topic in topics))
+    return Stats(results, round(monotonic() - started, 6))
+
+
+async def _measure_or_error(robot: Robot, topic: str, duration_s: float, report: Report) -> TopicStats:
+    try:
+        return await _measure(robot, topic, duration_s, report)
+    except RobotError as error:
+        return TopicStats(topic, error=str(error))
+
+
+async def _measure(robot: Robot, topic: str, duration_s: float, report: Report) -> TopicStats:
+    async with robot.listen(topic, wait_s=duration_s) as listening:
+        flow = Flow(has_header=robot.definitions.starts_with_header(listening.type))
+        started = monotonic()
+        while (left := started + duration_s - monotonic()) > 0:
+            for sample in await listening.take(min(left, 1.0)):
+                flow.add(sample)
+            elapsed = monotonic() - started
+            if elapsed > 1.0:
+                await report(elapsed, duration_s, f"{topic}: {len(flow.sizes)} messages")
+        return _evaluate(listening, flow, duration_s)
+
+
+def _evaluate(listening: Listening, flow: Flow, duration_s: float) -> TopicStats:
+    counts = listening.counts
+    periods = [(later - earlier) / 1e9 for earlier, later in zip(flow.received_ns, flow.received_ns[1:], strict=False)]
+    median = statistics.median(periods) if periods else 0.0
+    gaps = [period for period in periods if period > _GAP_FACTOR * median] if len(periods) > 2 else []
+    span = sum(periods)
+    same_clock = bool(flow.ages_s) and abs(statistics.fmean(flow.ages_s)) < _OTHER_CLOCK_S
+    return TopicStats(
+        listening.topic,
+        listening.type,
+        publishers=len(listening.publishers),
+        count=len(flow.sizes),
+        rate_hz=len(periods) / span if span > 0 else None,
+        period_mean_s=statistics.fmean(periods) if periods else None,
+        period_min_s=min(periods, default=None),
+        period_max_s=max(periods, default=None),
+        jitter_s=statistics.pstdev(periods) if len(periods) > 1 else None,
+        gaps=len(gaps),
+        longest_gap_s=max(gaps, default=None),
+        bytes_per_second=sum(flow.sizes) / duration_s,
+        mean_size_bytes=statistics.fmean(flow.sizes) if flow.sizes else None,
+        age_mean_s=statistics.fmean(flow.ages_s) if same_clock else None,
+        age_max_s=max(flow.ages_s) if same_clock else None,
+        lost=counts.lost,
+        dropped=counts.dropped,
+        note=_note(listening, flow, duration_s, same_clock),
+    )
+
+
+def _note(listening: Listening, flow: Flow, duration_s: float, same_clock: bool) -> str:
+    if not listening.publishers:
+        return "Nobody publishes on it."
+    if not flow.sizes:
+        return f"Published by {listening.publishers[0].node}, but silent for {duration_s:g} s."
+    if flow.ages_s and not same_clock:
+        return "Its stamps are not from this clock (simulated time?), so ages are left out."
+    return ""
+
+
+def header_stamp_ns(data: bytes) -> int:
+    """The stamp of a message that starts with a std_msgs/msg/Header, from its CDR bytes."""
+    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
+    return seconds * 1_000_000_000 + nanoseconds

@@ -1,0 +1,43 @@
+"""The kinds of arguments that tools share, with their bounds and descriptions."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field
+
+
+def _no_bool(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise ValueError("a number is meant, not true or false")
+    return value
+
+
+def _strictly_bool(value: Any) -> Any:
+    if not isinstance(value, bool):
+        raise ValueError("give true or false")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
+Whole = Annotated[int, BeforeValidator(_no_bool)]
+Flag = Annotated[bool, BeforeValidator(_strictly_bool)]
+
+TopicName = Annotated[str, Field(description="Name of the topic, such as /scan.")]
+MessageType = Annotated[
+    str,
+    Field(description="Type such as sensor_msgs/msg/LaserScan. Leave it out to use the topic's own; it selects among several."),
+]
+Pattern = Annotated[str, Field(description="Only names that match: a glob such as /camera/*, or any part of a name.")]
+Limit = Annotated[Whole, Field(ge=1, le=2000, description="How many to list at most.")]
+Hidden = Annotated[Flag, Field(description="Also names that ROS hides (a part starting with an underscore).")]
+Fields = Annotated[
+    list[str] | None,
+    Field(description='Only these parts of a message, such as ["pose.pose.position", "ranges[0:10]"]. Default: all.'),
+]
+MaxArray = Annotated[
+    Whole | None,
+    Field(ge=0, le=10_000, description="Show arrays up to this length in full; longer ones are summarised."),
+]
+EveryN = Annotated[Whole, Field(ge=1, le=1_000_000, description="Keep only every n-th message.")]
+Seconds = Annotated[Number, Field(ge=0, le=3600)]

@@ -1,0 +1,62 @@
+"""How a tool is declared: one typed function, one word for its risk, one for its group.
+
+Read-only mode, annotations, schemas and documentation follow from the declaration.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from ros2_mcp.ops.results import Report
+from ros2_mcp.robot import Robot
+
+Risk = Literal["read", "write", "actuate"]
+"""`read` changes nothing; `write` changes the software's state; `actuate` can move the robot."""
+
+ToolFunction = Callable[..., Awaitable[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class ToolDeclaration:
+    """One tool as the model sees it. `aliases` maps other spellings of its arguments to the right ones."""
+
+    function: ToolFunction
+    name: str
+    title: str
+    risk: Risk
+    group: str
+    aliases: Mapping[str, str] = field(default_factory=lambda: dict[str, str]())
+
+    @property
+    def description(self) -> str:
+        """What the model reads: the function's docstring."""
+        return inspect.cleandoc(self.function.__doc__ or "")
+
+    def signature(self) -> inspect.Signature:
+        """The function's signature with its annotations evaluated."""
+        return inspect.signature(self.function, eval_str=True)
+
+    def arguments(self) -> inspect.Signature:
+        """The signature that the model sees: without what is injected."""
+        whole = self.signature()
+        given = [p for p in whole.parameters.values() if p.annotation not in (Robot, Report)]
+        return whole.replace(parameters=given)
+
+
+TOOLS: list[ToolDeclaration] = []
+"""Every tool, in the order of declaration, which is the order of `tools/list`."""
+
+
+def tool(
+    *, title: str, risk: Risk, group: str = "core", aliases: Mapping[str, str] | None = None
+) -> Callable[[ToolFunction], ToolFunction]:
+    """Declares the function as a tool of the same name."""
+
+    def declare(function: ToolFunction) -> ToolFunction:
+        TOOLS.append(ToolDeclaration(function, function.__name__, title, risk, group, aliases or {}))
+        return function
+
+    return declare

@@ -1,0 +1,57 @@
+"""Tools that look at nodes, interfaces and the server itself."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from ros2_mcp.ops import interfaces, nodes, status
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import Hidden, Limit, Pattern
+from ros2_mcp.tools.declare import tool
+
+
+@tool(title="Server and robot status", risk="read")
+async def ros2_status(robot: Robot) -> status.Status:
+    """Show which ROS 2 this server uses (distribution, middleware, domain), its health, and what is not possible."""
+    return await status.status(robot)
+
+
+@tool(title="List nodes", risk="read")
+async def ros2_node_list(
+    robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 200
+) -> nodes.NodeList:
+    """List the nodes of the robot by full name, and names that several nodes share."""
+    return await nodes.list_nodes(robot, pattern, include_hidden, limit)
+
+
+@tool(title="Node details", risk="read")
+async def ros2_node_info(
+    robot: Robot, node_name: Annotated[str, Field(description="Full name of the node, such as /base_controller.")]
+) -> nodes.NodeInfo:
+    """Show what a node publishes, subscribes to, offers and calls."""
+    return await nodes.node_info(robot, node_name)
+
+
+@tool(title="Definition of an interface", risk="read", aliases={"msg_type": "message_type"})
+async def ros2_get_message_fields(
+    robot: Robot,
+    message_type: Annotated[
+        str, Field(description="A message, service or action type, such as geometry_msgs/msg/Twist or std_srvs/SetBool.")
+    ],
+) -> interfaces.Definition:
+    """Show the whole definition of a type, all sides and nested types, with an example value ready to fill in."""
+    return await interfaces.define(robot, message_type)
+
+
+@tool(title="List interfaces", risk="read")
+async def ros2_interface_list(
+    robot: Robot,
+    pattern: Pattern = "",
+    kind: Annotated[str, Field(description="Only one kind: msg, srv or action.")] = "",
+    package: Annotated[str, Field(description="Only this package.")] = "",
+    limit: Limit = 200,
+) -> interfaces.InterfaceList:
+    """List the message, service and action types installed on the robot."""
+    return await interfaces.list_interfaces(robot, pattern, kind, package, limit)

@@ -1,0 +1,113 @@
+"""Tools that list and read topics."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ros2_mcp.ops import reading, timing, topics
+from ros2_mcp.ops.results import Report
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import (
+    EveryN,
+    Fields,
+    Hidden,
+    Limit,
+    MaxArray,
+    MessageType,
+    Number,
+    Pattern,
+    TopicName,
+    Whole,
+)
+from ros2_mcp.tools.declare import tool
+
+Duration = Annotated[Number | None, Field(gt=0, le=3600, description="Collect for this long, in seconds.")]
+MessageLimit = Annotated[
+    Whole | None, Field(ge=1, le=100_000, description="Stop after this many messages (alone: waiting at most 20 s).")
+]
+
+
+class TopicToRead(BaseModel):
+    """One topic of `ros2_subscribe_multiple_topics`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: TopicName
+    msg_type: MessageType = ""
+    duration: Duration = None
+    message_limit: MessageLimit = None
+
+
+@tool(title="List topics", risk="read")
+async def ros2_topic_list(
+    robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 200
+) -> topics.TopicList:
+    """List the topics of the robot with their types and the number of publishers and subscribers."""
+    return await topics.list_topics(robot, pattern, include_hidden, limit)
+
+
+@tool(title="Topic details", risk="read")
+async def ros2_topic_info(robot: Robot, topic_name: TopicName) -> topics.TopicInfo:
+    """Show who publishes and subscribes on a topic, with type, type hash and QoS, and why pairs do not match."""
+    return await topics.topic_info(robot, topic_name)
+
+
+@tool(title="Read messages", risk="read", aliases={"message_type": "msg_type"})
+async def ros2_topic_subscribe(
+    robot: Robot,
+    report: Report,
+    topic_name: TopicName,
+    msg_type: MessageType = "",
+    duration: Duration = None,
+    message_limit: MessageLimit = None,
+    fields: Fields = None,
+    max_array: MaxArray = None,
+    every_n: EveryN = 1,
+) -> reading.Reading:
+    """Read messages of a topic: for a duration, or until a number of messages came. With neither: the first message.
+
+    QoS is chosen to match the publishers. Camera topics come back as pictures. Long arrays are summarised: use
+    fields to see a part in full. For rates use ros2_topic_stats.
+    """
+    request = reading.Request(topic_name, msg_type, duration, message_limit)
+    return await reading.read(robot, request, reading.View(fields or (), max_array, every_n), report)
+
+
+@tool(title="Read several topics", risk="read")
+async def ros2_subscribe_multiple_topics(
+    robot: Robot,
+    report: Report,
+    topics: Annotated[list[TopicToRead], Field(min_length=1, max_length=20, description="The topics to read.")],
+    fields: Fields = None,
+    max_array: MaxArray = None,
+    every_n: EveryN = 1,
+) -> reading.Readings:
+    """Read several topics truly at the same time, each with its own duration or message limit."""
+    requests = [reading.Request(t.name, t.msg_type, t.duration, t.message_limit) for t in topics]
+    return await reading.read_several(robot, requests, reading.View(fields or (), max_array, every_n), report)
+
+
+@tool(title="Wait for a message", risk="read", aliases={"msg_type": "message_type"})
+async def ros2_topic_echo_wait(
+    robot: Robot,
+    topic_name: TopicName,
+    message_type: MessageType = "",
+    timeout: Annotated[Number, Field(gt=0, le=3600, description="Wait at most this long, in seconds.")] = 5.0,
+    fields: Fields = None,
+    max_array: MaxArray = None,
+) -> reading.Echo:
+    """Wait for the next message of a topic; the topic itself may appear meanwhile."""
+    return await reading.echo(robot, topic_name, message_type, timeout, reading.View(fields or (), max_array))
+
+
+@tool(title="Rate and age of topics", risk="read")
+async def ros2_topic_stats(
+    robot: Robot,
+    report: Report,
+    topic_names: Annotated[list[str], Field(min_length=1, max_length=20, description="Names of the topics.")],
+    duration: Annotated[Number, Field(gt=0, le=600, description="Measure for this long, in seconds.")] = 3.0,
+) -> timing.Stats:
+    """Measure how topics flow, several at once: rate, jitter, gaps, bandwidth, loss, age against the header's stamp."""
+    return await timing.measure(robot, topic_names, duration, report)
