@@ -1,0 +1,160 @@
+"""Building interface packages: from directories of definitions to prefixes that ROS 2 can use."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from ros2_mcp_interfaces.cache import content_name, one_builder
+from ros2_mcp_interfaces.compile import JOBS, Compiler, find_compiler
+from ros2_mcp_interfaces.errors import BuildError
+from ros2_mcp_interfaces.generate import TYPESUPPORTS, Generated, Generation
+from ros2_mcp_interfaces.installation import Installation, find_installation, python_headers
+from ros2_mcp_interfaces.package import Package, find_packages
+from ros2_mcp_interfaces.syntax import check_syntax
+
+
+def build(directories: Sequence[Path], cache: Path, report: Callable[[str], None]) -> list[Path]:
+    """Builds the interface packages in `directories` and returns one prefix per package, dependencies first.
+
+    A package that was built before with the same content is taken from `cache`. `report` is called with a
+    line of text for each step. Raises `BuildError` with what is wrong and what to do about it.
+
+    A prefix has `lib/`, `include/`, `share/` with the definitions and the ament index, and `site-packages/`.
+    To use it, put the prefixes in AMENT_PREFIX_PATH and their `site-packages` in PYTHONPATH.
+    """
+    packages = find_packages(directories)
+    installation = find_installation()
+    prefixes: list[Path] = []
+    for package in packages:
+        prefix = _build_or_reuse(package, installation, Path(cache).absolute(), report)
+        installation = installation.with_package(prefix)
+        prefixes.append(prefix)
+    return prefixes
+
+
+def _build_or_reuse(
+    package: Package, installation: Installation, cache: Path, report: Callable[[str], None]
+) -> Path:
+    if (installation.home / "share" / package.name).is_dir():
+        raise BuildError(f"{package.name} is part of the installation {installation.home}", "Leave it out.")
+    try:
+        name = content_name(package, installation)
+    except BuildError:
+        check_syntax(package)  # a misspelt line may look like an unknown type: then this says more
+        raise
+    prefix = cache / name
+    if not prefix.is_dir():
+        with one_builder(cache, name) as workspace:
+            if not prefix.is_dir():
+                _Build(package, installation, find_compiler(), workspace).run(report).rename(prefix)
+                return prefix
+    report(f"{package.name}: already built")
+    return prefix
+
+
+@dataclass(frozen=True)
+class _Build:
+    """One package being built inside a workspace directory next to its final place."""
+
+    package: Package
+    installation: Installation
+    compiler: Compiler
+    workspace: Path
+
+    @property
+    def prefix(self) -> Path:
+        return self.workspace / "prefix"
+
+    @property
+    def share(self) -> Path:
+        return self.prefix / "share" / self.package.name
+
+    @property
+    def modules(self) -> Path:
+        return self.prefix / "site-packages" / self.package.name
+
+    def run(self, report: Callable[[str], None]) -> Path:
+        started = time.monotonic()
+        check_syntax(self.package)
+        headers = python_headers()
+        self._install_texts()
+        report(f"{self.package.name}: generating and compiling {len(self.package.files)} interfaces")
+        self._compile_and_link(headers)
+        self._write_index()
+        report(f"{self.package.name}: built in {time.monotonic() - started:.1f} s")
+        return self.prefix
+
+    def _install_texts(self) -> None:
+        for file in self.package.files:
+            _copy(file, self.share / file.suffix[1:] / file.name)
+        manifest = self.package.root / "package.xml"
+        if manifest.is_file():
+            _copy(manifest, self.share / manifest.name)
+
+    def _compile_and_link(self, headers: list[Path]) -> None:
+        sources = self.workspace / "sources"
+        sources.mkdir()
+        own = [sources / name for name in ("rosidl_generator_c", *TYPESUPPORTS)]
+        includes = [*own, *self.installation.include_directories, *headers]
+        objects: dict[str, list[Future[Path]]] = {}
+        with ThreadPoolExecutor(JOBS) as pool:
+            for made in Generation(self.package, self.installation, self.share, sources).run():
+                for source in made.sources:
+                    library = "extension" if ".ep." in source.name else made.generator
+                    future = self.compiler.submit(pool, source, includes)
+                    objects.setdefault(library, []).append(future)
+                self._install_headers_and_modules(made)
+        self._link({library: [future.result() for future in futures] for library, futures in objects.items()})
+
+    def _install_headers_and_modules(self, made: Generated) -> None:
+        include = self.prefix / "include" / self.package.name / self.package.name
+        for path in made.directory.rglob("*"):
+            if path.suffix == ".h":
+                _copy(path, include / path.relative_to(made.directory))
+            elif path.suffix == ".py":
+                _copy(path, self.modules / path.relative_to(made.directory))
+
+    def _link(self, objects: dict[str, list[Path]]) -> None:
+        dependencies = self.installation.dependencies_of(self.package)
+        (self.prefix / "lib").mkdir()
+        runtime = _runtime_libraries(self.installation.home / "lib")
+        for library in (name for name in objects if name != "extension"):
+            needed = [prefix / "lib" / f"lib{name}__{library}.so" for name, prefix in dependencies.items()]
+            own = sorted((self.prefix / "lib").glob("*.so"))
+            target = self.prefix / "lib" / f"lib{self.package.name}__{library}.so"
+            self.compiler.link(target, [*objects[library], *own, *needed, *runtime], self._search("$ORIGIN"))
+        (self.modules / "__init__.py").touch()
+        extension = self.modules / f"{self.package.name}_s__rosidl_typesupport_c.so"
+        own = sorted((self.prefix / "lib").glob("*.so"))
+        # Type supports are looked up by name at run time: found without LD_LIBRARY_PATH because loaded here.
+        search = self._search("$ORIGIN/../../lib")
+        self.compiler.link(extension, [*objects["extension"], *own], search, keep_all=True)
+
+    def _search(self, own: str) -> list[str]:
+        up = own + "/../.."  # from a library directory to the cache
+        dependencies = self.installation.dependencies_of(self.package).values()
+        built = [f"{up}/{prefix.name}/lib" for prefix in dependencies if prefix in self.installation.built]
+        return [own, *built, str(self.installation.home / "lib")]
+
+    def _write_index(self) -> None:
+        index = self.prefix / "share" / "ament_index" / "resource_index"
+        files = (path for path in self.share.glob("*/*") if path.suffix != ".json")
+        interfaces = sorted(path.relative_to(self.share).as_posix() for path in files)
+        for resource, content in (("packages", ""), ("rosidl_interfaces", "\n".join(interfaces))):
+            (index / resource).mkdir(parents=True)
+            (index / resource / self.package.name).write_text(content, encoding="utf-8")
+
+
+def _runtime_libraries(directory: Path) -> list[Path]:
+    names = ("rosidl_runtime_c", "rosidl_typesupport_c", *TYPESUPPORTS, "rosidl_typesupport_fastrtps_cpp")
+    return [directory / f"lib{name}.so" for name in (*names, "rmw", "rcutils", "fastcdr")]
+
+
+def _copy(source: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, target)

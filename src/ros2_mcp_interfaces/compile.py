@@ -1,0 +1,71 @@
+"""Compiles and links generated sources with the machine's C and C++ compilers."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+from collections.abc import Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from pathlib import Path
+
+from ros2_mcp_interfaces.errors import BuildError
+
+JOBS = max(2, min(4, os.cpu_count() or 2))
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """The commands of the machine's compilers, with their leading arguments."""
+
+    c: list[str]
+    cpp: list[str]
+
+    def submit(self, pool: Executor, source: Path, includes: Sequence[Path]) -> Future[Path]:
+        """Starts compiling one file; the result is its object file, or `BuildError`."""
+        command = [*(self.cpp if source.suffix == ".cpp" else self.c), "-O1", "-fPIC", "-w"]
+        command += [argument for path in includes for argument in ("-isystem", str(path))]
+        target = source.with_suffix(source.suffix + ".o")
+        return pool.submit(_compiled, [*command, "-c", str(source), "-o", str(target)], source, target)
+
+    def link(
+        self, target: Path, inputs: Sequence[Path], search: Sequence[str], keep_all: bool = False
+    ) -> None:
+        """Links a shared library whose run-time search path is `search`.
+
+        Libraries of which nothing is used are left out, unless `keep_all` is set. Raises `BuildError`.
+        """
+        command = [*self.cpp, "-shared", "-s", "-o", str(target), f"-Wl,-soname,{target.name}"]
+        command += ["-Wl,--no-as-needed" if keep_all else "-Wl,--as-needed"]
+        command += [f"-Wl,-rpath,{path}" for path in search]
+        _run([*command, *map(str, inputs)], f"linking {target.name}")
+
+
+def find_compiler() -> Compiler:
+    """The compilers named by CC and CXX, or else found on the PATH; raises `BuildError` if there is none."""
+    return Compiler(_command("CC", ("gcc", "cc", "clang")), _command("CXX", ("g++", "c++", "clang++")))
+
+
+def _command(variable: str, names: Sequence[str]) -> list[str]:
+    wanted = shlex.split(os.environ.get(variable, ""))
+    for command in [wanted] if wanted else [[name] for name in names]:
+        if shutil.which(command[0]):
+            return command
+    language = "C" if variable == "CC" else "C++"
+    tried = f"{variable}={wanted[0]}" if wanted else ", ".join(names)
+    raise BuildError(f"no {language} compiler found ({tried})", "sudo apt install build-essential")
+
+
+def _compiled(command: list[str], source: Path, target: Path) -> Path:
+    _run(command, f"compiling {source.name}")
+    return target
+
+
+def _run(command: list[str], what: str) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if done.returncode != 0:
+        lines = done.stderr.splitlines()
+        first = next((line for line in lines if "error" in line), f"exit status {done.returncode}")
+        raise BuildError(f"{what} failed: {first}", "\n".join(lines[:12]))

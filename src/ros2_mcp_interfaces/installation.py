@@ -1,0 +1,161 @@
+"""The ROS 2 installation that packages are built against: its generators, libraries, headers and packages."""
+
+# pyright: basic, reportMissingImports=false
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import sys
+import sysconfig
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.util import find_spec
+from pathlib import Path
+
+from ros2_mcp_interfaces.errors import BuildError
+from ros2_mcp_interfaces.package import Package, Reference
+
+GENERATORS = (
+    "rosidl_adapter",
+    "rosidl_generator_type_description",
+    "rosidl_generator_c",
+    "rosidl_typesupport_introspection_c",
+    "rosidl_typesupport_fastrtps_c",
+    "rosidl_typesupport_c",
+    "rosidl_generator_py",
+)
+_IMPLIED = {
+    ".srv": ("builtin_interfaces", "service_msgs"),
+    ".action": ("action_msgs", "builtin_interfaces", "service_msgs", "unique_identifier_msgs"),
+}
+_MISLEADING = {
+    "Header": "std_msgs/Header",
+    "time": "builtin_interfaces/Time",
+    "duration": "builtin_interfaces/Duration",
+}
+
+
+@dataclass(frozen=True)
+class Installation:
+    """`home` holds the generators; `built` are the prefixes of packages that were built on top of it."""
+
+    home: Path
+    built: tuple[Path, ...] = ()
+
+    def with_package(self, prefix: Path) -> Installation:
+        """This installation with one more package, which hides one of the same name below it."""
+        return Installation(self.home, (prefix, *self.built))
+
+    @property
+    def prefixes(self) -> tuple[Path, ...]:
+        """Where packages are looked up, nearest first."""
+        return (*self.built, self.home)
+
+    @property
+    def include_directories(self) -> list[Path]:
+        """One directory per installed package, and the common one."""
+        packages = [path for prefix in self.prefixes for path in sorted((prefix / "include").iterdir())]
+        return [*(path for path in packages if path.is_dir()), self.home / "include"]
+
+    @cached_property
+    def versions(self) -> list[str]:
+        """Name and version of each generator: what decides about the code that is generated."""
+        return [f"{name} {_version(self.home, name)}" for name in GENERATORS]
+
+    def prefix_of(self, package: str) -> Path | None:
+        """The prefix with the interfaces of a package, or None where it is not installed."""
+        found = (prefix for prefix in self.prefixes if (prefix / "share" / package / "msg").is_dir())
+        return next(found, None)
+
+    def description_of(self, reference: Reference) -> Path:
+        """The file that describes the type referred to, everything it contains included.
+
+        Raises `BuildError` when the package or the type is not installed.
+        """
+        prefix = self.prefix_of(reference.package)
+        if prefix is None:
+            raise BuildError(
+                f"{reference}, but there is no package {reference.package}",
+                f"Build {reference.package} in the same call, or install it into this environment.",
+            )
+        folder = prefix / "share" / reference.package / "msg"
+        description = folder / f"{reference.type_name}.json"
+        if not description.is_file():
+            known = [path.stem for path in folder.glob("*.json")]
+            raise _unknown_type(reference, known)
+        return description
+
+    def dependencies_of(self, package: Package) -> dict[str, Path]:
+        """The prefix of every package whose libraries this one needs, by package name."""
+        names = {reference.package for reference in package.references} - {package.name}
+        names.update(name for file in package.files for name in _IMPLIED.get(file.suffix, ()))
+        prefixes = {name: self.prefix_of(name) for name in sorted(names)}
+        missing = sorted(name for name, prefix in prefixes.items() if prefix is None)
+        if missing:
+            raise BuildError(f"{package.name} needs {', '.join(missing)}, not in {self.home}", _WHEELS_HINT)
+        return {name: prefix for name, prefix in prefixes.items() if prefix is not None}
+
+
+def check_references(package: Package, installation: Installation) -> list[Path]:
+    """The descriptions of all types taken from other packages; raises `BuildError` for unknown types."""
+    descriptions: set[Path] = set()
+    for reference in package.references:
+        if reference.package != package.name:
+            descriptions.add(installation.description_of(reference))
+        elif reference.type_name not in package.messages:
+            raise _unknown_type(reference, package.messages)
+    return sorted(descriptions)
+
+
+def find_installation() -> Installation:
+    """The installation that this Python belongs to; raises `BuildError` where generators are missing."""
+    for home in _candidate_prefixes():
+        if all((home / "share" / name / "package.xml").is_file() for name in GENERATORS):
+            return Installation(home)
+    if os.environ.get("AMENT_PREFIX_PATH") and find_spec("rclpy"):
+        raise BuildError(
+            "this ROS 2 installation has no interface generators that can be used here",
+            "For a normal ROS 2 installation use 'colcon build' and source the workspace.",
+        )
+    raise BuildError(f"no ROS 2 installation with interface generators at {sys.prefix}", _WHEELS_HINT)
+
+
+def python_headers() -> list[Path]:
+    """The directories with the C headers of Python and NumPy; raises `BuildError` where they are missing."""
+    python = Path(sysconfig.get_paths()["include"])
+    if not (python / "Python.h").is_file():
+        name = f"python{sys.version_info.major}.{sys.version_info.minor}-dev"
+        raise BuildError(
+            f"the C headers of Python are missing ({python}/Python.h)", f"sudo apt install {name}"
+        )
+    try:
+        import numpy
+    except ImportError as error:
+        raise BuildError("NumPy is missing", f"{sys.executable} -m pip install numpy") from error
+    return [python, Path(numpy.get_include())]
+
+
+_WHEELS_HINT = (
+    "Interfaces are built against ROS 2 wheels: pip install 'ros2-mcp[jazzy]'. "
+    "For a normal ROS 2 installation use 'colcon build' and source the workspace."
+)
+
+
+def _candidate_prefixes() -> list[Path]:
+    sourced = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
+    return [Path(sys.prefix), *sourced]
+
+
+def _version(home: Path, package: str) -> str:
+    text = (home / "share" / package / "package.xml").read_text(encoding="utf-8")
+    found = re.search(r"<version>\s*([^<\s]+)", text)
+    return found.group(1) if found else "unknown"
+
+
+def _unknown_type(reference: Reference, known: list[str]) -> BuildError:
+    near = difflib.get_close_matches(reference.type_name, known, n=1)
+    suggestion = _MISLEADING.get(reference.type_name) or (f"{reference.package}/{near[0]}" if near else "")
+    hint = f"Did you mean {suggestion}?" if suggestion else ""
+    return BuildError(f"{reference}, but {reference.package} has no message {reference.type_name}", hint)

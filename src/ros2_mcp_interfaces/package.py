@@ -1,0 +1,146 @@
+"""What is to be built: directories with definitions, the packages they make up, and what these refer to."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from ros2_mcp_interfaces.errors import BuildError
+
+KINDS = ("msg", "srv", "action")
+_NUMBERS = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
+PRIMITIVES = frozenset(("bool", "byte", "char", *_NUMBERS, "string", "wstring"))
+_PACKAGE_NAME = re.compile(r"[a-z](_?[a-z0-9])*")
+_INTERFACE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A field of a message type that is defined elsewhere: `package`/msg/`type_name`."""
+
+    file: Path
+    line: int
+    field: str
+    package: str
+    type_name: str
+
+    def __str__(self) -> str:
+        return f'{self.file} line {self.line}: field "{self.field}" is a {self.package}/{self.type_name}'
+
+
+@dataclass(frozen=True)
+class Package:
+    """One interface package: its name, directory, definition files (absolute) and their references."""
+
+    name: str
+    root: Path
+    files: tuple[Path, ...]
+    references: tuple[Reference, ...]
+
+    @property
+    def messages(self) -> list[str]:
+        """The names of the messages that this package defines."""
+        return [file.stem for file in self.files if file.suffix == ".msg"]
+
+
+def find_packages(directories: Sequence[Path]) -> list[Package]:
+    """The interface packages in the given directories, ordered so that each follows those it refers to.
+
+    A directory is a package, or a folder (such as a workspace's `src`) with packages somewhere below it.
+    Raises `BuildError` for a directory without definitions, two packages of one name, and cycles.
+    """
+    packages: dict[str, Package] = {}
+    for root in (root for directory in directories for root in _package_roots(Path(directory).absolute())):
+        package = _read_package(root)
+        known = packages.setdefault(package.name, package)
+        if known.root.resolve() != root.resolve():
+            raise BuildError(f"two packages are named {package.name}: {known.root} and {root}")
+    return list(_in_dependency_order(packages))
+
+
+def _package_roots(directory: Path) -> list[Path]:
+    if not directory.is_dir():
+        raise BuildError(f"{directory} is not a directory", "Give the directory of an interface package.")
+    if _definition_files(directory):
+        return [directory]
+    roots = [manifest.parent for manifest in sorted(directory.rglob("package.xml"))]
+    roots = [root for root in roots if _definition_files(root)]
+    if not roots:
+        raise BuildError(
+            f"no .msg, .srv or .action files in {directory}",
+            "An interface package keeps them in folders named msg, srv and action.",
+        )
+    return roots
+
+
+def _definition_files(root: Path) -> list[Path]:
+    patterns = [pattern for kind in KINDS for pattern in (f"{kind}/*.{kind}", f"*.{kind}")]
+    return [file for pattern in patterns for file in sorted(root.glob(pattern))]
+
+
+def _read_package(root: Path) -> Package:
+    name = _package_name(root)
+    files = _definition_files(root)
+    for file in files:
+        if not _INTERFACE_NAME.fullmatch(file.stem):
+            raise BuildError(
+                f'{file}: "{file.stem}" is not a valid interface name',
+                "Names begin with a capital letter and have letters and digits only, as in NavigateTo.",
+            )
+    references = tuple(reference for file in files for reference in _references(file, name))
+    return Package(name, root, tuple(files), references)
+
+
+def _package_name(root: Path) -> str:
+    manifest = root / "package.xml"
+    name = root.name
+    if manifest.is_file():
+        try:
+            name = (ElementTree.parse(manifest).findtext("name") or "").strip()
+        except ElementTree.ParseError as error:
+            raise BuildError(f"{manifest} is not valid XML: {error}") from error
+    if not _PACKAGE_NAME.fullmatch(name):
+        raise BuildError(
+            f'"{name}" ({manifest if manifest.is_file() else root}) is not a valid package name',
+            "Names begin with a letter and have lower case letters, digits and single underscores only.",
+        )
+    return name
+
+
+def _references(file: Path, package: str) -> Iterator[Reference]:
+    for number, line in enumerate(read_text(file).splitlines(), start=1):
+        words = line.split("#", 1)[0].split()
+        base = re.split(r"[\[<]", words[0])[0] if len(words) > 1 else ""
+        if base and base not in PRIMITIVES:
+            owner, _, type_name = base.rpartition("/")
+            yield Reference(file, number, words[1], owner or package, type_name)
+
+
+def read_text(file: Path) -> str:
+    """The text of a definition file; raises `BuildError` when it is not UTF-8."""
+    try:
+        return file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise BuildError(f"{file} is not UTF-8 text: {error}") from error
+
+
+def _in_dependency_order(packages: dict[str, Package]) -> Iterable[Package]:
+    ordered: dict[str, Package] = {}
+
+    def place(package: Package, path: tuple[str, ...]) -> None:
+        if package.name in path:
+            raise BuildError(
+                f"packages refer to each other in a circle: {' -> '.join((*path, package.name))}"
+            )
+        for name in sorted({reference.package for reference in package.references} - {package.name}):
+            if name in packages and name not in ordered:
+                place(packages[name], (*path, package.name))
+        ordered[package.name] = package
+
+    for package in packages.values():
+        if package.name not in ordered:
+            place(package, ())
+    return ordered.values()
