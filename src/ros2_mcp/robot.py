@@ -31,12 +31,14 @@ if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Reply, Subscription
 
 SETTLE_S = 2.5
-VELOCITY_TYPES = frozenset({
-    "geometry_msgs/msg/Twist",
-    "geometry_msgs/msg/TwistStamped",
-    "ackermann_msgs/msg/AckermannDrive",
-    "ackermann_msgs/msg/AckermannDriveStamped",
-})
+VELOCITY_TYPES = frozenset(
+    {
+        "geometry_msgs/msg/Twist",
+        "geometry_msgs/msg/TwistStamped",
+        "ackermann_msgs/msg/AckermannDrive",
+        "ackermann_msgs/msg/AckermannDriveStamped",
+    }
+)
 """Types whose messages keep a robot moving, and whose default value stops it."""
 _REQUEST_S = 10.0
 _KINDS: Mapping[str, type[RobotError]] = {
@@ -126,7 +128,9 @@ class Robot:
         """The publishers and subscribers of a topic; empty where the graph does not know it."""
         return _endpoints(topic, await self.graph("endpoints", topic=topic))
 
-    async def wait_for(self, topic: str, *, publishers: int = 0, subscribers: int = 0, timeout_s: float) -> TopicEndpoints:
+    async def wait_for(
+        self, topic: str, *, publishers: int = 0, subscribers: int = 0, timeout_s: float
+    ) -> TopicEndpoints:
         """The endpoints of a topic as soon as it has that many; what there is when the time is over."""
         present = await self.endpoints(topic)
         if len(present.publishers) >= publishers and len(present.subscribers) >= subscribers:
@@ -183,9 +187,9 @@ class Robot:
                 )
             from ros2_mcp.codec.definitions import DefinitionText
 
-            self.definitions.add({
-                name: DefinitionText(text["format"], text["text"]) for name, text in answer["definitions"].items()
-            })
+            self.definitions.add(
+                {name: DefinitionText(text["format"], text["text"]) for name, text in answer["definitions"].items()}
+            )
 
     async def _suggest_type(self, name: str) -> str:
         known: list[str] = (await self.ask("interfaces")).ok["interfaces"]
@@ -289,7 +293,14 @@ class Robot:
         return Sent(topic, type_name, choice, 1, reply.ok["matched"], reply.ok["acked"], reply.ok["waited_s"])
 
     async def repeat(
-        self, topic: str, type_name: str, value: object, *, rate_hz: float, duration_s: float, wait_match_s: float
+        self,
+        topic: str,
+        type_name: str,
+        value: object,
+        *,
+        rate_hz: float,
+        duration_s: float,
+        wait_match_s: float,
     ) -> Sent:
         """Publishes one message at a rate for a time; the rhythm is kept inside the bridge."""
         topic, type_name, choice, body = await self._prepare(topic, type_name, value)

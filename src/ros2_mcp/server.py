@@ -5,15 +5,16 @@ from __future__ import annotations
 import base64
 import json
 import re
-from collections.abc import AsyncIterator, Mapping, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any, cast
 
+import anyio
 from mcp.server.mcpserver import Context, MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
 from mcp.server.mcpserver.tools.base import Tool
 from mcp.server.mcpserver.utilities.func_metadata import func_metadata
+from mcp.server.stdio import stdio_server
 from mcp.types import CallToolResult, ContentBlock, ImageContent, TextContent, ToolAnnotations
 from pydantic import PrivateAttr, TypeAdapter, ValidationError
 
@@ -110,14 +111,6 @@ def build_tool(declaration: ToolDeclaration, robot: Robot) -> RobotTool:
 def build_server(robot: Robot, *, groups: Sequence[str] = ("all",), log_level: str = "WARNING") -> MCPServer[None]:
     """The MCP server for one robot. In read-only mode tools that write are absent, not refused."""
 
-    @asynccontextmanager
-    async def lifespan(_server: MCPServer[None]) -> AsyncIterator[None]:
-        await robot.bridge.attach()
-        try:
-            yield
-        finally:
-            await robot.bridge.close()
-
     return MCPServer[None](
         name="ros2-mcp",
         title="ROS 2 robot",
@@ -125,7 +118,6 @@ def build_server(robot: Robot, *, groups: Sequence[str] = ("all",), log_level: s
         instructions=INSTRUCTIONS,
         tools=[build_tool(declaration, robot) for declaration in chosen_tools(robot, groups)],
         log_level=cast("Any", log_level),
-        lifespan=lifespan,
     )
 
 
@@ -155,7 +147,9 @@ def _shown(text: str) -> str:
     visible = _UNSEEN.sub(lambda found: found[0].encode("unicode-escape").decode(), text)
     if len(visible) <= _MAX_TEXT:
         return visible
-    return visible[:_MAX_TEXT] + f"… (cut after {_MAX_TEXT} characters: ask for less, with a pattern, a limit or fields)"
+    return (
+        visible[:_MAX_TEXT] + f"… (cut after {_MAX_TEXT} characters: ask for less, with a pattern, a limit or fields)"
+    )
 
 
 def _visible(result_type: Any) -> dict[str, Any]:
@@ -183,3 +177,12 @@ def _explain_one(tool: str, problem: Mapping[str, Any], known: Sequence[str]) ->
     return f"{path}: {message}, not {json.dumps(problem['input'], default=str)[:100]}."
 
 
+async def serve_stdio(server: MCPServer[None], read_fd: int, write_fd: int) -> None:
+    """Serves one client over two file descriptors that carry nothing but MCP, until the client closes its side."""
+    lowlevel = server._lowlevel_server  # pyright: ignore[reportPrivateUsage]
+    async with (
+        await anyio.open_file(read_fd, "r", encoding="utf-8", errors="replace", closefd=False) as lines_in,
+        await anyio.open_file(write_fd, "w", encoding="utf-8", closefd=False) as lines_out,
+        stdio_server(stdin=lines_in, stdout=lines_out) as (incoming, outgoing),
+    ):
+        await lowlevel.run(incoming, outgoing, lowlevel.create_initialization_options())

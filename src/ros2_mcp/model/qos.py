@@ -72,7 +72,11 @@ def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100) -> Choice:
     reliable = all(publisher.qos.reliability == "reliable" for publisher in publishers)
     latched = all(publisher.qos.durability == "transient_local" for publisher in publishers)
     return Choice(
-        QoS("reliable" if reliable else "best_effort", "transient_local" if latched else "volatile", depth=depth),
+        QoS(
+            "reliable" if reliable else "best_effort",
+            "transient_local" if latched else "volatile",
+            depth=depth,
+        ),
         f"{_offer(publishers, 'reliability', 'reliable')}; {_offer(publishers, 'durability', 'transient_local')}",
     )
 
@@ -84,7 +88,9 @@ def for_publishing(subscribers: Sequence[Endpoint]) -> Choice:
     latched = any(subscriber.qos.durability == "transient_local" for subscriber in subscribers)
     best_effort = all(subscriber.qos.reliability == "best_effort" for subscriber in subscribers)
     durability = "transient_local, because a subscriber asks for it" if latched else "volatile, as nobody asks for more"
-    reliability = "best_effort, as no subscriber asks for more" if best_effort else "reliable, which every subscriber takes"
+    reliability = (
+        "best_effort, as no subscriber asks for more" if best_effort else "reliable, which every subscriber takes"
+    )
     return Choice(
         QoS(
             "best_effort" if best_effort else "reliable",

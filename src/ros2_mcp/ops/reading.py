@@ -129,7 +129,7 @@ class Collection:
     """Samples collected so far, bounded; the oldest are dropped and counted."""
 
     every_n: int
-    samples: deque[Sample] = field(default_factory=lambda: deque[Sample]())
+    samples: deque[Sample] = field(default_factory=deque[Sample])
     seen: int = 0
     kept_bytes: int = 0
     dropped: int = 0

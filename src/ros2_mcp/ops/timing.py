@@ -73,9 +73,9 @@ class Flow:
     """What is kept of each message: when it came, how big it was, and how old it said it was."""
 
     has_header: bool
-    received_ns: list[int] = field(default_factory=lambda: list[int]())
-    sizes: list[int] = field(default_factory=lambda: list[int]())
-    ages_s: list[float] = field(default_factory=lambda: list[float]())
+    received_ns: list[int] = field(default_factory=list[int])
+    sizes: list[int] = field(default_factory=list[int])
+    ages_s: list[float] = field(default_factory=list[float])
 
     def add(self, sample: Sample) -> None:
         """Takes one message in."""

@@ -103,7 +103,8 @@ async def topic_info(robot: Robot, topic: str) -> TopicInfo:
     found = await robot.endpoints(topic)
     if not found.types:
         raise NotFound(
-            f"There is no topic {topic}: nobody publishes or subscribes to it.", await robot.suggest_topic(topic)
+            f"There is no topic {topic}: nobody publishes or subscribes to it.",
+            await robot.suggest_topic(topic),
         )
     hashes = {endpoint.hash for endpoint in (*found.publishers, *found.subscribers) if endpoint.hash}
     return TopicInfo(

@@ -28,7 +28,7 @@ class ToolDeclaration:
     title: str
     risk: Risk
     group: str
-    aliases: Mapping[str, str] = field(default_factory=lambda: dict[str, str]())
+    aliases: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def description(self) -> str:

@@ -28,7 +28,8 @@ async def ros2_node_list(
 
 @tool(title="Node details", risk="read")
 async def ros2_node_info(
-    robot: Robot, node_name: Annotated[str, Field(description="Full name of the node, such as /base_controller.")]
+    robot: Robot,
+    node_name: Annotated[str, Field(description="Full name of the node, such as /base_controller.")],
 ) -> nodes.NodeInfo:
     """Show what a node publishes, subscribes to, offers and calls."""
     return await nodes.node_info(robot, node_name)
@@ -38,7 +39,8 @@ async def ros2_node_info(
 async def ros2_get_message_fields(
     robot: Robot,
     message_type: Annotated[
-        str, Field(description="A message, service or action type, such as geometry_msgs/msg/Twist or std_srvs/SetBool.")
+        str,
+        Field(description="A message, service or action type, such as geometry_msgs/msg/Twist or std_srvs/SetBool."),
     ],
 ) -> interfaces.Definition:
     """Show the whole definition of a type, all sides and nested types, with an example value ready to fill in."""

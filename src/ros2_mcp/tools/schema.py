@@ -7,7 +7,7 @@ from typing import Any, cast
 
 Schema = dict[str, Any]
 _REFERENCE = "#/$defs/"
-_ANYTHING: Schema = {"type": "object", "additionalProperties": True}
+_BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
 
 
 def plain_input(schema: Mapping[str, Any]) -> Schema:
@@ -35,11 +35,17 @@ def _plain(node: Mapping[str, Any], definitions: Mapping[str, Any], *, nullable:
             result[key] = {name: _plain(part, definitions, nullable=nullable) for name, part in value.items()}
         elif key == "items":
             result[key] = _plain(value, definitions, nullable=nullable)
-        elif key not in ("$defs", "title") and not (key == "default" and value is None):
-            result[key] = value
+        elif not _is_noise(key, value, node, nullable=nullable):
+            result[_BOUNDS.get(key, key)] = value
     if result.get("type") == "object" and "properties" not in result:
         result.setdefault("additionalProperties", True)
     return result
+
+
+def _is_noise(key: str, value: Any, node: Mapping[str, Any], *, nullable: bool) -> bool:
+    """What clients do not need: titles, null defaults, and docstrings of the classes that results are made of."""
+    is_docstring = key == "description" and nullable and "properties" in node
+    return key in ("$defs", "title") or (key == "default" and value is None) or is_docstring
 
 
 def _optional(node: Mapping[str, Any], definitions: Mapping[str, Any], *, nullable: bool) -> Schema:

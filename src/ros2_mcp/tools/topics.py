@@ -25,7 +25,8 @@ from ros2_mcp.tools.declare import tool
 
 Duration = Annotated[Number | None, Field(gt=0, le=3600, description="Collect for this long, in seconds.")]
 MessageLimit = Annotated[
-    Whole | None, Field(ge=1, le=100_000, description="Stop after this many messages (alone: waiting at most 20 s).")
+    Whole | None,
+    Field(ge=1, le=100_000, description="Stop after this many messages (alone: waiting at most 20 s)."),
 ]
 
 

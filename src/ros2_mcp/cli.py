@@ -1,0 +1,118 @@
+"""The command line: parse arguments, build the settings, run one verb. Without a verb it serves MCP."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.model.errors import RobotError
+
+if TYPE_CHECKING:
+    from ros2_mcp.settings import Settings
+
+CLIENTS = ("claude-desktop", "claude-code", "vscode", "cursor", "codex", "gemini")
+
+
+def run(argv: Sequence[str]) -> int:
+    """Runs the command and returns the process's exit code."""
+    arguments = parser().parse_args(argv)
+    try:
+        return _run(arguments)
+    except RobotError as error:
+        print(f"ros2-mcp: {error}", file=sys.stderr)  # noqa: T201
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line."""
+    top = argparse.ArgumentParser(
+        prog="ros2-mcp",
+        description="Model Context Protocol server for ROS 2. Without a command it serves MCP over stdio.",
+    )
+    _add_settings(top)
+    verbs = top.add_subparsers(dest="verb", metavar="COMMAND")
+    verbs.add_parser("serve", help="serve MCP (the default)")
+    verbs.add_parser("doctor", help="say which ROS 2 is used and why, and how to mend what is wrong")
+    demo = verbs.add_parser("demo", help="the one-minute tour with a simulated robot")
+    demo.add_argument("--robot", action="store_true", help="run only the simulated robot, until it is stopped")
+    demo.add_argument("--output", type=Path, help="folder for the pictures and the transcript")
+    call = verbs.add_parser("call", help="call one tool, such as: call ros2_topic_list pattern=scan")
+    call.add_argument("tool", nargs="?", help="name of the tool; without it the tools are listed")
+    call.add_argument("arguments", nargs="*", metavar="key=value", help="its arguments; values may be JSON")
+    call.add_argument("--json", action="store_true", help="print the structured result only")
+    config = verbs.add_parser("config", help="print the configuration for an MCP client")
+    config.add_argument("client", choices=CLIENTS)
+    return top
+
+
+def _add_settings(top: argparse.ArgumentParser) -> None:
+    ros = top.add_argument_group("ROS 2")
+    ros.add_argument("--distro", help="distribution to use, such as jazzy (default: sourced, else newest installed)")
+    ros.add_argument("--workspace", action="append", type=Path, default=None, metavar="DIR", help="overlay to source")
+    ros.add_argument("--domain-id", type=int, help="DDS domain (default: ROS_DOMAIN_ID)")
+    ros.add_argument("--rmw", help="middleware (default: RMW_IMPLEMENTATION)")
+    serving = top.add_argument_group("serving")
+    serving.add_argument("--transport", choices=("stdio", "sse", "streamable-http"), help="default: stdio")
+    serving.add_argument("--host", help="address for HTTP (default: 127.0.0.1)")
+    serving.add_argument("--port", type=int, help="port for HTTP (default: 8123)")
+    serving.add_argument("--read-only", action="store_true", default=None, help="leave out tools that write")
+    serving.add_argument("--tools", metavar="GROUPS", help="groups of tools, such as core,actions, or all")
+    serving.add_argument("--log-level", choices=("DEBUG", "INFO", "WARNING", "ERROR"), help="default: WARNING")
+    top.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
+
+
+class _Version(argparse.Action):
+    """Prints the version; looked up only when asked for, because that is slow."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from importlib.metadata import version
+
+        parser.exit(message=f"ros2-mcp {version('ros2-mcp')}\n")
+
+
+def settings_from(arguments: argparse.Namespace) -> Settings:
+    """The settings of the environment, with what the command line says on top."""
+    from ros2_mcp.settings import Settings
+
+    given = {
+        "distro": arguments.distro,
+        "workspaces": arguments.workspace,
+        "domain_id": arguments.domain_id,
+        "rmw": arguments.rmw,
+        "transport": arguments.transport,
+        "host": arguments.host,
+        "port": arguments.port,
+        "read_only": arguments.read_only,
+        "tools": arguments.tools.split(",") if arguments.tools else None,
+        "log_level": arguments.log_level,
+    }
+    return Settings.from_environment(os.environ, **{name: value for name, value in given.items() if value is not None})
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    if arguments.verb == "config":
+        from ros2_mcp.commands.config import print_config
+
+        return print_config(arguments.client, sys.argv[1:])
+    settings = settings_from(arguments)
+    if arguments.verb in (None, "serve"):
+        from ros2_mcp.commands.serve import serve
+
+        return serve(settings)
+    if arguments.verb == "doctor":
+        from ros2_mcp.commands.doctor import doctor
+
+        return doctor(settings)
+    if arguments.verb == "demo":
+        from ros2_mcp.commands.demo import demo
+
+        return demo(settings, robot_only=arguments.robot, output=arguments.output)
+    from ros2_mcp.commands.call import call
+
+    return call(settings, arguments.tool, arguments.arguments, as_json=arguments.json)

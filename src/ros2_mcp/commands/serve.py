@@ -1,0 +1,80 @@
+"""Serve MCP: the main job. The bridge starts first, the heavy imports follow while it comes up."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import Awaitable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ros2_mcp.settings import Settings
+
+if TYPE_CHECKING:
+    from ros2_mcp.link.client import Bridge
+    from ros2_mcp.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """Private duplicates of the process's stdin and stdout, for MCP alone."""
+
+    read_fd: int
+    write_fd: int
+
+
+def claim_wire() -> Wire:
+    """Moves stdin and stdout aside: whatever else reads or prints gets nothing and stderr."""
+    wire = Wire(os.dup(0), os.dup(1))
+    with open(os.devnull, "rb") as nothing:  # noqa: PTH123 - pathlib is not imported yet, and is slow to
+        os.dup2(nothing.fileno(), 0)
+    os.dup2(2, 1)
+    return wire
+
+
+def serve(settings: Settings) -> int:
+    """Serves until the client goes away or the process is told to end."""
+    wire = claim_wire() if settings.transport == "stdio" else None
+    bridge = launch(settings)
+    code = asyncio.run(_serve(bridge, settings, wire))
+    # The thread that reads stdin cannot be interrupted; everything is closed by now.
+    os._exit(code)
+
+
+def launch(settings: Settings) -> Bridge:
+    """Starts the bridge; it comes up while the rest is imported."""
+    from ros2_mcp.link.client import Bridge
+    from ros2_mcp.link.environment import find_ros
+
+    bridge = Bridge(lambda: find_ros(settings))
+    bridge.launch()
+    return bridge
+
+
+async def _serve(bridge: Bridge, settings: Settings, wire: Wire | None) -> int:
+    from ros2_mcp.guard.policy import Policy
+    from ros2_mcp.http import serve_http
+    from ros2_mcp.robot import Robot
+    from ros2_mcp.server import build_server, serve_stdio
+
+    robot = Robot(bridge, Policy(settings.read_only))
+    server = build_server(robot, groups=settings.tools, log_level=settings.log_level)
+    running = serve_stdio(server, wire.read_fd, wire.write_fd) if wire else serve_http(server, settings)
+    return await _until_told_to_end(robot, running)
+
+
+async def _until_told_to_end(robot: Robot, running: Awaitable[None]) -> int:
+    told_to_end = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        asyncio.get_running_loop().add_signal_handler(number, told_to_end.set)
+    await robot.bridge.attach()
+    serving = asyncio.ensure_future(running)
+    ending = asyncio.create_task(told_to_end.wait())
+    try:
+        await asyncio.wait({serving, ending}, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        await robot.bridge.close()
+    if serving.done():
+        serving.result()
+    return 0
