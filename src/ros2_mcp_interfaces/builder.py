@@ -37,9 +37,7 @@ def build(directories: Sequence[Path], cache: Path, report: Callable[[str], None
     return prefixes
 
 
-def _build_or_reuse(
-    package: Package, installation: Installation, cache: Path, report: Callable[[str], None]
-) -> Path:
+def _build_or_reuse(package: Package, installation: Installation, cache: Path, report: Callable[[str], None]) -> Path:
     if (installation.home / "share" / package.name).is_dir():
         raise BuildError(f"{package.name} is part of the installation {installation.home}", "Leave it out.")
     try:
@@ -49,9 +47,11 @@ def _build_or_reuse(
         raise
     prefix = cache / name
     if not prefix.is_dir():
+        check_syntax(package)
+        compiler, headers = find_compiler(), python_headers()
         with one_builder(cache, name) as workspace:
             if not prefix.is_dir():
-                _Build(package, installation, find_compiler(), workspace).run(report).rename(prefix)
+                _Build(package, installation, compiler, headers, workspace).run(report).rename(prefix)
                 return prefix
     report(f"{package.name}: already built")
     return prefix
@@ -64,6 +64,7 @@ class _Build:
     package: Package
     installation: Installation
     compiler: Compiler
+    headers: list[Path]
     workspace: Path
 
     @property
@@ -80,11 +81,9 @@ class _Build:
 
     def run(self, report: Callable[[str], None]) -> Path:
         started = time.monotonic()
-        check_syntax(self.package)
-        headers = python_headers()
         self._install_texts()
         report(f"{self.package.name}: generating and compiling {len(self.package.files)} interfaces")
-        self._compile_and_link(headers)
+        self._compile_and_link()
         self._write_index()
         report(f"{self.package.name}: built in {time.monotonic() - started:.1f} s")
         return self.prefix
@@ -96,11 +95,11 @@ class _Build:
         if manifest.is_file():
             _copy(manifest, self.share / manifest.name)
 
-    def _compile_and_link(self, headers: list[Path]) -> None:
+    def _compile_and_link(self) -> None:
         sources = self.workspace / "sources"
         sources.mkdir()
         own = [sources / name for name in ("rosidl_generator_c", *TYPESUPPORTS)]
-        includes = [*own, *self.installation.include_directories, *headers]
+        includes = [*own, *self.installation.include_directories, *self.headers]
         objects: dict[str, list[Future[Path]]] = {}
         with ThreadPoolExecutor(JOBS) as pool:
             for made in Generation(self.package, self.installation, self.share, sources).run():

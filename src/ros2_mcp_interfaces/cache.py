@@ -60,9 +60,7 @@ def one_builder(cache: Path, name: str) -> Generator[Path]:
         cache.mkdir(parents=True, exist_ok=True)
         lock = (cache / f".{name}.lock").open("w")
     except OSError as error:
-        raise BuildError(
-            f"cannot write to the cache {cache}: {error}", "Choose another with --cache."
-        ) from error
+        raise BuildError(f"cannot write to the cache {cache}: {error}", "Choose another with --cache.") from error
     with lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         _remove_leftovers(cache, name)

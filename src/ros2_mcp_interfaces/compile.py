@@ -30,9 +30,7 @@ class Compiler:
         target = source.with_suffix(source.suffix + ".o")
         return pool.submit(_compiled, [*command, "-c", str(source), "-o", str(target)], source, target)
 
-    def link(
-        self, target: Path, inputs: Sequence[Path], search: Sequence[str], keep_all: bool = False
-    ) -> None:
+    def link(self, target: Path, inputs: Sequence[Path], search: Sequence[str], keep_all: bool = False) -> None:
         """Links a shared library whose run-time search path is `search`.
 
         Libraries of which nothing is used are left out, unless `keep_all` is set. Raises `BuildError`.

@@ -86,9 +86,7 @@ class Generation:
             "type_description_tuples": [
                 f"{path.as_posix()}:{(self.share / path).with_suffix('.json')}" for path in relative
             ],
-            "ros_interface_files": [
-                str(self.share / file.suffix[1:] / file.name) for file in self.package.files
-            ],
+            "ros_interface_files": [str(self.share / file.suffix[1:] / file.name) for file in self.package.files],
             "ros_interface_dependencies": [],
             "target_dependencies": [],
         }

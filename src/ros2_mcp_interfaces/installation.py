@@ -127,9 +127,7 @@ def python_headers() -> list[Path]:
     python = Path(sysconfig.get_paths()["include"])
     if not (python / "Python.h").is_file():
         name = f"python{sys.version_info.major}.{sys.version_info.minor}-dev"
-        raise BuildError(
-            f"the C headers of Python are missing ({python}/Python.h)", f"sudo apt install {name}"
-        )
+        raise BuildError(f"the C headers of Python are missing ({python}/Python.h)", f"sudo apt install {name}")
     try:
         import numpy
     except ImportError as error:

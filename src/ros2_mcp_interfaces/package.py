@@ -66,8 +66,7 @@ def _package_roots(directory: Path) -> list[Path]:
         raise BuildError(f"{directory} is not a directory", "Give the directory of an interface package.")
     if _definition_files(directory):
         return [directory]
-    roots = [manifest.parent for manifest in sorted(directory.rglob("package.xml"))]
-    roots = [root for root in roots if _definition_files(root)]
+    roots = sorted({file.parent.parent for kind in KINDS for file in directory.rglob(f"{kind}/*.{kind}")})
     if not roots:
         raise BuildError(
             f"no .msg, .srv or .action files in {directory}",
@@ -132,9 +131,7 @@ def _in_dependency_order(packages: dict[str, Package]) -> Iterable[Package]:
 
     def place(package: Package, path: tuple[str, ...]) -> None:
         if package.name in path:
-            raise BuildError(
-                f"packages refer to each other in a circle: {' -> '.join((*path, package.name))}"
-            )
+            raise BuildError(f"packages refer to each other in a circle: {' -> '.join((*path, package.name))}")
         for name in sorted({reference.package for reference in package.references} - {package.name}):
             if name in packages and name not in ordered:
                 place(packages[name], (*path, package.name))
