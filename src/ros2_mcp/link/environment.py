@@ -1,0 +1,249 @@
+"""Finding ROS 2: a sourced shell, an installation to source, or wheels in this Python's own environment.
+
+Nothing is imported or started to decide: `rclpy` is looked for as files.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import re
+import shutil
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from ros2_mcp.link.installation import Kind, RosInstallation, clean_environment, wheel_environment
+from ros2_mcp.model.errors import BadInput, RosNotFound
+from ros2_mcp.settings import Settings
+
+_RELEASES = ("foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
+_PYTHON_FOLDERS = ("lib/python3*/site-packages", "lib/python3*/dist-packages", "local/lib/python3*/dist-packages")
+_WHEEL_NAME = re.compile(r"ros[-_]([a-z]+)[-_]rclpy", re.IGNORECASE)
+
+
+def find_ros(settings: Settings, env: Mapping[str, str] = os.environ) -> RosInstallation:
+    """The ROS 2 installation to run the bridge with: sourced, else to be sourced, else wheels.
+
+    Raises:
+        RosNotFound: if there is none, or not the distribution that was asked for; its hint is the way out.
+        BadInput: if a `--workspace` has nothing to source or `--bridge-python` is not there.
+    """
+    for candidate in (sourced, unsourced, wheels):
+        installation = candidate(settings, env)
+        if installation:
+            return installation
+    raise _not_found(settings)
+
+
+# ── a shell that was sourced ───────────────────────────────────────────────────────────────────────────────────
+
+
+def sourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | None:
+    """The installation of an already sourced shell, unless another distribution was asked for."""
+    distro = env.get("ROS_DISTRO", "")
+    prefixes = _entries(env, "AMENT_PREFIX_PATH")
+    if not distro or not prefixes or settings.distro not in (None, distro):
+        return None
+    package = next(_rclpy_on_path(env, prefixes), None)
+    if not package:
+        return None
+    clean = _environment(settings, env, keep_sourced=True)
+    python = _override(settings) or _interpreter(package, prefixes, clean)
+    if not python:
+        return None
+    prefix = next((entry for entry in prefixes if package.is_relative_to(entry)), prefixes[-1])
+    why = f"This shell is sourced: ROS_DISTRO={distro}, rclpy is in {package.parent}."
+    return _installation(settings, "sourced", distro, prefix, why, python, (), clean)
+
+
+def _rclpy_on_path(env: Mapping[str, str], prefixes: Iterable[Path]) -> Iterable[Path]:
+    for entry in _entries(env, "PYTHONPATH"):
+        if (entry / "rclpy").is_dir():
+            yield entry / "rclpy"
+    for prefix in prefixes:
+        yield from rclpy_below(prefix)
+
+
+def rclpy_below(prefix: Path) -> Iterable[Path]:
+    """The folders `rclpy` of a prefix, one for each Python it was installed for."""
+    for pattern in _PYTHON_FOLDERS:
+        yield from (folder / "rclpy" for folder in sorted(prefix.glob(pattern)) if (folder / "rclpy").is_dir())
+
+
+def _interpreter(package: Path, prefixes: Iterable[Path], env: Mapping[str, str]) -> str | None:
+    """The Python that this rclpy was compiled for, or None if it is not on this machine."""
+    name = _python_name(package)
+    path = env.get("PATH", os.defpath).split(os.pathsep)
+    own = [str(prefix / "bin") for prefix in prefixes]
+    # Shims of version switchers are there for every version, and fail for those that are not switched on.
+    real = [entry for entry in path if Path(entry).name != "shims"]
+    return shutil.which(name, path=os.pathsep.join([*own, *real, "/usr/bin"]))
+
+
+def _python_name(package: Path) -> str:
+    """`python3.12` from the extension module in rclpy, or from the folder it is in; `python3` if neither says."""
+    for extension in package.glob("_rclpy_pybind11.cpython-3*"):
+        version = re.match(r"_rclpy_pybind11\.cpython-3(\d+)", extension.name)
+        if version:
+            return f"python3.{version[1]}"
+    version = re.fullmatch(r"python3(\.\d+)?", package.parent.parent.name)
+    return version[0] if version else "python3"
+
+
+# ── an installation that nobody sourced ────────────────────────────────────────────────────────────────────────
+
+
+def unsourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | None:
+    """The newest installation below the ROS root, or the one that was asked for."""
+    installed = installed_distros(settings.ros_root)
+    distro = settings.distro or (installed[-1] if installed else "")
+    if distro not in installed:
+        return None
+    prefix = settings.ros_root / distro
+    clean = _environment(settings, env, keep_sourced=False)
+    package = next(iter(rclpy_below(prefix)), None)
+    python = _override(settings) or (package and _interpreter(package, [prefix], clean)) or "python3"
+    reason = "asked for" if settings.distro else "the newest of " + ", ".join(installed)
+    why = f"{prefix}/setup.bash is sourced for the bridge ({reason})."
+    return _installation(settings, "unsourced", distro, prefix, why, python, (prefix / "setup.bash",), clean)
+
+
+def installed_distros(root: Path) -> list[str]:
+    """The distributions below the ROS root, oldest first; unknown names stand between the known ones and rolling."""
+    names = (setup.parent.name for setup in root.glob("*/setup.bash"))
+    return sorted(names, key=_release_order)
+
+
+def _release_order(distro: str) -> tuple[int, str]:
+    if distro == "rolling":
+        return len(_RELEASES) + 1, distro
+    return (_RELEASES.index(distro) if distro in _RELEASES else len(_RELEASES)), distro
+
+
+def workspace_setup(workspace: Path) -> Path:
+    """The file to source of a workspace, given by its root, its install folder or that file itself.
+
+    Raises:
+        BadInput: if there is none.
+    """
+    given = workspace.expanduser()
+    places = (given, given / "install" / "setup.bash", given / "setup.bash")
+    found = next((place for place in places if place.is_file()), None)
+    if not found:
+        raise BadInput(
+            f"The workspace {given} has no install/setup.bash.",
+            "Build it (colcon build), or give its root, its install folder or a setup.bash.",
+        )
+    return found.absolute()
+
+
+# ── wheels ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def wheels(settings: Settings, env: Mapping[str, str]) -> RosInstallation | None:
+    """ROS 2 wheels in the environment of the Python that runs this."""
+    spec = importlib.util.find_spec("rclpy")
+    distro = wheel_distro()
+    if not spec or not spec.origin or not distro or settings.distro not in (None, distro):
+        return None
+    prefix = Path(sys.prefix)
+    clean = _environment(settings, env, keep_sourced=False)
+    clean = wheel_environment(clean, prefix, Path(spec.origin).parents[1])
+    why = f"The ROS 2 wheels for {distro} are installed in {prefix}."
+    return _installation(settings, "wheels", distro, prefix, why, _override(settings) or sys.executable, (), clean)
+
+
+def wheel_distro() -> str | None:
+    """The distribution of the installed wheels, from the name `ros-<distro>-rclpy`; None without wheels."""
+    # The folders are listed rather than read one by one: importlib.metadata would open a hundred files.
+    for entry in sys.path:
+        for folder in Path(entry or ".").glob("ros_*_rclpy-*.dist-info"):
+            name = _WHEEL_NAME.fullmatch(folder.name.split("-")[0])
+            if name:
+                return name[1].lower()
+    return None
+
+
+# ── nothing ────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _not_found(settings: Settings) -> RosNotFound:
+    there = ", ".join(available(settings)) or "none"
+    if settings.distro:
+        return RosNotFound(
+            f"ROS 2 {settings.distro} was asked for (--distro) and is not there; found: {there}.",
+            "Leave --distro out to use what is there." if there != "none" else way_out(settings.distro),
+        )
+    return RosNotFound(
+        f"No ROS 2 found: no sourced shell, nothing in {settings.ros_root}, no ROS 2 wheels in this Python.",
+        way_out("jazzy"),
+    )
+
+
+def available(settings: Settings) -> list[str]:
+    """The distributions that could be used without a sourced shell."""
+    return sorted({*installed_distros(settings.ros_root), *filter(None, [wheel_distro()])}, key=_release_order)
+
+
+def way_out(distro: str) -> str:
+    """The one command that gives this machine a ROS 2, if there is one."""
+    if not wheels_exist_here():
+        return (
+            "Source an installation before starting ros2-mcp (source /opt/ros/<distro>/setup.bash); "
+            f"there are no ROS 2 wheels for {platform.system()} {platform.machine()}, "
+            f"Python {platform.python_version()}."
+        )
+    extra = distro if distro in ("jazzy", "kilted") else "jazzy"
+    return (
+        f"Run: pip install 'ros2-mcp[{extra}]', or source an installation first (source /opt/ros/<distro>/setup.bash)."
+    )
+
+
+def wheels_exist_here() -> bool:
+    """Whether ROS 2 wheels are published for this machine and Python."""
+    return sys.platform == "linux" and platform.machine() == "x86_64" and sys.version_info < (3, 15)
+
+
+# ── common to all ──────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _installation(
+    settings: Settings,
+    kind: Kind,
+    distro: str,
+    prefix: Path,
+    why: str,
+    python: str,
+    scripts: tuple[Path, ...],
+    environment: Mapping[str, str],
+) -> RosInstallation:
+    overlays = tuple(workspace_setup(workspace) for workspace in settings.workspaces)
+    return RosInstallation(
+        kind=kind,
+        distro=distro,
+        prefix=prefix,
+        why=why,
+        python=python,
+        scripts=(*scripts, *overlays),
+        environment=environment,
+        interface_prefixes=settings.interface_prefixes,
+    )
+
+
+def _environment(settings: Settings, env: Mapping[str, str], *, keep_sourced: bool) -> dict[str, str]:
+    return clean_environment(env, keep_sourced=keep_sourced, domain_id=settings.domain_id, rmw=settings.rmw)
+
+
+def _override(settings: Settings) -> str | None:
+    if settings.bridge_python and not settings.bridge_python.is_file():
+        raise BadInput(
+            f"The Python for the bridge, {settings.bridge_python}, is not there.",
+            "Correct or leave out --bridge-python (ROS2_MCP_BRIDGE_PYTHON).",
+        )
+    return str(settings.bridge_python) if settings.bridge_python else None
+
+
+def _entries(env: Mapping[str, str], variable: str) -> list[Path]:
+    return [Path(entry) for entry in env.get(variable, "").split(os.pathsep) if entry]
