@@ -1,4 +1,4 @@
-"""The differential-drive base: from commanded to driven velocity, wheels, slip, collisions, dead reckoning. No ROS."""
+"""The differential-drive base: acceleration limits, wheels, slip, collisions, dead reckoning. No ROS."""
 
 # pyright: basic
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Wheel:
         self.velocity = 0.0
 
     def roll(self, speed, dt):
-        """Turn so that the rim runs at `speed` (m/s); returns metres over ground and metres the encoder counted."""
+        """Turn with the rim at `speed` (m/s); returns metres over ground and metres as the encoder counts."""
         self._drift(dt)
         self.velocity = speed / WHEEL_RADIUS
         ticks = self.velocity * dt / (2 * math.pi) * TICKS_PER_TURN + self._residue
@@ -57,16 +57,14 @@ class Wheel:
 
     def _drift(self, dt):
         keep = math.exp(-dt / SLIP_TIME_S)
-        self._slip = (
-            keep * self._slip + math.sqrt(1 - keep * keep) * SLIP_STDDEV * self._rng.standard_normal()
-        )
+        self._slip = keep * self._slip + math.sqrt(1 - keep * keep) * SLIP_STDDEV * self._rng.standard_normal()
 
 
 class Base:
     """The moving base. `pose` is where it truly stands, `odometry` where its encoders believe it stands.
 
-    `linear` (m/s) and `angular` (rad/s) are the velocities it drives with; `blocked` tells that it is commanded
-    to move but stands against something.
+    `linear` (m/s) and `angular` (rad/s) are the velocities it drives with; `blocked` tells that it is
+    commanded to move but stands against something.
     """
 
     def __init__(self, world, rng, pose=None):
@@ -80,7 +78,7 @@ class Base:
         self.travelled = 0.0
 
     def step(self, linear, angular, dt):
-        """Drive for `dt` s towards the wanted velocities (m/s, rad/s) as far as acceleration and walls allow."""
+        """Drive for `dt` s towards the wanted velocities (m/s, rad/s) as far as inertia and walls allow."""
         before = self.linear
         braking = abs(linear) < abs(self.linear) or linear * self.linear < 0
         self.linear = approach(self.linear, linear, (LINEAR_BRAKING if braking else LINEAR_ACCELERATION) * dt)

@@ -29,9 +29,7 @@ class Surroundings:
     def see(self, points, now):
         """Remember points (n, 2) that the map does not explain, for `MEMORY_S`."""
         columns, rows = np.floor((points - self._origin) / self._resolution).astype(int).T
-        on_map = (
-            (rows >= 0) & (rows < self._known.shape[0]) & (columns >= 0) & (columns < self._known.shape[1])
-        )
+        on_map = (rows >= 0) & (rows < self._known.shape[0]) & (columns >= 0) & (columns < self._known.shape[1])
         points, rows, columns = points[on_map], rows[on_map], columns[on_map]
         for x, y in points[~self._known[rows, columns]]:
             self._seen[(math.floor(x / RESOLUTION), math.floor(y / RESOLUTION))] = (x, y, now)
@@ -68,7 +66,7 @@ class Drive:
         self._hindered_since = None
 
     def step(self, pose: Pose, now, blocked, fastest, turning):
-        """The velocities (m/s, rad/s) to drive with from here; `blocked` tells that the base stands against something."""
+        """The velocities (m/s, rad/s) to drive with from here; `blocked`: the base stands against something."""
         if self._has_arrived(pose):
             return self._turn_to_heading(pose, turning)
         if now >= self._next_look:
@@ -103,7 +101,7 @@ class Drive:
 
     def _look(self, pose):
         costmap = self._surroundings.costmap()
-        if self._pursuit is not None and self._is_open(costmap):
+        if self._pursuit is not None and _is_open(costmap, self._pursuit):
             return
         path = plan(costmap, (pose.x, pose.y), (self.goal.x, self.goal.y))
         self.replans += 1
@@ -111,10 +109,6 @@ class Drive:
             self.state, self._pursuit, self.path = "replanning", None, []
         else:
             self.path, self._pursuit = path, Pursuit(path)
-
-    def _is_open(self, costmap):
-        ahead = self._pursuit.ahead()[8:]  # what is nearer cannot be avoided any more
-        return all(costmap.is_free(x, y) for x, y in ahead)
 
     def _watch_patience(self, now, hindered):
         if not hindered:
@@ -124,3 +118,8 @@ class Drive:
         elif now - self._hindered_since > PATIENCE_S:
             cause = "no free way to the goal" if self._pursuit is None else "the base is blocked"
             self.outcome = (False, f"gave up after {PATIENCE_S:g} s: {cause}")
+
+
+def _is_open(costmap, pursuit):
+    """Whether the way ahead is free; what is nearer than 0.4 m cannot be avoided any more."""
+    return all(costmap.is_free(x, y) for x, y in pursuit.ahead()[8:])

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import importlib
+from typing import Any
 
 
-def module(name):
+def module(name: str) -> Any:
     """The module, or None where it is not installed."""
     try:
         return importlib.import_module(name)

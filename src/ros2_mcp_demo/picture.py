@@ -92,11 +92,11 @@ def _draw_walls(picture, world, pose):
 
 
 def _draw(picture, depths, height, values):
-    """Fill each column from the floor up to `height` m at its depth (n,) with its value (n,) or color (n, 3)."""
+    """Fill columns from the floor up to `height` m at its depth (n,), with its value (n,) or color (n, 3)."""
     safe = np.where(np.isfinite(depths), np.maximum(depths, 0.02), FAR)
     bottom = CENTER_Y + EYE_HEIGHT * FOCAL / safe
     top = CENTER_Y - (height - EYE_HEIGHT) * FOCAL / safe
-    rows, columns = np.nonzero((_ROWS >= top) & (_ROWS <= bottom) & np.isfinite(depths))
+    rows, columns = np.nonzero((top <= _ROWS) & (bottom >= _ROWS) & np.isfinite(depths))
     picture[rows, columns] = values[columns]
 
 

@@ -68,10 +68,7 @@ class Costmap:
         """Whether the straight line between two points is free all along."""
         steps = max(1, math.ceil(math.dist(start, end) / (self.resolution / 2)))
         shares = [step / steps for step in range(steps + 1)]
-        return all(
-            self.is_free(start[0] + s * (end[0] - start[0]), start[1] + s * (end[1] - start[1]))
-            for s in shares
-        )
+        return all(self.is_free(start[0] + s * (end[0] - start[0]), start[1] + s * (end[1] - start[1])) for s in shares)
 
 
 def inflated(blocked, cells):
@@ -118,7 +115,7 @@ def _search(costmap, start, goal):
 
 
 def _steps(costmap, cell):
-    """The cells one can go to: free ones, and from a blocked cell its neighbours nearby (leaving an inflated zone)."""
+    """The free neighbours; from a blocked cell also the blocked ones, at a price, so that one can leave."""
     for dx, dy, length in _NEIGHBOURS:
         row, column = cell[0] + dy, cell[1] + dx
         if costmap.holds(row, column):
@@ -164,9 +161,7 @@ class Pursuit:
         """The way still to go, in m."""
         if self._reached >= len(self._points) - 1:
             return math.dist((pose.x, pose.y), self._points[-1])
-        return math.dist((pose.x, pose.y), self._points[self._reached]) + path_length(
-            self._points[self._reached :]
-        )
+        return math.dist((pose.x, pose.y), self._points[self._reached]) + path_length(self._points[self._reached :])
 
     def ahead(self):
         """The points not yet passed."""

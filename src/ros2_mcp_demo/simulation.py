@@ -1,4 +1,4 @@
-"""The robot and its world without ROS: what moves, what is measured and what may drive. Same seed, same story."""
+"""The robot and its world without ROS: what moves, what is measured, what may drive. Same seed, same story."""
 
 # pyright: basic
 from __future__ import annotations
@@ -26,7 +26,7 @@ _BEAM_ANGLES = -math.pi + np.arange(BEAMS) * (2 * math.pi / BEAMS)
 
 
 class Simulation:
-    """The state of everything. `now` is the simulated time in s, `wanted` the velocities (m/s, rad/s) asked for."""
+    """The state of everything. `now` is the simulated time in s, `wanted` the velocities (m/s, rad/s) asked."""
 
     def __init__(self, seed=7):
         streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)]
@@ -58,7 +58,7 @@ class Simulation:
         return abs(self.base.linear) > 0.005 or abs(self.base.angular) > 0.01
 
     def scan(self, noise_stddev):
-        """One turn of the laser: float32 ranges (BEAMS,) in m from -π upwards, infinite where nothing came back."""
+        """One turn of the laser: float32 ranges (BEAMS,) in m from -π on, infinite where nothing came back."""
         pose = self.base.pose
         ranges = self.world.cast(pose.x, pose.y, pose.yaw + _BEAM_ANGLES)
         ranges = ranges + noise_stddev * self._lidar_rng.standard_normal(BEAMS)
@@ -96,9 +96,7 @@ class Simulation:
     def localize(self):
         """Where the robot believes to be in the map: its true pose to about a centimetre."""
         noise, pose = self._place_rng.standard_normal(3), self.base.pose
-        return Pose(
-            pose.x + 0.008 * noise[0], pose.y + 0.008 * noise[1], wrapped(pose.yaw + 0.004 * noise[2])
-        )
+        return Pose(pose.x + 0.008 * noise[0], pose.y + 0.008 * noise[1], wrapped(pose.yaw + 0.004 * noise[2]))
 
     def spawn(self, name, x, y, radius):
         """Put a pillar into the world. Returns None, or in words why not."""
@@ -114,7 +112,7 @@ class Simulation:
             return f"radius must be greater than 0 and at most {MAX_SPAWN_RADIUS} m, not {radius:g} m"
         x_min, y_min, x_max, y_max = ROOM
         if not (x_min <= x <= x_max and y_min <= y <= y_max):
-            return f"({x:g}, {y:g}) is outside the world, which spans x {x_min:g} to {x_max:g}, y {y_min:g} to {y_max:g} m"
+            return f"the world spans x {x_min:g} to {x_max:g} and y {y_min:g} to {y_max:g} m: ({x:g}, {y:g}) is outside"
         gap = math.dist((x, y), (self.base.pose.x, self.base.pose.y)) - radius - RADIUS
         if gap < 0.02:
             return "it would overlap the robot"

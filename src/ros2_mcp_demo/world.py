@@ -41,7 +41,7 @@ class Box:
         return np.hypot(outside_x, outside_y)
 
     def cast(self, x, y, angles):
-        """Distance (n,) along each ray to the box, infinite where it misses, and the normal's angle (n,) there."""
+        """Distance (n,) along each ray, infinite where it misses, and the angle (n,) of the normal there."""
         distances, side, _ = cast_segments(x, y, angles, self.edges())
         return distances, np.array([-0.5, 0.0, 0.5, 1.0])[side] * math.pi
 
@@ -62,7 +62,7 @@ class Pillar:
         return np.maximum(np.hypot(np.asarray(x) - self.x, np.asarray(y) - self.y) - self.radius, 0.0)
 
     def cast(self, x, y, angles):
-        """Distance (n,) along each ray to the pillar, infinite where it misses, and the normal's angle (n,) there."""
+        """Distance (n,) along each ray, infinite where it misses, and the angle (n,) of the normal there."""
         to_x, to_y = self.x - x, self.y - y
         along = to_x * np.cos(angles) + to_y * np.sin(angles)
         half_chord_squared = self.radius**2 - (to_x**2 + to_y**2 - along**2)
@@ -101,7 +101,7 @@ class World:
         self.obstacles.append(obstacle)
 
     def cast(self, x, y, angles):
-        """The distance (n,) in m from a point along each ray to whatever comes first; infinite when nothing does."""
+        """The distance (n,) in m from a point along each ray to what comes first; infinite when nothing does."""
         nearest, _, _ = self.cast_walls(x, y, angles)
         for obstacle in self.obstacles:
             nearest = np.minimum(nearest, obstacle.cast(x, y, angles)[0])
@@ -118,7 +118,7 @@ class World:
         return float(min(to_room, *(solid.distance(x, y) for solid in (*INNER_WALLS, *self.obstacles))))
 
     def occupancy(self, resolution=0.05, margin=0.1):
-        """The map the robot was given: int8 (rows, columns) with row 0 at the smallest y, and its origin (x, y)."""
+        """The map the robot was given: int8 (rows, columns), row 0 at the smallest y; and its origin (x, y)."""
         x_min, y_min, x_max, y_max = ROOM
         columns = round((x_max - x_min + 2 * margin) / resolution)
         rows = round((y_max - y_min + 2 * margin) / resolution)

@@ -1,0 +1,54 @@
+"""/battery_monitor: the state of the battery."""
+
+# pyright: basic
+from __future__ import annotations
+
+import math
+
+from sensor_msgs.msg import BatteryState
+
+from ..battery import CAPACITY_AH, CELLS
+from .part import ERROR, OK, WARN, Rhythm, RobotPart
+
+
+class BatteryMonitor(RobotPart):
+    """Tells once a second how much charge is left."""
+
+    def __init__(self, robot, namespace):
+        super().__init__("battery_monitor", robot, namespace)
+        description = "How many times faster than a real battery it discharges"
+        self.declare_number("drain_rate", 1.0, 0.0, 1000.0, description)
+        self._rhythm = Rhythm()
+        self._publisher = self.create_publisher(BatteryState, "battery_state", 10)
+
+    def tick(self, stamp):
+        """Measure when it is time."""
+        self.robot.battery.drain_rate = self.setting("drain_rate")
+        if self._rhythm.is_due(self.robot.now, 1.0):
+            self._publisher.publish(self._message(stamp))
+
+    def diagnosis(self):
+        """Whether the battery lasts."""
+        battery = self.robot.battery
+        values = {"charge [%]": f"{battery.charge * 100:.1f}", "voltage [V]": f"{battery.voltage:.2f}"}
+        if battery.charge <= 0.05:
+            return ERROR, "battery is empty" if battery.charge == 0.0 else "battery is almost empty", values
+        if battery.charge <= 0.2:
+            return WARN, "battery is low", values
+        return OK, "battery is charged", values
+
+    def _message(self, stamp):
+        battery = self.robot.battery
+        message = BatteryState(present=True, location="base", serial_number="BT-3S5000-88")
+        message.header.stamp, message.header.frame_id = stamp, self.frame("base_link")
+        message.voltage, message.current = battery.voltage, -battery.current
+        message.percentage = battery.charge
+        message.charge, message.capacity = battery.charge * CAPACITY_AH, CAPACITY_AH
+        message.design_capacity = CAPACITY_AH
+        message.temperature = 25.0 + battery.current
+        message.cell_voltage = [battery.voltage / CELLS] * CELLS
+        message.cell_temperature = [math.nan] * CELLS
+        message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
+        message.power_supply_health = BatteryState.POWER_SUPPLY_HEALTH_GOOD
+        message.power_supply_technology = BatteryState.POWER_SUPPLY_TECHNOLOGY_LION
+        return message

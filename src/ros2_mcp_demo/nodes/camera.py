@@ -1,0 +1,85 @@
+"""/camera: colour and depth pictures, made only while somebody looks."""
+
+# pyright: basic
+from __future__ import annotations
+
+import io
+from typing import Any
+
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+from .. import optional, picture
+from .convert import octets
+from .part import ERROR, OK, Rhythm, RobotPart
+
+JPEG_QUALITY = 80
+
+
+class Camera(RobotPart):
+    """The driver of the colour and depth camera."""
+
+    def __init__(self, robot, namespace):
+        super().__init__("camera", robot, namespace)
+        self.declare_switch("enabled", True, "False: the camera is dead and publishes nothing")
+        self.declare_number("frame_rate", 10.0, 0.5, 25.0, "Colour pictures per second [Hz]")
+        self.declare_number("brightness", 1.0, 0.0, 2.0, "1 is right, 0 is black")
+        self._color_rhythm, self._depth_rhythm = Rhythm(), Rhythm()
+        self._raw = self.create_publisher(Image, "camera/image_raw", 5)
+        self._info = self.create_publisher(CameraInfo, "camera/camera_info", 5)
+        self._depth = self.create_publisher(Image, "camera/depth/image_raw", 5)
+        self._jpeg: Any = None
+        if optional.pillow:
+            self._jpeg = self.create_publisher(CompressedImage, "camera/image_raw/compressed", 5)
+
+    def tick(self, stamp):
+        """Take the pictures that are due and wanted."""
+        if not self.setting("enabled"):
+            return
+        rate = self.setting("frame_rate")
+        if self._color_rhythm.is_due(self.robot.now, rate):
+            self._publish_color(stamp)
+        if self._depth_rhythm.is_due(self.robot.now, rate / 2) and self._depth.get_subscription_count():
+            depth = self.robot.depth_photo()
+            self._depth.publish(self._image(stamp, depth, "32FC1", 4))
+
+    def diagnosis(self):
+        """Whether the camera works."""
+        values = {"frame rate [Hz]": f"{self.setting('frame_rate'):g}"}
+        return (OK, "ready", values) if self.setting("enabled") else (ERROR, "no data from the camera", values)
+
+    def _publish_color(self, stamp):
+        raw, jpeg = self._raw.get_subscription_count(), self._jpeg and self._jpeg.get_subscription_count()
+        if raw or jpeg:
+            photo = self.robot.photo(self.setting("brightness"))
+            if raw:
+                self._raw.publish(self._image(stamp, photo, "rgb8", 3))
+            if jpeg:
+                self._jpeg.publish(self._compressed(stamp, photo))
+        if raw or jpeg or self._info.get_subscription_count():
+            self._info.publish(self._calibration(stamp))
+
+    def _headed(self, stamp, message):
+        message.header.stamp, message.header.frame_id = stamp, self.frame("camera_optical")
+        return message
+
+    def _image(self, stamp, pixels, encoding, pixel_bytes):
+        message = self._headed(stamp, Image(height=picture.HEIGHT, width=picture.WIDTH, encoding=encoding))
+        message.step = picture.WIDTH * pixel_bytes
+        message.data = octets(pixels)
+        return message
+
+    def _compressed(self, stamp, photo):
+        file = io.BytesIO()
+        optional.pillow.fromarray(photo).save(file, "JPEG", quality=JPEG_QUALITY)
+        message = self._headed(stamp, CompressedImage(format="rgb8; jpeg compressed bgr8"))
+        message.data.frombytes(file.getvalue())
+        return message
+
+    def _calibration(self, stamp):
+        focal, x, y = picture.FOCAL, picture.CENTER_X, picture.CENTER_Y
+        message = self._headed(stamp, CameraInfo(height=picture.HEIGHT, width=picture.WIDTH))
+        message.distortion_model, message.d = "plumb_bob", [0.0] * 5
+        message.k = [focal, 0.0, x, 0.0, focal, y, 0.0, 0.0, 1.0]
+        message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+        message.p = [focal, 0.0, x, 0.0, 0.0, focal, y, 0.0, 0.0, 0.0, 1.0, 0.0]
+        return message

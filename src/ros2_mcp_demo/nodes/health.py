@@ -1,0 +1,56 @@
+"""/health: collects what the parts say about themselves; a heartbeat; a self test that always fails."""
+
+# pyright: basic
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from .part import Rhythm, RobotPart
+
+
+class Health(RobotPart):
+    """Publishes /diagnostics and /heartbeat once a second."""
+
+    def __init__(self, robot, namespace, parts):
+        super().__init__("health", robot, namespace)
+        self._parts = list(parts)
+        self._rhythm = Rhythm()
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._heartbeat = self.create_publisher(String, "heartbeat", 10)
+        self._levels = {}
+        self.create_service(Trigger, "self_test", self._self_test)
+
+    def tick(self, stamp):
+        """Collect and publish when it is time."""
+        if not self._rhythm.is_due(self.robot.now, 1.0):
+            return
+        message = DiagnosticArray(status=[*filter(None, map(self._status, self._parts))])
+        message.header.stamp = stamp
+        self._diagnostics.publish(message)
+        charge = self.robot.battery.charge * 100
+        text = f"alive {self.robot.now:.0f} s, mode {self.robot.mode}, battery {charge:.0f} %"
+        self._heartbeat.publish(String(data=text))
+
+    def _status(self, part):
+        diagnosis = part.diagnosis()
+        if diagnosis is None:
+            return None
+        level, text, values = diagnosis
+        self._log_change(part, level, text)
+        pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+        name = f"{part.get_name()}: status"
+        return DiagnosticStatus(level=level, name=name, message=text, hardware_id="ros2_mcp_demo", values=pairs)
+
+    def _log_change(self, part, level, text):
+        """Say in the log when a part's level changes."""
+        if self._levels.get(part.get_name(), DiagnosticStatus.OK) != level:
+            log = part.get_logger()
+            (log.info if level == DiagnosticStatus.OK else log.warning)(text)
+        self._levels[part.get_name()] = level
+
+    def _self_test(self, _, response):
+        response.success = False
+        response.message = "self test failed: the wheel encoders were last calibrated 412 days ago (limit 365)"
+        return response

@@ -1,0 +1,179 @@
+"""/navigator: the action /navigate_to, which drives to a place in the map around walls and obstacles."""
+
+# pyright: basic
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import PoseStamped, Twist
+from nav_msgs.msg import Path
+from rclpy.action.server import GoalResponse
+
+from .. import optional
+from ..drive import Drive, Goal, Surroundings
+from ..simulation import AUTONOMOUS, IDLE
+from .goals import GoalServer
+from .map_server import RESOLUTION
+from .part import OK, Rhythm, RobotPart
+
+COMMAND_RATE = 10.0
+FEEDBACK_RATE = 5.0
+SMALLEST_TOLERANCE = 0.05
+
+
+class Navigator(RobotPart):
+    """Drives to one goal at a time; a new goal replaces the old one."""
+
+    def __init__(self, robot, namespace, lidar, map_server):
+        super().__init__("navigator", robot, namespace)
+        self.declare_number("max_linear_speed", 0.4, 0.05, 1.0, "Fastest driving speed [m/s]")
+        self.declare_number("max_angular_speed", 1.2, 0.1, 3.0, "Fastest turning speed [rad/s]")
+        self._lidar, self._map = lidar, map_server
+        self._surroundings = Surroundings(map_server.cells, map_server.origin, RESOLUTION)
+        self._command_rhythm, self._feedback_rhythm = Rhythm(), Rhythm()
+        self._commands = self.create_publisher(Twist, "cmd_vel_nav", 10)
+        self._plans = self.create_publisher(Path, "plan", 10)
+        self._action = optional.demo_actions.NavigateTo
+        self._server = GoalServer(self, self._action, "navigate_to", self._judge, self._begin)
+        self._handle: Any = None
+        self._drive: Any = None
+        self._shown_path = None
+        self._started, self._travelled_before = 0.0, 0.0
+
+    def tick(self, stamp):
+        """Drive on, tell how it goes, or come to a stop."""
+        if self._handle is None:
+            return
+        if self._handle.is_cancel_requested:
+            self._brake()
+            return
+        if self._command_rhythm.is_due(self.robot.now, COMMAND_RATE):
+            self._drive_on(stamp)
+        if self._handle and self._feedback_rhythm.is_due(self.robot.now, FEEDBACK_RATE):
+            self._handle.publish_feedback(self._feedback())
+
+    def diagnosis(self):
+        """What the navigator does."""
+        return OK, self._drive.state if self._drive else "no goal", {}
+
+    def _judge(self, goal):
+        reason = self._why_not(goal)
+        if reason is None:
+            return GoalResponse.ACCEPT
+        self.get_logger().warning(f"goal rejected: {reason}")
+        return GoalResponse.REJECT
+
+    def _why_not(self, goal):
+        numbers = (goal.x, goal.y, goal.tolerance, goal.yaw if goal.use_yaw else 0.0)
+        if not all(map(math.isfinite, numbers)):
+            return "x, y, yaw and tolerance must be finite numbers"
+        if goal.tolerance < 0.0:
+            return "tolerance must not be negative"
+        if self.robot.mode == IDLE:
+            return "the robot is idle; set the mode to manual or autonomous first"
+        row = math.floor((goal.y - self._map.origin[1]) / RESOLUTION)
+        column = math.floor((goal.x - self._map.origin[0]) / RESOLUTION)
+        rows, columns = self._map.cells.shape
+        if not (0 <= row < rows and 0 <= column < columns):
+            return f"({goal.x:g}, {goal.y:g}) is outside the map"
+        return None
+
+    def _begin(self, handle):
+        if self._handle is not None:
+            self._end("abort", "replaced by a new goal")
+        wanted = handle.request
+        goal = Goal(
+            wanted.x,
+            wanted.y,
+            wanted.yaw if wanted.use_yaw else None,
+            max(wanted.tolerance, SMALLEST_TOLERANCE),
+        )
+        self._handle = handle
+        self._drive = Drive(goal, self._surroundings, self.robot.now)
+        self._started, self._travelled_before = self.robot.now, self.robot.base.travelled
+        self.robot.mode = AUTONOMOUS
+        self.get_logger().info(f"driving to ({goal.x:g}, {goal.y:g})")
+
+    def _drive_on(self, stamp):
+        if not self.robot.can_drive() or self.robot.mode != AUTONOMOUS:
+            self._end("abort", self._why_stopped())
+            return
+        if self._lidar.ranges is not None:
+            self._surroundings.see(self.robot.scan_points(self._lidar.ranges), self.robot.now)
+        drive, base = self._drive, self.robot.base
+        fastest, turning = self.setting("max_linear_speed"), self.setting("max_angular_speed")
+        self._command(*drive.step(base.pose, self.robot.now, base.blocked, fastest, turning))
+        if drive.path is not self._shown_path:
+            self._show(drive.path, stamp)
+        if drive.outcome:
+            self._end("succeed" if drive.outcome[0] else "abort", drive.outcome[1])
+
+    def _why_stopped(self):
+        if not self.robot.motors_enabled:
+            return "motors are disabled"
+        if self.robot.battery.charge <= 0.0:
+            return "battery is empty"
+        return f"the mode became {self.robot.mode}"
+
+    def _brake(self):
+        if self.robot.is_moving() and self.robot.mode == AUTONOMOUS:
+            self._command(0.0, 0.0)
+        else:
+            self._end("canceled", "canceled; the robot stands")
+
+    def _end(self, how, reason):
+        """Bring the goal to its end: `how` is the goal handle's succeed, abort or canceled."""
+        if self.robot.mode == AUTONOMOUS:
+            self._command(0.0, 0.0)
+        handle, self._handle = self._handle, None
+        result = self._result(how == "succeed", reason)
+        self._drive = None
+        self.get_logger().info(f"goal ended: {reason}")
+        getattr(handle, how)()
+        self._server.finish(handle, result)
+
+    def _result(self, reached, reason):
+        pose = self.robot.base.pose
+        return self._action.Result(
+            reached=reached,
+            reason=reason,
+            distance_travelled=self.robot.base.travelled - self._travelled_before,
+            duration=self.robot.now - self._started,
+            final_x=pose.x,
+            final_y=pose.y,
+            final_yaw=pose.yaw,
+        )
+
+    def _feedback(self):
+        pose, drive = self.robot.base.pose, self._drive
+        remaining = drive.remaining(pose)
+        left = remaining / self.setting("max_linear_speed")
+        return self._action.Feedback(
+            state=drive.state,
+            distance_remaining=remaining,
+            estimated_time_remaining=Duration(sec=int(left), nanosec=int(left % 1 * 1e9)),
+            x=pose.x,
+            y=pose.y,
+            yaw=pose.yaw,
+            replans=max(drive.replans, 0),
+        )
+
+    def _command(self, linear, angular):
+        command = Twist()
+        command.linear.x, command.angular.z = float(linear), float(angular)
+        self._commands.publish(command)
+
+    def _show(self, path, stamp):
+        self._shown_path = path
+        message = Path()
+        message.header.stamp, message.header.frame_id = stamp, self.frame("map")
+        message.poses = [self._waypoint(message.header, x, y) for x, y in path]
+        self._plans.publish(message)
+
+    @staticmethod
+    def _waypoint(header, x, y):
+        point = PoseStamped(header=header)
+        point.pose.position.x, point.pose.position.y = float(x), float(y)
+        return point
