@@ -1,0 +1,133 @@
+"""JSON → message objects, strictly: what does not fit its definition is refused, naming the path."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ros2_mcp.codec.definitions import Definitions
+from ros2_mcp.codec.scalars import SUMMARY, numbers, octets, scalar, summary_error, zeros
+from ros2_mcp.codec.text import excerpt
+from ros2_mcp.model.errors import BadValue
+from ros2_mcp.model.interfaces import OCTETS, TEXTS, Field, FieldType, Structure
+from ros2_mcp.model.names import nearest
+
+
+def check(definitions: Definitions, type_name: str, value: object, *, partial: bool = True) -> object:
+    """The message that a JSON value describes.
+
+    Fields that are missing take the default of the definition, else zero; with `partial=False` none may be missing.
+    Accepted beside the plain JSON kinds: `"nan"`, `"inf"`, `"-inf"` for floating-point numbers; decimal strings for
+    64-bit integers; base64 or a list for bytes; integers for floats and integral floats for integers where exact.
+
+    Raises:
+        BadValue: for anything else.
+        UnknownInterface: if there is no definition of the type.
+    """
+    return _Check(definitions, partial).message(type_name, value, "")
+
+
+def missing_fields(definitions: Definitions, type_name: str, value: object) -> list[str]:
+    """The top-level fields that the value does not give."""
+    given = _object(definitions.structure(type_name), value, "")
+    return [field.name for field in definitions.structure(type_name).fields if field.name not in given]
+
+
+class _Check:
+    def __init__(self, definitions: Definitions, partial: bool) -> None:
+        self._definitions = definitions
+        self._partial = partial
+
+    def message(self, type_name: str, value: object, path: str) -> object:
+        structure = self._definitions.structure(type_name)
+        given = _object(structure, value, path)
+        values = [
+            self._value(field.shape, given[field.name], _below(path, field.name))
+            if field.name in given
+            else self._missing(field, path)
+            for field in structure.fields
+        ]
+        return self._definitions.message_class(type_name)(*values)
+
+    def _missing(self, field: Field, path: str) -> Any:
+        if not self._partial:
+            raise BadValue(_below(path, field.name), f"is missing, {field.type} expected.")
+        if field.default is not None:
+            return self._value(field.shape, field.default, _below(path, field.name))
+        return self._zero(field.shape)
+
+    def _zero(self, shape: FieldType) -> Any:
+        if shape.shape == "single":
+            return self._zero_element(shape)
+        length = shape.size if shape.shape == "array" else 0
+        if shape.is_message or shape.base in TEXTS:
+            return [self._zero_element(shape) for _ in range(length)]
+        return zeros(shape.base, length)
+
+    def _zero_element(self, shape: FieldType) -> Any:
+        if shape.is_message:
+            return self.message(shape.base, {}, "")
+        return "" if shape.base in TEXTS else zeros(shape.base, 1)[0].item()
+
+    def _value(self, shape: FieldType, value: object, path: str) -> Any:
+        if shape.shape != "single":
+            return self._several(shape, value, path)
+        if shape.is_message:
+            return self.message(shape.base, value, path)
+        return scalar(shape, value, path)
+
+    def _several(self, shape: FieldType, value: object, path: str) -> list[Any] | NDArray[Any]:
+        if shape.base in OCTETS and isinstance(value, str):
+            data = octets(value, path)
+            _check_length(shape, len(data), path)
+            return data
+        values = _list(shape, value, path)
+        _check_length(shape, len(values), path)
+        if shape.is_message or shape.base in TEXTS:
+            return [self._value(shape.element, item, f"{path}[{index}]") for index, item in enumerate(values)]
+        return numbers(shape, values, path)
+
+
+def _object(structure: Structure, value: object, path: str) -> Mapping[str, object]:
+    if not isinstance(value, Mapping):
+        raise BadValue(path, f"{excerpt(value)} given, an object with the fields of {structure.type} expected.")
+    given = cast("Mapping[str, object]", value)
+    if SUMMARY in given:
+        raise summary_error(path)
+    known = [field.name for field in structure.fields]
+    for name in given:
+        if name not in known:
+            raise _unknown_field(structure, name, known, path)
+    return given
+
+
+def _unknown_field(structure: Structure, name: str, known: Sequence[str], path: str) -> BadValue:
+    near = nearest(str(name), known)
+    hint = f"Did you mean {near}? " if near else ""
+    fields = f"Its fields are {', '.join(known)}." if known else "It has no fields."
+    return BadValue(_below(path, str(name)[:80]), f"{structure.type} has no such field.", hint + fields)
+
+
+def _list(shape: FieldType, value: object, path: str) -> Sequence[object]:
+    if isinstance(value, Mapping) and SUMMARY in value:
+        raise summary_error(path)
+    if isinstance(value, np.ndarray):
+        return cast("Sequence[object]", value.tolist())
+    if isinstance(value, (list, tuple)):
+        return cast("Sequence[object]", value)
+    hint = "Give bytes as a list of 0 to 255 or as base64." if shape.base in OCTETS else "Give a list."
+    raise BadValue(path, f"{excerpt(value)} given, {shape} expected.", hint)
+
+
+def _check_length(shape: FieldType, length: int, path: str) -> None:
+    if shape.shape == "array" and length != shape.size:
+        raise BadValue(path, f"{length} elements given, {shape} takes exactly {shape.size}.")
+    if shape.size and length > shape.size:
+        raise BadValue(path, f"{length} elements given, {shape} takes at most {shape.size}.")
+
+
+def _below(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name

@@ -1,0 +1,148 @@
+"""The definitions that the robot itself has, read when they are needed."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Mapping
+from typing import Any, cast
+
+from rosbags.typesys import TypesysError
+
+from ros2_mcp.codec.sources import ALWAYS_KNOWN, SIDES, kind_of, structures_of, types_of
+from ros2_mcp.codec.store import MessageStore, type_hash
+from ros2_mcp.model.errors import UnknownInterface
+from ros2_mcp.model.interfaces import DefinitionText, Interface, Section, Structure
+from ros2_mcp.model.names import did_you_mean
+
+__all__ = ["DefinitionText", "Definitions"]
+
+
+class Definitions:
+    """Definitions by full type name (`geometry_msgs/msg/Twist`), and all that services and actions imply.
+
+    `add` may be called while other threads decode: they finish with the definitions they began with.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._known = _Known(ALWAYS_KNOWN)
+
+    def add(self, texts: Mapping[str, DefinitionText]) -> None:
+        """Takes definitions as the robot has them. One that differs from what was known replaces it everywhere.
+
+        Nothing is parsed yet. Raises `UnknownInterface` for a name that no interface can have.
+        """
+        with self._lock:
+            new = {name: text for name, text in texts.items() if self._known.texts.get(name) != text}
+            if new:
+                self._known = self._known.with_texts(new)
+
+    def knows(self, type_name: str) -> bool:
+        """Whether there is a definition, also of derived types such as `std_srvs/srv/SetBool_Request`."""
+        known = self._known
+        return type_name in known.texts or type_name in known.owners
+
+    def structure(self, type_name: str) -> Structure:
+        """The fields and constants of a message, or of one side of a service or an action.
+
+        Raises:
+            UnknownInterface: if there is no definition, or it cannot be read.
+        """
+        known = self._known
+        found = known.structures.get(type_name)
+        if found is not None:
+            return found
+        with self._lock:
+            return known.load(type_name)
+
+    def interface(self, type_name: str) -> Interface:
+        """The whole definition for showing: all sides and everything nested."""
+        kind = kind_of(type_name)
+        sides = SIDES[kind] if type_name in self._known.texts else SIDES["msg"]
+        sections = tuple(Section(name, self.structure(type_name + ending)) for name, ending in sides.items())
+        nested = {name: structure for section in sections for name, structure in self._nested(section.type).items()}
+        shown_kind: Any = kind if sides is SIDES[kind] else "msg"
+        return Interface(type_name, shown_kind, sections, nested)
+
+    def hash(self, type_name: str) -> str:
+        """The type's hash as it travels on the wire (`RIHS01_…`); empty where it cannot be computed."""
+        every = {type_name: self.structure(type_name), **self._nested(type_name)}
+        if any(field.shape.base == "wstring" for each in every.values() for field in each.fields):
+            return ""
+        return type_hash(type_name, every)
+
+    def example(self, type_name: str) -> dict[str, Any]:
+        """A value with every field at its default, ready to fill in; `check` accepts it unchanged."""
+        from ros2_mcp.codec.check import check
+        from ros2_mcp.codec.render import RenderOptions, render
+
+        return render(self, type_name, check(self, type_name, {}), options=RenderOptions(exact=True)).value
+
+    def starts_with_header(self, type_name: str) -> bool:
+        """Whether the first field is a std_msgs/msg/Header, so that the message begins with a stamp."""
+        fields = self.structure(type_name).fields
+        return bool(fields) and fields[0].type == "std_msgs/msg/Header"
+
+    def compiled(self, type_name: str) -> MessageStore:
+        """A store that can read and write the type."""
+        known = self._known
+        if type_name not in known.compiled:
+            with self._lock:
+                known.compile(type_name)
+        return known.store
+
+    def message_class(self, type_name: str) -> type:
+        """The class of the type's objects; made from one value for each field, in order."""
+        return cast("type", self.compiled(type_name).types[type_name])
+
+    def _nested(self, type_name: str) -> dict[str, Structure]:
+        with self._lock:
+            return {each.type: each for each in self._known.reachable(type_name) if each.type != type_name}
+
+
+class _Known:
+    """One consistent set of texts with what has been made from them so far."""
+
+    def __init__(self, texts: Mapping[str, DefinitionText]) -> None:
+        self.texts = dict(texts)
+        self.owners = {made: name for name in texts for made in types_of(name)}
+        self.structures: dict[str, Structure] = {}
+        self.compiled: set[str] = set()
+        self.store = MessageStore()
+
+    def with_texts(self, new: Mapping[str, DefinitionText]) -> _Known:
+        """A set with these texts too. What has been made is kept unless a text that was there changes."""
+        result = _Known({**self.texts, **new})
+        if not any(name in self.texts for name in new):
+            result.structures, result.compiled, result.store = self.structures, self.compiled, self.store
+        return result
+
+    def load(self, type_name: str) -> Structure:
+        owner = self.owners.get(type_name)
+        if owner is None:
+            raise UnknownInterface(
+                f"No definition of {type_name} is known.", did_you_mean(type_name, list(self.owners))
+            )
+        if type_name not in self.structures:
+            self.structures.update(structures_of(owner, self.texts[owner]))
+        return self.structures[type_name]
+
+    def compile(self, type_name: str) -> None:
+        structures = list(self.reachable(type_name))
+        try:
+            self.store.add(structures)
+            self.store.get_msgdef(type_name)
+        except (TypesysError, SyntaxError) as error:
+            raise UnknownInterface(f"The definition of {type_name} cannot be used: {error}") from error
+        self.compiled.add(type_name)
+
+    def reachable(self, type_name: str, inside: tuple[str, ...] = ()) -> Iterator[Structure]:
+        """The structure of the type and of all that it contains, each once, those it contains first named first."""
+        if type_name in inside:
+            raise UnknownInterface(f"The definition of {type_name} contains itself.")
+        structure = self.load(type_name)
+        found = {type_name: structure}
+        for field in structure.fields:
+            if field.shape.is_message and field.shape.base not in found:
+                found.update({each.type: each for each in self.reachable(field.shape.base, (*inside, type_name))})
+        yield from found.values()

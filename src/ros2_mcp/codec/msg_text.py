@@ -1,0 +1,170 @@
+"""Reads the text of .msg, .srv and .action files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from ros2_mcp.model.errors import UnknownInterface
+from ros2_mcp.model.interfaces import (
+    FLOATS,
+    INTEGERS,
+    PRIMITIVES,
+    Constant,
+    Field,
+    FieldType,
+    Literals,
+    Shape,
+    Structure,
+)
+
+_TYPE = re.compile(
+    r"(?P<base>[A-Za-z]\w*(?:/[A-Za-z]\w*){0,2})(?:<=(?P<text_bound>\d+))?"
+    r"(?P<array>\[(?:(?P<at_most><=)?(?P<size>\d+))?\])?",
+    re.ASCII,
+)
+_CONSTANT = re.compile(r"(?P<type>\S+)\s+(?P<name>[A-Za-z]\w*)\s*=\s*(?P<value>.*)", re.ASCII)
+_FIELD = re.compile(r"(?P<type>\S+)\s+(?P<name>[A-Za-z]\w*)(?:\s+(?P<default>.+))?", re.ASCII)
+_ITEM = re.compile(r""""(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|[^,\s][^,]*""")
+_TIMES = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
+_BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
+
+
+def split_sections(text: str) -> list[str]:
+    """The parts of a .srv or .action text: what stands between the lines `---`."""
+    return re.split(r"^---[ \t]*$", text, flags=re.MULTILINE)
+
+
+def read_structure(type_name: str, text: str) -> Structure:
+    """Reads one message, or one side of a service or action.
+
+    Raises:
+        UnknownInterface: naming the line that cannot be read.
+    """
+    package, _, _ = type_name.partition("/")
+    about, rest = _about(text)
+    items = [_read_line(type_name, package, *line) for line in _code_lines(rest)]
+    fields = tuple(item for item in items if isinstance(item, Field))
+    constants = tuple(item for item in items if isinstance(item, Constant))
+    return Structure(type_name, fields, constants, about)
+
+
+def _about(text: str) -> tuple[str, str]:
+    """The comment at the top, where an empty line parts it from what follows, and the rest."""
+    match = re.match(r"\s*((?:[ \t]*#[^\n]*\n)+)[ \t]*\n", text)
+    if match is None:
+        return "", text
+    return _joined([line.strip().lstrip("#").strip() for line in match[1].splitlines()]), text[match.end() :]
+
+
+def _code_lines(text: str) -> Iterator[tuple[str, str]]:
+    """Each line of code with its comment: the lines just above it and what follows on the line."""
+    above: list[str] = []
+    for line in text.splitlines():
+        code, comment = _code_and_comment(line)
+        if code and not code.startswith("@"):
+            yield code, _joined([*above, comment])
+        if code or not comment:
+            above.clear()
+        else:
+            above.append(comment)
+
+
+def _code_and_comment(line: str) -> tuple[str, str]:
+    code, _, comment = line.partition("#")
+    return code.strip(), comment.lstrip("#").strip()
+
+
+def _joined(comments: list[str]) -> str:
+    return " ".join(comment for comment in comments if comment)
+
+
+def _read_line(type_name: str, package: str, code: str, comment: str) -> Field | Constant:
+    try:
+        if match := _CONSTANT.fullmatch(code):
+            return _read_constant(read_type(package, match["type"]), match["name"], match["value"], comment)
+        if match := _FIELD.fullmatch(code):
+            shape = read_type(package, match["type"])
+            default = None if match["default"] is None else _read_default(shape, match["default"].strip())
+            return Field(match["name"], shape, default, comment)
+        raise ValueError("neither a field nor a constant")
+    except ValueError as error:
+        raise UnknownInterface(f"The definition of {type_name} cannot be read: {code[:80]!r}: {error}.") from error
+
+
+def _read_constant(shape: FieldType, name: str, value: str, comment: str) -> Constant:
+    if shape.shape != "single" or shape.is_message:
+        raise ValueError("a constant is one primitive value")
+    return Constant(name, str(shape), _read_literal(shape.base, value.strip()), comment)
+
+
+def read_type(package: str, text: str) -> FieldType:
+    """Reads a type such as `float64[36]`, `string<=10[<=3]` or `Point`, which is one of the same package.
+
+    Raises:
+        ValueError: if it is not written like a type.
+    """
+    match = _TYPE.fullmatch(text)
+    if match is None:
+        raise ValueError("not a type")
+    base = _full_name(package, match["base"])
+    if match["text_bound"] and base not in ("string", "wstring"):
+        raise ValueError("only strings have such a bound")
+    shape: Shape = "single"
+    if match["array"]:
+        shape = "array" if match["size"] and not match["at_most"] else "sequence"
+    return FieldType(base, shape, int(match["size"] or 0), int(match["text_bound"] or 0))
+
+
+def _full_name(package: str, name: str) -> str:
+    if name in PRIMITIVES:
+        return name
+    if name in _TIMES:
+        return _TIMES[name]
+    parts = name.split("/")
+    if len(parts) == 3:
+        return name
+    return f"{package}/msg/{name}" if len(parts) == 1 else f"{parts[0]}/msg/{parts[1]}"
+
+
+def _read_default(shape: FieldType, text: str) -> Literals:
+    if shape.is_message:
+        raise ValueError("a message has no default")
+    if shape.shape == "single":
+        return _read_literal(shape.base, text)
+    if not (text.startswith("[") and text.endswith("]")):
+        raise ValueError("the default of an array is written in brackets")
+    return tuple(_read_literal(shape.base, item) for item in _items(text[1:-1]))
+
+
+def _items(text: str) -> Iterator[str]:
+    return (match[0].strip() for match in _ITEM.finditer(text))
+
+
+def _read_literal(base: str, text: str) -> bool | int | float | str:
+    if base == "bool":
+        return _read_boolean(text)
+    if base in INTEGERS:
+        return _read_integer(base, text)
+    return float(text) if base in FLOATS else _unquoted(text)
+
+
+def _read_boolean(text: str) -> bool:
+    if text.lower() not in _BOOLEANS:
+        raise ValueError(f"{text} is not a boolean")
+    return _BOOLEANS[text.lower()]
+
+
+def _read_integer(base: str, text: str) -> int:
+    value = int(text, 0) if re.match(r"[+-]?0[xXbBoO]", text) else int(text)
+    low, high = INTEGERS[base]
+    if not low <= value <= high:
+        raise ValueError(f"{value} is out of range for {base}")
+    return value
+
+
+def _unquoted(text: str) -> str:
+    for quote in ('"', "'"):
+        if len(text) >= 2 and text[0] == quote == text[-1]:
+            return text[1:-1].replace("\\" + quote, quote)
+    return text

@@ -1,0 +1,180 @@
+"""The rosbags type system as our codec: message classes, and the functions between their objects and bytes.
+
+rosbags generates Python code for each type. Two things are ours. Texts: rosbags has no wide strings, and gives up
+a whole message for one string that is not UTF-8; so both kinds of string are registered as types of their own,
+with the functions below. And `byte`, which ROS 2 takes for unsigned and rosbags for signed, is stored as `uint8`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from struct import Struct
+from typing import Any
+
+from rosbags.interfaces import Msgdef, Nodetype
+from rosbags.serde import cdr
+from rosbags.typesys.base import normalize_fieldname as attribute
+from rosbags.typesys.store import Typestore
+
+from ros2_mcp.model.interfaces import OCTETS, TEXTS, FieldType, Structure
+
+__all__ = ["MessageStore", "attribute", "type_hash"]
+
+_HEADER_SIZE = 4
+_MAX_PADDING = 3
+_LENGTHS = {"le": Struct("<I"), "be": Struct(">I")}
+_WIDE = {"le": "utf-32-le", "be": "utf-32-be"}
+
+
+class MessageStore(Typestore):
+    """Types that have been compiled; one store for one consistent set of definitions."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.cache.update({"string": _string_type(), "wstring": _wide_string_type()})
+
+    def add(self, structures: Iterable[Structure]) -> None:
+        """Makes the message classes; what these structures refer to must be among them or known."""
+        self.register({s.type: ([], [(f.name, _node(f.shape)) for f in s.fields]) for s in structures})
+
+    def get_msgdef(self, typename: str) -> Msgdef[object]:
+        """Compiles the CDR functions of a type at its first use (and not the ROS 1 functions that rosbags adds)."""
+        if typename not in self.cache:
+            fields = [(attribute(name), node) for name, node in self.fielddefs[typename][1]]
+            getsize, size = cdr.generate_getsize_cdr(fields, self)
+            self.cache[typename] = _definition(
+                typename,
+                fields,
+                self.types[typename],
+                size,
+                getsize,
+                cdr.generate_serialize_cdr(fields, self, "le"),
+                cdr.generate_deserialize_cdr(fields, self, "le"),
+                cdr.generate_deserialize_cdr(fields, self, "be"),
+            )
+        return self.cache[typename]
+
+    def read(self, type_name: str, data: bytes) -> object:
+        """The message in CDR bytes.
+
+        Raises:
+            ValueError, struct.error, SerdeError: if they do not fit.
+        """
+        if len(data) < _HEADER_SIZE or data[0] or data[1] > 1:
+            raise ValueError(f"it starts with {data[:4].hex(' ') or 'nothing'}, which is no plain CDR header")
+        definition = self.get_msgdef(type_name)
+        read = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be
+        body = memoryview(data)[_HEADER_SIZE:]
+        message, end = read(body, 0, definition.cls, self)
+        if end > len(body):
+            raise ValueError("it ends too early")
+        if len(body) - end > _MAX_PADDING and any(body[end:]):
+            raise ValueError(f"{len(body) - end} bytes are left over")
+        return message
+
+    def write(self, type_name: str, message: object) -> bytes:
+        """Little-endian CDR with its header; padding is zero."""
+        return bytes(self.serialize_cdr(message, type_name, little_endian=True))
+
+
+def type_hash(type_name: str, structures: Mapping[str, Structure]) -> str:
+    """The RIHS01 hash of a type; a `char` counts as the `uint8` that it is. Wide strings have no place in it."""
+    bare = Typestore()
+    bare.fielddefs.update(
+        {
+            name: ([], [(f.name, _tree(f.shape, _hashed_element(f.shape))) for f in structure.fields])
+            for name, structure in structures.items()
+        }
+    )
+    return bare.hash_rihs01(type_name)
+
+
+def _hashed_element(shape: FieldType) -> Any:
+    if shape.is_message:
+        return (Nodetype.NAME, shape.base)
+    return (Nodetype.BASE, ("uint8" if shape.base == "char" else shape.base, shape.text_bound))
+
+
+def _stored_element(shape: FieldType) -> Any:
+    if shape.is_message or shape.base in TEXTS:
+        return (Nodetype.NAME, shape.base)
+    return (Nodetype.BASE, ("uint8" if shape.base in OCTETS else shape.base, 0))
+
+
+def _tree(shape: FieldType, element: Any) -> Any:
+    """The node of rosbags' parse tree for a type made of such elements."""
+    if shape.shape == "single":
+        return element
+    return (Nodetype.ARRAY if shape.shape == "array" else Nodetype.SEQUENCE, (element, shape.size))
+
+
+def _node(shape: FieldType) -> Any:
+    return _tree(shape, _stored_element(shape))
+
+
+def _definition(
+    name: str, fields: Any, cls: type, size: int, getsize: Any, write_le: Any, read_le: Any, read_be: Any
+) -> Msgdef[object]:
+    none: Any = None
+    return Msgdef(
+        name, fields, cls, size, getsize, write_le, none, read_le, read_be, 0, *[none] * 3, *[none] * 4
+    )  # fmt: skip
+
+
+def _string_type() -> Msgdef[object]:
+    """`u32` length with the closing zero, then UTF-8 and a zero; what is not UTF-8 becomes lone surrogates."""
+
+    def getsize(pos: int, text: str, _store: object) -> int:
+        return pos + 5 + len(text.encode("utf-8", "surrogateescape"))
+
+    def write(raw: memoryview, pos: int, text: str, _store: object) -> int:
+        data = text.encode("utf-8", "surrogateescape") + b"\0"
+        _LENGTHS["le"].pack_into(raw, pos, len(data))
+        raw[pos + 4 : pos + 4 + len(data)] = data
+        return pos + 4 + len(data)
+
+    def reader(order: str) -> Callable[..., tuple[str, int]]:
+        length_of = _LENGTHS[order].unpack_from
+
+        def read(raw: memoryview, pos: int, _cls: object, _store: object) -> tuple[str, int]:
+            end = pos + 4 + length_of(raw, pos)[0]
+            if end > len(raw):
+                raise ValueError(f"a string of {end - pos - 4} bytes at offset {pos} goes beyond the end")
+            data = bytes(raw[pos + 4 : end])
+            if data and data[-1]:
+                raise ValueError(f"a string at offset {pos} does not end with a zero byte")
+            return data[:-1].decode("utf-8", "surrogateescape"), end
+
+        return read
+
+    shape = [("length", _node(FieldType("uint32"))), ("last", _node(FieldType("uint8")))]
+    return _definition("string", shape, str, 0, getsize, write, reader("le"), reader("be"))
+
+
+def _wide_string_type() -> Msgdef[object]:
+    """`u32` number of UTF-16 units, then each unit in four bytes, as Fast DDS and Cyclone DDS write them for ROS 2."""
+
+    def getsize(pos: int, text: str, _store: object) -> int:
+        return pos + 4 + 2 * len(text.encode("utf-16-le", "surrogatepass"))
+
+    def write(raw: memoryview, pos: int, text: str, _store: object) -> int:
+        units = memoryview(text.encode("utf-16-le", "surrogatepass")).cast("H")
+        _LENGTHS["le"].pack_into(raw, pos, len(units))
+        end = pos + 4 + 4 * len(units)
+        raw[pos + 4 : end] = b"".join(_LENGTHS["le"].pack(unit) for unit in units)
+        return end
+
+    def reader(order: str) -> Callable[..., tuple[str, int]]:
+        length_of = _LENGTHS[order].unpack_from
+
+        def read(raw: memoryview, pos: int, _cls: object, _store: object) -> tuple[str, int]:
+            end = pos + 4 + 4 * length_of(raw, pos)[0]
+            if end > len(raw):
+                raise ValueError(f"a wide string at offset {pos} goes beyond the end")
+            wide = bytes(raw[pos + 4 : end]).decode(_WIDE[order], "surrogatepass")
+            return wide.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "surrogatepass"), end
+
+        return read
+
+    shape = [("length", _node(FieldType("uint32")))]
+    return _definition("wstring", shape, str, 0, getsize, write, reader("le"), reader("be"))
