@@ -1,0 +1,73 @@
+# pyright: basic
+"""Service calls: request bytes in, response bytes out, many at once."""
+
+from __future__ import annotations
+
+import time
+
+from rclpy.serialization import deserialize_message, serialize_message
+
+from .pool import Pool
+from .request import OperationError
+
+POLL_S = 0.1
+APPEARS_POLL_S = 0.005
+GONE_AFTER_S = 0.3
+
+
+class Clients:
+    """Pooled clients of services, those of actions included."""
+
+    def __init__(self, node):
+        self._node = node
+        self.pool = Pool(node.destroy_client)
+
+    def call(self, request):
+        """Send a request and wait for its response."""
+        service, interface = request.text("service"), request.interface
+        wait_s, timeout_s = request.number("wait_s", 0.0), request.number("timeout_s")
+        message = _deserialize(request)
+        started = time.monotonic()
+        key = service, interface
+        with self.pool.use(key, lambda: self._node.create_client(interface, service)) as (client, _):
+            yield from _wait_server(client, service, wait_s)
+            sent_at = time.monotonic()
+            future = client.call_async(message)
+            future.add_done_callback(lambda _: request.wake())
+            try:
+                yield from _wait_response(client, service, future, timeout_s)
+            finally:
+                client.remove_pending_request(future)
+            body = serialize_message(future.result())
+        elapsed_s = round(time.monotonic() - sent_at, 6)
+        return {"waited_s": round(sent_at - started, 6), "elapsed_s": elapsed_s}, body
+
+
+def _deserialize(request):
+    try:
+        return deserialize_message(request.body, request.interface.Request)
+    except Exception as error:  # the middlewares raise errors of many kinds
+        message = f"call: the body is no request of {request.text('type')}: {error}"
+        raise OperationError("bad_request", message) from error
+
+
+def _wait_server(client, service, wait_s):
+    deadline = time.monotonic() + wait_s
+    while not client.service_is_ready():
+        if time.monotonic() >= deadline:
+            raise OperationError("not_found", f"No server of {service} appeared within {wait_s} s.")
+        yield APPEARS_POLL_S
+
+
+def _wait_response(client, service, future, timeout_s):
+    deadline = time.monotonic() + timeout_s
+    last_ready = time.monotonic()
+    while not future.done():
+        now = time.monotonic()
+        if client.service_is_ready():
+            last_ready = now
+        if now - last_ready > GONE_AFTER_S:
+            raise OperationError("server_gone", f"The server of {service} disappeared before it answered.")
+        if now >= deadline:
+            raise OperationError("timeout", f"{service} did not answer within {timeout_s} s.")
+        yield min(POLL_S, deadline - now)

@@ -1,0 +1,133 @@
+# pyright: basic
+"""What is in the ROS graph, told once discovery has settled."""
+
+from __future__ import annotations
+
+import time
+
+from . import qos
+from .request import OperationError
+
+POLL_S = 0.06
+QUIET_S = 0.5
+LONGEST_SETTLING_S = 10.0
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+
+
+class Graph:
+    """Answers the requests about the graph; each is a generator of steps, because it may have to wait."""
+
+    def __init__(self, node):
+        self.settled = False
+        self._node = node
+
+    def settle(self):
+        """Steps that watch discovery until the graph has been quiet for a while, or has had ample time."""
+        started = quiet_since = time.monotonic()
+        seen = None
+        while not self.settled:
+            yield POLL_S
+            now, current = time.monotonic(), self._snapshot()
+            if current != seen:
+                seen, quiet_since = current, now
+            is_quiet = now - quiet_since >= QUIET_S and not self._has_unknown_nodes()
+            self.settled = is_quiet or now - started >= LONGEST_SETTLING_S
+
+    def topics(self, request):
+        """Every topic with its types and numbers of endpoints."""
+        yield from self._wait_settled(request)
+        found = [
+            [name, types, self._node.count_publishers(name), self._node.count_subscribers(name)]
+            for name, types in self._node.get_topic_names_and_types()
+        ]
+        return {"topics": found, "settled": self.settled}
+
+    def services(self, request):
+        """Every service with its types."""
+        yield from self._wait_settled(request)
+        return {"services": self._node.get_service_names_and_types(), "settled": self.settled}
+
+    def nodes(self, request):
+        """Every node."""
+        yield from self._wait_settled(request)
+        return {"nodes": self._node.get_node_names_and_namespaces(), "settled": self.settled}
+
+    def node(self, request):
+        """What one node publishes, subscribes, serves and calls."""
+        name, namespace = request.text("name"), request.text("namespace")
+        yield from self._wait_settled(request)
+        if (name, namespace) not in self._node.get_node_names_and_namespaces():
+            raise OperationError("not_found", f"There is no node {name} in namespace {namespace}.")
+        return {
+            "publishers": self._node.get_publisher_names_and_types_by_node(name, namespace),
+            "subscribers": self._node.get_subscriber_names_and_types_by_node(name, namespace),
+            "servers": self._node.get_service_names_and_types_by_node(name, namespace),
+            "clients": self._node.get_client_names_and_types_by_node(name, namespace),
+        }
+
+    def endpoints(self, request):
+        """The publishers and subscribers of a topic with their QoS."""
+        topic = request.text("topic")
+        yield from self._wait_settled(request)
+        return self._endpoints(topic)
+
+    def wait_endpoints(self, request):
+        """The same, as soon as there are enough of them."""
+        topic = request.text("topic")
+        wanted = request.number("publishers", 0), request.number("subscribers", 0)
+        deadline = time.monotonic() + request.number("timeout_s")
+        while True:
+            there = self._node.count_publishers(topic), self._node.count_subscribers(topic)
+            if there[0] >= wanted[0] and there[1] >= wanted[1]:
+                return self._endpoints(topic)
+            if time.monotonic() >= deadline:
+                message = "{} has {} publishers and {} subscribers; waited for {} and {}."
+                raise OperationError("timeout", message.format(topic, *there, *wanted))
+            yield 0.02
+
+    def subscribers(self, topic):
+        """rclpy's information about every subscriber of a topic."""
+        return self._node.get_subscriptions_info_by_topic(topic)
+
+    def publisher_gids(self, topic):
+        """The global identifiers of a topic's publishers."""
+        return {bytes(info.endpoint_gid) for info in self._node.get_publishers_info_by_topic(topic)}
+
+    def _wait_settled(self, request):
+        deadline = time.monotonic() + request.number("settle_s", 3.0)
+        while not self.settled and time.monotonic() < deadline:
+            yield min(0.02, max(0.0, deadline - time.monotonic()))
+
+    def _endpoints(self, topic):
+        return {
+            "publishers": [_endpoint(info) for info in self._node.get_publishers_info_by_topic(topic)],
+            "subscribers": [_endpoint(info) for info in self.subscribers(topic)],
+            "settled": self.settled,
+        }
+
+    def _snapshot(self):
+        node = self._node
+        return (
+            node.get_topic_names_and_types(),
+            node.get_service_names_and_types(),
+            sorted(node.get_node_names_and_namespaces()),
+        )
+
+    def _has_unknown_nodes(self):
+        return any(
+            info.node_name == UNKNOWN_NODE
+            for topic, _ in self._node.get_topic_names_and_types()
+            for info in (*self._node.get_publishers_info_by_topic(topic), *self.subscribers(topic))
+        )
+
+
+def _endpoint(info):
+    found_hash = str(getattr(info, "topic_type_hash", ""))  # Humble tells none
+    return {
+        "node": info.node_name,
+        "namespace": info.node_namespace,
+        "type": info.topic_type,
+        "hash": found_hash if found_hash.startswith("RIHS01_") else "",
+        "gid": bytes(info.endpoint_gid).hex(),
+        "qos": qos.describe(info.qos_profile),
+    }

@@ -1,0 +1,44 @@
+# pyright: basic
+"""Python classes of interfaces, by the names that the graph uses."""
+
+from __future__ import annotations
+
+import importlib
+from functools import lru_cache
+
+from .request import OperationError
+
+# the topics and services that an action is made of have types of their own, which rclpy keeps in Action.Impl
+_PARTS_OF_ACTIONS = {
+    "SendGoal": "SendGoalService",
+    "GetResult": "GetResultService",
+    "FeedbackMessage": "FeedbackMessage",
+}
+
+
+@lru_cache(maxsize=1024)
+def load(type_name):
+    """The class of `std_msgs/msg/String`, `nav2_msgs/action/Wait_SendGoal` and the like, its type support loaded.
+
+    Raises `OperationError` of kind `unknown_type`.
+    """
+    from rclpy.type_support import check_for_type_support
+
+    try:
+        interface = _find(*type_name.split("/"))
+        check_for_type_support(interface)
+    except Exception as error:  # importing a broken interface package can raise anything
+        raise OperationError(
+            "unknown_type",
+            f"The robot's ROS installation cannot load {type_name}: {error or type(error).__name__}.",
+            "Names look like std_msgs/msg/String; the package must be installed and sourced where the bridge runs.",
+        ) from error
+    return interface
+
+
+def _find(package, kind, name):
+    module = importlib.import_module(f"{package}.{kind}")
+    if kind == "action" and "_" in name:
+        action, _, part = name.partition("_")
+        return getattr(getattr(module, action).Impl, _PARTS_OF_ACTIONS[part])
+    return getattr(module, name)

@@ -1,0 +1,214 @@
+# pyright: basic
+"""Publishing bytes: once with proof of who got it, or repeatedly at a rate that the bridge keeps by itself."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
+
+from . import qos
+from .pool import Pool
+from .request import Cancelled, OperationError
+
+POLL_S = 0.002
+NO_MORE_MATCHES_S = 0.1
+FINAL_ACK_S = 0.1
+MAX_RATE_HZ = 1000.0
+
+
+class Publisher:
+    """A publisher of serialized messages."""
+
+    def __init__(self, node, graph, request):
+        self._graph = graph
+        self._topic, self._type = request.text("topic"), request.text("type")
+        self._profile = qos.profile(request.qos())
+        self._accepted = None
+        with node.handle:
+            self._handle = rclpy_implementation.Publisher(
+                node.handle, request.interface, self._topic, self._profile.get_c_qos_profile()
+            )
+
+    def publish(self, data):
+        """Hand one message to the middleware."""
+        self._handle.publish_raw(data)
+
+    def matched(self):
+        """The number of subscribers that would get a message now."""
+        return self._handle.get_subscription_count()
+
+    def wait_match(self, created, wait_s):
+        """Steps until every subscriber in the graph that can match does, or no more of them come, or time is up."""
+        changed_at = time.monotonic()
+        deadline, before = changed_at + wait_s, None
+        while time.monotonic() < deadline:
+            now = self.matched(), len(self._fitting_subscribers())
+            if now != before:
+                before, changed_at = now, time.monotonic()
+            no_more = now == self._accepted or time.monotonic() - changed_at > NO_MORE_MATCHES_S
+            if now[0] and (now[0] >= now[1] or no_more) and (self._graph.settled or not created):
+                break
+            yield POLL_S
+        self._accepted = before
+
+    def wait_acknowledged(self, wait_s):
+        """Steps until all is acknowledged: returns True, False when time is up, None where nobody acknowledges."""
+        subscribers = self._fitting_subscribers()
+        is_reliable = any(info.qos_profile.reliability.name == "RELIABLE" for info in subscribers)
+        if not is_reliable or not self.matched() or self._profile.reliability.name != "RELIABLE":
+            return None
+        deadline = time.monotonic() + wait_s
+        while not self.is_acknowledged():
+            if time.monotonic() >= deadline:
+                return False
+            yield POLL_S
+        return True
+
+    def is_acknowledged(self):
+        """Whether every reliable subscriber has acknowledged everything."""
+        return self._handle.wait_for_all_acked(Duration(seconds=0)._duration_handle)
+
+    def destroy(self):
+        """End it."""
+        self._handle.destroy_when_not_in_use()
+
+    def _fitting_subscribers(self):
+        return [
+            info
+            for info in self._graph.subscribers(self._topic)
+            if info.topic_type == self._type and qos.offers_enough(self._profile, info.qos_profile)
+        ]
+
+
+class Repeat:
+    """Repeated publishing of one message, and of the final message whatever ends it."""
+
+    def __init__(self, publisher, message, final):
+        self.publisher = publisher
+        self.sent = 0
+        self.late = 0
+        self.started = time.monotonic()
+        self.final_sent = False
+        self._message = message
+        self._final = final
+
+    def run(self, rate_hz, duration_s):
+        """Steps that publish at the rate; periods that were missed are counted and not made up for."""
+        period = 1.0 / rate_hz
+        self.started = due = time.monotonic()
+        end = self.started + duration_s
+        while due < end - period * 1e-6:
+            self.publisher.publish(self._message)
+            self.sent += 1
+            due += period
+            missed = int(max(0.0, time.monotonic() - due) / period)
+            self.late += missed
+            due += missed * period
+            yield max(0.0, min(due, end) - time.monotonic())
+
+    def send_final(self):
+        """Publish the final message twice, for best-effort subscribers."""
+        if self._final:
+            self.publisher.publish(self._final)
+            self.publisher.publish(self._final)
+            self.final_sent = True
+
+
+class Publishers:
+    """Pooled publishers and what is being repeated."""
+
+    def __init__(self, node, graph):
+        self._node = node
+        self._graph = graph
+        self._repeats = {}
+        self.pool = Pool(lambda publisher: publisher.destroy())
+
+    @property
+    def repeats(self):
+        """How many messages are being repeated."""
+        return len(self._repeats)
+
+    def publish(self, request):
+        """Publish once, when those who listen are matched, and wait for their acknowledgement."""
+        wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
+        started = time.monotonic()
+        with self._use(request) as (publisher, created):
+            yield from publisher.wait_match(created, wait_match_s)
+            matched = publisher.matched()
+            publisher.publish(request.body)
+            acked = yield from publisher.wait_acknowledged(wait_ack_s)
+        waited_s = round(time.monotonic() - started, 6)
+        return {"matched": matched, "acked": acked, "created": created, "waited_s": waited_s}
+
+    def repeat(self, request):
+        """Publish at a rate for a while, then the final message."""
+        message, final = _split_final(request)
+        rate_hz, duration_s = request.number("rate_hz"), request.number("duration_s")
+        if not 0 < rate_hz <= MAX_RATE_HZ:
+            raise OperationError("bad_request", f"repeat: rate_hz is {rate_hz}, expected up to {MAX_RATE_HZ:.0f}.")
+        wait_match_s = request.number("wait_match_s", 0.0)
+        with self._use(request) as (publisher, created):
+            repeat, cancelled = Repeat(publisher, message, final), False
+            try:
+                yield from publisher.wait_match(created, wait_match_s)
+                self._repeats[request.id] = repeat, request.flag("at_exit", True)
+                yield from repeat.run(rate_hz, duration_s)
+            except Cancelled:
+                cancelled = True
+            finally:
+                self._repeats.pop(request.id, None)
+                elapsed_s = round(time.monotonic() - repeat.started, 6)
+                repeat.send_final()
+            matched = publisher.matched()
+            yield from publisher.wait_acknowledged(FINAL_ACK_S)
+        return {
+            "sent": repeat.sent,
+            "matched": matched,
+            "elapsed_s": elapsed_s,
+            "late": repeat.late,
+            "final_sent": repeat.final_sent,
+            "cancelled": cancelled,
+        }
+
+    def send_finals(self):
+        """Send the final message of everything that is being repeated and asks for it; returns the publishers.
+
+        Another thread may call it when the ROS thread does not come to it.
+        """
+        ended = []
+        while self._repeats:
+            repeat, at_exit = self._repeats.popitem()[1]
+            if at_exit:
+                _try(repeat.send_final)
+                ended.append(repeat.publisher)
+        return ended
+
+    def end(self):
+        """Send what must be sent last, give it a moment to arrive, and destroy all publishers."""
+        ended = self.send_finals()
+        deadline = time.monotonic() + FINAL_ACK_S
+        while not all(publisher.is_acknowledged() for publisher in ended) and time.monotonic() < deadline:
+            time.sleep(POLL_S)
+        self.pool.clear()
+
+    def _use(self, request):
+        key = (request.text("topic"), request.text("type"), tuple(sorted(request.qos().items())))
+        return self.pool.use(key, lambda: Publisher(self._node, self._graph, request))
+
+
+def _split_final(request):
+    final_size = int(request.number("final_size", 0))
+    if final_size > len(request.body):
+        raise OperationError("bad_request", "repeat: final_size is larger than the body.")
+    split_at = len(request.body) - final_size
+    return request.body[:split_at], request.body[split_at:]
+
+
+def _try(action):
+    try:
+        action()
+    except Exception as error:  # noqa: BLE001 - one that fails must not keep the others from being sent
+        sys.stderr.write(f"a final message could not be sent: {error}\n")

@@ -1,0 +1,176 @@
+# pyright: basic
+"""The bridge's end of the stream: frames come in on one thread and go out on another, replies before samples."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections import deque
+
+from . import frames
+from .request import OperationError
+
+BATCH_BYTES = 1024 * 1024
+
+
+def claim_standard_streams():
+    """Move stdin and stdout to private descriptors, so that nothing else in this process reads or writes the stream.
+
+    Returns both descriptors. Afterwards 0 is /dev/null and 1 is stderr.
+    """
+    incoming, outgoing = os.dup(0), os.dup(1)  # close-on-exec, as every descriptor that Python makes
+    null = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(null, 0)
+    os.close(null)
+    os.dup2(2, 1)
+    return incoming, outgoing
+
+
+def read_frames(descriptor):
+    """Yield header and body of every frame until the stream ends; raises `FrameError` when it breaks."""
+    with os.fdopen(descriptor, "rb") as stream:
+        while prefix := stream.read(frames.LENGTHS_SIZE):
+            if len(prefix) < frames.LENGTHS_SIZE:
+                raise frames.FrameError("the stream ended inside a frame")
+            header_length, body_length = frames.unpack_lengths(prefix)
+            header, body = stream.read(header_length), stream.read(body_length)
+            if len(header) + len(body) < header_length + body_length:
+                raise frames.FrameError("the stream ended inside a frame")
+            yield frames.unpack_header(header), body
+
+
+class SampleQueue:
+    """The samples of one subscription that wait for the stream: bounded, the oldest are dropped and counted.
+
+    A sample is the tuple (received_ns, source_ns, sequence or None, data, lost), where `lost` is the number of
+    messages known to be lost up to this one, or None. Use it only through the `Outbox`, which holds the lock.
+    """
+
+    def __init__(self, number, max_samples, max_bytes):
+        self.number = number
+        self.received = 0
+        self.dropped = 0
+        self.waiting = deque()
+        self.last_frame = None
+        self._bytes = 0
+        self._max_samples = max_samples
+        self._max_bytes = max_bytes
+
+    def add(self, samples):
+        """Append and keep the bounds; the newest sample stays even if it is larger than `max_bytes` alone."""
+        for sample in samples:
+            self.received += 1
+            self.waiting.append(sample)
+            self._bytes += len(sample[3])
+            while len(self.waiting) > 1 and self._is_over():
+                self._drop_oldest()
+            if self._bytes > frames.MAX_BODY_BYTES:  # one sample that no frame can carry
+                self._drop_oldest()
+
+    def take_batch(self):
+        """Remove the oldest samples, up to `BATCH_BYTES` or one, and return their frame."""
+        batch = [self._pop()]
+        size = len(batch[0][3])
+        while self.waiting and size + len(self.waiting[0][3]) <= BATCH_BYTES:
+            batch.append(self._pop())
+            size += len(batch[-1][3])
+        header = {
+            "event": "samples",
+            "sub": self.number,
+            "samples": [[*sample[:3], len(sample[3])] for sample in batch],
+            "received": self.received - len(self.waiting),
+            "dropped": self.dropped,
+            "lost": batch[-1][4],
+        }
+        return frames.pack(header, b"".join(sample[3] for sample in batch))
+
+    def _is_over(self):
+        return len(self.waiting) > self._max_samples or self._bytes > self._max_bytes
+
+    def _drop_oldest(self):
+        self._pop()
+        self.dropped += 1
+
+    def _pop(self):
+        sample = self.waiting.popleft()
+        self._bytes -= len(sample[3])
+        return sample
+
+
+class Outbox:
+    """What waits to be written: replies and events, which are never dropped, and queues of samples."""
+
+    def __init__(self):
+        self._changed = threading.Condition()
+        self._frames = deque()
+        self._queues = deque()
+
+    def send(self, header, body=b""):
+        """Send a reply or an event; one that no frame can carry is replaced by an error."""
+        self._append(_pack(header, body))
+
+    def reply(self, request_id, ok, body=b""):
+        """Answer a request."""
+        self.send({"id": request_id, "ok": ok}, body)
+
+    def reply_error(self, request_id, error):
+        """Answer a request with an `OperationError`."""
+        self.send({"id": request_id, "error": error.as_json()})
+
+    def add_samples(self, queue, samples):
+        """Let samples wait in their subscription's queue."""
+        with self._changed:
+            was_empty = not queue.waiting
+            queue.add(samples)
+            if was_empty and queue.waiting:
+                self._queues.append(queue)
+                self._changed.notify()
+
+    def reply_after_samples(self, queue, request_id, ok):
+        """Answer a request as soon as the queue's samples have been sent."""
+        frame = _pack({"id": request_id, "ok": ok}, b"")
+        with self._changed:
+            if queue.waiting:
+                queue.last_frame = frame
+                return
+        self._append(frame)
+
+    def finish(self):
+        """Let `write_frames` return when it has written what waits now."""
+        self._append(b"")
+
+    def write_frames(self, descriptor):
+        """Write until `finish`, or until the other side closes the stream."""
+        try:
+            while frame := self._next_frame():
+                rest = memoryview(frame)
+                while rest:
+                    rest = rest[os.write(descriptor, rest) :]
+        except OSError as error:
+            sys.stderr.write(f"the stream to the server is broken: {error}\n")
+
+    def _append(self, frame):
+        with self._changed:
+            self._frames.append(frame)
+            self._changed.notify()
+
+    def _next_frame(self):
+        with self._changed:
+            self._changed.wait_for(lambda: self._frames or self._queues)
+            if self._frames:
+                return self._frames.popleft()
+            queue = self._queues.popleft()
+            frame = queue.take_batch()
+            if queue.waiting:
+                self._queues.append(queue)
+            elif queue.last_frame:
+                self._frames.append(queue.last_frame)
+            return frame
+
+
+def _pack(header, body):
+    try:
+        return frames.pack(header, body)
+    except frames.FrameError as error:
+        return frames.pack({"id": header.get("id"), "error": OperationError("ros_error", str(error)).as_json()})
