@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import Policy
+from ros2_mcp.guard.running import SentGoals
 from ros2_mcp.model import names, qos
 from ros2_mcp.model.errors import (
     BridgeRefused,
@@ -28,6 +29,7 @@ from ros2_mcp.model.samples import Counts, Sample
 if TYPE_CHECKING:
     from ros2_mcp.codec.cdr import Codec, Message
     from ros2_mcp.codec.definitions import Definitions
+    from ros2_mcp.codec.render import Rendered, RenderOptions
     from ros2_mcp.link.client import Bridge, Reply, Subscription
 
 SETTLE_S = 2.5
@@ -102,6 +104,14 @@ class Sent:
     stopped_with_zero: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The response of a service as CDR bytes, and how long it took."""
+
+    body: bytes
+    elapsed_s: float
+
+
 class Robot:
     """One robot: its graph, its definitions, its topics and services."""
 
@@ -109,20 +119,21 @@ class Robot:
         self.bridge = bridge
         self.policy = policy or Policy()
         self._codec: Codec | None = None
+        self.goals = SentGoals()
         self._loading = asyncio.Lock()
 
     # ── the graph ──────────────────────────────────────────────────────────────────────────────────────────────
 
-    async def ask(self, op: str, body: bytes = b"", *, timeout_s: float = _REQUEST_S, **arguments: Any) -> Reply:
+    async def ask(self, op: str, body: bytes = b"", *, within_s: float = _REQUEST_S, **arguments: Any) -> Reply:
         """One request to the bridge, with its refusals mapped to this package's errors."""
         try:
-            return await self.bridge.request(op, body, timeout_s=timeout_s, **arguments)
+            return await self.bridge.request(op, body, within_s=within_s, **arguments)
         except BridgeRefused as refused:
             raise _KINDS.get(refused.kind, LinkError)(refused.message, refused.hint) from refused
 
     async def graph(self, op: str, **arguments: Any) -> dict[str, Any]:
         """One query of the graph, after discovery has settled."""
-        return (await self.ask(op, settle_s=SETTLE_S, timeout_s=_REQUEST_S + SETTLE_S, **arguments)).ok
+        return (await self.ask(op, settle_s=SETTLE_S, within_s=_REQUEST_S + SETTLE_S, **arguments)).ok
 
     async def endpoints(self, topic: str) -> TopicEndpoints:
         """The publishers and subscribers of a topic; empty where the graph does not know it."""
@@ -142,6 +153,7 @@ class Robot:
                 publishers=publishers,
                 subscribers=subscribers,
                 timeout_s=timeout_s,
+                within_s=timeout_s + _REQUEST_S,
             )
         except TimedOut:
             return await self.endpoints(topic)
@@ -176,7 +188,7 @@ class Robot:
             UnknownInterface: if the robot's installation has no definition of one.
         """
         async with self._loading:
-            unknown = [name for name in types if not self.definitions.knows(name)]
+            unknown = sorted({names.defining_type(name) for name in types if not self.definitions.knows(name)})
             if not unknown:
                 return
             answer = (await self.ask("definitions", types=unknown)).ok
@@ -193,7 +205,7 @@ class Robot:
 
     async def _suggest_type(self, name: str) -> str:
         known: list[str] = (await self.ask("interfaces")).ok["interfaces"]
-        package = name.split("/")[0]
+        package = name.partition("/")[0]
         if not any(other.startswith(package + "/") for other in known):
             return f"The package {package} is not there: source its workspace (--workspace DIR) or install it."
         return names.did_you_mean(name, known, "ros2_interface_list shows what is there.")
@@ -212,6 +224,22 @@ class Robot:
 
         await self.learn(type_name)
         return self.codec.encode(type_name, check(self.definitions, type_name, value))
+
+    def render(self, type_name: str, body: bytes, options: RenderOptions | None = None) -> Rendered:
+        """Bytes as bounded JSON values."""
+        from ros2_mcp.codec.render import RenderOptions, render
+
+        return render(self.definitions, type_name, self.codec.decode(type_name, body), options=options or RenderOptions())
+
+    def missing_fields(self, type_name: str, value: Mapping[str, Any]) -> list[str]:
+        """Top-level fields of a learnt type that the value does not give."""
+        from ros2_mcp.codec.check import missing_fields
+
+        return missing_fields(self.definitions, type_name, value)
+
+    def field_types(self, type_name: str) -> dict[str, Any]:
+        """Name → type of the top-level fields of a learnt message type."""
+        return {field.name: field.type for field in self.definitions.interface(type_name).sections[0].fields}
 
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -283,7 +311,7 @@ class Robot:
         reply = await self.ask(
             "publish",
             body,
-            timeout_s=wait_match_s + wait_ack_s + _REQUEST_S,
+            within_s=wait_match_s + wait_ack_s + _REQUEST_S,
             topic=topic,
             type=type_name,
             qos=choice.qos.request(),
@@ -309,7 +337,7 @@ class Robot:
             "repeat",
             body + zero,
             final_size=len(zero),
-            timeout_s=duration_s + wait_match_s + _REQUEST_S,
+            within_s=duration_s + wait_match_s + _REQUEST_S,
             topic=topic,
             type=type_name,
             qos=choice.qos.request(),
@@ -319,6 +347,28 @@ class Robot:
         )
         ok = reply.ok
         return Sent(topic, type_name, choice, ok["sent"], ok["matched"], None, ok["elapsed_s"], ok["late"], bool(zero))
+
+    async def call(
+        self, service: str, service_type: str, request: Mapping[str, Any], *, timeout_s: float, wait_s: float | None = None
+    ) -> Answer:
+        """Calls a service whose server may still have to appear.
+
+        Raises:
+            NotFound: if no server appeared within `wait_s` (the time-out if not given), or it left before it answered.
+            TimedOut: if it did not answer in time.
+        """
+        body = await self.encode(f"{service_type}_Request", request)
+        wait_s = timeout_s if wait_s is None else wait_s
+        reply = await self.ask(
+            "call",
+            body,
+            within_s=timeout_s + wait_s + _REQUEST_S,
+            service=service,
+            type=service_type,
+            wait_s=wait_s,
+            timeout_s=timeout_s,
+        )
+        return Answer(reply.body, reply.ok["elapsed_s"])
 
     async def _prepare(self, topic: str, type_name: str, value: object) -> tuple[str, str, Choice, bytes]:
         topic = names.absolute(topic)

@@ -47,7 +47,7 @@ class RobotTool(Tool):
     _declaration: ToolDeclaration = PrivateAttr()
     _robot: Robot = PrivateAttr()
 
-    async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:
+    async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:  # noqa: ARG002
         """Validates, calls and renders one call.
 
         Raises:

@@ -59,6 +59,19 @@ def interface_type(name: str, kind: str) -> str:
     return f"{match['package']}/{kind}/{match['name']}"
 
 
+_DERIVED = re.compile(
+    r"(?<=/)(?P<base>\w+?)_(SendGoal|GetResult|SendGoal_Request|SendGoal_Response|GetResult_Request|GetResult_Response"
+    r"|FeedbackMessage|Feedback|Goal|Result|Request|Response)$"
+)
+
+
+def defining_type(name: str) -> str:
+    """The interface whose file defines a type: `a/action/Go_SendGoal_Request` is defined by `a/action/Go`."""
+    package, kind, base = name.split("/")
+    match = _DERIVED.search(name) if kind != "msg" else None
+    return f"{package}/{kind}/{match['base'] if match else base}"
+
+
 def is_hidden(name: str) -> bool:
     """Whether ROS hides the name by convention: a part that starts with an underscore."""
     return "/_" in name

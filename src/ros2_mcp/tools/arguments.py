@@ -27,7 +27,7 @@ TopicName = Annotated[str, Field(description="Name of the topic, such as /scan."
 MessageType = Annotated[
     str,
     Field(
-        description="Type such as sensor_msgs/msg/LaserScan. Leave it out to use the topic's own; it selects among several."
+        description="Type such as sensor_msgs/msg/LaserScan. Leave it out to use the topic's own."
     ),
 ]
 Pattern = Annotated[str, Field(description="Only names that match: a glob such as /camera/*, or any part of a name.")]

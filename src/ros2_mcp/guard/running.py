@@ -1,0 +1,53 @@
+"""What this server has set in motion and must be able to stop: velocity topics it drives, goals it has sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from time import monotonic
+
+
+@dataclass(frozen=True, slots=True)
+class SentGoal:
+    """A goal that this server sent and that has not been seen to end."""
+
+    goal_id: str
+    action: str
+    action_type: str
+    sent_at: float
+
+
+class SentGoals:
+    """The goals of this server that have not been seen to end."""
+
+    def __init__(self) -> None:
+        self._open: dict[str, SentGoal] = {}
+
+    def sent(self, goal_id: str, action: str, action_type: str) -> None:
+        """Notes a goal just before it is sent."""
+        self._open[goal_id] = SentGoal(goal_id, action, action_type, monotonic())
+
+    def ended(self, goal_id: str) -> None:
+        """Forgets a goal that ended or was not accepted."""
+        self._open.pop(goal_id, None)
+
+    @property
+    def open(self) -> Mapping[str, SentGoal]:
+        """The goals by their ids."""
+        return dict(self._open)
+
+
+class Driven:
+    """Topics with velocity commands that this server has published on, and the bytes that stop them."""
+
+    def __init__(self) -> None:
+        self._zeros: dict[tuple[str, str], bytes] = {}
+
+    def drove(self, topic: str, type_name: str, zero: bytes) -> None:
+        """Notes a topic and its zero command (CDR)."""
+        self._zeros[topic, type_name] = zero
+
+    @property
+    def zeros(self) -> Mapping[tuple[str, str], bytes]:
+        """(topic, type) → the bytes of its zero command."""
+        return dict(self._zeros)

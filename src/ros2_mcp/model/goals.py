@@ -1,0 +1,58 @@
+"""Goals of actions: their identity and state."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ros2_mcp.model.errors import BadValue
+
+STATUS: Mapping[int, str] = {
+    -1: "NOT_ACCEPTED",
+    0: "UNKNOWN",
+    1: "ACCEPTED",
+    2: "EXECUTING",
+    3: "CANCELING",
+    4: "SUCCEEDED",
+    5: "CANCELED",
+    6: "ABORTED",
+}
+"""Codes of action_msgs/msg/GoalStatus, and -1 for a goal that was never accepted."""
+
+TERMINAL = frozenset({4, 5, 6})
+
+CANCEL_CODES: Mapping[int, str] = {
+    0: "ERROR_NONE",
+    1: "ERROR_REJECTED",
+    2: "ERROR_UNKNOWN_GOAL_ID",
+    3: "ERROR_GOAL_TERMINATED",
+}
+"""Codes of action_msgs/srv/CancelGoal."""
+
+
+def new_goal_id() -> str:
+    """A fresh goal id: 32 hexadecimal digits."""
+    return uuid.uuid4().hex
+
+
+def goal_id_bytes(goal_id: str) -> list[int]:
+    """The 16 bytes of a goal id as unique_identifier_msgs/msg/UUID holds them.
+
+    Raises:
+        BadValue: if it is not 32 hexadecimal digits.
+    """
+    try:
+        return list(uuid.UUID(hex=goal_id).bytes)
+    except ValueError as error:
+        raise BadValue("goal_id_hex", f"{goal_id!r} is not a goal id.", "Give its 32 hexadecimal digits.") from error
+
+
+def goal_id_hex(raw: Sequence[int]) -> str:
+    """The goal id of 16 bytes."""
+    return bytes(raw).hex()
+
+
+def stamp_seconds(stamp: Mapping[str, Any]) -> float:
+    """A builtin_interfaces/msg/Time as seconds."""
+    return int(stamp["sec"]) + int(stamp["nanosec"]) / 1e9

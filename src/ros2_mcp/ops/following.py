@@ -1,0 +1,224 @@
+"""Following goals, whoever sent them: feedback, status, and all goals at a glance."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Mapping, Sequence
+from dataclasses import dataclass
+from time import monotonic
+from typing import Any
+
+from ros2_mcp.guard.policy import MAX_DURATION_S, bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadInput, NotFound
+from ros2_mcp.model.goals import STATUS, goal_id_bytes, goal_id_hex, stamp_seconds
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.actions import SERVER_S, action_types, resolve_type
+from ros2_mcp.ops.results import Report, iso_time, silent
+from ros2_mcp.robot import Listening, Robot
+
+_STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
+_LATCHED_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class FeedbackMessage:
+    """One feedback message of one goal; `recv_stamp` is ISO 8601."""
+
+    goal_id: str
+    feedback: dict[str, Any]
+    recv_stamp: str
+
+
+@dataclass(frozen=True, slots=True)
+class FeedbackMessages:
+    """The feedback of an action over a while, of one goal or of all."""
+
+    topic: str
+    action_type: str
+    goal_id_filter: str | None
+    duration_sec: float
+    messages: Sequence[FeedbackMessage]
+    omitted: int
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{len(self.messages)} feedback message(s) in {self.duration_sec:.2f} s. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class GoalState:
+    """A goal and its state as its server tells it; `accept_stamp` is {sec, nanosec}."""
+
+    goal_id: str
+    accept_stamp: dict[str, Any]
+    status_code: int
+    status: str
+
+
+@dataclass(frozen=True, slots=True)
+class StatusFrame:
+    """All goals of one action at one moment; `stamp` is the time of receipt, ISO 8601."""
+
+    stamp: str
+    statuses: Sequence[GoalState]
+
+
+@dataclass(frozen=True, slots=True)
+class StatusFrames:
+    """How the goals of an action changed over a while."""
+
+    topic: str
+    duration_sec: float
+    frames: Sequence[StatusFrame]
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{len(self.frames)} status message(s) in {self.duration_sec:.2f} s. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class KnownGoal:
+    """A goal of any action, with its age since it was accepted; `ours` if this server sent it."""
+
+    action_name: str
+    goal_id: str
+    status_code: int
+    status: str
+    age_sec: float
+    ours: bool
+
+
+@dataclass(frozen=True, slots=True)
+class KnownGoals:
+    """Every goal that the action servers tell of, the newest first."""
+
+    goals: Sequence[KnownGoal]
+    actions: Sequence[str]
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{len(self.goals)} goal(s) of {len(self.actions)} action(s). {self.note}".rstrip()
+
+
+async def follow_feedback(
+    robot: Robot,
+    action: str,
+    action_type: str = "",
+    *,
+    goal_id: str | None = None,
+    duration_s: float = 5.0,
+    max_messages: int = 100,
+    report: Report = silent,
+) -> FeedbackMessages:
+    """The feedback of an action's goals for a while.
+
+    Raises:
+        NotFound: if no such action is there.
+        BadValue: if the goal id is not one.
+    """
+    wanted = goal_id_hex(goal_id_bytes(goal_id)) if goal_id else None
+    _check_limits(duration_s, max_messages)
+    action = names.absolute(action, "action")
+    action_type = await resolve_type(robot, action, action_type)
+    topic, started = f"{action}/_action/feedback", monotonic()
+    messages: list[FeedbackMessage] = []
+    seen = 0
+    async with robot.listen(topic, f"{action_type}_FeedbackMessage", wait_s=SERVER_S) as heard:
+        async for sample in _samples(heard, duration_s, report):
+            message = robot.render(heard.type, sample.data).value
+            sender = goal_id_hex(message["goal_id"]["uuid"])
+            if wanted in (None, sender):
+                seen += 1
+                messages.append(FeedbackMessage(sender, message["feedback"], iso_time(sample.received_ns)))
+            if len(messages) >= max_messages:
+                break
+    note = "" if messages else "No feedback came: no goal is running, or its server sends none."
+    return FeedbackMessages(topic, action_type, wanted, monotonic() - started, messages, seen - len(messages), note)
+
+
+async def follow_status(
+    robot: Robot, action: str, *, duration_s: float = 5.0, max_messages: int = 100, report: Report = silent
+) -> StatusFrames:
+    """The states of an action's goals for a while; the last known states come first.
+
+    Raises:
+        NotFound: if no such action is there.
+    """
+    _check_limits(duration_s, max_messages)
+    action = names.absolute(action, "action")
+    await resolve_type(robot, action)
+    topic, started = f"{action}/_action/status", monotonic()
+    frames: list[StatusFrame] = []
+    async with robot.listen(topic, _STATUS_TYPE, wait_s=SERVER_S) as heard:
+        async for sample in _samples(heard, duration_s, report):
+            frames.append(StatusFrame(iso_time(sample.received_ns), _states(robot, sample)))
+            if len(frames) >= max_messages:
+                break
+    note = "" if frames else "Its server has not told of any goal yet."
+    return StatusFrames(topic, monotonic() - started, frames, note)
+
+
+async def all_goals(robot: Robot) -> KnownGoals:
+    """Every goal that the action servers tell of, with state and age."""
+    actions = sorted(await action_types(robot))
+    found = await asyncio.gather(*(_goals_of(robot, action) for action in actions))
+    goals = sorted((goal for goals in found for goal in goals), key=lambda goal: goal.age_sec)
+    note = "" if goals else "No goal has been sent yet, or the servers have forgotten them."
+    return KnownGoals(goals, actions, note)
+
+
+async def _goals_of(robot: Robot, action: str) -> list[KnownGoal]:
+    try:
+        async with robot.listen(f"{action}/_action/status", _STATUS_TYPE, keep="latest") as heard:
+            samples = await heard.take(_LATCHED_S)
+    except NotFound:
+        return []
+    states = _states(robot, samples[-1]) if samples else []
+    now, ours = time.time(), robot.goals.open
+    return [
+        KnownGoal(
+            action,
+            state.goal_id,
+            state.status_code,
+            state.status,
+            round(now - stamp_seconds(state.accept_stamp), 3),
+            state.goal_id in ours,
+        )
+        for state in states
+    ]
+
+
+def _states(robot: Robot, sample: Sample) -> list[GoalState]:
+    from ros2_mcp.codec.render import RenderOptions
+
+    message: Mapping[str, Any] = robot.render(_STATUS_TYPE, sample.data, RenderOptions(max_array=200)).value
+    return [
+        GoalState(
+            goal_id_hex(entry["goal_info"]["goal_id"]["uuid"]),
+            entry["goal_info"]["stamp"],
+            int(entry["status"]),
+            STATUS.get(int(entry["status"]), str(entry["status"])),
+        )
+        for entry in message["status_list"]
+    ]
+
+
+async def _samples(heard: Listening, duration_s: float, report: Report) -> AsyncIterator[Sample]:
+    started = monotonic()
+    while (left := started + duration_s - monotonic()) > 0:
+        for sample in await heard.take(min(left, 1.0)):
+            yield sample
+        elapsed = monotonic() - started
+        if elapsed > 1.0:
+            await report(elapsed, duration_s, f"{heard.topic}: listening")
+
+
+def _check_limits(duration_s: float, max_messages: int) -> None:
+    bounded("duration_sec", duration_s, 0.0, MAX_DURATION_S, "s")
+    if not 1 <= max_messages <= 1000:
+        raise BadInput(f"max_messages: {max_messages} is out of range.", "Give 1 to 1000.")

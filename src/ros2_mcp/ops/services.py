@@ -1,0 +1,183 @@
+"""Services: which there are, and calling them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import NotFound, TypeConflict, UnknownInterface
+from ros2_mcp.robot import Robot
+
+_INFRASTRUCTURE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
+MAX_TIMEOUT_S = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceEntry:
+    """One service; `request_fields` is name → type, `providers` are the nodes that serve it."""
+
+    service_name: str
+    service_type: str
+    request_fields: dict[str, Any]
+    providers: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceList:
+    """The services of the graph."""
+
+    services: Sequence[ServiceEntry]
+    total: int
+    settled: bool
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{len(self.services)} of {self.total} services. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceAnswer:
+    """The response of a service as an object, or `called` false with the request fields that are missing."""
+
+    service_name: str
+    service_type: str
+    called: bool
+    result: dict[str, Any] | None
+    missing_fields: Sequence[str]
+    elapsed: float
+    truncated: Sequence[str]
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        if not self.called:
+            return f"{self.service_name} was not called. {self.note}"
+        return f"{self.service_name} answered in {self.elapsed * 1000:.1f} ms. {self.note}".rstrip()
+
+
+async def list_services(
+    robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200
+) -> ServiceList:
+    """The services whose names match the pattern. Those that every node has are shown with `include_hidden`."""
+    raw = await robot.graph("services")
+    every = {name: types for name, types in raw["services"]}
+    visible = [name for name in sorted(every) if include_hidden or not _is_infrastructure(name, every[name])]
+    chosen = names.matching(visible, pattern)
+    providers, fields = await asyncio.gather(
+        _providers(robot), _request_fields(robot, [every[name][0] for name in chosen[:limit]])
+    )
+    entries = [
+        ServiceEntry(name, every[name][0], fields.get(every[name][0], {}), providers.get(name, []))
+        for name in chosen[:limit]
+    ]
+    note = _list_note(len(every) - len(visible), len(chosen), limit, raw["settled"])
+    return ServiceList(entries, len(every), raw["settled"], note)
+
+
+async def call(
+    robot: Robot,
+    service: str,
+    service_type: str,
+    request: Mapping[str, Any],
+    *,
+    force_call: bool = False,
+    timeout_s: float = 10.0,
+) -> ServiceAnswer:
+    """Calls a service and waits for its answer; a server that appears within the time-out is used.
+
+    Raises:
+        NotFound: if no server appeared, or it left before it answered.
+        TypeConflict: if the service has another type.
+        TimedOut: if it did not answer in time.
+        BadValue: naming the path of a value that does not fit; nothing is sent.
+    """
+    robot.policy.require_write(f"Calling {service}")
+    bounded("timeout_sec", timeout_s, 0.01, MAX_TIMEOUT_S, "s")
+    service = names.absolute(service, "service")
+    service_type = await resolve_type(robot, service, service_type)
+    await robot.learn(service_type)
+    missing = robot.missing_fields(f"{service_type}_Request", request)
+    if missing and not force_call:
+        return _not_called(service, service_type, missing)
+    answer = await robot.call(service, service_type, request, timeout_s=timeout_s)
+    shown = robot.render(f"{service_type}_Response", answer.body)
+    return ServiceAnswer(service, service_type, True, shown.value, missing, answer.elapsed_s, shown.truncated, "")
+
+
+def _not_called(service: str, service_type: str, missing: Sequence[str]) -> ServiceAnswer:
+    note = (
+        f"Missing request fields: {', '.join(missing)}. Give them, or set force_call to true to call with their "
+        "default values."
+    )
+    return ServiceAnswer(service, service_type, False, None, missing, 0.0, (), note)
+
+
+async def resolve_type(robot: Robot, service: str, asked: str) -> str:
+    """The type to call a service with: the asked one, or the one that the graph knows.
+
+    Raises:
+        TypeConflict: if the service has another type than the asked one, or several and none is asked for.
+        NotFound: if it is not there and no type is asked for.
+    """
+    wanted = names.interface_type(asked, "srv") if asked else ""
+    known = {name: types for name, types in (await robot.graph("services"))["services"]}
+    types: list[str] = known.get(service, [])
+    if wanted and types and wanted not in types:
+        raise TypeConflict(f"{service} has the type {' and '.join(types)}, not {wanted}.", "Leave the type out.")
+    if wanted:
+        return wanted
+    if not types:
+        hint = names.did_you_mean(service, list(known), "ros2_service_list shows what is there.")
+        raise NotFound(f"There is no service {service}.", hint)
+    if len(types) > 1:
+        raise TypeConflict(f"{service} has {len(types)} types: {', '.join(types)}.", "Give the type you mean.")
+    return types[0]
+
+
+async def _providers(robot: Robot) -> dict[str, list[str]]:
+    """Service → the full names of the nodes that serve it."""
+    nodes = (await robot.graph("nodes"))["nodes"]
+    answers = await asyncio.gather(*(_served_by(robot, name, namespace) for name, namespace in nodes))
+    providers: dict[str, list[str]] = {}
+    for (name, namespace), services in zip(nodes, answers, strict=True):
+        for service in services:
+            providers.setdefault(service, []).append(names.full_node_name(name, namespace))
+    return providers
+
+
+async def _served_by(robot: Robot, name: str, namespace: str) -> list[str]:
+    try:
+        return [entry[0] for entry in (await robot.graph("node", name=name, namespace=namespace))["servers"]]
+    except NotFound:
+        return []
+
+
+async def _request_fields(robot: Robot, types: Sequence[str]) -> dict[str, dict[str, Any]]:
+    fields: dict[str, dict[str, Any]] = {}
+    for name in sorted(set(types)):
+        try:
+            await robot.learn(name)
+            fields[name] = robot.field_types(f"{name}_Request")
+        except UnknownInterface:
+            fields[name] = {}
+    return fields
+
+
+def _is_infrastructure(name: str, types: Sequence[str]) -> bool:
+    return names.is_hidden(name) or any(kind.startswith(_INFRASTRUCTURE) for kind in types)
+
+
+def _list_note(left_out: int, matching: int, limit: int, settled: bool) -> str:
+    notes: list[str] = []
+    if left_out:
+        notes.append(f"{left_out} that nodes have of themselves (parameters, actions) are left out.")
+    if matching > limit:
+        notes.append(f"{matching} match, the first {limit} are shown.")
+    if not settled:
+        notes.append("Discovery had not settled yet: ask again.")
+    return " ".join(notes)

@@ -1,0 +1,134 @@
+"""Tools for actions: send goals, follow them, cancel them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from ros2_mcp.ops import actions, following
+from ros2_mcp.ops.results import Report
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import Flag, Number, Pattern, Whole
+from ros2_mcp.tools.declare import tool
+
+ActionName = Annotated[str, Field(description="Name of the action, such as /navigate_to.")]
+ActionType = Annotated[
+    str, Field(description="Type such as nav2_msgs/action/NavigateToPose. Leave it out to use the action's own.")
+]
+GoalId = Annotated[str, Field(description="The goal's id: 32 hexadecimal digits.")]
+Duration = Annotated[Number, Field(gt=0, le=3600, description="Listen for this long, in seconds.")]
+MaxMessages = Annotated[Whole, Field(ge=1, le=1000, description="Stop after this many messages.")]
+ResultTimeout = Annotated[
+    Number | None, Field(ge=0, le=3600, description="Wait at most this long for the result, in seconds.")
+]
+
+
+@tool(title="List actions", risk="read")
+async def ros2_list_actions(robot: Robot, pattern: Pattern = "") -> actions.ActionList:
+    """List the actions of the robot with their types and the fields of their goals."""
+    return await actions.list_actions(robot, pattern)
+
+
+@tool(title="Send a goal", risk="actuate")
+async def ros2_send_action_goal(
+    robot: Robot,
+    report: Report,
+    action_name: ActionName,
+    goal_fields: Annotated[dict[str, Any], Field(description="The goal's fields.")],
+    action_type: ActionType = "",
+    wait_for_result: Annotated[Flag, Field(description="Wait until the goal has ended.")] = False,
+    timeout_sec: ResultTimeout = 60.0,
+) -> actions.GoalOutcome:
+    """Send a goal to an action server. Can move the robot.
+
+    With wait_for_result the result is waited for, with feedback as progress; if the time ends first the goal goes on
+    (status TIMEOUT). Without it, use ros2_action_request_result with the goal_id later.
+    """
+    return await actions.send_goal(
+        robot,
+        action_name,
+        action_type,
+        goal_fields,
+        wait_for_result=wait_for_result,
+        timeout_s=60.0 if timeout_sec is None else timeout_sec,
+        report=report,
+    )
+
+
+@tool(title="Cancel goals", risk="actuate")
+async def ros2_cancel_action_goal(
+    robot: Robot,
+    action_name: ActionName,
+    goal_id_hex: Annotated[str, Field(description="The goal's id; needed unless cancel_all is true.")] = "",
+    cancel_all: Annotated[Flag, Field(description="Cancel every goal of the action.")] = False,
+    stamp_sec: Annotated[Whole, Field(description="With cancel_all: only goals accepted up to this time.")] = 0,
+    stamp_nanosec: Annotated[Whole, Field(ge=0, lt=1_000_000_000, description="Nanoseconds of that time.")] = 0,
+    wait_timeout_sec: Annotated[Number, Field(gt=0, le=60, description="Wait at most this long for the answer.")] = 3.0,
+) -> actions.Cancellation:
+    """Ask an action server to cancel a goal, or all goals."""
+    return await actions.cancel(
+        robot,
+        action_name,
+        goal_id_hex,
+        cancel_all=cancel_all,
+        stamp={"sec": stamp_sec, "nanosec": stamp_nanosec},
+        timeout_s=wait_timeout_sec,
+    )
+
+
+@tool(title="Result of a goal", risk="read")
+async def ros2_action_request_result(
+    robot: Robot,
+    action_name: ActionName,
+    goal_id_hex: GoalId,
+    action_type: ActionType = "",
+    timeout_sec: ResultTimeout = 60.0,
+    wait_for_service_sec: Annotated[Number, Field(ge=0, le=60, description="Wait this long for the server.")] = 3.0,
+) -> actions.GoalResult:
+    """Wait for the result of a goal, whoever sent it. A time-out does not cancel it."""
+    return await actions.request_result(
+        robot, action_name, action_type, goal_id_hex, timeout_s=timeout_sec, wait_for_service_s=wait_for_service_sec
+    )
+
+
+@tool(title="Feedback of goals", risk="read")
+async def ros2_action_subscribe_feedback(
+    robot: Robot,
+    report: Report,
+    action_name: ActionName,
+    action_type: ActionType = "",
+    goal_id_hex: Annotated[str | None, Field(description="Only this goal; default: every goal.")] = None,
+    duration_sec: Duration = 5.0,
+    max_messages: MaxMessages = 100,
+) -> following.FeedbackMessages:
+    """Follow the feedback of an action's goals for a while, whoever sent them."""
+    return await following.follow_feedback(
+        robot,
+        action_name,
+        action_type,
+        goal_id=goal_id_hex,
+        duration_s=duration_sec,
+        max_messages=max_messages,
+        report=report,
+    )
+
+
+@tool(title="Status of an action's goals", risk="read")
+async def ros2_action_subscribe_status(
+    robot: Robot,
+    report: Report,
+    action_name: ActionName,
+    duration_sec: Duration = 5.0,
+    max_messages: MaxMessages = 100,
+) -> following.StatusFrames:
+    """Follow how the states of an action's goals change for a while; the last known states come first."""
+    return await following.follow_status(
+        robot, action_name, duration_s=duration_sec, max_messages=max_messages, report=report
+    )
+
+
+@tool(title="All goals", risk="read")
+async def ros2_action_status(robot: Robot) -> following.KnownGoals:
+    """Show every goal of every action with its state and age, in one look."""
+    return await following.all_goals(robot)

@@ -1,0 +1,40 @@
+"""Tools that list and call services."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from ros2_mcp.ops import services
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Number, Pattern
+from ros2_mcp.tools.declare import tool
+
+
+@tool(title="List services", risk="read")
+async def ros2_service_list(
+    robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 100
+) -> services.ServiceList:
+    """List the services of the robot with their types, request fields and the nodes that serve them."""
+    return await services.list_services(robot, pattern, include_hidden, limit)
+
+
+@tool(title="Call a service", risk="actuate", aliases={"timeout": "timeout_sec"})
+async def ros2_service_call(
+    robot: Robot,
+    service_name: Annotated[str, Field(description="Name of the service, such as /set_mode.")],
+    fields: Annotated[dict[str, Any], Field(description='The request\'s fields, such as {"data": true}.')],
+    service_type: Annotated[
+        str, Field(description="Type such as std_srvs/srv/SetBool. Leave it out to use the service's own.")
+    ] = "",
+    force_call: Annotated[Flag, Field(description="Call even if request fields are missing; they get defaults.")] = False,
+    timeout_sec: Annotated[Number, Field(gt=0, le=3600, description="Wait at most this long, in seconds.")] = 10.0,
+) -> services.ServiceAnswer:
+    """Call a service and wait for its answer. Can move the robot.
+
+    If request fields are missing it is not called: the answer names them.
+    """
+    return await services.call(
+        robot, service_name, service_type, fields, force_call=force_call, timeout_s=timeout_sec
+    )
