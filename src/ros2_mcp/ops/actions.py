@@ -284,7 +284,9 @@ class _Feedback:
 def _line(feedback: Mapping[str, Any]) -> str:
     """Feedback as a readable line of its plain values."""
     plain = {name: value for name, value in feedback.items() if isinstance(value, (int, float, str))}
-    return ", ".join(f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in plain.items())
+    return ", ".join(
+        f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in plain.items()
+    )
 
 
 async def request_result(

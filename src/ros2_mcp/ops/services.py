@@ -60,12 +60,10 @@ class ServiceAnswer:
         return f"{self.service_name} answered in {self.elapsed * 1000:.1f} ms. {self.note}".rstrip()
 
 
-async def list_services(
-    robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200
-) -> ServiceList:
+async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> ServiceList:
     """The services whose names match the pattern. Those that every node has are shown with `include_hidden`."""
     raw = await robot.graph("services")
-    every = {name: types for name, types in raw["services"]}
+    every: dict[str, list[str]] = dict(raw["services"])
     visible = [name for name in sorted(every) if include_hidden or not _is_infrastructure(name, every[name])]
     chosen = names.matching(visible, pattern)
     providers, fields = await asyncio.gather(
@@ -125,7 +123,7 @@ async def resolve_type(robot: Robot, service: str, asked: str) -> str:
         NotFound: if it is not there and no type is asked for.
     """
     wanted = names.interface_type(asked, "srv") if asked else ""
-    known = {name: types for name, types in (await robot.graph("services"))["services"]}
+    known = dict((await robot.graph("services"))["services"])
     types: list[str] = known.get(service, [])
     if wanted and types and wanted not in types:
         raise TypeConflict(f"{service} has the type {' and '.join(types)}, not {wanted}.", "Leave the type out.")

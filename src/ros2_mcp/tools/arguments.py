@@ -26,9 +26,7 @@ Flag = Annotated[bool, BeforeValidator(_strictly_bool)]
 TopicName = Annotated[str, Field(description="Name of the topic, such as /scan.")]
 MessageType = Annotated[
     str,
-    Field(
-        description="Type such as sensor_msgs/msg/LaserScan. Leave it out to use the topic's own."
-    ),
+    Field(description="Type such as sensor_msgs/msg/LaserScan. Leave it out to use the topic's own."),
 ]
 Pattern = Annotated[str, Field(description="Only names that match: a glob such as /camera/*, or any part of a name.")]
 Limit = Annotated[Whole, Field(ge=1, le=2000, description="How many to list at most.")]

@@ -8,6 +8,10 @@ from typing import Any, cast
 Schema = dict[str, Any]
 _REFERENCE = "#/$defs/"
 _BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
+_ANY_VALUE: Schema = {
+    "type": ["boolean", "number", "string", "array", "null"],
+    "items": {"type": ["boolean", "number", "string"]},
+}
 
 
 def plain_input(schema: Mapping[str, Any]) -> Schema:
@@ -27,6 +31,8 @@ def _plain(node: Mapping[str, Any], definitions: Mapping[str, Any], *, nullable:
     if "$ref" in node:
         target = definitions[str(node["$ref"]).removeprefix(_REFERENCE)]
         return _plain({**target, **_without(node, "$ref")}, definitions, nullable=nullable)
+    if not node.keys() - {"title", "default", "description"}:
+        return {**_ANY_VALUE, **_without(node, "title")}
     if "anyOf" in node:
         return _optional(node, definitions, nullable=nullable)
     result: Schema = {}

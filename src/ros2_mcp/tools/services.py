@@ -28,13 +28,13 @@ async def ros2_service_call(
     service_type: Annotated[
         str, Field(description="Type such as std_srvs/srv/SetBool. Leave it out to use the service's own.")
     ] = "",
-    force_call: Annotated[Flag, Field(description="Call even if request fields are missing; they get defaults.")] = False,
+    force_call: Annotated[
+        Flag, Field(description="Call even if request fields are missing; they get defaults.")
+    ] = False,
     timeout_sec: Annotated[Number, Field(gt=0, le=3600, description="Wait at most this long, in seconds.")] = 10.0,
 ) -> services.ServiceAnswer:
     """Call a service and wait for its answer. Can move the robot.
 
     If request fields are missing it is not called: the answer names them.
     """
-    return await services.call(
-        robot, service_name, service_type, fields, force_call=force_call, timeout_s=timeout_sec
-    )
+    return await services.call(robot, service_name, service_type, fields, force_call=force_call, timeout_s=timeout_sec)

@@ -1,0 +1,98 @@
+"""Parameter values: JSON ↔ rcl_interfaces/msg/ParameterValue, exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+from ros2_mcp.model.errors import BadValue
+
+TYPES = (
+    "not_set",
+    "bool",
+    "integer",
+    "double",
+    "string",
+    "byte_array",
+    "bool_array",
+    "integer_array",
+    "double_array",
+    "string_array",
+)
+"""Names of the types by their codes in rcl_interfaces/msg/ParameterType."""
+
+_FIELDS = ("", *(f"{name}_value" for name in TYPES[1:]))
+_NOT_FINITE = ("nan", "inf", "-inf")
+
+
+def type_name(code: int) -> str:
+    """The name of a parameter type's code."""
+    return TYPES[code] if 0 <= code < len(TYPES) else f"unknown({code})"
+
+
+def value_of(message: Mapping[str, Any]) -> Any:
+    """The plain value of a ParameterValue; None where it is not set."""
+    code = int(message["type"])
+    return message[_FIELDS[code]] if 0 < code < len(_FIELDS) else None
+
+
+def as_message(path: str, value: Any, declared: str) -> dict[str, Any]:
+    """The ParameterValue of a JSON value for a parameter declared with that type.
+
+    An integer is taken for a double (1 → 1.0) and a whole double for an integer (3.0 → 3); nothing else is converted.
+
+    Raises:
+        BadValue: if the value is not of the declared type.
+    """
+    kind = _kind(path, value, declared)
+    converted = _converted(path, value, kind)
+    code = TYPES.index(kind)
+    return {"type": code, _FIELDS[code]: converted} if code else {"type": 0}
+
+
+def _kind(path: str, value: Any, declared: str) -> str:
+    if declared not in ("not_set", "dynamic"):
+        return declared
+    if value is None:
+        return "not_set"
+    if isinstance(value, list):
+        items = cast("list[Any]", value)
+        kinds = {_kind(f"{path}[{index}]", item, "dynamic") for index, item in enumerate(items)}
+        if kinds == {"integer", "double"}:
+            return "double_array"
+        if len(kinds) != 1:
+            raise BadValue(path, "the elements of an array must have one type, and there must be at least one.")
+        return f"{kinds.pop()}_array"
+    kinds_by_type = {bool: "bool", int: "integer", float: "double", str: "string"}
+    if type(value) not in kinds_by_type:
+        raise BadValue(
+            path, f"{value!r} cannot be a parameter.", "Give a bool, number, text, or an array of one of them."
+        )
+    return kinds_by_type[type(value)]
+
+
+def _converted(path: str, value: Any, kind: str) -> Any:
+    if kind == "not_set":
+        return None
+    if kind.endswith("_array"):
+        if not isinstance(value, list):
+            raise BadValue(path, f"{value!r} is not an array.", f"The parameter is a {kind.replace('_', ' ')}.")
+        element = {"byte_array": "integer"}.get(kind, kind.removesuffix("_array"))
+        items = cast("list[Any]", value)
+        return [_converted(f"{path}[{index}]", item, element) for index, item in enumerate(items)]
+    return _scalar(path, value, kind)
+
+
+def _scalar(path: str, value: Any, kind: str) -> Any:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if kind == "bool" and isinstance(value, bool):
+        return value
+    if kind == "string" and isinstance(value, str):
+        return value
+    if kind == "double" and (is_number or value in _NOT_FINITE):
+        return value
+    if kind == "integer" and is_number and value == int(value):
+        return int(value)
+    if kind == "integer" and isinstance(value, str) and value.lstrip("-").isdecimal():
+        return int(value)
+    raise BadValue(path, f"{value!r} is not of type {kind}.", f"The parameter is declared as {kind}.")

@@ -1,0 +1,122 @@
+"""Lifecycle nodes: their state, what is possible now, and changing it by name."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadInput, NotFound, RobotError
+from ros2_mcp.robot import Robot
+
+TIMEOUT_S = 5.0
+CHANGE_S = 30.0
+_APPEAR_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class LifecycleState:
+    """The state of one lifecycle node and the transitions that are possible now, by name."""
+
+    node: str
+    state: str
+    transitions: Sequence[str]
+    error: str = ""
+
+    def summary(self) -> str:
+        """One line."""
+        possible = ", ".join(self.transitions) or "nothing"
+        return f"{self.node}: " + (self.error or f"{self.state}; possible now: {possible}.")
+
+
+@dataclass(frozen=True, slots=True)
+class LifecycleStates:
+    """The states of several lifecycle nodes."""
+
+    nodes: Sequence[LifecycleState]
+
+    def summary(self) -> str:
+        """A line for each node."""
+        return "\n".join(node.summary() for node in self.nodes) or "There is no lifecycle node."
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """What became of a transition: the states before and after, and what is possible now."""
+
+    node: str
+    transition: str
+    successful: bool
+    state_before: str
+    state: str
+    transitions: Sequence[str]
+
+    def summary(self) -> str:
+        """One line."""
+        outcome = "done" if self.successful else "failed"
+        return f"{self.node}: {self.transition} {outcome}; {self.state_before} → {self.state}."
+
+
+async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
+    """The states of the named nodes, or of every lifecycle node; an `error` of one leaves the others."""
+    wanted = [names.absolute(node, "node") for node in nodes] or await _lifecycle_nodes(robot)
+    return LifecycleStates(await asyncio.gather(*(_state_or_error(robot, node) for node in wanted)))
+
+
+async def change(robot: Robot, node: str, transition: str) -> Transition:
+    """Makes a transition that is possible now, such as `configure` or `activate`.
+
+    Raises:
+        NotFound: if the node is not there or has no lifecycle.
+        BadInput: if the transition is not possible now; names those that are.
+    """
+    robot.policy.require_write(f"Changing the state of {node}")
+    node = names.absolute(node, "node")
+    before = await _state(robot, node)
+    if transition not in before.transitions:
+        possible = ", ".join(before.transitions) or "nothing"
+        raise BadInput(f"{node} is {before.state}: {transition!r} is not possible.", f"Possible now: {possible}.")
+    request = {"transition": {"id": 0, "label": transition}}
+    available = await _call(robot, node, "get_available_transitions", {})
+    for entry in available["available_transitions"]:
+        if entry["transition"]["label"] == transition:
+            request = {"transition": entry["transition"]}
+    response = await _call(robot, node, "change_state", request, CHANGE_S)
+    after = await _state(robot, node)
+    return Transition(node, transition, response["success"], before.state, after.state, after.transitions)
+
+
+async def _lifecycle_nodes(robot: Robot) -> list[str]:
+    services = (await robot.graph("services"))["services"]
+    ending, kind = "/change_state", "lifecycle_msgs/srv/ChangeState"
+    return sorted(name.removesuffix(ending) for name, types in services if name.endswith(ending) and kind in types)
+
+
+async def _state_or_error(robot: Robot, node: str) -> LifecycleState:
+    try:
+        return await _state(robot, node)
+    except RobotError as error:
+        return LifecycleState(node, "unknown", (), str(error))
+
+
+async def _state(robot: Robot, node: str) -> LifecycleState:
+    current, available = await asyncio.gather(
+        _call(robot, node, "get_state", {}), _call(robot, node, "get_available_transitions", {})
+    )
+    labels = [entry["transition"]["label"] for entry in available["available_transitions"]]
+    return LifecycleState(node, current["current_state"]["label"], sorted(set(labels)))
+
+
+async def _call(
+    robot: Robot, node: str, service: str, request: dict[str, Any], timeout_s: float = TIMEOUT_S
+) -> dict[str, Any]:
+    kind = "lifecycle_msgs/srv/" + "".join(word.capitalize() for word in service.split("_"))
+    try:
+        answer = await robot.call(f"{node}/{service}", kind, request, timeout_s=timeout_s, wait_s=_APPEAR_S)
+    except NotFound as error:
+        known = await _lifecycle_nodes(robot)
+        hint = names.did_you_mean(node, known, f"Lifecycle nodes: {', '.join(known) or 'none'}.")
+        raise NotFound(f"{node} is not a lifecycle node that is running.", hint) from error
+    return robot.render(f"{kind}_Response", answer.body).value

@@ -1,0 +1,60 @@
+"""Tools for parameters and the lifecycle of nodes."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from ros2_mcp.ops import lifecycle, parameters
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import Flag, Limit, Pattern
+from ros2_mcp.tools.declare import tool
+
+NodeName = Annotated[str, Field(description="Full name of the node, such as /base_controller.")]
+NodeNames = Annotated[list[str] | None, Field(description="Full names of nodes; default: every node.")]
+
+
+@tool(title="List parameters", risk="read")
+async def ros2_parameter_list(
+    robot: Robot, node_names: NodeNames = None, pattern: Pattern = "", limit: Limit = 100
+) -> parameters.ParameterList:
+    """List parameters with value, type, description, range and whether they are read-only; several nodes at once."""
+    return await parameters.describe(robot, node_names or (), pattern, limit)
+
+
+@tool(title="Read parameters", risk="read")
+async def ros2_parameter_get(
+    robot: Robot,
+    node_name: NodeName,
+    names: Annotated[list[str] | None, Field(description="Names of parameters; default: all, to be set back.")] = None,
+) -> parameters.Dump:
+    """Read parameters of a node as name → value, in the form that ros2_parameter_set takes."""
+    return await parameters.dump(robot, node_name, names)
+
+
+@tool(title="Set parameters", risk="actuate")
+async def ros2_parameter_set(
+    robot: Robot,
+    node_name: NodeName,
+    values: Annotated[dict[str, Any], Field(description='Name → value, such as {"max_speed": 0.5}.')],
+    atomic: Annotated[Flag, Field(description="Set all of them or none.")] = False,
+) -> parameters.SetResult:
+    """Set parameters of a node. Values are checked against type and range first, and read back afterwards."""
+    return await parameters.set_values(robot, node_name, values, atomic=atomic)
+
+
+@tool(title="Lifecycle states", risk="read")
+async def ros2_lifecycle_state(robot: Robot, node_names: NodeNames = None) -> lifecycle.LifecycleStates:
+    """Show the state of lifecycle nodes and the transitions possible now."""
+    return await lifecycle.states(robot, node_names or ())
+
+
+@tool(title="Change a lifecycle state", risk="actuate")
+async def ros2_lifecycle_change(
+    robot: Robot,
+    node_name: NodeName,
+    transition: Annotated[str, Field(description="A transition possible now, such as configure or activate.")],
+) -> lifecycle.Transition:
+    """Make a transition of a lifecycle node by name."""
+    return await lifecycle.change(robot, node_name, transition)
