@@ -1,0 +1,166 @@
+"""The simulated robot in its own process, seen by an ordinary ROS 2 node."""
+
+import math
+
+import pytest
+
+pytest.importorskip("rclpy")
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+EXPECTED_TOPICS = {
+    "/odom": "nav_msgs/msg/Odometry",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "/scan": "sensor_msgs/msg/LaserScan",
+    "/imu": "sensor_msgs/msg/Imu",
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/battery_state": "sensor_msgs/msg/BatteryState",
+    "/map": "nav_msgs/msg/OccupancyGrid",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "/camera/image_raw": "sensor_msgs/msg/Image",
+    "/camera/image_raw/compressed": "sensor_msgs/msg/CompressedImage",
+    "/camera/camera_info": "sensor_msgs/msg/CameraInfo",
+    "/camera/depth/image_raw": "sensor_msgs/msg/Image",
+    "/cmd_vel": "geometry_msgs/msg/Twist",
+}
+
+
+def test_the_graph_shows_all_topics_with_their_types(peer):
+    def complete():
+        seen = {name: types[0] for name, types in peer.node.get_topic_names_and_types()}
+        return EXPECTED_TOPICS.items() <= seen.items()
+
+    peer.wait(complete)
+
+
+def test_latched_messages_and_true_ranges_reach_a_late_subscriber(peer):
+    grid = peer.next("/map", "nav_msgs/msg/OccupancyGrid", LATCHED)
+    assert (grid.info.width, grid.info.height, len(grid.data)) == (164, 124, 164 * 124)
+    mounts = peer.next("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED).transforms
+    assert {mount.child_frame_id for mount in mounts} >= {"laser", "imu_link", "camera_optical"}
+    scan = peer.next("/scan", "sensor_msgs/msg/LaserScan", qos_profile_sensor_data)
+    near = [r for r in scan.ranges[175:186] if math.isfinite(r)]
+    assert sum(near) / len(near) == pytest.approx(2.45, abs=0.03)
+    assert scan.header.frame_id == "laser"
+    assert any(math.isinf(r) for r in scan.ranges)
+
+
+def test_it_drives_as_far_as_it_is_told_and_stops_when_commands_end(peer):
+    odometry = peer.subscribe("/odom", "nav_msgs/msg/Odometry")
+    peer.wait(lambda: odometry)
+    peer.drive(0.3, 0.0, 2.0)
+    peer.wait(lambda: odometry[-1].twist.twist.linear.x == 0.0, 3.0)
+    # 2 s of commands and 0.5 s of time-out, less what speeding up costs, and braking from there.
+    way = 0.3 * 2.5 - 0.3**2 / 2 / 1.0 + 0.3**2 / 2 / 2.0
+    assert odometry[-1].pose.pose.position.x == pytest.approx(way, rel=0.15)
+
+
+def test_a_wall_blocks_the_base_and_diagnostics_say_so(peer):
+    diagnostics = peer.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+    peer.drive(0.0, 1.5, 1.0)
+    peer.drive(0.5, 0.0, 7.5)
+
+    def warnings():
+        return [status for array in diagnostics for status in array.status if status.level == b"\x01"]
+
+    assert "base blocked" in peer.wait(warnings, 3.0)[0].message
+
+
+def test_a_parameter_changes_what_it_says_at_once_and_nonsense_is_refused(peer):
+    scans = peer.subscribe("/scan", "sensor_msgs/msg/LaserScan", qos_profile_sensor_data)
+    peer.wait(lambda: scans)
+    assert peer.set_parameter("lidar", "enabled", False).successful
+    peer.spin(0.3)
+    count = len(scans)
+    peer.spin(0.5)
+    assert len(scans) == count
+    too_fast = peer.set_parameter("base_controller", "max_linear_speed", 2.0)
+    assert (too_fast.successful, "range" in too_fast.reason) == (False, True)
+    fixed = peer.set_parameter("base_controller", "serial_number", "other")
+    assert (fixed.successful, "read-only" in fixed.reason) == (False, True)
+
+
+def test_services_answer_and_a_slow_one_delays_nothing(peer):
+    answer = peer.ask("slow_echo", "ros2_mcp_demo_interfaces/srv/SlowEcho", text="hello", delay=1.5)
+    refused = peer.call("set_mode", "ros2_mcp_demo_interfaces/srv/SetMode", mode="dance")
+    assert (refused.success, refused.previous_mode) == (False, "manual")
+    assert "idle, manual, autonomous" in refused.message
+    assert not peer.call("self_test", "std_srvs/srv/Trigger").success
+    assert peer.call("enable_motors", "std_srvs/srv/SetBool", data=False).success
+    assert not answer.done()
+    peer.wait(answer.done, 3.0)
+    assert (answer.result().text, round(answer.result().elapsed, 1)) == ("hello", 1.5)
+
+
+def test_an_obstacle_put_down_is_seen_by_laser_and_camera(peer):
+    before = peer.next("/camera/image_raw", "sensor_msgs/msg/Image")
+    spawn = "ros2_mcp_demo_interfaces/srv/SpawnObstacle"
+    assert peer.call("spawn_obstacle", spawn, name="crate", x=1.0, y=0.0, radius=0.25).success
+    scans = peer.subscribe("/scan", "sensor_msgs/msg/LaserScan", qos_profile_sensor_data)
+    peer.wait(lambda: scans and scans[-1].ranges[180] == pytest.approx(0.75, abs=0.05))
+    after = peer.next("/camera/image_raw", "sensor_msgs/msg/Image")
+    middle = 120 * after.step + 160 * 3
+    assert bytes(before.data[middle : middle + 3]) != bytes(after.data[middle : middle + 3])
+    assert after.data[middle] > 1.5 * after.data[middle + 2]
+
+
+def test_navigation_reaches_the_other_room_through_the_doorway(peer, goals):
+    answer = goals.result(goals.send(3.3, 0.6, yaw=0.0, use_yaw=True), 40.0)
+    assert (answer.status, answer.result.reached) == (4, True)
+    assert math.dist((answer.result.final_x, answer.result.final_y), (3.3, 0.6)) < 0.2
+    assert len(goals.feedback) > 10
+    assert all(0.8 < f.y < 1.8 for f in goals.feedback if abs(f.x - 2.5) < 0.1)
+    pose = peer.next("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped").pose.pose
+    assert (pose.position.x, pose.orientation.z) == pytest.approx((3.3, 0.0), abs=0.2)
+
+
+def test_a_canceled_goal_brakes_and_a_new_goal_replaces_the_old(peer, goals):
+    first = goals.send(3.3, 1.3)
+    second = goals.send(-1.5, 0.0)
+    replaced = goals.result(first, 5.0)
+    assert (replaced.status, replaced.result.reason) == (6, "replaced by a new goal")
+    peer.wait(lambda: any(f.state == "driving" for f in goals.feedback[-3:]), 15.0)
+    canceling = second.cancel_goal_async()
+    peer.wait(canceling.done)
+    assert len(canceling.result().goals_canceling) == 1
+    assert goals.result(second, 5.0).status == 5
+    odometry = peer.next("/odom", "nav_msgs/msg/Odometry")
+    assert abs(odometry.twist.twist.linear.x) < 0.01
+
+
+def test_goals_that_cannot_be_are_rejected_or_aborted_with_a_reason(peer, goals):
+    assert not goals.send(50.0, 0.0).accepted
+    assert not goals.send(math.nan, 0.0).accepted
+    inside_a_wall = goals.result(goals.send(2.5, 0.0), 10.0)
+    assert (inside_a_wall.status, "no free way" in inside_a_wall.result.reason) == (6, True)
+    driving = goals.send(1.0, 0.0)
+    assert peer.call("enable_motors", "std_srvs/srv/SetBool", data=False).success
+    stopped = goals.result(driving, 5.0)
+    assert (stopped.status, stopped.result.reason) == (6, "motors are disabled")
+
+
+def test_the_gripper_publishes_only_while_its_lifecycle_node_is_active(peer):
+    from lifecycle_msgs.msg import Transition
+
+    def change(transition):
+        wanted = Transition(id=transition)
+        return peer.call("/gripper_driver/change_state", "lifecycle_msgs/srv/ChangeState", transition=wanted).success
+
+    states = peer.subscribe("/gripper/joint_states", "sensor_msgs/msg/JointState")
+    assert change(Transition.TRANSITION_CONFIGURE)
+    peer.spin(0.5)
+    assert states == []
+    assert change(Transition.TRANSITION_ACTIVATE)
+    peer.wait(lambda: states)
+    assert change(Transition.TRANSITION_DEACTIVATE)
+    assert change(Transition.TRANSITION_CLEANUP)
+    assert change(Transition.TRANSITION_CONFIGURE)
+
+
+def test_without_interface_packages_it_says_what_it_leaves_out_and_ends_with_its_input(start_robot):
+    with start_robot([], 125, "--until-stdin-closes", "--namespace", "r2") as process:
+        assert "/navigate_to (no ros2_mcp_demo_interfaces)" in process.ready_line
+        process.stdin.close()
+        assert process.wait(10) == 0
