@@ -11,7 +11,7 @@ import platform
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from ros2_mcp.link.installation import Kind, RosInstallation, clean_environment, wheel_environment
@@ -58,7 +58,7 @@ def sourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | Non
     return _installation(settings, "sourced", distro, prefix, why, python, (), clean)
 
 
-def _rclpy_on_path(env: Mapping[str, str], prefixes: Iterable[Path]) -> Iterable[Path]:
+def _rclpy_on_path(env: Mapping[str, str], prefixes: Iterable[Path]) -> Iterator[Path]:
     for entry in _entries(env, "PYTHONPATH"):
         if (entry / "rclpy").is_dir():
             yield entry / "rclpy"
@@ -66,7 +66,7 @@ def _rclpy_on_path(env: Mapping[str, str], prefixes: Iterable[Path]) -> Iterable
         yield from rclpy_below(prefix)
 
 
-def rclpy_below(prefix: Path) -> Iterable[Path]:
+def rclpy_below(prefix: Path) -> Iterator[Path]:
     """The folders `rclpy` of a prefix, one for each Python it was installed for."""
     for pattern in _PYTHON_FOLDERS:
         yield from (folder / "rclpy" for folder in sorted(prefix.glob(pattern)) if (folder / "rclpy").is_dir())
@@ -103,7 +103,7 @@ def unsourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | N
         return None
     prefix = settings.ros_root / distro
     clean = _environment(settings, env, keep_sourced=False)
-    package = next(iter(rclpy_below(prefix)), None)
+    package = next(rclpy_below(prefix), None)
     python = _override(settings) or (package and _interpreter(package, [prefix], clean)) or "python3"
     reason = "asked for" if settings.distro else "the newest of " + ", ".join(installed)
     why = f"{prefix}/setup.bash is sourced for the bridge ({reason})."

@@ -1,0 +1,222 @@
+"""The bridge as the rest of the server sees it: always there, started again when it is lost."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping, Sequence
+from types import TracebackType
+from typing import Any
+
+from ros2_mcp.link.connection import START_S, Connection, Hello, Reply
+from ros2_mcp.link.installation import RosInstallation
+from ros2_mcp.link.process import Child
+from ros2_mcp.link.subscription import Subscription
+from ros2_mcp.model.errors import BridgeLost, LinkError, RobotError
+
+__all__ = ["Bridge", "Hello", "Reply", "Subscription"]
+
+PACKAGE = "ros2_mcp_bridge"
+_PAUSES_S = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0)
+_LEAVE_S = 1.5
+_SUBSCRIBE_S = 5.0
+_KEPT_REASONS = 100
+
+
+class Bridge:
+    """The connection to one robot: starts the bridge process, watches it and starts it again.
+
+    `hello` is how the running bridge introduced itself, `generation` the number of starts, `restarts` why each
+    former one was lost, `installation` what it runs in.
+    """
+
+    def __init__(
+        self,
+        find: Callable[[], RosInstallation],
+        *,
+        args: Sequence[str] = (),
+        package: str = PACKAGE,
+        pass_stderr: bool = False,
+    ) -> None:
+        self._find = find
+        self._args = args
+        self._package = package
+        self._pass_stderr = pass_stderr
+        self.installation: RosInstallation | None = None
+        self.generation = 0
+        self.restarts: list[str] = []
+        self._launched: Child | RobotError | None = None
+        self._connection: Connection | None = None
+        self._supervisor: asyncio.Task[None] | None = None
+        self._outcome: asyncio.Future[Connection | RobotError] | None = None
+        self._wanted = asyncio.Event()
+        self._retry_at = 0.0
+        self._closed = False
+
+    # ── start and end ──────────────────────────────────────────────────────────────────────────────────────────
+
+    def launch(self) -> None:
+        """Starts the process at once, needs no event loop; what goes wrong is told to the first request."""
+        if self._launched is None and self._supervisor is None:
+            self._launched = self._start()
+
+    async def attach(self) -> None:
+        """Connects to the process in the running event loop and watches over it from now on. Returns at once."""
+        if self._supervisor is None and not self._closed:
+            self.launch()
+            self._outcome = asyncio.get_running_loop().create_future()
+            self._supervisor = asyncio.ensure_future(self._supervise())
+
+    async def close(self) -> None:
+        """Ends the stream, gives the bridge 1.5 s to stop the robot and leave, and leaves no process behind."""
+        self._closed = True
+        if self._supervisor:
+            self._supervisor.cancel()
+            await asyncio.wait({self._supervisor})
+        if isinstance(self._launched, Child):
+            await self._launched.stop(_LEAVE_S)
+            self._launched = None
+
+    async def __aenter__(self) -> Bridge:
+        await self.attach()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    # ── what it is for ─────────────────────────────────────────────────────────────────────────────────────────
+
+    async def request(self, op: str, body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
+        """One request of `docs/reference/stream.md`; cancelling the caller cancels it in the bridge.
+
+        Waits (at most 20 s) for a bridge that is starting. `timeout_s` is also sent to the operations that take it.
+
+        Raises:
+            BridgeRefused: with the kind of error that the bridge answered.
+            TimedOut: if no answer came in `timeout_s` and a margin.
+            BridgeLost: if the bridge died or hung meanwhile; it is being started again.
+            RosNotFound: if there is no ROS 2 here.
+            LinkError: if the bridge cannot be started.
+        """
+        connection = await self._connected()
+        return await connection.request(op, body, timeout_s, arguments)
+
+    async def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        qos: Mapping[str, Any],
+        *,
+        keep: str,
+        max_samples: int,
+        max_bytes: int,
+    ) -> Subscription:
+        """A new subscription that keeps `all` or the `latest`, with bounds for each side of the stream; raises as `request`."""
+        connection = await self._connected()
+        subscription = Subscription(keep, max_samples, max_bytes, connection.unsubscribe)
+        arguments = {
+            "topic": topic,
+            "type": type_name,
+            "qos": dict(qos),
+            "keep": keep,
+            "max_samples": max_samples,
+            "max_bytes": max_bytes,
+        }
+        await connection.subscribe(subscription, _SUBSCRIBE_S, arguments)
+        return subscription
+
+    async def ready(self) -> Hello:
+        """The bridge's hello, as soon as it is there; raises as `request`."""
+        hello = (await self._connected()).hello
+        assert hello
+        return hello
+
+    @property
+    def hello(self) -> Hello | None:
+        """How the running bridge introduced itself; None while there is none."""
+        return self._connection.hello if self._connection else None
+
+    @property
+    def pid(self) -> int | None:
+        """The process of the running bridge."""
+        return self._connection.child.pid if self._connection else None
+
+    @property
+    def stderr_tail(self) -> list[str]:
+        """The last lines that the bridge wrote to its log, at most 50."""
+        return self._connection.child.stderr.tail if self._connection else []
+
+    # ── its lives ──────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _start(self) -> Child | RobotError:
+        self.generation += 1
+        try:
+            self.installation = self._find()
+            return Child(self.installation.command(self._package, self._args), pass_stderr=self._pass_stderr)
+        except RobotError as error:
+            return error
+
+    async def _connected(self) -> Connection:
+        """The running bridge; waits for one that starts, and starts one again that failed a while ago."""
+        await self.attach()
+        if self._closed or self._outcome is None:
+            raise LinkError("The link to the robot is closed.")
+        if self._outcome.done() and isinstance(self._outcome.result(), RobotError):
+            self._try_again()
+        if not self._outcome.done():
+            await asyncio.wait({self._outcome}, timeout=START_S + 1.0)
+        if not self._outcome.done():
+            raise LinkError(f"The bridge was not ready after {START_S:.0f} s.", "Run: ros2-mcp doctor")
+        outcome = self._outcome.result()
+        if isinstance(outcome, RobotError):
+            raise type(outcome)(outcome.message, outcome.hint)
+        return outcome
+
+    def _try_again(self) -> None:
+        if time.monotonic() >= self._retry_at:
+            self._outcome = asyncio.get_running_loop().create_future()
+            self._wanted.set()
+
+    async def _supervise(self) -> None:
+        """Life after life: at once after one that had begun well, on demand and after a pause when none begins."""
+        failures = 0
+        while True:
+            begun, reason = await self._live()
+            if begun:
+                failures = 0
+                self.restarts = [*self.restarts, reason.message][-_KEPT_REASONS:]
+                continue
+            self._retry_at = time.monotonic() + _PAUSES_S[min(failures, len(_PAUSES_S) - 1)]
+            failures += 1
+            self._wanted.clear()
+            self._settle(reason)
+            await self._wanted.wait()
+
+    async def _live(self) -> tuple[bool, RobotError]:
+        """One life of the bridge: whether it had begun, and why it ended."""
+        child, self._launched = self._launched or self._start(), None
+        if isinstance(child, RobotError):
+            return False, child
+        connection = self._connection = Connection(child)
+        try:
+            reason = await connection.greet()
+            if reason:
+                return False, reason
+            self._settle(connection)
+            reason = await connection.run()
+            self._outcome = asyncio.get_running_loop().create_future()
+            return True, reason
+        finally:
+            await self._bury(connection)
+
+    async def _bury(self, connection: Connection) -> None:
+        connection.fail(BridgeLost("The link to the robot was closed."))
+        if not self._closed:
+            connection.child.kill()
+        await connection.child.stop(_LEAVE_S)
+
+    def _settle(self, outcome: Connection | RobotError) -> None:
+        if self._outcome and not self._outcome.done():
+            self._outcome.set_result(outcome)

@@ -1,0 +1,286 @@
+"""One life of the bridge, from its start to its end: requests out, replies and samples in."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ros2_mcp.link.framing import Frame, FrameReader, pack
+from ros2_mcp.link.heartbeat import Heartbeat
+from ros2_mcp.link.process import Child, describe_exit
+from ros2_mcp.link.subscription import Subscription
+from ros2_mcp.model.errors import BadInput, BridgeLost, BridgeRefused, LinkError, TimedOut
+from ros2_mcp_bridge.frames import PROTOCOL, FrameError
+
+START_S = 20.0
+MARGIN_S = 2.0
+_EXIT_S = 0.1
+_SHOWN_LINES = 5
+_BOUNDED_BY_THE_BRIDGE = ("call", "wait_endpoints")
+_NEVER_CANCELLED = ("unsubscribe",)
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """How the bridge introduced itself."""
+
+    python: str
+    distro: str
+    rmw: str
+    domain_id: int
+    node: str
+    pid: int
+    executor: str
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """The bridge's answer to one request: named results, and bytes where the request has some."""
+
+    ok: Mapping[str, Any]
+    body: bytes
+
+
+@dataclass(slots=True)
+class _Open:
+    """A request that is not answered yet; it stays known when its asker has gone, for a late answer to be tidied up."""
+
+    answer: asyncio.Future[Frame]
+    subscription: Subscription | None = None
+
+
+class Connection:
+    """Talks with one bridge process; `run` returns why it ended."""
+
+    def __init__(self, child: Child) -> None:
+        loop = asyncio.get_running_loop()
+        self.child = child
+        self.hello: Hello | None = None
+        self._greeted: asyncio.Future[None] = loop.create_future()
+        self._ended: asyncio.Future[LinkError | None] = loop.create_future()
+        self._reader = FrameReader()
+        self._heartbeat = Heartbeat(child.pid, self._ping)
+        self._numbers = itertools.count(1)
+        self._open: dict[int, _Open] = {}
+        self._subscriptions: dict[int, Subscription] = {}
+        self._writing = asyncio.Lock()
+
+    # ── its life ───────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def greet(self) -> LinkError | None:
+        """Connects to the process and waits for its hello; returns what went wrong instead, if something did."""
+        await self.child.attach(self._received, lambda: self._end(None))
+        remaining_s = self.child.started_at + START_S - time.monotonic()
+        await asyncio.wait(
+            {self._greeted, self._ended}, timeout=max(0.0, remaining_s), return_when=asyncio.FIRST_COMPLETED
+        )
+        if self._greeted.done():
+            return None
+        if not self._ended.done():
+            self._end(LinkError(f"{self._name} was not ready after {START_S:.0f} s.{self._last_words()}"))
+        return await self._reason()
+
+    async def run(self) -> LinkError:
+        """Watches over a bridge that has said hello; returns why it was lost, after everyone waiting was told."""
+        watch = asyncio.ensure_future(self._heartbeat.until_silent())
+        try:
+            await asyncio.wait({watch, self._ended}, return_when=asyncio.FIRST_COMPLETED)
+            if watch.done():
+                self._end(self._lost(watch.result()))
+            reason = await self._reason()
+        finally:
+            watch.cancel()
+        self.fail(reason)
+        return reason
+
+    def fail(self, reason: LinkError) -> None:
+        """Everyone who waits for the bridge gets this error."""
+        for request in self._open.values():
+            if not request.answer.done():
+                request.answer.set_exception(type(reason)(reason.message, reason.hint))
+        for subscription in self._subscriptions.values():
+            subscription.lose(reason)
+        self._open.clear()
+        self._subscriptions.clear()
+        self._end(reason)
+
+    async def _reason(self) -> LinkError:
+        reason = await self._ended
+        return reason or self._lost(describe_exit(await self.child.wait(_EXIT_S)))
+
+    def _lost(self, what: str) -> LinkError:
+        if not self.hello:
+            return LinkError(f"{self._name} {what} before it was ready.{self._last_words()}", "Run: ros2-mcp doctor")
+        exited = self._last_words() if what.startswith("exited") else ""
+        return BridgeLost(
+            f"{self._name} {what} and is started again.{exited}",
+            "What was under way may or may not have happened: look at the robot's state, then call again.",
+        )
+
+    @property
+    def _name(self) -> str:
+        return f"The bridge (pid {self.child.pid})"
+
+    def _last_words(self) -> str:
+        lines = self.child.stderr.tail[-_SHOWN_LINES:]
+        return " Its last words: " + " | ".join(lines) if lines else ""
+
+    def _end(self, reason: LinkError | None) -> None:
+        if not self._ended.done():
+            self._ended.set_result(reason)
+
+    def _ping(self) -> None:
+        self._send({"id": 0, "op": "ping"})
+
+    # ── requests ───────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def request(
+        self,
+        op: str,
+        body: bytes,
+        timeout_s: float,
+        arguments: Mapping[str, Any],
+        subscription: Subscription | None = None,
+    ) -> Reply:
+        """Sends one request and waits for its answer; a caller that is cancelled or gives up cancels it."""
+        number = next(self._numbers)
+        header = _header(number, op, timeout_s, arguments)
+        limit_s = timeout_s + MARGIN_S + (float(arguments.get("wait_s", 0.0)) if op == "call" else 0.0)
+        request = _Open(asyncio.get_running_loop().create_future(), subscription)
+        self._open[number] = request
+        try:
+            if body:
+                await self._send_body(header, body)
+            else:
+                self._send(header)
+            await asyncio.wait({request.answer}, timeout=limit_s)
+            if not request.answer.done():
+                raise TimedOut(f"The bridge gave no answer to {op} within {limit_s:.1f} s.")
+            return _reply(request.answer.result())
+        finally:
+            if not request.answer.done():
+                self._abandon(number, op, request)
+
+    def _abandon(self, number: int, op: str, request: _Open) -> None:
+        request.answer.cancel()
+        if op not in _NEVER_CANCELLED:
+            self._send({"id": 0, "op": "cancel", "request": number})
+
+    async def _send_body(self, header: dict[str, Any], body: bytes) -> None:
+        """Bodies go one after the other, each when the pipe has room: what waits to be written stays bounded."""
+        async with self._writing:
+            await self.child.writable()
+            self._send(header, body)
+
+    def _send(self, header: dict[str, Any], body: bytes = b"") -> None:
+        if self._ended.done():
+            return
+        try:
+            self.child.write(pack(header, body))
+        except FrameError as error:
+            raise BadInput(f"This is too large for the stream: {error}.") from error
+
+    # ── subscriptions ──────────────────────────────────────────────────────────────────────────────────────────
+
+    async def subscribe(self, subscription: Subscription, timeout_s: float, arguments: Mapping[str, Any]) -> None:
+        """Lets the samples of a new subscription flow; if the caller is cancelled meanwhile, none is left behind."""
+        try:
+            await self.request("subscribe", b"", timeout_s, arguments, subscription)
+        except BaseException:
+            self._dismiss(subscription)
+            raise
+
+    async def unsubscribe(self, subscription: Subscription) -> None:
+        """Ends a subscription; takes in the samples still under way and the final counts."""
+        number = subscription.number
+        if number not in self._subscriptions:
+            return
+        try:
+            reply = await self.request("unsubscribe", b"", MARGIN_S, {"sub": number})
+            subscription.count(dict(reply.ok))
+        except LinkError:
+            return  # the bridge is gone, and the subscription with it
+        finally:
+            self._subscriptions.pop(number, None)
+
+    def _dismiss(self, subscription: Subscription) -> None:
+        if self._subscriptions.pop(subscription.number or 0, None):
+            self._send({"id": 0, "op": "unsubscribe", "sub": subscription.number})
+
+    # ── what the bridge says ───────────────────────────────────────────────────────────────────────────────────
+
+    def _received(self, piece: bytes) -> None:
+        self._heartbeat.heard()
+        if self._ended.done():
+            return
+        try:
+            for frame in self._reader.feed(piece):
+                self._take_in(frame)
+        except (FrameError, KeyError, TypeError, ValueError) as error:
+            self._end(self._lost(f"sent what is not part of the protocol ({error})"))
+
+    def _take_in(self, frame: Frame) -> None:
+        event = frame.header.get("event")
+        if event is None:
+            self._answered(frame)
+        elif event == "samples":
+            subscription = self._subscriptions.get(frame.header["sub"])
+            if subscription:
+                subscription.arrived(frame.header, frame.body)
+        elif event == "hello":
+            self._said_hello(frame.header)
+        elif event == "failed":
+            self._end(_failure(frame.header))
+
+    def _said_hello(self, header: dict[str, Any]) -> None:
+        if header["protocol"] != PROTOCOL:
+            self._end(LinkError(f"The bridge speaks protocol {header['protocol']}, this server {PROTOCOL}."))
+            return
+        self.hello = Hello(**{name: header[name] for name in Hello.__dataclass_fields__})
+        if not self._greeted.done():
+            self._greeted.set_result(None)
+
+    def _answered(self, frame: Frame) -> None:
+        number = frame.header["id"]
+        if number == 0:
+            self._heartbeat.ponged(float(frame.header.get("ok", {}).get("ros_idle_s", 0.0)))
+            return
+        request = self._open.pop(number, None)
+        if not request:
+            return
+        if request.subscription and "ok" in frame.header:
+            self._subscribed(request, frame.header["ok"]["sub"])
+        if not request.answer.done():
+            request.answer.set_result(frame)
+
+    def _subscribed(self, request: _Open, number: int) -> None:
+        """Samples may follow in the same breath, so the subscription is known before its asker wakes up."""
+        assert request.subscription
+        request.subscription.number = number
+        self._subscriptions[number] = request.subscription
+        if request.answer.done():
+            self._dismiss(request.subscription)
+
+
+def _header(number: int, op: str, timeout_s: float, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    header = {**arguments, "id": number, "op": op}
+    if op in _BOUNDED_BY_THE_BRIDGE:
+        header["timeout_s"] = timeout_s
+    return header
+
+
+def _reply(frame: Frame) -> Reply:
+    error = frame.header.get("error")
+    if error is not None:
+        raise BridgeRefused(str(error["kind"]), str(error["message"]), str(error.get("hint") or ""))
+    return Reply(frame.header["ok"], frame.body)
+
+
+def _failure(header: dict[str, Any]) -> LinkError:
+    if header.get("kind") == "no_rclpy":
+        return LinkError(f"The Python of ROS cannot import rclpy: {header['message']}", "Run: ros2-mcp doctor")
+    return LinkError(f"ROS 2 did not start: {header['message']}", "Run: ros2-mcp doctor")

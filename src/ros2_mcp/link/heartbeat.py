@@ -1,0 +1,68 @@
+"""Does the bridge still live? Decided from what was heard of it, never from our own lateness."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+from ros2_mcp.link.process import thread_states
+
+PING_S = 0.25
+SILENCE_S = 0.9
+STOPPED_S = 0.5
+STARVED_S = 3.0
+ROS_IDLE_S = 3.0
+
+
+class Heartbeat:
+    """Pings four times a second and says when the bridge is to be given up."""
+
+    def __init__(self, pid: int, ping: Callable[[], None]) -> None:
+        self._pid = pid
+        self._ping = ping
+        self._heard_at = time.monotonic()
+        self._ros_idle_s = 0.0
+
+    def heard(self) -> None:
+        """Any bytes of the bridge are a sign of life."""
+        self._heard_at = time.monotonic()
+
+    def ponged(self, ros_idle_s: float) -> None:
+        """The bridge's answer to a ping: how long ago its ROS thread went round its loop."""
+        self._ros_idle_s = ros_idle_s
+
+    async def until_silent(self) -> str:
+        """Returns when the bridge no longer answers; says what was seen, as the rest of `The bridge …`."""
+        self.heard()
+        next_ping = 0.0
+        while True:
+            if time.monotonic() >= next_ping:
+                self._ping()
+                next_ping = time.monotonic() + PING_S
+            await self._pause(next_ping)
+            verdict = self._verdict(time.monotonic() - self._heard_at)
+            if verdict:
+                return verdict
+
+    async def _pause(self, next_ping: float) -> None:
+        """Sleeps until there is something to do; being woken late is our fault, so it is not counted as silence."""
+        before = time.monotonic()
+        limits = (next_ping, *(self._heard_at + limit for limit in (STOPPED_S, SILENCE_S)))
+        wait_s = max(0.01, min(limit - before for limit in limits if limit > before))
+        await asyncio.sleep(wait_s)
+        lag_s = time.monotonic() - before - wait_s
+        if lag_s > 0.05:
+            self._heard_at = min(time.monotonic(), self._heard_at + lag_s)
+
+    def _verdict(self, silent_s: float) -> str:
+        if self._ros_idle_s > ROS_IDLE_S:
+            return f"no longer gets round in ROS (its ROS thread hangs since {self._ros_idle_s:.1f} s)"
+        if silent_s < STOPPED_S:
+            return ""
+        states = thread_states(self._pid)
+        if "T" in states:
+            return f"was stopped (SIGSTOP) and stopped answering for {silent_s:.1f} s"
+        # Threads that want to run but do not get round: a machine short of processor time, not a hang. Not for ever.
+        limit_s = STARVED_S if states & {"R", "D"} else SILENCE_S
+        return f"stopped answering for {silent_s:.1f} s" if silent_s >= limit_s else ""

@@ -1,0 +1,224 @@
+"""A child process with three pipes: started at once, attached to the event loop later, never left behind."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from ros2_mcp.link.installation import Command
+from ros2_mcp.model.errors import LinkError
+
+_KEPT_LINES = 50
+_MAX_LINE = 2000
+_WRITE_BUFFER = 1024 * 1024
+_PIPE_BYTES = 1024 * 1024
+_POLL_S = 0.01
+_TERMINATE_S = 0.3
+_SET_PIPE_SIZE = 1031  # F_SETPIPE_SZ of Linux; the fcntl module knows it by name from Python 3.10 on Linux only
+
+
+class Child:
+    """A running command in a session of its own, so that a Ctrl-C in our terminal does not reach it.
+
+    Its death and its bytes are reported to the callbacks given to `attach`; the last lines of its stderr are kept.
+    """
+
+    def __init__(self, command: Command, *, pass_stderr: bool = False) -> None:
+        """Starts the command without waiting for anything.
+
+        Raises:
+            LinkError: if it cannot be executed.
+        """
+        try:
+            self._process = subprocess.Popen(
+                command.argv,
+                env=command.env,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                bufsize=0,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise LinkError(f"The bridge cannot be started: {error}.", "Run: ros2-mcp doctor") from error
+        self.pid = self._process.pid
+        self.started_at = time.monotonic()
+        self.stderr = ErrorLines(pass_stderr)
+        self._input = _InputPipe()
+        self._transports: list[asyncio.BaseTransport] = []
+        self._writer: asyncio.WriteTransport | None = None
+
+    async def attach(self, on_bytes: Callable[[bytes], None], on_end: Callable[[], None]) -> None:
+        """Connects the pipes to the running event loop."""
+        loop = asyncio.get_running_loop()
+        process = self._process
+        assert process.stdin and process.stdout and process.stderr
+        _enlarge(process.stdout.fileno())
+        _enlarge(process.stdin.fileno())
+        self._writer, _ = await loop.connect_write_pipe(lambda: self._input, process.stdin)
+        self._writer.set_write_buffer_limits(high=_WRITE_BUFFER)
+        self._transports.append(self._writer)
+        errors, _ = await loop.connect_read_pipe(lambda: _OutputPipe(self.stderr.feed), process.stderr)
+        self._transports.append(errors)
+        output, _ = await loop.connect_read_pipe(lambda: _OutputPipe(on_bytes, on_end), process.stdout)
+        self._transports.append(output)
+
+    def write(self, data: bytes) -> None:
+        """Queues bytes for its stdin, in order; what a dead child no longer reads is discarded."""
+        if self._writer and not self._writer.is_closing():
+            self._writer.write(data)
+
+    async def writable(self) -> None:
+        """Waits while more than a megabyte is queued."""
+        await self._input.writable()
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs; negative is the signal that ended it."""
+        return self._process.poll()
+
+    async def wait(self, timeout_s: float) -> int | None:
+        """Its exit code, or None if it still runs after that time."""
+        deadline = time.monotonic() + timeout_s
+        while self.exit_code is None and time.monotonic() < deadline:
+            await asyncio.sleep(_POLL_S)
+        return self.exit_code
+
+    def kill(self) -> None:
+        """SIGKILL to all of its session."""
+        self._signal(signal.SIGKILL)
+
+    async def stop(self, grace_s: float) -> None:
+        """Ends its stdin and waits that long for it to leave; then SIGTERM, then SIGKILL. Leaves no zombie."""
+        self._close_input()
+        try:
+            if await self.wait(grace_s) is None:
+                self._signal(signal.SIGTERM)
+                await self.wait(_TERMINATE_S)
+        finally:
+            self.kill()
+            self._close_pipes()
+            self._process.wait()
+        await asyncio.sleep(0)  # lets the transports close their file descriptors
+
+    def _signal(self, number: signal.Signals) -> None:
+        if self.exit_code is None:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self.pid, number)
+
+    def _close_input(self) -> None:
+        if self._writer:
+            self._writer.close()
+        elif self._process.stdin:
+            self._process.stdin.close()
+
+    def _close_pipes(self) -> None:
+        if self._writer and not self._input.gone:
+            self._writer.abort()
+        for transport in self._transports:
+            transport.close()
+        if not self._transports:
+            for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
+                if pipe:
+                    pipe.close()
+
+
+class ErrorLines:
+    """The last lines of a child's stderr, in plain characters."""
+
+    def __init__(self, pass_on: bool) -> None:
+        self._pass_on = pass_on
+        self._lines: deque[str] = deque(maxlen=_KEPT_LINES)
+        self._begun = b""
+
+    def feed(self, piece: bytes) -> None:
+        """Takes what arrived; passes it on to our own stderr if asked to."""
+        if self._pass_on:
+            sys.stderr.write(piece.decode(errors="replace"))
+        *whole, self._begun = (self._begun + piece).split(b"\n")
+        self._lines.extend(_plain(line) for line in whole if line.strip())
+        self._begun = self._begun[-_MAX_LINE:]
+
+    @property
+    def tail(self) -> list[str]:
+        """The lines so far, the oldest first; at most 50."""
+        return [*self._lines, *([_plain(self._begun)] if self._begun.strip() else [])]
+
+
+class _OutputPipe(asyncio.Protocol):
+    """Hands on what arrives on a pipe, and its end."""
+
+    def __init__(self, on_bytes: Callable[[bytes], None], on_end: Callable[[], None] = lambda: None) -> None:
+        self._on_bytes = on_bytes
+        self._on_end = on_end
+
+    def data_received(self, data: bytes) -> None:
+        self._on_bytes(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
+        self._on_end()
+
+
+class _InputPipe(asyncio.BaseProtocol):
+    """Knows whether the pipe to the child takes more."""
+
+    def __init__(self) -> None:
+        self.gone = False
+        self._free = asyncio.Event()
+        self._free.set()
+
+    def pause_writing(self) -> None:
+        self._free.clear()
+
+    def resume_writing(self) -> None:
+        self._free.set()
+
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
+        self.gone = True
+        self._free.set()
+
+    async def writable(self) -> None:
+        await self._free.wait()
+
+
+def thread_states(pid: int) -> set[str]:
+    """The states of a process's threads as /proc tells them: R running, S sleeping, D disk, T stopped, Z dead."""
+    states: set[str] = set()
+    for stat in Path(f"/proc/{pid}/task").glob("*/stat"):
+        with contextlib.suppress(OSError):
+            states.add(stat.read_text(errors="replace").rpartition(")")[2].split()[0])
+    return states
+
+
+def describe_exit(code: int | None) -> str:
+    """How a process ended, in words: `died with signal SIGKILL`, `exited with code 1`."""
+    if code is None:
+        return "closed its stream"
+    if code >= 0:
+        return f"exited with code {code}"
+    try:
+        return f"died with signal {signal.Signals(-code).name}"
+    except ValueError:
+        return f"died with signal {-code}"
+
+
+def _plain(line: bytes) -> str:
+    text = line[-_MAX_LINE:].decode(errors="replace").rstrip()
+    return "".join(character if character.isprintable() else " " for character in text)
+
+
+def _enlarge(pipe: int) -> None:
+    """A pipe of a megabyte instead of 64 kB means fewer wake-ups for pictures; where that is refused, so be it."""
+    if sys.platform == "linux":
+        import fcntl
+
+        with contextlib.suppress(OSError):
+            fcntl.fcntl(pipe, _SET_PIPE_SIZE, _PIPE_BYTES)

@@ -1,0 +1,111 @@
+"""The server's end of one subscription: samples that wait to be taken, bounded, with an account of every one."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Awaitable, Callable
+from types import TracebackType
+from typing import Any
+
+from ros2_mcp.model.errors import LinkError
+from ros2_mcp.model.samples import Counts, Sample
+
+Unsubscribe = Callable[["Subscription"], Awaitable[None]]
+
+
+class Subscription:
+    """Samples of one topic in the order they came; use as an async context manager, or call `close`."""
+
+    def __init__(self, keep: str, max_samples: int, max_bytes: int, unsubscribe: Unsubscribe) -> None:
+        self.number: int | None = None
+        self._max_samples = 1 if keep == "latest" else max_samples
+        self._max_bytes = max_bytes
+        self._unsubscribe = unsubscribe
+        self._waiting: deque[Sample] = deque()
+        self._waiting_bytes = 0
+        self._bridge_counts = Counts()
+        self._dropped_here = 0
+        self._arrival: asyncio.Future[None] | None = None
+        self._closed = False
+        self._lost: LinkError | None = None
+
+    async def take(self, timeout_s: float) -> list[Sample]:
+        """All samples that wait, the oldest first; waits for the first one, and gives an empty list if none came.
+
+        Raises:
+            BridgeLost: if the bridge is gone and everything that came before has been taken.
+        """
+        if not self._waiting and not self._closed and not self._lost and timeout_s > 0:
+            if self._arrival is None:
+                self._arrival = asyncio.get_running_loop().create_future()
+            await asyncio.wait({self._arrival}, timeout=timeout_s)
+        if self._lost and not self._waiting:
+            raise type(self._lost)(self._lost.message, self._lost.hint)
+        taken = list(self._waiting)
+        self._waiting.clear()
+        self._waiting_bytes = 0
+        return taken
+
+    @property
+    def counts(self) -> Counts:
+        """What became of the messages so far, on both sides of the stream."""
+        bridge = self._bridge_counts
+        return Counts(bridge.received, bridge.dropped + self._dropped_here, bridge.lost)
+
+    async def close(self) -> Counts:
+        """Ends the subscription; samples that still wait can be taken afterwards. Safe to call twice."""
+        if not self._closed:
+            self._closed = True
+            self._wake()
+            await self._unsubscribe(self)
+        return self.counts
+
+    async def aclose(self) -> None:
+        """The same as `close`, for `contextlib.aclosing`."""
+        await self.close()
+
+    async def __aenter__(self) -> Subscription:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    # ── for the connection ─────────────────────────────────────────────────────────────────────────────────────
+
+    def arrived(self, header: dict[str, Any], body: bytes) -> None:
+        """Takes in a frame of samples: their times and sizes, the totals, and their bytes one after the other."""
+        self.count(header)
+        offset = 0
+        for received_ns, source_ns, sequence, size in header["samples"]:
+            data = body[offset : offset + size]
+            offset += size
+            self._waiting.append(Sample(received_ns, source_ns, sequence, data))
+            self._waiting_bytes += size
+        self._drop_oldest()
+        self._wake()
+
+    def count(self, totals: dict[str, Any]) -> None:
+        """The bridge's totals up to now."""
+        self._bridge_counts = Counts(totals["received"], totals["dropped"], totals["lost"])
+
+    def lose(self, error: LinkError) -> None:
+        """The bridge is gone: nothing more will come."""
+        if not self._closed:
+            self._lost = error
+            self._wake()
+
+    def _drop_oldest(self) -> None:
+        """Keeps the bounds; the newest sample stays, however large it is."""
+        while len(self._waiting) > self._max_samples or (
+            self._waiting_bytes > self._max_bytes and len(self._waiting) > 1
+        ):
+            self._waiting_bytes -= len(self._waiting.popleft().data)
+            self._dropped_here += 1
+
+    def _wake(self) -> None:
+        if self._arrival and not self._arrival.done():
+            self._arrival.set_result(None)
+        self._arrival = None
