@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.scalars import SUMMARY, numbers, octets, scalar, summary_error, zeros
+from ros2_mcp.codec.scalars import is_summary, numbers, octets, scalar, summary_error, zeros
 from ros2_mcp.codec.text import excerpt
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.interfaces import OCTETS, TEXTS, Field, FieldType, Structure
@@ -92,11 +92,11 @@ class _Check:
 
 
 def _object(structure: Structure, value: object, path: str) -> Mapping[str, object]:
+    if is_summary(value):
+        raise summary_error(path)
     if not isinstance(value, Mapping):
         raise BadValue(path, f"{excerpt(value)} given, an object with the fields of {structure.type} expected.")
     given = cast("Mapping[str, object]", value)
-    if SUMMARY in given:
-        raise summary_error(path)
     known = [field.name for field in structure.fields]
     for name in given:
         if name not in known:
@@ -112,7 +112,7 @@ def _unknown_field(structure: Structure, name: str, known: Sequence[str], path: 
 
 
 def _list(shape: FieldType, value: object, path: str) -> Sequence[object]:
-    if isinstance(value, Mapping) and SUMMARY in value:
+    if is_summary(value):
         raise summary_error(path)
     if isinstance(value, np.ndarray):
         return cast("Sequence[object]", value.tolist())

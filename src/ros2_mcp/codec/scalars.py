@@ -45,7 +45,7 @@ def scalar(shape: FieldType, value: object, path: str) -> bool | int | float | s
     Raises:
         BadValue: naming `path`, if it does not fit without loss.
     """
-    if isinstance(value, dict) and SUMMARY in value:
+    if is_summary(value):
         raise summary_error(path)
     if shape.base == "bool":
         return _boolean(value, path)
@@ -58,13 +58,27 @@ def scalar(shape: FieldType, value: object, path: str) -> bool | int | float | s
 
 def numbers(shape: FieldType, values: Sequence[object], path: str) -> NDArray[Any]:
     """A list as an array of the numeric type, or of booleans; raises `BadValue` as `scalar` does."""
-    dtype = _DTYPES[shape.base]
     kinds = set(map(type, values))
-    if shape.base == "float64" and kinds <= {float}:
-        return np.array(values, dtype)
+    if shape.base in FLOATS and kinds <= {float}:
+        return _floats(shape, values, path)
     if shape.base in INTEGERS and kinds == {int} and _all_in_range(shape.base, values):
-        return np.array(values, dtype)
-    element = shape.element
+        return np.array(values, _DTYPES[shape.base])
+    return _one_by_one(shape, values, path)
+
+
+def _floats(shape: FieldType, values: Sequence[Any], path: str) -> NDArray[Any]:
+    exact = np.array(values, np.float64)
+    if shape.base == "float64":
+        return exact
+    with np.errstate(over="ignore"):
+        rounded = exact.astype(np.float32)
+    if np.array_equal(np.isinf(rounded), np.isinf(exact)):
+        return rounded
+    return _one_by_one(shape, values, path)
+
+
+def _one_by_one(shape: FieldType, values: Sequence[object], path: str) -> NDArray[Any]:
+    element, dtype = shape.element, _DTYPES[shape.base]
     return np.array([scalar(element, value, f"{path}[{index}]") for index, value in enumerate(values)], dtype)
 
 
@@ -76,6 +90,11 @@ def octets(text: str, path: str) -> NDArray[np.uint8]:
         raise BadValue(
             path, f"{excerpt(text)} is not base64.", "Give bytes as a list of 0 to 255 or as base64."
         ) from error
+
+
+def is_summary(value: object) -> bool:
+    """Whether it is a summary that `render` made in the place of a value."""
+    return isinstance(value, Mapping) and SUMMARY in value
 
 
 def summary_error(path: str) -> BadValue:
