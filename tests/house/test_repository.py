@@ -1,0 +1,70 @@
+"""What is committed: nothing of one machine, commands that are true, decisions that are numbered."""
+
+from __future__ import annotations
+
+import re
+
+from source import ROOT, committed_texts
+
+OF_ONE_MACHINE = re.compile(r"(?<![\w.])/(?:root|home/\w+|work|Users/\w+)/|/tmp/w/")
+REGISTRY = re.compile(r"https?://[\w.-]*(?:pypi|pythonhosted|npmjs|registry)[\w.-]*", re.IGNORECASE)
+THIS_FILE = "tests/house/test_repository.py"
+
+
+def texts_but_this() -> dict[str, str]:
+    return {path: text for path, text in committed_texts().items() if path != THIS_FILE}
+
+
+def test_no_file_names_a_path_of_one_machine() -> None:
+    found = {path: match[0] for path, text in texts_but_this().items() if (match := OF_ONE_MACHINE.search(text))}
+    assert found == {}
+
+
+def test_no_file_names_a_registry() -> None:
+    found = {path: match[0] for path, text in texts_but_this().items() if (match := REGISTRY.search(text))}
+    assert found == {}
+
+
+def test_the_lock_file_stays_with_the_machine_that_made_it() -> None:
+    assert "uv.lock" not in committed_texts()
+    assert "uv.lock" in (ROOT / ".gitignore").read_text(encoding="utf-8").split()
+
+
+def test_decisions_are_numbered_without_gaps() -> None:
+    names = sorted(path.name for path in (ROOT / "docs/decisions").glob("*.md"))
+    numbers = [int(name.split("-")[0]) for name in names]
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+def test_every_decision_says_context_decision_and_consequences() -> None:
+    for path in (ROOT / "docs/decisions").glob("*.md"):
+        headings = re.findall(r"^## (.+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+        assert headings == ["Context", "Decision", "Consequences"], path.name
+
+
+def commands_of_readme() -> list[str]:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return [line for line in text.splitlines() if line.startswith("pip install uv && ")]
+
+
+def test_readme_has_the_command_of_the_demo_and_the_command_of_the_tests() -> None:
+    assert [command.split(" ", 4)[-1] for command in commands_of_readme()] == [
+        "uv run --extra jazzy ros2-mcp demo",
+        "uv run --extra jazzy --group test pytest",
+    ]
+
+
+def test_ci_runs_the_tests_with_readmes_command() -> None:
+    script = (ROOT / ".ci/run").read_text(encoding="utf-8")
+    assert f"bash -c '{commands_of_readme()[1]}'" in script
+
+
+def test_links_in_the_documentation_lead_to_files_that_are_there() -> None:
+    pages = [path for path in committed_texts() if path.endswith(".md")]
+    broken = [
+        (page, target)
+        for page in pages
+        for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", committed_texts()[page])
+        if not (ROOT / page).parent.joinpath(target).exists()
+    ]
+    assert broken == []

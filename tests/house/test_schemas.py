@@ -1,0 +1,126 @@
+"""Schemas that every client accepts: what real MCP clients are known to refuse, as a lint over all tools."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import pytest
+from generate import served_tools
+from mcp.types import Tool
+
+TOOLS = served_tools()
+MOST_TOOLS = 30
+"""How many tools of one group a model can choose among well."""
+
+Node = Mapping[str, Any]
+
+every_tool = pytest.mark.parametrize("tool", TOOLS, ids=[tool.name for tool in TOOLS])
+
+
+def nodes(schema: Node, path: str = "") -> Iterator[tuple[str, Node]]:
+    """Every node of a schema with its path."""
+    yield path, schema
+    for name, part in schema.get("properties", {}).items():
+        yield from nodes(part, f"{path}.{name}")
+    for key in ("items", "additionalProperties"):
+        if isinstance(schema.get(key), Mapping):
+            yield from nodes(schema[key], f"{path}[]")
+
+
+def all_nodes(tool: Tool) -> list[tuple[str, Node]]:
+    return [*nodes(tool.input_schema, "input"), *nodes(tool.output_schema or {}, "output")]
+
+
+def types(node: Node) -> list[str]:
+    declared = node.get("type", [])
+    return [declared] if isinstance(declared, str) else list(declared)
+
+
+@every_tool
+def test_every_array_says_what_its_items_are(tool: Tool) -> None:
+    untyped = [path for path, node in all_nodes(tool) if "array" in types(node) and not types(node.get("items", {}))]
+    assert untyped == []
+
+
+@every_tool
+def test_every_node_has_a_type(tool: Tool) -> None:
+    known = {"string", "number", "integer", "boolean", "array", "object", "null"}
+    assert [path for path, node in all_nodes(tool) if not types(node) or not known.issuperset(types(node))] == []
+
+
+@every_tool
+def test_every_object_says_what_is_in_it(tool: Tool) -> None:
+    objects = [(path, node) for path, node in all_nodes(tool) if "object" in types(node)]
+    assert [path for path, node in objects if "properties" not in node and not node.get("additionalProperties")] == []
+
+
+@every_tool
+def test_arguments_are_closed(tool: Tool) -> None:
+    assert tool.input_schema["additionalProperties"] is False
+    objects = [(path, node) for path, node in nodes(tool.input_schema, "input") if "properties" in node]
+    assert [path for path, node in objects if node.get("additionalProperties") is not False] == []
+
+
+@every_tool
+def test_nothing_refers_to_elsewhere_and_nothing_is_a_union(tool: Tool) -> None:
+    forbidden = {"$ref", "$defs", "anyOf", "oneOf", "allOf", "not", "prefixItems", "patternProperties"}
+    assert [path for path, node in all_nodes(tool) if forbidden & node.keys()] == []
+
+
+@every_tool
+def test_no_argument_is_nullable(tool: Tool) -> None:
+    """An optional argument is left out; clients that fill forms cannot send null."""
+    assert [path for path, node in nodes(tool.input_schema, "input") if "null" in types(node)] == []
+
+
+@every_tool
+def test_property_names_are_plain(tool: Tool) -> None:
+    names = [name for _, node in all_nodes(tool) for name in node.get("properties", {})]
+    assert [name for name in names if not re.fullmatch(r"[a-zA-Z0-9_.-]{1,64}", name)] == []
+
+
+@every_tool
+def test_the_name_is_short_and_plain(tool: Tool) -> None:
+    assert re.fullmatch(r"[a-zA-Z0-9_-]{1,40}", tool.name)
+
+
+@every_tool
+def test_the_result_is_an_object(tool: Tool) -> None:
+    assert (tool.output_schema or {}).get("type") == "object"
+
+
+@every_tool
+def test_required_names_are_declared(tool: Tool) -> None:
+    objects = [(path, node) for path, node in all_nodes(tool) if "required" in node]
+    assert [path for path, node in objects if not set(node["required"]) <= node["properties"].keys()] == []
+
+
+@every_tool
+def test_the_tool_and_every_argument_are_described(tool: Tool) -> None:
+    assert tool.title and tool.description
+    arguments = [(path, node) for path, node in nodes(tool.input_schema, "input") if re.search(r"\.\w+$", path)]
+    assert [path for path, node in arguments if not node.get("description")] == []
+
+
+@every_tool
+def test_the_annotations_say_whether_it_only_reads(tool: Tool) -> None:
+    assert tool.annotations is not None
+    assert tool.annotations.read_only_hint is not None
+    assert tool.annotations.destructive_hint is not None
+    assert not (tool.annotations.read_only_hint and tool.annotations.destructive_hint)
+
+
+def test_tool_names_are_unique() -> None:
+    names = [tool.name for tool in TOOLS]
+    assert sorted(set(names)) == sorted(names)
+
+
+def test_a_model_can_choose_among_the_tools_that_are_offered_by_default() -> None:
+    from ros2_mcp.settings import Settings
+    from ros2_mcp.tools import TOOLS as declared
+
+    groups = Settings().tools or ("all",)
+    offered = [tool for tool in declared if "all" in groups or tool.group in groups]
+    assert len(offered) <= MOST_TOOLS

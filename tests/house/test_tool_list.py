@@ -1,0 +1,51 @@
+"""What clients and users rely on: the tools' list and its documentation are never out of date."""
+
+from __future__ import annotations
+
+import asyncio
+
+from generate import REFERENCE, SNAPSHOT, reference, served_tools, snapshot
+
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp.link.client import Bridge
+from ros2_mcp.link.environment import find_ros
+from ros2_mcp.robot import Robot
+from ros2_mcp.server import build_server
+from ros2_mcp.settings import Settings
+from ros2_mcp.tools import TOOLS
+
+OUT_OF_DATE = "run: python docs/generate.py, look at the difference, and commit it"
+
+
+def listed(policy: Policy, *groups: str) -> list[str]:
+    server = build_server(Robot(Bridge(lambda: find_ros(Settings())), policy), groups=groups)
+    return [tool.name for tool in asyncio.run(server.list_tools())]
+
+
+def test_the_list_of_tools_is_as_its_snapshot() -> None:
+    assert SNAPSHOT.read_text(encoding="utf-8") == snapshot(served_tools()), OUT_OF_DATE
+
+
+def test_the_reference_describes_the_tools_as_they_are() -> None:
+    assert REFERENCE.read_text(encoding="utf-8") == reference(served_tools()), OUT_OF_DATE
+
+
+def test_every_tool_is_described_in_the_reference() -> None:
+    text = REFERENCE.read_text(encoding="utf-8")
+    assert [tool.name for tool in TOOLS if f"\n## {tool.name}\n" not in text] == []
+
+
+def test_the_order_of_tools_is_the_order_of_their_declaration() -> None:
+    assert listed(Policy(), "all") == [tool.name for tool in TOOLS]
+
+
+def test_a_read_only_server_has_no_tool_that_writes() -> None:
+    assert listed(Policy(read_only=True), "all") == [tool.name for tool in TOOLS if tool.risk == "read"]
+
+
+def test_a_server_without_chosen_groups_has_every_tool() -> None:
+    assert listed(Policy(), *Settings().tools) == [tool.name for tool in TOOLS]
+
+
+def test_a_server_has_only_the_groups_that_were_chosen() -> None:
+    assert listed(Policy(), "core") == [tool.name for tool in TOOLS if tool.group == "core"]
