@@ -7,7 +7,7 @@ from __future__ import annotations
 import asyncio
 import os
 
-from ros2_mcp.link.environment import Finding, diagnose, probe
+from ros2_mcp.link.diagnosis import Finding, diagnose, probe
 from ros2_mcp.settings import Settings
 
 _MARKS = {True: "ok  ", False: "BAD ", None: "note"}

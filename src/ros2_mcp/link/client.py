@@ -113,7 +113,7 @@ class Bridge:
         max_samples: int,
         max_bytes: int,
     ) -> Subscription:
-        """A new subscription that keeps `all` or the `latest`, with bounds for each side of the stream; raises as `request`."""
+        """A new subscription; keeps `all` or the `latest`, bounded on each side of the stream. Raises as `request`."""
         connection = await self._connected()
         subscription = Subscription(keep, max_samples, max_bytes, connection.unsubscribe)
         arguments = {

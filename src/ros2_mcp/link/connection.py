@@ -19,6 +19,7 @@ from ros2_mcp_bridge.frames import PROTOCOL, FrameError
 START_S = 20.0
 MARGIN_S = 2.0
 _EXIT_S = 0.1
+_PING = 0
 _SHOWN_LINES = 5
 _BOUNDED_BY_THE_BRIDGE = ("call", "wait_endpoints")
 _NEVER_CANCELLED = ("unsubscribe",)
@@ -134,7 +135,7 @@ class Connection:
             self._ended.set_result(reason)
 
     def _ping(self) -> None:
-        self._send({"id": 0, "op": "ping"})
+        self._send({"id": _PING, "op": "ping"})
 
     # ── requests ───────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -168,7 +169,7 @@ class Connection:
     def _abandon(self, number: int, op: str, request: _Open) -> None:
         request.answer.cancel()
         if op not in _NEVER_CANCELLED:
-            self._send({"id": 0, "op": "cancel", "request": number})
+            self._send({"id": next(self._numbers), "op": "cancel", "request": number})
 
     async def _send_body(self, header: dict[str, Any], body: bytes) -> None:
         """Bodies go one after the other, each when the pipe has room: what waits to be written stays bounded."""
@@ -209,7 +210,7 @@ class Connection:
 
     def _dismiss(self, subscription: Subscription) -> None:
         if self._subscriptions.pop(subscription.number or 0, None):
-            self._send({"id": 0, "op": "unsubscribe", "sub": subscription.number})
+            self._send({"id": next(self._numbers), "op": "unsubscribe", "sub": subscription.number})
 
     # ── what the bridge says ───────────────────────────────────────────────────────────────────────────────────
 
@@ -246,8 +247,8 @@ class Connection:
 
     def _answered(self, frame: Frame) -> None:
         number = frame.header["id"]
-        if number == 0:
-            self._heartbeat.ponged(float(frame.header.get("ok", {}).get("ros_idle_s", 0.0)))
+        if number == _PING:
+            self._heartbeat.ponged(float(frame.header["ok"]["ros_idle_s"]))
             return
         request = self._open.pop(number, None)
         if not request:

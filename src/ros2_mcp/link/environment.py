@@ -43,7 +43,7 @@ def find_ros(settings: Settings, env: Mapping[str, str] = os.environ) -> RosInst
 def sourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | None:
     """The installation of an already sourced shell, unless another distribution was asked for."""
     distro = env.get("ROS_DISTRO", "")
-    prefixes = _entries(env, "AMENT_PREFIX_PATH")
+    prefixes = path_entries(env, "AMENT_PREFIX_PATH")
     if not distro or not prefixes or settings.distro not in (None, distro):
         return None
     package = next(_rclpy_on_path(env, prefixes), None)
@@ -59,7 +59,7 @@ def sourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | Non
 
 
 def _rclpy_on_path(env: Mapping[str, str], prefixes: Iterable[Path]) -> Iterator[Path]:
-    for entry in _entries(env, "PYTHONPATH"):
+    for entry in path_entries(env, "PYTHONPATH"):
         if (entry / "rclpy").is_dir():
             yield entry / "rclpy"
     for prefix in prefixes:
@@ -245,5 +245,6 @@ def _override(settings: Settings) -> str | None:
     return str(settings.bridge_python) if settings.bridge_python else None
 
 
-def _entries(env: Mapping[str, str], variable: str) -> list[Path]:
+def path_entries(env: Mapping[str, str], variable: str) -> list[Path]:
+    """The entries of a variable such as PATH."""
     return [Path(entry) for entry in env.get(variable, "").split(os.pathsep) if entry]

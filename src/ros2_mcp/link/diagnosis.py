@@ -1,0 +1,168 @@
+"""What `ros2-mcp doctor` looks at: every way to find ROS 2, what was chosen, and how to mend what is wrong."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from ros2_mcp.link.client import Bridge
+from ros2_mcp.link.environment import (
+    find_ros,
+    installed_distros,
+    path_entries,
+    sourced,
+    wheel_distro,
+    wheels,
+    wheels_exist_here,
+    workspace_setup,
+)
+from ros2_mcp.link.installation import RosInstallation
+from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.settings import MAX_DOMAIN_ID, Settings
+
+PROBE_S = 15.0
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing looked at: fine (True), wrong (False) or just so (None); `fix` mends what is wrong."""
+
+    ok: bool | None
+    title: str
+    detail: str
+    fix: str = ""
+
+
+def diagnose(settings: Settings, env: Mapping[str, str] = os.environ) -> list[Finding]:
+    """Everything that can be said without starting anything, in the order in which it matters."""
+    chosen: RosInstallation | None = None
+    try:
+        chosen = find_ros(settings, env)
+        choice = Finding(True, "ROS 2", f"{chosen.distro} ({chosen.kind}). {chosen.why}")
+    except RobotError as error:
+        choice = Finding(False, "ROS 2", error.message, error.hint)
+    return [
+        choice,
+        *_candidates(settings, env),
+        *(_workspace(workspace) for workspace in settings.workspaces),
+        _python(chosen),
+        *(_inside(chosen, settings, env) if chosen else ()),
+        *_network(settings, env),
+        *_places(settings, env),
+    ]
+
+
+async def probe(settings: Settings) -> Finding:
+    """Starts the bridge for real and says how it introduced itself, or why it did not; at most 15 s."""
+    title = "Bridge"
+    bridge = Bridge(lambda: find_ros(settings))
+    try:
+        hello = await asyncio.wait_for(bridge.ready(), PROBE_S)
+    except RobotError as error:
+        return Finding(False, title, error.message, "" if "doctor" in error.hint else error.hint)
+    except asyncio.TimeoutError:
+        return Finding(False, title, f"It was not ready after {PROBE_S:.0f} s. {' | '.join(bridge.stderr_tail[-5:])}")
+    finally:
+        await bridge.close()
+    detail = f"{hello.distro} under Python {hello.python}, {hello.rmw}, domain {hello.domain_id}, {hello.executor}"
+    return Finding(True, title, f"It starts: {detail}.")
+
+
+def _candidates(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
+    """Each way there is, whether or not it was taken."""
+    yield _sourced_shell(settings, env)
+    installed = installed_distros(settings.ros_root)
+    yield Finding(None, str(settings.ros_root), ", ".join(installed) or "no installation with a setup.bash")
+    distro = wheel_distro()
+    if distro:
+        usable = wheels(settings, env) is not None
+        note = "" if usable else f"; not used, since {settings.distro} was asked for"
+        yield Finding(None, "Wheels", f"ROS 2 {distro} in {sys.prefix}{note}")
+    else:
+        here = "none in this Python" if wheels_exist_here() else "none are published for this machine and Python"
+        yield Finding(None, "Wheels", here)
+
+
+def _sourced_shell(settings: Settings, env: Mapping[str, str]) -> Finding:
+    title, distro = "Sourced shell", env.get("ROS_DISTRO")
+    if not distro:
+        return Finding(None, title, "no (ROS_DISTRO is not set)")
+    if settings.distro not in (None, distro):
+        return Finding(None, title, f"{distro}; not used, since {settings.distro} was asked for")
+    if sourced(settings, env):
+        return Finding(True, title, distro)
+    return Finding(
+        False,
+        title,
+        f"ROS_DISTRO is {distro}, but AMENT_PREFIX_PATH has no rclpy whose Python is on PATH.",
+        "Source its setup.bash completely, or give the interpreter with ROS2_MCP_BRIDGE_PYTHON.",
+    )
+
+
+def _workspace(workspace: Path) -> Finding:
+    try:
+        return Finding(True, "Workspace", str(workspace_setup(workspace)))
+    except BadInput as error:
+        return Finding(False, "Workspace", error.message, error.hint)
+
+
+def _python(chosen: RosInstallation | None) -> Finding:
+    ours = f"the server runs under {platform.python_version()} ({sys.executable})"
+    return Finding(None, "Python", f"{ours}, the bridge under {chosen.python}" if chosen else ours)
+
+
+def _inside(chosen: RosInstallation, settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
+    if chosen.scripts and not shutil.which("bash", path=env.get("PATH")):
+        yield Finding(False, "bash", "not on PATH, but setup files must be sourced", "Run: apt-get install bash")
+    yield _middleware(chosen, settings.rmw or env.get("RMW_IMPLEMENTATION", ""))
+
+
+def _middleware(chosen: RosInstallation, wanted: str) -> Finding:
+    """Whether the middleware that the environment asks for is installed."""
+    prefixes = [chosen.prefix, *path_entries(chosen.environment, "AMENT_PREFIX_PATH")]
+    index = "share/ament_index/resource_index/rmw_typesupport"
+    installed = sorted({entry.name for prefix in prefixes for entry in prefix.glob(f"{index}/rmw_*")})
+    title, listed = "Middleware", ", ".join(installed) or "none found"
+    if not wanted:
+        return Finding(None, title, f"ROS's own choice; installed: {listed}")
+    if wanted in installed:
+        return Finding(True, title, wanted)
+    fix = f"Unset RMW_IMPLEMENTATION, or run: apt-get install ros-{chosen.distro}-{wanted.replace('_', '-')}"
+    if chosen.kind == "wheels":
+        fix = "Unset RMW_IMPLEMENTATION: the wheels have Fast DDS only."
+    return Finding(False, title, f"{wanted} is asked for and not installed; installed: {listed}", fix)
+
+
+def _network(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
+    given = str(settings.domain_id) if settings.domain_id is not None else env.get("ROS_DOMAIN_ID", "") or "0"
+    valid = given.isdigit() and int(given) <= MAX_DOMAIN_ID
+    fix = "" if valid else f"Set ROS_DOMAIN_ID to a number from 0 to {MAX_DOMAIN_ID}, the robot's own."
+    yield Finding(valid, "Domain", f"ROS_DOMAIN_ID is {given}", fix)
+    reach = env.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
+    if env.get("ROS_LOCALHOST_ONLY") == "1" or reach in ("LOCALHOST", "OFF"):
+        variable = "ROS_AUTOMATIC_DISCOVERY_RANGE" if reach in ("LOCALHOST", "OFF") else "ROS_LOCALHOST_ONLY"
+        note = f"{variable} is set: robots on other machines are not seen"
+        yield Finding(None, "Reach", note, f"Unset {variable} to reach a robot over the network.")
+
+
+def _places(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
+    yield _writable("Cache", settings.cache_dir.expanduser(), "Set XDG_CACHE_HOME to a folder that can be written.")
+    home = env.get("ROS_HOME") or str(Path(env["HOME"]) / ".ros" if env.get("HOME") else "")
+    logs = env.get("ROS_LOG_DIR") or (str(Path(home) / "log") if home else "")
+    if logs:
+        yield _writable("ROS log", Path(logs), "Set ROS_LOG_DIR to a folder that can be written.")
+    built = sorted(entry.name for entry in (settings.cache_dir.expanduser() / "interfaces").glob("[!.]*"))
+    yield Finding(None, "Built interfaces", ", ".join(built) or "none (ros2-mcp interfaces build)")
+
+
+def _writable(title: str, folder: Path, fix: str) -> Finding:
+    """Whether a folder can be written, or made."""
+    present = next(place for place in (folder, *folder.parents) if place.exists())
+    ok = present.is_dir() and os.access(present, os.W_OK | os.X_OK)
+    return Finding(ok, title, f"{folder} can{'' if ok else 'not'} be written", "" if ok else fix)
