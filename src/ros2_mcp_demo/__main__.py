@@ -59,8 +59,11 @@ class _StopRequest:
         self._requested = True
 
     def _stdin_has_ended(self):
-        readable, _, _ = select.select([0], [], [], 0)
-        return bool(readable) and os.read(0, 4096) == b""
+        try:
+            readable, _, _ = select.select([0], [], [], 0)
+            return bool(readable) and os.read(0, 4096) == b""
+        except OSError:
+            return True
 
 
 if __name__ == "__main__":

@@ -67,7 +67,10 @@ class Robot:
         """Handle commands, requests and goals; at least one, however late it is."""
         while True:
             left = due - time.monotonic()
-            self._executor.spin_once(timeout_sec=max(left, 0.0))
+            try:
+                self._executor.spin_once(timeout_sec=max(left, 0.0))
+            except (RuntimeError, ValueError, TypeError) as error:  # one bad request does not end the robot
+                self.parts[0].get_logger().error(f"a callback failed: {error!r}")
             if left <= 0.0:
                 return
 

@@ -39,6 +39,7 @@ class Simulation:
         self.wanted = (0.0, 0.0)
         self.now = 0.0
         self.gyro_bias = 0.002
+        self._scanned_from = self.base.pose
         self._steps = 0
 
     def step(self, dt):
@@ -59,15 +60,15 @@ class Simulation:
 
     def scan(self, noise_stddev):
         """One turn of the laser: float32 ranges (BEAMS,) in m from -π on, infinite where nothing came back."""
-        pose = self.base.pose
+        pose = self._scanned_from = self.base.pose
         ranges = self.world.cast(pose.x, pose.y, pose.yaw + _BEAM_ANGLES)
         ranges = ranges + noise_stddev * self._lidar_rng.standard_normal(BEAMS)
         lost = (ranges > RANGE_MAX) | (self._lidar_rng.random(BEAMS) < DROPOUT)
         return np.where(lost, np.inf, np.maximum(ranges, RANGE_MIN)).astype(np.float32)
 
     def scan_points(self, ranges):
-        """Where in the map the beams of a scan ended, (n, 2) in m."""
-        pose, hit = self.base.pose, np.isfinite(ranges)
+        """Where in the map the beams of the latest scan ended, (n, 2) in m."""
+        pose, hit = self._scanned_from, np.isfinite(ranges)
         angles, ranges = pose.yaw + _BEAM_ANGLES[hit], ranges[hit]
         return np.column_stack([pose.x + ranges * np.cos(angles), pose.y + ranges * np.sin(angles)])
 

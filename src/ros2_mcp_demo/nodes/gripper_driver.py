@@ -27,6 +27,7 @@ class GripperDriver(RobotPart, LifecycleNode):
         self._opening = self._wanted = OPEN
         self._publisher: Any = None
         self._service: Any = None
+        self._refuse_impossible_transitions()
 
     def on_configure(self, state):
         """Offer the topic and the service."""
@@ -70,6 +71,21 @@ class GripperDriver(RobotPart, LifecycleNode):
         """How far it is open."""
         message = "active" if self._active else "not active"
         return OK, message, {"opening [m]": f"{self._opening:.3f}"}
+
+    def _refuse_impossible_transitions(self):
+        """rclpy raises, and never answers, where a transition does not start in the present state."""
+        service = next(s for s in self.services if s.service_name.endswith("/change_state"))
+        change = service.callback
+
+        def change_or_refuse(request, response):
+            try:
+                return change(request, response)
+            except RuntimeError as error:
+                self.get_logger().warning(f"transition refused: {error}")
+                response.success = False
+                return response
+
+        service.callback = change_or_refuse
 
     def _close(self, request, response):
         response.success = self._active

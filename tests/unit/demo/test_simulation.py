@@ -34,6 +34,14 @@ def test_a_scan_is_noisy_true_and_infinite_beyond_its_range():
     assert 5 < np.count_nonzero(~seen) < 40
 
 
+def test_scan_points_lie_on_what_was_seen_although_the_robot_has_turned_since():
+    simulation = Simulation()
+    ranges = simulation.scan(0.0)
+    simulation.base.pose = Pose(yaw=0.3)
+    points = simulation.scan_points(ranges)
+    assert max(simulation.world.clearance(x, y) for x, y in points) < 0.01
+
+
 def test_an_idle_robot_does_not_drive():
     simulation = Simulation()
     simulation.mode, simulation.wanted = IDLE, (0.5, 0.0)
