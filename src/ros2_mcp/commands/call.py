@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 def call(settings: Settings, tool: str | None, assignments: Sequence[str], *, as_json: bool) -> int:
     """Calls the tool and prints its answer; pictures are saved beside and named. Without a tool, lists the tools."""
-    bridge = launch(settings)
     arguments = parse_assignments(assignments)
+    bridge = launch(settings)
     from ros2_mcp.guard.policy import Policy
     from ros2_mcp.robot import Robot
     from ros2_mcp.server import build_server
