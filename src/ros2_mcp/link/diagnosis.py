@@ -127,7 +127,7 @@ def _middleware(chosen: RosInstallation, wanted: str) -> Finding:
     """Whether the middleware that the environment asks for is installed."""
     prefixes = [chosen.prefix, *path_entries(chosen.environment, "AMENT_PREFIX_PATH")]
     index = "share/ament_index/resource_index/rmw_typesupport"
-    installed = sorted({entry.name for prefix in prefixes for entry in prefix.glob(f"{index}/rmw_*")})
+    installed = sorted({entry.name for prefix in prefixes for entry in prefix.glob(f"{index}/rmw_*_c*")})
     title, listed = "Middleware", ", ".join(installed) or "none found"
     if not wanted:
         return Finding(None, title, f"ROS's own choice; installed: {listed}")

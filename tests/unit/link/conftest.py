@@ -1,0 +1,25 @@
+"""Runs each scenario in an event loop of its own, and fails it if it leaves a task behind."""
+
+import asyncio
+import sys
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+
+@pytest.fixture
+def play() -> Callable[[Coroutine[Any, Any, None]], None]:
+    def run(scenario: Coroutine[Any, Any, None]) -> None:
+        async def watched() -> None:
+            await asyncio.wait_for(scenario, 10)
+            await asyncio.sleep(0.01)
+            left = asyncio.all_tasks() - {asyncio.current_task()}
+            assert not left, left
+
+        asyncio.run(watched())
+
+    return run
