@@ -1,0 +1,309 @@
+"""The link against the real bridge in a process of its own."""
+
+import asyncio
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import venv
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from ros2_mcp.link.client import Bridge
+from ros2_mcp.link.environment import find_ros, rclpy_below
+from ros2_mcp.link.installation import WHEEL_GUARD
+from ros2_mcp.model.errors import BridgeLost, BridgeRefused, LinkError, RosNotFound
+from ros2_mcp.settings import Settings
+
+ENV = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+SETTINGS = Settings(domain_id=111)
+QOS = {"reliability": "reliable", "durability": "volatile", "history": "keep_last", "depth": 100}
+STRING = b"\x00\x01\x00\x00\x06\x00\x00\x00hello\x00"
+
+
+def play(scenario: Callable[[Bridge], Awaitable[None]], settings: Settings = SETTINGS) -> Bridge:
+    """Plays a scenario with a bridge, and fails it if a process or task is left behind."""
+
+    async def run() -> Bridge:
+        bridge = Bridge(lambda: find_ros(settings, ENV))
+        bridge.launch()
+        try:
+            await asyncio.wait_for(scenario(bridge), 40)
+        finally:
+            pid = bridge.pid
+            await bridge.close()
+        assert asyncio.all_tasks() == {asyncio.current_task()}
+        assert pid is None or not _lives(pid)
+        return bridge
+
+    return asyncio.run(run())
+
+
+def _lives(pid: int) -> bool:
+    return Path(f"/proc/{pid}").exists()
+
+
+def test_a_launched_bridge_answers_and_leaves_when_closed() -> None:
+    async def scenario(bridge: Bridge) -> None:
+        reply = await bridge.request("topics", settle_s=2.0, timeout_s=5)
+        assert isinstance(reply.ok["topics"], list)
+        assert bridge.hello
+        assert bridge.hello.domain_id == 111
+
+    play(scenario)
+
+
+def test_what_is_published_arrives_at_a_subscription_byte_for_byte() -> None:
+    async def scenario(bridge: Bridge) -> None:
+        topic, kind = "/link_test", "std_msgs/msg/String"
+        async with await bridge.subscribe(
+            topic, kind, QOS, keep="all", max_samples=100, max_bytes=10_000_000
+        ) as subscription:
+            sent = await bridge.request(
+                "publish", STRING, timeout_s=5, topic=topic, type=kind, qos=QOS, wait_match_s=3.0, wait_ack_s=2.0
+            )
+            assert sent.ok["matched"] >= 1
+            taken = await subscription.take(5)
+            assert [sample.data[: len(STRING)] for sample in taken] == [STRING]
+        assert subscription.counts.received == 1
+
+    play(scenario)
+
+
+def test_a_large_body_goes_both_ways_without_holding_up_other_requests() -> None:
+    async def scenario(bridge: Bridge) -> None:
+        topic, kind, size = "/link_large", "std_msgs/msg/UInt8MultiArray", 10_000_000
+        body = b"\x00\x01\x00\x00" + bytes(4) + bytes(4) + size.to_bytes(4, "little") + os.urandom(size)
+        async with await bridge.subscribe(
+            topic, kind, QOS, keep="all", max_samples=10, max_bytes=50_000_000
+        ) as subscription:
+            publish = asyncio.ensure_future(
+                bridge.request(
+                    "publish", body, timeout_s=15, topic=topic, type=kind, qos=QOS, wait_match_s=3.0, wait_ack_s=5.0
+                )
+            )
+            await bridge.request("ping", timeout_s=5)
+            await publish
+            taken = await subscription.take(10)
+            assert [sample.data[: len(body)] for sample in taken] == [body]
+        assert bridge.restarts == []
+
+    play(scenario)
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(signal.SIGKILL, "died with signal SIGKILL"), (signal.SIGSTOP, "was stopped")]
+)
+def test_a_lost_bridge_fails_the_call_within_a_second_and_the_next_call_works(
+    number: signal.Signals, words: str
+) -> None:
+    async def scenario(bridge: Bridge) -> None:
+        first = (await bridge.ready()).pid
+        waiting = asyncio.ensure_future(
+            bridge.request("wait_endpoints", topic="/nobody", publishers=1, subscribers=0, timeout_s=30)
+        )
+        subscription = await bridge.subscribe(
+            "/nobody", "std_msgs/msg/String", QOS, keep="all", max_samples=10, max_bytes=1000
+        )
+        take = asyncio.ensure_future(subscription.take(30))
+        await bridge.request("ping", timeout_s=5)
+        os.kill(first, number)
+        begun = time.monotonic()
+        for lost in (waiting, take):
+            with pytest.raises(BridgeLost, match=words):
+                await lost
+        assert time.monotonic() - begun < 1.0
+        await bridge.request("ping", timeout_s=5)
+        assert bridge.generation == 2
+        assert bridge.pid != first
+        assert not _lives(first)
+
+    assert words in play(scenario).restarts[0]
+
+
+def test_a_cancelled_call_and_a_cancelled_subscribe_leave_nothing_in_the_bridge() -> None:
+    async def scenario(bridge: Bridge) -> None:
+        await bridge.ready()
+        for delay_s in (0.0, 0.0005, 0.002, 0.01):
+            ask = asyncio.ensure_future(
+                bridge.subscribe("/brief", "std_msgs/msg/String", QOS, keep="all", max_samples=10, max_bytes=1000)
+            )
+            await asyncio.sleep(delay_s)
+            if not ask.cancel():
+                await ask.result().close()
+            await asyncio.wait({ask})
+        deadline = time.monotonic() + 3
+        while (await bridge.request("stats", timeout_s=5)).ok["subscriptions"]:
+            assert time.monotonic() < deadline
+            await asyncio.sleep(0.02)
+
+    play(scenario)
+
+
+def test_a_refusal_of_the_bridge_arrives_with_its_kind() -> None:
+    async def scenario(bridge: Bridge) -> None:
+        with pytest.raises(BridgeRefused) as refused:
+            await bridge.request("wait_endpoints", topic="/none", publishers=1, subscribers=0, timeout_s=0.1)
+        assert refused.value.kind == "timeout"
+
+    play(scenario)
+
+
+def test_without_ros_every_request_says_what_is_missing_and_it_is_looked_for_again(tmp_path: Path) -> None:
+    there = False
+
+    def find():  # type: ignore[no-untyped-def]
+        if not there:
+            raise RosNotFound("No ROS 2 found.", "Run: this")
+        return find_ros(SETTINGS, ENV)
+
+    async def scenario() -> None:
+        nonlocal there
+        async with Bridge(find) as bridge:
+            for _ in range(2):
+                with pytest.raises(RosNotFound, match="Run: this"):
+                    await bridge.request("ping", timeout_s=5)
+            there = True
+            deadline = time.monotonic() + 15
+            while bridge.hello is None and time.monotonic() < deadline:
+                try:
+                    await bridge.request("ping", timeout_s=5)
+                except RosNotFound:
+                    await asyncio.sleep(0.1)
+            assert bridge.hello
+
+    asyncio.run(scenario())
+
+
+def test_a_python_without_rclpy_is_reported_with_what_it_said(tmp_path: Path) -> None:
+    venv.create(tmp_path / "empty", with_pip=False)
+    settings = Settings(bridge_python=tmp_path / "empty" / "bin" / "python", domain_id=111)
+
+    async def scenario(bridge: Bridge) -> None:
+        with pytest.raises(LinkError, match="rclpy"):
+            await bridge.request("ping", timeout_s=5)
+
+    play(scenario, settings)
+
+
+# ── the server under one Python, ROS under another ─────────────────────────────────────────────────────────────
+
+
+@pytest.fixture(scope="session")
+def other_ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
+    """A ROS root whose `jazzy` runs under another Python than ours, if this machine has uv and one; its version."""
+    python = _another_python()
+    uv = shutil.which("uv")
+    if not python or not uv:
+        pytest.skip("needs uv and a second Python (3.10 to 3.14) on PATH to install ROS 2 wheels for")
+    root = tmp_path_factory.mktemp("other ros's root")
+    prefix = root / "venv"
+    packages = ["ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "ros-jazzy-common-interfaces", "numpy"]
+    subprocess.run([uv, "venv", "-q", "-p", python, str(prefix)], check=True, timeout=60)
+    install = [uv, "pip", "install", "-q", "-p", str(prefix / "bin" / "python"), *packages]
+    subprocess.run(install, check=True, timeout=240, env={**os.environ, WHEEL_GUARD: "1"})
+    _write_setup(root / "jazzy", prefix)
+    yield root, python.rpartition("python")[2]
+    shutil.rmtree(root)
+
+
+def _another_python() -> str | None:
+    others = (f"python3.{minor}" for minor in (12, 13, 10, 14) if minor != sys.version_info.minor)
+    return next(filter(None, map(_real_python, others)), None)
+
+
+def _real_python(name: str) -> str | None:
+    """The interpreter of that name that runs, seen through the shims of pyenv, which are there for all versions."""
+    if not shutil.which(name):
+        return None
+    asked = [name, "-c", "import sys; print(sys.base_prefix)"]
+    env = {**os.environ, "PYENV_VERSION": name.removeprefix("python"), WHEEL_GUARD: "1"}
+    done = subprocess.run(asked, capture_output=True, text=True, check=False, timeout=20, env=env)
+    return str(Path(done.stdout.strip()) / "bin" / name) if done.returncode == 0 else None
+
+
+def _write_setup(distro: Path, prefix: Path) -> None:
+    """What /opt/ros/<distro>/setup.bash does, for an environment of wheels."""
+    site_packages = next(rclpy_below(prefix)).parent
+    libraries = os.pathsep.join(str(folder) for folder in (prefix / "lib", *site_packages.glob("ros_*.libs")))
+    distro.mkdir()
+    values = {
+        "PATH": f"{prefix / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": str(site_packages),
+        "LD_LIBRARY_PATH": libraries,
+        "AMENT_PREFIX_PATH": str(prefix),
+        "ROS_DISTRO": "jazzy",
+    }
+    lines = [f"export {name}={shlex.quote(value)}" for name, value in values.items()]
+    (distro / "setup.bash").write_text("\n".join([*lines, "echo this must not reach the stream"]) + "\n")
+
+
+@pytest.mark.timeout(360)
+def test_the_bridge_runs_under_the_python_of_an_unsourced_ros_whatever_ours_is(other_ros: tuple[Path, str]) -> None:
+    root, version = other_ros
+
+    async def scenario(bridge: Bridge) -> None:
+        hello = await bridge.ready()
+        assert bridge.installation
+        assert bridge.installation.kind == "unsourced"
+        assert hello.python.startswith(version + ".")
+        assert not hello.python.startswith(f"3.{sys.version_info.minor}.")
+        assert (await bridge.request("interfaces", timeout_s=5)).ok["interfaces"]
+
+    play(scenario, Settings(ros_root=root, distro="jazzy", domain_id=112))
+
+
+# ── the end of the server ──────────────────────────────────────────────────────────────────────────────────────
+
+_SERVER = """
+import asyncio
+from ros2_mcp.link.client import Bridge
+from ros2_mcp.link.environment import find_ros
+from ros2_mcp.settings import Settings
+
+async def main():
+    bridge = Bridge(lambda: find_ros(Settings(domain_id=113)))
+    print((await bridge.ready()).pid, flush=True)
+    await asyncio.sleep(60)
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_the_bridge_leaves_when_its_server_dies(number: signal.Signals) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", _SERVER], env=ENV, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as server:
+        assert server.stdout
+        pid = int(server.stdout.readline())
+        server.send_signal(number)
+        server.wait(10)
+    deadline = time.monotonic() + 3
+    while _lives(pid):
+        assert time.monotonic() < deadline, "the bridge outlived its server"
+        time.sleep(0.02)
+
+
+def test_twenty_lost_bridges_leave_no_open_files_behind() -> None:
+    async def scenario(bridge: Bridge) -> None:
+        await bridge.ready()
+        before = _open_files()
+        for _ in range(20):
+            os.kill((await bridge.ready()).pid, signal.SIGKILL)
+            with pytest.raises(BridgeLost):
+                await bridge.request("topics", settle_s=0.0, timeout_s=5)
+            await bridge.request("ping", timeout_s=5)
+        assert _open_files() == before
+        assert (bridge.generation, len(bridge.restarts)) == (21, 20)
+
+    play(scenario)
+
+
+def _open_files() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
