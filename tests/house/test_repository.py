@@ -6,6 +6,8 @@ import re
 
 from source import ROOT, committed_texts
 
+from ros2_mcp.tools import TOOLS
+
 OF_ONE_MACHINE = re.compile(r"(?<![\w.])/(?:root|home/\w+|work|Users/\w+)/|/tmp/w/")
 REGISTRY = re.compile(r"https?://[\w.-]*(?:pypi|pythonhosted|npmjs|registry)[\w.-]*", re.IGNORECASE)
 THIS_FILE = "tests/house/test_repository.py"
@@ -57,6 +59,12 @@ def test_readme_has_the_command_of_the_demo_and_the_command_of_the_tests() -> No
 def test_ci_runs_the_tests_with_readmes_command() -> None:
     script = (ROOT / ".ci/run").read_text(encoding="utf-8")
     assert f"bash -c '{commands_of_readme()[1]}'" in script
+
+
+def test_documentation_names_only_tools_that_there_are() -> None:
+    by_hand = [path for path in committed_texts() if re.match(r"README|CONTRIBUTING|docs/tutorial|docs/how-to/", path)]
+    named = {name for path in by_hand for name in re.findall(r"\bros2_[a-z]+(?:_[a-z]+)+\b", committed_texts()[path])}
+    assert {name for name in named if not name.startswith("ros2_mcp_")} <= {tool.name for tool in TOOLS}
 
 
 def test_links_in_the_documentation_lead_to_files_that_are_there() -> None:
