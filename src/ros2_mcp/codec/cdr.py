@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from struct import error as StructError
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from rosbags.serde import SerdeError
 
 from ros2_mcp.codec.definitions import Definitions
+from ros2_mcp.codec.store import attribute
 from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.interfaces import FieldType
 
 Message: TypeAlias = object
 """A message as an object with one attribute for each field; numeric arrays are read-only NumPy arrays."""
+
+_PADDING = 3
 
 
 class Codec:
@@ -29,7 +33,10 @@ class Codec:
         """
         store = self.definitions.compiled(type_name)
         try:
-            return store.read(type_name, data)
+            message, rest = store.read(type_name, data)
+            if len(rest) > _PADDING and any(rest) and len(rest) > _PADDING + 4 * self._estimates(type_name, message):
+                raise ValueError(f"{len(rest)} bytes are left over")
+            return message
         except (ValueError, StructError, SerdeError) as error:
             raise BadData(
                 f"A message of {len(data)} bytes is not a {type_name}: {error}.",
@@ -42,3 +49,18 @@ class Codec:
         `message` comes from `decode` or `check`; anything else is a mistake in the program.
         """
         return self.definitions.compiled(type_name).write(type_name, message)
+
+    def _estimates(self, type_name: str, message: Message) -> int:
+        """How many sequences and wide strings it has: rclpy's `serialize_message` only estimates their
+        size, and appends up to four bytes of garbage for each."""
+        fields = self.definitions.structure(type_name).fields
+        return sum(self._estimates_in(field.shape, getattr(message, attribute(field.name))) for field in fields)
+
+    def _estimates_in(self, shape: FieldType, value: Any) -> int:
+        own = int(shape.shape == "sequence")
+        elements = [value] if shape.shape == "single" else value
+        if shape.base == "wstring":
+            return own + len(elements)
+        if shape.is_message:
+            return own + sum(self._estimates(shape.base, element) for element in elements)
+        return own

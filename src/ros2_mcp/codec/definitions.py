@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, cast
 
 from rosbags.typesys import TypesysError
 
+from ros2_mcp.codec.example import example_of
 from ros2_mcp.codec.sources import ALWAYS_KNOWN, SIDES, kind_of, structures_of, types_of
 from ros2_mcp.codec.store import MessageStore, type_hash
 from ros2_mcp.model.errors import UnknownInterface
@@ -66,17 +67,15 @@ class Definitions:
 
     def hash(self, type_name: str) -> str:
         """The type's hash as it travels on the wire (`RIHS01_…`); empty where it cannot be computed."""
-        every = {type_name: self.structure(type_name), **self._nested(type_name)}
+        with self._lock:
+            every = self._known.reachable(type_name)
         if any(field.shape.base == "wstring" for each in every.values() for field in each.fields):
             return ""
         return type_hash(type_name, every)
 
     def example(self, type_name: str) -> dict[str, Any]:
         """A value with every field at its default, ready to fill in; `check` accepts it unchanged."""
-        from ros2_mcp.codec.check import check
-        from ros2_mcp.codec.render import RenderOptions, render
-
-        return render(self, type_name, check(self, type_name, {}), options=RenderOptions(exact=True)).value
+        return example_of(self.structure, type_name)
 
     def starts_with_header(self, type_name: str) -> bool:
         """Whether the first field is a std_msgs/msg/Header, so that the message begins with a stamp."""
@@ -97,7 +96,8 @@ class Definitions:
 
     def _nested(self, type_name: str) -> dict[str, Structure]:
         with self._lock:
-            return {each.type: each for each in self._known.reachable(type_name) if each.type != type_name}
+            every = self._known.reachable(type_name)
+        return {name: structure for name, structure in every.items() if name != type_name}
 
 
 class _Known:
@@ -128,7 +128,7 @@ class _Known:
         return self.structures[type_name]
 
     def compile(self, type_name: str) -> None:
-        structures = list(self.reachable(type_name))
+        structures = self.reachable(type_name).values()
         try:
             self.store.add(structures)
             self.store.get_msgdef(type_name)
@@ -136,13 +136,18 @@ class _Known:
             raise UnknownInterface(f"The definition of {type_name} cannot be used: {error}") from error
         self.compiled.add(type_name)
 
-    def reachable(self, type_name: str, inside: tuple[str, ...] = ()) -> Iterator[Structure]:
-        """The structure of the type and of all that it contains, each once, those it contains first named first."""
+    def reachable(self, type_name: str) -> dict[str, Structure]:
+        """The structure of the type and of all that it contains, by name, in the order of their first use."""
+        found: dict[str, Structure] = {}
+        self._collect(type_name, found, ())
+        return found
+
+    def _collect(self, type_name: str, found: dict[str, Structure], inside: tuple[str, ...]) -> None:
         if type_name in inside:
             raise UnknownInterface(f"The definition of {type_name} contains itself.")
-        structure = self.load(type_name)
-        found = {type_name: structure}
-        for field in structure.fields:
-            if field.shape.is_message and field.shape.base not in found:
-                found.update({each.type: each for each in self.reachable(field.shape.base, (*inside, type_name))})
-        yield from found.values()
+        if type_name in found:
+            return
+        found[type_name] = self.load(type_name)
+        for field in found[type_name].fields:
+            if field.shape.is_message:
+                self._collect(field.shape.base, found, (*inside, type_name))

@@ -54,7 +54,7 @@ def map_facts(message: Any) -> MapFacts:
     free = float(np.mean((cells >= 0) & (cells < OCCUPIED)))
     occupied = float(np.mean((cells >= OCCUPIED) & (cells <= 100)))
     position, turn = info.origin.position, info.origin.orientation
-    yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y**2 + turn.z**2))
+    yaw = math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), turn.w**2 + turn.x**2 - turn.y**2 - turn.z**2)
     return MapFacts(
         message.header.frame_id,
         float(info.resolution),

@@ -22,6 +22,7 @@ OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
 PICTURE_TYPES = frozenset({IMAGE, COMPRESSED_IMAGE, OCCUPANCY_GRID})
 
 _MAX_PIXELS = 64_000_000
+_SMALLEST_SIDE = 16
 _SMALL_PIXELS = 160 * 120
 _QUALITIES = (85, 70, 50)
 _READ = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
@@ -111,20 +112,33 @@ def _encoded(raster: Raster, max_side: int, max_bytes: int) -> Picture:
     for image in _sizes(whole, max_side, raster.is_photo):
         for data, mime in _encodings(image, raster.is_photo):
             if len(data) <= max_bytes:
-                shrunk = "" if image.size == whole.size else f" Shown at {image.width} × {image.height} pixels"
-                of = f" instead of {whole.width} × {whole.height}." if shrunk else ""
-                return Picture(data, mime, *image.size, raster.note + shrunk + of)
+                return Picture(data, mime, *image.size, raster.note + _shrunk(image, whole))
     raise BadData(f"The picture does not fit into {max_bytes} bytes at any size.")
 
 
-def _sizes(image: Image.Image, max_side: int, smooth: bool) -> Iterator[Image.Image]:
-    side = min(max_side, max(image.size))
-    while side >= 16:
-        factor = side / max(image.size)
-        size = (max(1, round(image.width * factor)), max(1, round(image.height * factor)))
-        filtering = Image.Resampling.BILINEAR if smooth else Image.Resampling.NEAREST
-        yield image if factor == 1 else image.resize(size, filtering, reducing_gap=2.0 if smooth else None)
+def _shrunk(image: Image.Image, whole: Image.Image) -> str:
+    if image.size == whole.size:
+        return ""
+    return f" Shown at {image.width} × {image.height} pixels instead of {whole.width} × {whole.height}."
+
+
+def _sizes(whole: Image.Image, max_side: int, smooth: bool) -> Iterator[Image.Image]:
+    """The picture at its size if that is allowed, then ever smaller."""
+    side = max(whole.size)
+    if side <= max_side:
+        yield whole
         side = side * 3 // 4
+    side = min(side, max_side)
+    while side >= _SMALLEST_SIDE:
+        yield _resized(whole, side / max(whole.size), smooth)
+        side = side * 3 // 4
+
+
+def _resized(whole: Image.Image, factor: float, smooth: bool) -> Image.Image:
+    size = (max(1, round(whole.width * factor)), max(1, round(whole.height * factor)))
+    if smooth:
+        return whole.resize(size, Image.Resampling.BILINEAR, reducing_gap=2.0)
+    return whole.resize(size, Image.Resampling.NEAREST)
 
 
 def _encodings(image: Image.Image, is_photo: bool) -> Iterator[tuple[bytes, str]]:

@@ -150,8 +150,8 @@ def _nv(message: Any, order: tuple[int, int]) -> Raster:
     """A plane of luma, then at half the size chroma in pairs."""
     height, width = message.height // 2 * 2, message.width // 2 * 2
     planes = _rows(message, "u1", 1, rows=message.height + (message.height + 1) // 2)[:, :width, 0]
-    pairs: NDArray[Any] = planes[message.height :][: height // 2].reshape((height // 2, width // 2, 2))
-    u, v = (pairs[:, :, place].repeat(2, axis=0).repeat(2, axis=1) for place in order)
+    chroma = planes[message.height :][: height // 2]
+    u, v = (chroma[:, place::2].repeat(2, axis=0).repeat(2, axis=1) for place in order)
     return Raster(_yuv_to_rgb(planes[:height], u, v), f"{message.encoding}.")
 
 

@@ -40,6 +40,7 @@ _IMPLIED_BY_ACTION = {
 _IMPLIED = {"msg": {}, "srv": _IMPLIED_BY_SERVICE, "action": _IMPLIED_BY_ACTION}
 _IDENTIFIER = r"[A-Za-z]\w*"
 _TYPE_NAME = re.compile(rf"{_IDENTIFIER}/(msg|srv|action)/{_IDENTIFIER}", re.ASCII)
+_INCLUDE = re.compile(r"^\s*#.*$", re.MULTILINE)
 _PLACEHOLDER = "structure_needs_at_least_one_member"
 
 
@@ -92,7 +93,7 @@ def _read_idl(name: str, text: str) -> dict[str, Structure]:
                 tuple(Field(field, _idl_type(field, node)) for field, node in fields if field != _PLACEHOLDER),
                 tuple(Constant(constant, str(base), value) for constant, base, value in constants),
             )
-            for type_name, (constants, fields) in get_types_from_idl(text).items()
+            for type_name, (constants, fields) in get_types_from_idl(_INCLUDE.sub("", text)).items()
         }
     except (TypesysError, ValueError) as error:
         raise UnknownInterface(f"The IDL text of {name} cannot be read: {str(error)[:300]}") from error

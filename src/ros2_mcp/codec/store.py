@@ -21,7 +21,6 @@ from ros2_mcp.model.interfaces import OCTETS, TEXTS, FieldType, Structure
 __all__ = ["MessageStore", "attribute", "type_hash"]
 
 _HEADER_SIZE = 4
-_MAX_PADDING = 3
 _LENGTHS = {"le": Struct("<I"), "be": Struct(">I")}
 _WIDE = {"le": "utf-32-le", "be": "utf-32-be"}
 
@@ -54,8 +53,8 @@ class MessageStore(Typestore):
             )
         return self.cache[typename]
 
-    def read(self, type_name: str, data: bytes) -> object:
-        """The message in CDR bytes.
+    def read(self, type_name: str, data: bytes) -> tuple[object, memoryview]:
+        """The message in CDR bytes, and what is left over behind it.
 
         Raises:
             ValueError, struct.error, SerdeError: if they do not fit.
@@ -68,9 +67,7 @@ class MessageStore(Typestore):
         message, end = read(body, 0, definition.cls, self)
         if end > len(body):
             raise ValueError("it ends too early")
-        if len(body) - end > _MAX_PADDING and any(body[end:]):
-            raise ValueError(f"{len(body) - end} bytes are left over")
-        return message
+        return message, body[end:]
 
     def write(self, type_name: str, message: object) -> bytes:
         """Little-endian CDR with its header; padding is zero."""
