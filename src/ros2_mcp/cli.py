@@ -63,7 +63,7 @@ def _add_settings(top: argparse.ArgumentParser) -> None:
     serving.add_argument("--port", type=int, help="port for HTTP (default: 8123)")
     serving.add_argument("--read-only", action="store_true", default=None, help="leave out tools that write")
     serving.add_argument("--tools", metavar="GROUPS", help="groups of tools, such as core,actions, or all")
-    serving.add_argument("--log-level", choices=("DEBUG", "INFO", "WARNING", "ERROR"), help="default: WARNING")
+    serving.add_argument("--log-level", choices=("debug", "info", "warning", "error"), help="default: warning")
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
 
 
@@ -82,17 +82,17 @@ def settings_from(arguments: argparse.Namespace) -> Settings:
 
     given = {
         "distro": arguments.distro,
-        "workspaces": arguments.workspace,
+        "workspaces": tuple(arguments.workspace) if arguments.workspace else None,
         "domain_id": arguments.domain_id,
         "rmw": arguments.rmw,
         "transport": arguments.transport,
         "host": arguments.host,
         "port": arguments.port,
         "read_only": arguments.read_only,
-        "tools": arguments.tools.split(",") if arguments.tools else None,
+        "tools": tuple(arguments.tools.split(",")) if arguments.tools else None,
         "log_level": arguments.log_level,
     }
-    return Settings.from_environment(os.environ, **{name: value for name, value in given.items() if value is not None})
+    return Settings.from_environment(os.environ, **given)
 
 
 def _run(arguments: argparse.Namespace) -> int:

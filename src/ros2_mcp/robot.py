@@ -124,16 +124,16 @@ class Robot:
 
     # ── the graph ──────────────────────────────────────────────────────────────────────────────────────────────
 
-    async def ask(self, op: str, body: bytes = b"", *, within_s: float = _REQUEST_S, **arguments: Any) -> Reply:
+    async def ask(self, op: str, body: bytes = b"", *, timeout_s: float = _REQUEST_S, **arguments: Any) -> Reply:
         """One request to the bridge, with its refusals mapped to this package's errors."""
         try:
-            return await self.bridge.request(op, body, within_s=within_s, **arguments)
+            return await self.bridge.request(op, body, timeout_s=timeout_s, **arguments)
         except BridgeRefused as refused:
             raise _KINDS.get(refused.kind, LinkError)(refused.message, refused.hint) from refused
 
     async def graph(self, op: str, **arguments: Any) -> dict[str, Any]:
         """One query of the graph, after discovery has settled."""
-        return (await self.ask(op, settle_s=SETTLE_S, within_s=_REQUEST_S + SETTLE_S, **arguments)).ok
+        return (await self.ask(op, settle_s=SETTLE_S, timeout_s=_REQUEST_S + SETTLE_S, **arguments)).ok
 
     async def endpoints(self, topic: str) -> TopicEndpoints:
         """The publishers and subscribers of a topic; empty where the graph does not know it."""
@@ -153,7 +153,6 @@ class Robot:
                 publishers=publishers,
                 subscribers=subscribers,
                 timeout_s=timeout_s,
-                within_s=timeout_s + _REQUEST_S,
             )
         except TimedOut:
             return await self.endpoints(topic)
@@ -311,7 +310,7 @@ class Robot:
         reply = await self.ask(
             "publish",
             body,
-            within_s=wait_match_s + wait_ack_s + _REQUEST_S,
+            timeout_s=wait_match_s + wait_ack_s + _REQUEST_S,
             topic=topic,
             type=type_name,
             qos=choice.qos.request(),
@@ -337,7 +336,7 @@ class Robot:
             "repeat",
             body + zero,
             final_size=len(zero),
-            within_s=duration_s + wait_match_s + _REQUEST_S,
+            timeout_s=duration_s + wait_match_s + _REQUEST_S,
             topic=topic,
             type=type_name,
             qos=choice.qos.request(),
@@ -362,7 +361,6 @@ class Robot:
         reply = await self.ask(
             "call",
             body,
-            within_s=timeout_s + wait_s + _REQUEST_S,
             service=service,
             type=service_type,
             wait_s=wait_s,

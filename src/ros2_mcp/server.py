@@ -108,7 +108,7 @@ def build_tool(declaration: ToolDeclaration, robot: Robot) -> RobotTool:
     return tool
 
 
-def build_server(robot: Robot, *, groups: Sequence[str] = ("all",), log_level: str = "WARNING") -> MCPServer[None]:
+def build_server(robot: Robot, *, groups: Sequence[str] = (), log_level: str = "WARNING") -> MCPServer[None]:
     """The MCP server for one robot. In read-only mode tools that write are absent, not refused."""
 
     return MCPServer[None](
@@ -122,11 +122,11 @@ def build_server(robot: Robot, *, groups: Sequence[str] = ("all",), log_level: s
 
 
 def chosen_tools(robot: Robot, groups: Sequence[str]) -> list[ToolDeclaration]:
-    """The tools of the chosen groups (`all` is every group) that the policy allows."""
+    """The tools of the chosen groups (none or `all` is every group) that the policy allows."""
     return [
         declaration
         for declaration in TOOLS
-        if ("all" in groups or declaration.group in groups)
+        if (not groups or "all" in groups or declaration.group in groups)
         and (declaration.risk == "read" or not robot.policy.read_only)
     ]
 

@@ -47,7 +47,7 @@ def launch(settings: Settings) -> Bridge:
     from ros2_mcp.link.client import Bridge
     from ros2_mcp.link.environment import find_ros
 
-    bridge = Bridge(lambda: find_ros(settings))
+    bridge = Bridge(lambda: find_ros(settings), pass_stderr=settings.debug)
     bridge.launch()
     return bridge
 
@@ -59,7 +59,7 @@ async def _serve(bridge: Bridge, settings: Settings, wire: Wire | None) -> int:
     from ros2_mcp.server import build_server, serve_stdio
 
     robot = Robot(bridge, Policy(settings.read_only))
-    server = build_server(robot, groups=settings.tools, log_level=settings.log_level)
+    server = build_server(robot, groups=settings.tools, log_level=settings.log_level.upper())
     running = serve_stdio(server, wire.read_fd, wire.write_fd) if wire else serve_http(server, settings)
     return await _until_told_to_end(robot, running)
 

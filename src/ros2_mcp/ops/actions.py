@@ -77,7 +77,7 @@ class GoalOutcome:
 
 @dataclass(frozen=True, slots=True)
 class GoalResult:
-    """The result of a goal, whoever sent it; `TIMEOUT` (code 0) if it had not ended in time, which does not cancel it."""
+    """The result of a goal, whoever sent it; `TIMEOUT` (code 0) if it had not ended in time."""
 
     service: str
     goal_id: str

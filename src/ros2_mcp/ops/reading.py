@@ -32,7 +32,7 @@ class View:
     """How messages are shown: chosen fields, elements shown of long arrays, every n-th message, bytes of text."""
 
     fields: Sequence[str] = ()
-    max_array: int | None = None
+    max_array: int = 64
     every_n: int = 1
     max_bytes: int = 32_000
 

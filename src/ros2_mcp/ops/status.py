@@ -64,7 +64,7 @@ async def status(robot: Robot) -> Status:
         publishers=stats["publishers"],
         service_clients=stats["clients"],
         read_only=robot.policy.read_only,
-        ros_found=robot.bridge.installation_why,
+        ros_found=robot.bridge.installation.why if robot.bridge.installation else "",
         limitations=_limitations(robot),
     )
 

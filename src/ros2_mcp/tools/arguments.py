@@ -36,7 +36,7 @@ Fields = Annotated[
     Field(description='Only these parts of a message, such as ["pose.pose.position", "ranges[0:10]"]. Default: all.'),
 ]
 MaxArray = Annotated[
-    Whole | None,
+    Whole,
     Field(ge=0, le=10_000, description="Show arrays up to this length in full; longer ones are summarised."),
 ]
 EveryN = Annotated[Whole, Field(ge=1, le=1_000_000, description="Keep only every n-th message.")]

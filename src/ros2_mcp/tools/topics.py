@@ -64,7 +64,7 @@ async def ros2_topic_subscribe(
     duration: Duration = None,
     message_limit: MessageLimit = None,
     fields: Fields = None,
-    max_array: MaxArray = None,
+    max_array: MaxArray = 64,
     every_n: EveryN = 1,
 ) -> reading.Reading:
     """Read messages of a topic: for a duration, or until a number of messages came. With neither: the first message.
@@ -82,7 +82,7 @@ async def ros2_subscribe_multiple_topics(
     report: Report,
     topics: Annotated[list[TopicToRead], Field(min_length=1, max_length=20, description="The topics to read.")],
     fields: Fields = None,
-    max_array: MaxArray = None,
+    max_array: MaxArray = 64,
     every_n: EveryN = 1,
 ) -> reading.Readings:
     """Read several topics truly at the same time, each with its own duration or message limit."""
@@ -97,7 +97,7 @@ async def ros2_topic_echo_wait(
     message_type: MessageType = "",
     timeout: Annotated[Number, Field(gt=0, le=3600, description="Wait at most this long, in seconds.")] = 5.0,
     fields: Fields = None,
-    max_array: MaxArray = None,
+    max_array: MaxArray = 64,
 ) -> reading.Echo:
     """Wait for the next message of a topic; the topic itself may appear meanwhile."""
     return await reading.echo(robot, topic_name, message_type, timeout, reading.View(fields or (), max_array))
