@@ -129,7 +129,7 @@ def _same(one: object, other: object) -> bool:
     if hasattr(one, "get_fields_and_field_types"):
         return all(_same(getattr(one, name), getattr(other, name)) for name in one.get_fields_and_field_types())
     if isinstance(one, (str, bytes)) or not hasattr(one, "__len__"):
-        return one == other or (isinstance(one, float) and math.isnan(one) and math.isnan(other))
+        return one == other or (isinstance(one, (float, np.floating)) and math.isnan(one) and math.isnan(other))
     return len(one) == len(other) and all(map(_same, one, other))
 
 
