@@ -136,7 +136,8 @@ class Bridge:
     @property
     def hello(self) -> Hello | None:
         """How the running bridge introduced itself; None while there is none."""
-        return self._connection.hello if self._connection else None
+        outcome = self._outcome.result() if self._outcome and self._outcome.done() else None
+        return outcome.hello if isinstance(outcome, Connection) else None
 
     @property
     def pid(self) -> int | None:

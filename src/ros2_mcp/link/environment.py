@@ -104,7 +104,8 @@ def unsourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | N
     prefix = settings.ros_root / distro
     clean = _environment(settings, env, keep_sourced=False)
     package = next(rclpy_below(prefix), None)
-    python = _override(settings) or (package and _interpreter(package, [prefix], clean)) or "python3"
+    # The system's own Python first: another one of that version would lack what rclpy needs, such as NumPy.
+    python = _override(settings) or (package and _interpreter(package, [prefix, Path("/usr")], clean)) or "python3"
     reason = "asked for" if settings.distro else "the newest of " + ", ".join(installed)
     why = f"{prefix}/setup.bash is sourced for the bridge ({reason})."
     return _installation(settings, "unsourced", distro, prefix, why, python, (prefix / "setup.bash",), clean)
