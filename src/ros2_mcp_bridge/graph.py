@@ -9,7 +9,8 @@ from . import qos
 from .request import OperationError
 
 POLL_S = 0.06
-QUIET_S = 0.5
+QUIET_S = 0.4
+ANNOUNCEMENT_PERIOD_S = 2.6
 LONGEST_SETTLING_S = 10.0
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 
@@ -17,7 +18,8 @@ UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 class Graph:
     """Answers the requests about the graph; each is a generator of steps, because it may have to wait."""
 
-    def __init__(self, node):
+    def __init__(self, node, known_nodes):
+        self._known_nodes = known_nodes
         self.settled = False
         self._node = node
 
@@ -31,7 +33,8 @@ class Graph:
             if current != seen:
                 seen, quiet_since = current, now
             is_quiet = now - quiet_since >= QUIET_S and not self._has_unknown_nodes()
-            self.settled = is_quiet or now - started >= LONGEST_SETTLING_S
+            is_whole = self._hears_all() or now - started >= ANNOUNCEMENT_PERIOD_S
+            self.settled = (is_quiet and is_whole) or now - started >= LONGEST_SETTLING_S
 
     def topics(self, request):
         """Every topic with its types and numbers of endpoints."""
@@ -112,6 +115,11 @@ class Graph:
             node.get_service_names_and_types(),
             sorted(node.get_node_names_and_namespaces()),
         )
+
+    def _hears_all(self):
+        """Whether all nodes known from elsewhere are there, and anybody at all but ourselves."""
+        nodes = set(self._node.get_node_names_and_namespaces())
+        return nodes >= self._known_nodes and len(nodes) > 1
 
     def _has_unknown_nodes(self):
         return any(

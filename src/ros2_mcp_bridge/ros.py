@@ -5,30 +5,47 @@ from __future__ import annotations
 
 import os
 import platform
+import time
 from pathlib import Path
 
 import rclpy
+from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import get_rmw_implementation_identifier, try_shutdown
+from rclpy.utilities import get_rmw_implementation_identifier
 
 from . import frames
 
+CANDIDATES = 3
+LISTENING_S = 0.5
+
 
 def enter(node_name):
-    """Initialise ROS and make the bridge's node, as light as it can be; returns node and executor."""
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node(node_name, use_global_arguments=False, enable_rosout=False, start_parameter_services=False)
-    executor = _new_executor()
-    executor.add_node(node)
-    return node, executor
+    """Initialise ROS and make the bridge's node, as light as it can be.
+
+    Returns the node, its executor, and the names and namespaces of all nodes that are known to be there.
+
+    A new participant of Fast DDS listens a moment later than it speaks. Whose answer it misses then, it does not see
+    before their next announcement, up to 3 s later. So several begin, and the one that heard most stays.
+    """
+    is_fast_dds = get_rmw_implementation_identifier().startswith("rmw_fastrtps")
+    nodes = [_new_node(node_name) for _ in range(CANDIDATES if is_fast_dds else 1)]
+    if is_fast_dds:
+        time.sleep(LISTENING_S)
+    heard = [set(node.get_node_names_and_namespaces()) for node in nodes]
+    best = nodes[max(range(len(nodes)), key=lambda number: len(heard[number]))]
+    for node in nodes:
+        if node is not best:
+            _destroy_node(node)
+    executor = _new_executor(best.context)
+    executor.add_node(best)
+    return best, executor, set().union(*heard)
 
 
 def leave(node, executor):
     """Undo `enter`."""
     executor.remove_node(node)
-    node.destroy_node()
     executor.shutdown()
-    try_shutdown()
+    _destroy_node(node)
 
 
 def hello(node, executor):
@@ -46,14 +63,32 @@ def hello(node, executor):
     }
 
 
-def _new_executor():
+def _new_node(node_name):
+    context = Context()
+    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    return rclpy.create_node(
+        node_name,
+        context=context,
+        use_global_arguments=False,
+        enable_rosout=False,
+        start_parameter_services=False,
+    )
+
+
+def _destroy_node(node):
+    context = node.context
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def _new_executor(context):
     try:
         from rclpy.experimental.events_executor import EventsExecutor
     except ImportError:  # before Jazzy
         from rclpy.executors import SingleThreadedExecutor
 
-        return SingleThreadedExecutor()
-    return EventsExecutor()
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
 
 
 def _distro_of_wheels():
