@@ -58,12 +58,10 @@ class Definitions:
 
     def interface(self, type_name: str) -> Interface:
         """The whole definition for showing: all sides and everything nested."""
-        kind = kind_of(type_name)
-        sides = SIDES[kind] if type_name in self._known.texts else SIDES["msg"]
-        sections = tuple(Section(name, self.structure(type_name + ending)) for name, ending in sides.items())
+        kind = kind_of(type_name) if type_name in self._known.texts else "msg"
+        sections = tuple(Section(name, self.structure(type_name + ending)) for name, ending in SIDES[kind].items())
         nested = {name: structure for section in sections for name, structure in self._nested(section.type).items()}
-        shown_kind: Any = kind if sides is SIDES[kind] else "msg"
-        return Interface(type_name, shown_kind, sections, nested)
+        return Interface(type_name, kind, sections, nested)
 
     def hash(self, type_name: str) -> str:
         """The type's hash as it travels on the wire (`RIHS01_…`); empty where it cannot be computed."""

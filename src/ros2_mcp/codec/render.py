@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.scalars import SUMMARY
 from ros2_mcp.codec.select import Selection, Step, element_at, parse_fields
@@ -34,8 +36,8 @@ class RenderOptions:
 
     Longer arrays than `max_array` and longer texts than `max_string` (characters) become summaries. If the JSON text
     is longer than `max_bytes` all the same, both are lowered step by step, then deep messages are left out.
-    `fields` selects paths; a slice that it names is given in full as long as it fits. `exact` shows everything
-    whole, whatever the size.
+    `fields` selects paths; a slice or a text that it names is given in full as long as it fits. `exact` shows
+    everything whole, whatever the size.
     """
 
     max_array: int = 64
@@ -62,10 +64,10 @@ class Rendered:
         """How to get what is not shown; empty where everything is."""
         if not self.truncated:
             return ""
-        path = self.truncated[0].replace("[*]", "[0]")
+        paths = ", ".join(path or "the whole message" for path in self.truncated[:8])
         return (
-            f"Summarised: {', '.join(self.truncated[:8])}. For more, select parts with fields, such as "
-            f'["{path}"] or a slice ["{path}[0:100]"] of an array, or raise max_array.'
+            f"Summarised: {paths}. For more, select parts with fields (such as poses[3].position, or a slice such as "
+            "ranges[0:100]), or raise max_array."
         )
 
 
@@ -100,7 +102,7 @@ def _attempts(options: RenderOptions) -> Iterator[_Limits]:
         yield _Limits(_UNLIMITED, _UNLIMITED, _UNLIMITED, _UNLIMITED)
         return
     most = max(options.max_bytes // 2, 1)  # an element takes two characters at least
-    array, string = min(options.max_array, most), min(options.max_string, options.max_bytes)
+    array, string = min(max(options.max_array, 0), most), min(max(options.max_string, 0), most)
     yield _Limits(array, string, _UNLIMITED, most)
     for lower, shorter in zip(_ARRAY_STEPS, (*_STRING_STEPS, _STRING_STEPS[-1]), strict=True):
         array, string = min(array, lower), min(string, shorter)
@@ -139,7 +141,7 @@ class _Render:
         if shape.is_message:
             return self._message(shape.base, value, path, depth)
         if shape.base in TEXTS:
-            return self._text(value, path)
+            return self._text(value, path, self._limits.string)
         return json_number(shape.base, value)
 
     def _several(self, shape: FieldType, values: Any, path: str, depth: int, most: int) -> Any:
@@ -158,10 +160,10 @@ class _Render:
         self._cut(path)
         return list_summary(shape, len(values), first)
 
-    def _text(self, text: str, path: str) -> Any:
-        if len(text) > self._limits.string:
+    def _text(self, text: str, path: str, most: int) -> Any:
+        if len(text) > most:
             self._cut(path)
-            return text_summary(text, self._limits.string)
+            return text_summary(text, most)
         if text.isascii() or is_unicode(text):
             return text
         self._cut(path)
@@ -173,13 +175,17 @@ class _Render:
         shape, value = step.field.shape, getattr(value, attribute(step.field.name))
         if isinstance(step.pick, int):
             shape, value = shape.element, element_at(value, step.pick, path)
-            value = value.item() if hasattr(value, "item") else value
+            value = value.item() if isinstance(value, np.generic) else value
         elif step.pick is not None:
             value = value[step.pick]
             if rest:
                 return self._follow_each(path, rest, value)
             return self._several(_part_of(shape), value, path, self._limits.depth, self._limits.slice)
-        return self._follow(path, rest, value) if rest else self._value(shape, value, path, self._limits.depth)
+        if rest:
+            return self._follow(path, rest, value)
+        if shape.shape == "single" and shape.base in TEXTS:
+            return self._text(value, path, self._limits.slice)
+        return self._value(shape, value, path, self._limits.depth)
 
     def _follow_each(self, path: str, rest: tuple[Step, ...], values: Sequence[Any]) -> Any:
         most = self._limits.slice

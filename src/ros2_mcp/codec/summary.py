@@ -86,7 +86,8 @@ def _statistics(base: str, values: NDArray[Any]) -> dict[str, Any]:
 
 def _extremes(base: str, values: NDArray[Any]) -> dict[str, Any]:
     low, high = values.min().item(), values.max().item()
-    mean = float(f"{values.mean(dtype=np.float64):.6g}")
+    with np.errstate(over="ignore"):
+        mean = float(f"{values.mean(dtype=np.float64):.6g}")
     return {
         "min": json_number(base, low),
         "max": json_number(base, high),

@@ -127,10 +127,10 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """A message, service or action with everything that it refers to, for showing."""
+    """A message, service or action (`kind` is `msg`, `srv` or `action`) with all that it refers to, for showing."""
 
     type: str
-    kind: Literal["msg", "srv", "action"]
+    kind: str
     sections: tuple[Section, ...]
     nested: Mapping[str, Structure]
 

@@ -30,6 +30,7 @@ def image(definitions: Definitions, encoding: str, rows: np.ndarray, padding: in
         "height": height, "width": width, "encoding": encoding, "step": padded.shape[1], **fields,
     })  # fmt: skip
     message.data = padded.ravel()
+    message.data.flags.writeable = False  # as decoded
     return message
 
 

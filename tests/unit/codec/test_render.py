@@ -67,7 +67,7 @@ def test_a_long_array_becomes_length_first_values_and_statistics_of_the_finite(d
         "min": 1.0, "max": 3.0, "mean": 2.0, "nan": 1, "inf": 2,
     }  # fmt: skip
     assert result.truncated == ["ranges"]
-    assert "ranges[0:100]" in result.hint
+    assert "Summarised: ranges." in result.hint
 
 
 def test_summaries_of_other_lists(definitions: Definitions) -> None:
@@ -143,12 +143,23 @@ def test_a_selected_slice_is_full_up_to_the_budget(definitions: Definitions) -> 
     assert cut.truncated == ["ranges[0:50000]"]
 
 
+def test_a_selected_text_is_full_up_to_the_budget(definitions: Definitions) -> None:
+    value = {"data": "x" * 10_000}
+    assert shown(definitions, "std_msgs/msg/String", value, fields=["data"]).value == value
+    assert shown(definitions, "std_msgs/msg/String", value, fields=["data"], max_bytes=5000).truncated == ["data"]
+
+
 def test_a_selected_element_of_numbers_is_plain_json(definitions: Definitions) -> None:
     value = {"ranges": [0.1, "nan"]}
     assert shown(definitions, SCAN, value, fields=["ranges[0]", "ranges[1]"]).value == {
         "ranges[0]": 0.1,
         "ranges[1]": "nan",
     }
+
+
+def test_statistics_of_extreme_numbers_do_not_fail(definitions: Definitions) -> None:
+    result = shown(definitions, "std_msgs/msg/Float64MultiArray", {"data": [1.7e308] * 3}, max_array=0).value["data"]
+    assert (result["max"], result["mean"]) == (1.7e308, "inf")
 
 
 def test_an_example_is_whole_and_accepted(codec: Codec) -> None:
