@@ -19,7 +19,7 @@ def main():
 
     robot = Robot(options.seed, options.namespace, options.rate)
     missing = "; left out: " + ", ".join(optional.left_out()) if optional.left_out() else ""
-    sys.stdout.write(f"robot ready: {len(robot.parts)} nodes, seed {options.seed}{missing}\n")
+    sys.stdout.write(f"robot ready: {robot.node_count} nodes, seed {options.seed}{missing}\n")
     sys.stdout.flush()
     try:
         robot.run(stop.is_requested)

@@ -14,6 +14,8 @@ from .planner import RESOLUTION, Costmap, Pursuit, inflated, plan
 PATIENCE_S = 5.0
 LOOK_EVERY_S = 0.4
 MEMORY_S = 10.0
+BACK_OFF_S, BACK_OFF_SPEED = 1.0, 0.12
+MOST_BUMPS = 3
 YAW_TOLERANCE = 0.06
 KNOWN_WITHIN = 0.15
 
@@ -62,22 +64,26 @@ class Drive:
         self.path = []
         self._surroundings = surroundings
         self._pursuit = None
+        self._arrived = False
         self._next_look = now
-        self._hindered_since = None
+        self._mark, self._marked_at = None, now
+        self._back_off_until, self._bumps = 0.0, 0
 
     def step(self, pose: Pose, now, blocked, fastest, turning):
         """The velocities (m/s, rad/s) to drive with from here; `blocked`: the base stands against something."""
-        if self._has_arrived(pose):
-            return self._turn_to_heading(pose, turning)
-        if now >= self._next_look:
+        arrived = self._has_arrived(pose)
+        if not arrived and now >= self._next_look:
             self._next_look = now + LOOK_EVERY_S
             self._look(pose)
-        hindered = blocked or self._pursuit is None
-        self._watch_patience(now, hindered)
+        self._watch_progress(pose, now)
+        if arrived:
+            return self._turn_to_heading(pose, turning)
+        if blocked or now < self._back_off_until:
+            return self._back_off(now, blocked)
         if self.outcome or self._pursuit is None:
             return 0.0, 0.0
         linear, angular = self._pursuit.velocity(pose, fastest, turning)
-        self.state = "waiting" if blocked else ("driving" if linear > 0 else "turning")
+        self.state = "driving" if linear > 0 else "turning"
         return linear, angular
 
     def remaining(self, pose: Pose):
@@ -87,9 +93,10 @@ class Drive:
         return self._pursuit.remaining(pose)
 
     def _has_arrived(self, pose):
-        """Near enough; once it turns to the final heading it stays arrived unless it is pushed away."""
-        reach = self.goal.tolerance * (1.3 if self.state == "turning" else 0.8)
-        return math.dist((pose.x, pose.y), (self.goal.x, self.goal.y)) <= reach
+        """Well within the tolerance; once there, it stays arrived unless it is pushed out of the tolerance."""
+        reach = self.goal.tolerance * (1.0 if self._arrived else 0.8)
+        self._arrived = math.dist((pose.x, pose.y), (self.goal.x, self.goal.y)) <= reach
+        return self._arrived
 
     def _turn_to_heading(self, pose, turning):
         error = 0.0 if self.goal.yaw is None else wrapped(self.goal.yaw - pose.yaw)
@@ -110,14 +117,28 @@ class Drive:
         else:
             self.path, self._pursuit = path, Pursuit(path)
 
-    def _watch_patience(self, now, hindered):
-        if not hindered:
-            self._hindered_since = None
-        elif self._hindered_since is None:
-            self._hindered_since = now
-        elif now - self._hindered_since > PATIENCE_S:
-            cause = "no free way to the goal" if self._pursuit is None else "the base is blocked"
+    def _back_off(self, now, blocked):
+        """After a bump go back a little and look for another way; give up after `MOST_BUMPS`."""
+        if blocked and now >= self._back_off_until:
+            self._bumps += 1
+            self._back_off_until = self._next_look = now + BACK_OFF_S
+            self.state, self._pursuit = "replanning", None
+            if self._bumps > MOST_BUMPS:
+                self.outcome = (False, f"the base was blocked {self._bumps} times")
+        return -BACK_OFF_SPEED, 0.0
+
+    def _watch_progress(self, pose, now):
+        """Give up when the base has stood still for `PATIENCE_S`."""
+        if self._mark is None or _has_moved(self._mark, pose):
+            self._mark, self._marked_at = pose, now
+        elif now - self._marked_at > PATIENCE_S:
+            cause = "the base does not move" if self._pursuit else "no free way to the goal"
             self.outcome = (False, f"gave up after {PATIENCE_S:g} s: {cause}")
+
+
+def _has_moved(before, after):
+    turned = abs(wrapped(after.yaw - before.yaw))
+    return turned > 0.05 or math.dist((before.x, before.y), (after.x, after.y)) > 0.03
 
 
 def _is_open(costmap, pursuit):

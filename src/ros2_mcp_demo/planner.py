@@ -13,7 +13,7 @@ from .base import Pose, wrapped
 
 RESOLUTION = 0.1
 INFLATION = 0.33
-LOOKAHEAD = 0.35
+LOOKAHEAD = 0.25
 TURN_FIRST = math.radians(50)
 
 _NEIGHBOURS = [(dx, dy, math.hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]

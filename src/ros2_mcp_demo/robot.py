@@ -34,11 +34,16 @@ class Robot:
         self._simulation = Simulation(seed)
         self._period = 1.0 / rate
         self._clock = Clock()
-        self.parts = _parts(self._simulation, namespace)
+        self._parts = _parts(self._simulation, namespace)
         self._idle_parts = _parts_without_executor(self._simulation, namespace)
         self._executor = _executor()
-        for part in self.parts:
+        for part in self._parts:
             self._executor.add_node(part)
+
+    @property
+    def node_count(self):
+        """How many nodes the robot has."""
+        return len(self._parts) + len(self._idle_parts)
 
     def run(self, should_stop):
         """Live until `should_stop()`; a computer that is too slow makes the robot slow, not jumpy."""
@@ -50,17 +55,17 @@ class Robot:
 
     def close(self):
         """Leave the graph in order."""
-        for part in self.parts:
+        for part in self._parts:
             self._executor.remove_node(part)
         self._executor.shutdown()
-        for part in (*self.parts, *self._idle_parts):
+        for part in (*self._parts, *self._idle_parts):
             part.destroy_node()
         try_shutdown()
 
     def _tick(self):
         self._simulation.step(self._period)
         stamp = self._clock.now().to_msg()
-        for part in (*self.parts, *self._idle_parts):
+        for part in (*self._parts, *self._idle_parts):
             part.tick(stamp)
 
     def _answer_until(self, due):
@@ -70,7 +75,7 @@ class Robot:
             try:
                 self._executor.spin_once(timeout_sec=max(left, 0.0))
             except (RuntimeError, ValueError, TypeError) as error:  # one bad request does not end the robot
-                self.parts[0].get_logger().error(f"a callback failed: {error!r}")
+                self._parts[0].get_logger().error(f"a callback failed: {error!r}")
             if left <= 0.0:
                 return
 

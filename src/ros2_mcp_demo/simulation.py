@@ -46,13 +46,17 @@ class Simulation:
         """Let `dt` s pass."""
         self._steps += 1
         self.now = self._steps * dt
-        self.base.step(*(self.wanted if self.can_drive() else (0.0, 0.0)), dt)
+        self.base.step(*(self.wanted if self.why_not_driving() is None else (0.0, 0.0)), dt)
         rims = abs(self.base.left.velocity) + abs(self.base.right.velocity)
         self.battery.step(rims * 0.05, dt)
 
-    def can_drive(self):
-        """Whether the motors have power: enabled, not idle, battery not empty."""
-        return self.motors_enabled and self.mode != IDLE and self.battery.charge > 0.0
+    def why_not_driving(self):
+        """None while the motors have power, else in words why not."""
+        if not self.motors_enabled:
+            return "motors are disabled"
+        if self.mode == IDLE:
+            return "the mode is idle"
+        return "the battery is empty" if self.battery.charge <= 0.0 else None
 
     def is_moving(self):
         """Whether the base drives at all."""

@@ -105,6 +105,9 @@ class BaseController(RobotPart):
         if not (math.isfinite(command.linear.x) and math.isfinite(command.angular.z)):
             self.get_logger().error("a velocity command that is not finite was ignored")
             return
+        reason = self.robot.why_not_driving()
+        if reason and (command.linear.x or command.angular.z):
+            self.get_logger().warning(f"velocity commands are ignored: {reason}", throttle_duration_sec=5.0)
         self._asked = (command.linear.x, command.angular.z)
         self._heard_at = time.monotonic()
 

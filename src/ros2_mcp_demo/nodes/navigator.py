@@ -97,8 +97,11 @@ class Navigator(RobotPart):
         self.get_logger().info(f"driving to ({goal.x:g}, {goal.y:g})")
 
     def _drive_on(self, stamp):
-        if not self.robot.can_drive() or self.robot.mode != AUTONOMOUS:
-            self._end("abort", self._why_stopped())
+        stopped = self.robot.why_not_driving()
+        if stopped is None and self.robot.mode != AUTONOMOUS:
+            stopped = f"the mode became {self.robot.mode}"
+        if stopped:
+            self._end("abort", stopped)
             return
         if self._lidar.ranges is not None:
             self._surroundings.see(self.robot.scan_points(self._lidar.ranges), self.robot.now)
@@ -109,13 +112,6 @@ class Navigator(RobotPart):
             self._show(drive.path, stamp)
         if drive.outcome:
             self._end("succeed" if drive.outcome[0] else "abort", drive.outcome[1])
-
-    def _why_stopped(self):
-        if not self.robot.motors_enabled:
-            return "motors are disabled"
-        if self.robot.battery.charge <= 0.0:
-            return "battery is empty"
-        return f"the mode became {self.robot.mode}"
 
     def _brake(self):
         if self.robot.is_moving() and self.robot.mode == AUTONOMOUS:

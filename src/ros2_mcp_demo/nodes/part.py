@@ -3,6 +3,7 @@
 # pyright: basic
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -53,11 +54,13 @@ class Rhythm:
     """Tells when something that happens at a rate is due, on the simulation's clock."""
 
     def __init__(self):
-        self._next = 0.0
+        self._last = -math.inf
 
     def is_due(self, now, rate):
         """Whether it is time again at `rate` Hz; a missed time is not made up for."""
-        if now < self._next - 1e-6:
+        period = 1.0 / rate
+        if now < self._last + period - 1e-6:
             return False
-        self._next = max(self._next, now - 1.0 / rate) + 1.0 / rate
+        on_time = self._last + period
+        self._last = on_time if now < on_time + period else now
         return True

@@ -149,6 +149,7 @@ def test_the_gripper_publishes_only_while_its_lifecycle_node_is_active(peer):
         return peer.call("/gripper_driver/change_state", "lifecycle_msgs/srv/ChangeState", transition=wanted).success
 
     states = peer.subscribe("/gripper/joint_states", "sensor_msgs/msg/JointState")
+    assert not change(Transition.TRANSITION_ACTIVATE)
     assert change(Transition.TRANSITION_CONFIGURE)
     peer.spin(0.5)
     assert states == []

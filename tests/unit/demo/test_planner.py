@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 
 from ros2_mcp_demo.base import RADIUS, Pose
@@ -41,14 +42,15 @@ def test_a_robot_that_stands_close_to_a_wall_can_leave_it():
     assert plan(Costmap.from_occupancy(cells, origin, 0.05), (-1.78, -2.78), (0.0, 0.0)) is not None
 
 
-def run(simulation, goal, limit_s=60.0):
+def run(simulation, goal, limit_s=60.0, *, lidar=True):
     """Drive as the navigator does; returns the drive and the least clearance on the way."""
     simulation.mode = AUTONOMOUS
     surroundings = Surroundings(*simulation.world.occupancy(), 0.05)
     drive, least = Drive(goal, surroundings, simulation.now), math.inf
     for step in range(round(limit_s * 50)):
         if step % 5 == 0:
-            surroundings.see(simulation.scan_points(simulation.scan(0.01)), simulation.now)
+            ranges = simulation.scan(0.01)
+            surroundings.see(simulation.scan_points(ranges if lidar else np.full_like(ranges, np.inf)), simulation.now)
             base = simulation.base
             simulation.wanted = drive.step(base.pose, simulation.now, base.blocked, 0.4, 1.2)
         simulation.step(0.02)
@@ -63,7 +65,7 @@ def test_a_drive_arrives_without_touching_anything(place):
     simulation = Simulation()
     drive, least = run(simulation, Goal(*place, yaw=1.0))
     assert drive.outcome == (True, "arrived")
-    assert math.dist((simulation.base.pose.x, simulation.base.pose.y), place) <= 0.2
+    assert math.dist((simulation.base.pose.x, simulation.base.pose.y), place) <= 0.15
     assert simulation.base.pose.yaw == pytest.approx(1.0, abs=0.2)
     assert least > RADIUS
 
@@ -83,6 +85,21 @@ def test_a_drive_gives_up_when_the_only_way_is_closed():
     assert drive.outcome is not None
     assert drive.outcome[0] is False
     assert "no free way" in drive.outcome[1]
+
+
+def test_a_blind_drive_bumps_into_an_unknown_obstacle_backs_off_and_gives_up():
+    simulation = Simulation()
+    assert simulation.spawn("crate", 0.2, -1.4, 0.25) is None
+    drive, least = run(simulation, Goal(0.3, -2.5), lidar=False)
+    assert drive.outcome == (False, "the base was blocked 4 times")
+    assert least > RADIUS - 0.02
+
+
+def test_a_drive_gives_up_when_the_base_does_not_move():
+    drive = Drive(Goal(1.0, 0.0), Surroundings(*World().occupancy(), 0.05), 0.0)
+    for tenth in range(60):
+        drive.step(Pose(), tenth / 10, False, 0.4, 1.2)
+    assert drive.outcome == (False, "gave up after 5 s: the base does not move")
 
 
 def test_remaining_way_shrinks_to_nothing():
