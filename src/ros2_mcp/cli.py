@@ -46,6 +46,10 @@ def parser() -> argparse.ArgumentParser:
     call.add_argument("tool", nargs="?", help="name of the tool; without it the tools are listed")
     call.add_argument("arguments", nargs="*", metavar="key=value", help="its arguments; values may be JSON")
     call.add_argument("--json", action="store_true", help="print the structured result only")
+    interfaces = verbs.add_parser("interfaces", help="build interface packages for a ROS 2 from wheels")
+    steps = interfaces.add_subparsers(dest="step", metavar="STEP", required=True)
+    build = steps.add_parser("build", help="generate and compile .msg, .srv and .action files")
+    build.add_argument("directories", nargs="+", type=Path, metavar="DIR", help="a package, or a folder with packages")
     config = verbs.add_parser("config", help="print the configuration for an MCP client")
     config.add_argument("client", choices=CLIENTS)
     return top
@@ -113,6 +117,10 @@ def _run(arguments: argparse.Namespace) -> int:
         from ros2_mcp.commands.demo import demo
 
         return demo(settings, robot_only=arguments.robot, output=arguments.output)
+    if arguments.verb == "interfaces":
+        from ros2_mcp.commands.interfaces import build_interfaces
+
+        return build_interfaces(settings, arguments.directories)
     from ros2_mcp.commands.call import call
 
     return call(settings, arguments.tool, arguments.arguments, as_json=arguments.json)

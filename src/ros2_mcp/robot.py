@@ -228,7 +228,9 @@ class Robot:
         """Bytes as bounded JSON values."""
         from ros2_mcp.codec.render import RenderOptions, render
 
-        return render(self.definitions, type_name, self.codec.decode(type_name, body), options=options or RenderOptions())
+        return render(
+            self.definitions, type_name, self.codec.decode(type_name, body), options=options or RenderOptions()
+        )
 
     def missing_fields(self, type_name: str, value: Mapping[str, Any]) -> list[str]:
         """Top-level fields of a learnt type that the value does not give."""
@@ -281,7 +283,7 @@ class Robot:
     async def topic_type(self, present: TopicEndpoints, asked: str) -> str:
         """The one type to use on a topic: the asked one, or the only one that the graph knows."""
         if asked:
-            wanted = names.interface_type(asked, "msg")
+            wanted = asked if names.is_derived(asked) else names.interface_type(asked, "msg")
             if present.types and wanted not in present.types:
                 raise TypeConflict(
                     f"{present.topic} has the type {' and '.join(present.types)}, not {wanted}.",
@@ -348,7 +350,13 @@ class Robot:
         return Sent(topic, type_name, choice, ok["sent"], ok["matched"], None, ok["elapsed_s"], ok["late"], bool(zero))
 
     async def call(
-        self, service: str, service_type: str, request: Mapping[str, Any], *, timeout_s: float, wait_s: float | None = None
+        self,
+        service: str,
+        service_type: str,
+        request: Mapping[str, Any],
+        *,
+        timeout_s: float,
+        wait_s: float | None = None,
     ) -> Answer:
         """Calls a service whose server may still have to appear.
 

@@ -52,6 +52,11 @@ class Settings:
         """Whether the bridge's own log is shown too."""
         return self.log_level == "debug"
 
+    @property
+    def interface_folder(self) -> Path:
+        """Where interface packages that were built for wheels are kept."""
+        return self.cache_dir.expanduser() / "interfaces"
+
     @classmethod
     def from_environment(cls, env: Mapping[str, str] = os.environ, **overrides: Any) -> Settings:
         """The settings of this environment; an override that is not None wins over it.

@@ -9,17 +9,17 @@ import base64
 import json
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.commands.serve import launch
 from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.settings import Settings
 
 if TYPE_CHECKING:
-    from mcp.server.mcpserver import MCPServer
-    from mcp.types import CallToolResult
+    from ros2_mcp.server import RobotTool
 
 
 def call(settings: Settings, tool: str | None, assignments: Sequence[str], *, as_json: bool) -> int:
@@ -28,13 +28,17 @@ def call(settings: Settings, tool: str | None, assignments: Sequence[str], *, as
     bridge = launch(settings)
     from ros2_mcp.guard.policy import Policy
     from ros2_mcp.robot import Robot
-    from ros2_mcp.server import build_server
+    from ros2_mcp.server import build_tools
 
     async def once() -> int:
         await bridge.attach()
         try:
-            server = build_server(Robot(bridge, Policy(settings.read_only)), groups=settings.tools)
-            return await (_print_answer(server, tool, arguments, as_json) if tool else _print_tools(server))
+            tools = {tool.name: tool for tool in build_tools(Robot(bridge, Policy(settings.read_only)), settings.tools)}
+            if tool is None:
+                return _print_tools(tools)
+            if tool not in tools:
+                raise BadInput(f"There is no tool {tool}.", did_you_mean(tool, list(tools), "See: ros2-mcp call"))
+            return await _print_answer(tools[tool], arguments, as_json)
         finally:
             await bridge.close()
 
@@ -59,18 +63,17 @@ def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
     return arguments
 
 
-async def _print_tools(server: MCPServer[None]) -> int:
-    for tool in await server.list_tools():
-        first_line = (tool.description or "").splitlines()[0]
-        print(f"{tool.name:36} {first_line}")
+def _print_tools(tools: Mapping[str, RobotTool]) -> int:
+    for tool in tools.values():
+        print(f"{tool.name:36} {tool.description.splitlines()[0]}")
     return 0
 
 
-async def _print_answer(server: MCPServer[None], tool: str, arguments: dict[str, Any], as_json: bool) -> int:
+async def _print_answer(tool: RobotTool, arguments: dict[str, Any], as_json: bool) -> int:
     from mcp.server.mcpserver.exceptions import ToolError
 
     try:
-        result: CallToolResult = await server.call_tool(tool, arguments)  # pyright: ignore[reportAssignmentType]
+        result = await tool.perform(arguments, _print_progress)
     except ToolError as error:
         print(error, file=sys.stderr)
         return 1
@@ -82,6 +85,10 @@ async def _print_answer(server: MCPServer[None], tool: str, arguments: dict[str,
         if block.type == "image":
             print(f"picture saved: {_save(block.data, block.mime_type)}", file=sys.stderr)
     return 0
+
+
+async def _print_progress(done: float, whole: float, line: str) -> None:
+    print(f"{done:.0f}/{whole:.0f} s  {line}", file=sys.stderr)
 
 
 def _save(data: str, mime: str) -> Path:

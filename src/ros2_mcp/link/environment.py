@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from ros2_mcp.link.installation import Kind, RosInstallation, clean_environment, wheel_environment
+from ros2_mcp.link.interfaces import InterfaceCache
 from ros2_mcp.model.errors import BadInput, RosNotFound
 from ros2_mcp.settings import Settings
 
@@ -229,8 +230,14 @@ def _installation(
         python=python,
         scripts=(*scripts, *overlays),
         environment=environment,
-        interface_prefixes=settings.interface_prefixes,
+        interface_prefixes=_interfaces(settings, kind, prefix),
     )
+
+
+def _interfaces(settings: Settings, kind: Kind, prefix: Path) -> tuple[Path, ...]:
+    """The given packages first; for wheels also those that were built before."""
+    built = InterfaceCache(settings.interface_folder).in_use(prefix) if kind == "wheels" else ()
+    return tuple(dict.fromkeys((*settings.interface_prefixes, *built)))
 
 
 def _environment(settings: Settings, env: Mapping[str, str], *, keep_sourced: bool) -> dict[str, str]:

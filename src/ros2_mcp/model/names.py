@@ -12,6 +12,8 @@ from ros2_mcp.model.errors import BadName
 _NAME = re.compile(r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")
 _TYPE = re.compile(r"^(?P<package>[a-z][a-z0-9_]*)/(?:(?P<kind>msg|srv|action)/)?(?P<name>[A-Za-z][A-Za-z0-9_]*)$")
 
+_NAMELESS = {"_NODE_NAME_UNKNOWN_": "(unknown node)", "_CREATED_BY_BARE_DDS_APP_": "(not a ROS node)"}
+
 
 def absolute(name: str, what: str = "topic") -> str:
     """The fully qualified name: `scan` and `/scan` are `/scan`.
@@ -40,7 +42,9 @@ def node_name(name: str) -> tuple[str, str]:
 
 
 def full_node_name(name: str, namespace: str) -> str:
-    """Joins what `node_name` parts."""
+    """Joins what `node_name` parts; says so where the middleware does not know the node."""
+    if name in _NAMELESS:
+        return _NAMELESS[name]
     return f"{namespace.rstrip('/')}/{name}"
 
 
@@ -70,6 +74,11 @@ def defining_type(name: str) -> str:
     package, kind, base = name.split("/")
     match = _DERIVED.search(name) if kind != "msg" else None
     return f"{package}/{kind}/{match['base'] if match else base}"
+
+
+def is_derived(name: str) -> bool:
+    """Whether the type is a part of a service or an action, such as `a/action/Go_FeedbackMessage`."""
+    return name.count("/") == 2 and defining_type(name) != name
 
 
 def is_hidden(name: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import datetime, timezone
+from time import monotonic
 from typing import Any
 
 from ros2_mcp.model.pictures import Picture
@@ -14,6 +15,19 @@ Report = Callable[[float, float, str], Awaitable[None]]
 
 HIDDEN = {"hidden": True}
 """Metadata of a result's field that is not part of its JSON, such as a picture."""
+
+
+def at_most_every(seconds: float, report: Report) -> Report:
+    """A `Report` that passes on no more than one line in that time."""
+    next_at = 0.0
+
+    async def passed_on(done: float, whole: float, line: str) -> None:
+        nonlocal next_at
+        if monotonic() >= next_at:
+            next_at = monotonic() + seconds
+            await report(done, whole, line)
+
+    return passed_on
 
 
 async def silent(_done: float, _whole: float, _line: str) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 from ros2_mcp.ops.results import Report
@@ -19,7 +20,7 @@ Risk = Literal["read", "write", "actuate"]
 ToolFunction = Callable[..., Awaitable[Any]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ToolDeclaration:
     """One tool as the model sees it. `aliases` maps other spellings of its arguments to the right ones."""
 
@@ -29,6 +30,12 @@ class ToolDeclaration:
     risk: Risk
     group: str
     aliases: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    @cached_property
+    def injected(self) -> dict[str, Any]:
+        """Parameters that the model does not see, with what they want: the robot, or a report of progress."""
+        parameters = self.signature().parameters.values()
+        return {p.name: p.annotation for p in parameters if p.annotation in (Robot, Report)}
 
     @property
     def description(self) -> str:
@@ -42,7 +49,7 @@ class ToolDeclaration:
     def arguments(self) -> inspect.Signature:
         """The signature that the model sees: without what is injected."""
         whole = self.signature()
-        given = [p for p in whole.parameters.values() if p.annotation not in (Robot, Report)]
+        given = [p for p in whole.parameters.values() if p.name not in self.injected]
         return whole.replace(parameters=given)
 
 

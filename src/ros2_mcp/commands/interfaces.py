@@ -1,0 +1,19 @@
+"""Build interface packages for a ROS 2 that was installed from wheels."""
+
+# ruff: noqa: T201 - printing is this module's job
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ros2_mcp.link.environment import find_ros
+from ros2_mcp.link.interfaces import InterfaceCache, build
+from ros2_mcp.settings import Settings
+
+
+def build_interfaces(settings: Settings, directories: Sequence[Path]) -> int:
+    """Builds the packages and prints where they are; the server uses them from its next start on."""
+    for package in build(find_ros(settings), directories, InterfaceCache(settings.interface_folder)):
+        print(package)
+    return 0

@@ -1,0 +1,80 @@
+"""Interface packages built for an installation from wheels: building them, and remembering which are in use."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ros2_mcp.link.installation import RosInstallation
+from ros2_mcp.model.errors import LinkError
+
+BUILD_S = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class InterfaceCache:
+    """The folder of built packages, and the record of those that each installation uses."""
+
+    folder: Path
+
+    def in_use(self, prefix: Path) -> tuple[Path, ...]:
+        """The packages that were built for the installation with that prefix and are still there."""
+        recorded = self._record().get(str(prefix), {})
+        return tuple(built for path in recorded.values() if (built := Path(path)).is_dir())
+
+    def use(self, prefix: Path, packages: Sequence[Path]) -> None:
+        """Remembers packages for an installation; one of the same name is replaced."""
+        record = self._record()
+        mine = record.setdefault(str(prefix), {})
+        mine.update({package.name.rpartition("-")[0]: str(package) for package in packages})
+        text = json.dumps(record, indent=1)
+        draft = self._file.with_suffix(".draft")
+        draft.write_text(text)
+        draft.replace(self._file)
+
+    @property
+    def _file(self) -> Path:
+        return self.folder / "in_use.json"
+
+    def _record(self) -> dict[str, dict[str, str]]:
+        try:
+            found: Any = json.loads(self._file.read_text())
+        except (OSError, ValueError):
+            return {}
+        return found if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType]
+
+
+def build(
+    installation: RosInstallation, directories: Sequence[Path], cache: InterfaceCache, *, quiet: bool = False
+) -> list[Path]:
+    """Builds the packages below the directories, or finds them built, and notes that the installation uses them.
+
+    Raises:
+        LinkError: with the compiler's or generator's own words, if one cannot be built.
+    """
+    cache.folder.mkdir(parents=True, exist_ok=True)
+    words = [*(str(directory.resolve()) for directory in directories), "--cache", str(cache.folder), "--json"]
+    command = installation.command("ros2_mcp_interfaces", words)
+    done = subprocess.run(
+        command.argv,
+        env=dict(command.env),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE if quiet else sys.stderr,
+        timeout=BUILD_S,
+        check=False,
+    )
+    try:
+        answer: dict[str, Any] = json.loads(done.stdout)
+    except ValueError as error:
+        raise LinkError(f"The interface builder ended with code {done.returncode} and said nothing.") from error
+    if "prefixes" not in answer:
+        raise LinkError(f"The interfaces cannot be built: {answer['error']}", answer.get("hint", ""))
+    packages = [Path(path) for path in answer["prefixes"]]
+    cache.use(installation.prefix, packages)
+    return packages
