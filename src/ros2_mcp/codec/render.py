@@ -7,8 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.scalars import SUMMARY
 from ros2_mcp.codec.select import Selection, Step, element_at, parse_fields
@@ -175,7 +173,6 @@ class _Render:
         shape, value = step.field.shape, getattr(value, attribute(step.field.name))
         if isinstance(step.pick, int):
             shape, value = shape.element, element_at(value, step.pick, path)
-            value = value.item() if isinstance(value, np.generic) else value
         elif step.pick is not None:
             value = value[step.pick]
             if rest:

@@ -9,6 +9,8 @@ from functools import lru_cache
 from operator import attrgetter
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.store import attribute
 from ros2_mcp.model.errors import BadValue
@@ -119,8 +121,8 @@ def _pick(path: str, text: str) -> int | slice:
     return slice(*(int(bound) if bound else None for bound in match.groups()))
 
 
-def element_at(values: Sequence[Any], index: int, path: str) -> Any:
-    """One element; raises `BadValue` where the list is shorter."""
-    if -len(values) <= index < len(values):
-        return values[index]
-    raise BadValue(path, f"there is no element {index}, it has {len(values)}.")
+def element_at(values: Any, index: int, path: str) -> Any:
+    """One element of a list or array; raises `BadValue` where it is shorter."""
+    if not -len(values) <= index < len(values):
+        raise BadValue(path, f"there is no element {index}, it has {len(values)}.")
+    return values.item(index) if isinstance(values, np.ndarray) else values[index]

@@ -184,3 +184,8 @@ def test_random_messages_come_back_within_the_bounds_or_say_that_they_were_cut(c
         assert result.bytes <= 3000
         if not result.truncated:
             there_and_back(codec, "odd_msgs/msg/Outer", value)
+
+
+def test_an_element_beyond_the_list_says_how_long_it_is(definitions: Definitions) -> None:
+    with pytest.raises(BadValue, match=r"ranges\[5\]: there is no element 5, it has 2"):
+        shown(definitions, SCAN, {"ranges": [0.1, 0.2]}, fields=["ranges[5]"])
