@@ -125,4 +125,5 @@ def element_at(values: Any, index: int, path: str) -> Any:
     """One element of a list or array; raises `BadValue` where it is shorter."""
     if not -len(values) <= index < len(values):
         raise BadValue(path, f"there is no element {index}, it has {len(values)}.")
-    return values.item(index) if isinstance(values, np.ndarray) else values[index]
+    element = values[index]
+    return element.item() if isinstance(element, np.generic) else element
