@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import attrgetter
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
@@ -126,4 +126,4 @@ def element_at(values: Any, index: int, path: str) -> Any:
     if not -len(values) <= index < len(values):
         raise BadValue(path, f"there is no element {index}, it has {len(values)}.")
     element = values[index]
-    return element.item() if isinstance(element, np.generic) else element
+    return cast("Any", element).item() if isinstance(element, np.generic) else element
