@@ -1,10 +1,11 @@
 """The simulated robot in its own process, and a ROS 2 node of the tests' own that looks at it."""
 
+import fcntl
 import importlib
-import itertools
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 SOURCES = Path(__file__).parents[3] / "src"
-DOMAINS = itertools.cycle(range(125, 135))
+DOMAIN_IDS = range(125, 135)
 
 
 @pytest.fixture(scope="session")
@@ -28,16 +29,30 @@ def prefixes():
 
 
 @pytest.fixture
+def domain_id():
+    """A domain that no other run of these tests on this machine uses at the same time."""
+    for domain_id in DOMAIN_IDS:
+        path = Path(tempfile.gettempdir()) / f"ros2-mcp-test-domain-{domain_id}.lock"
+        with path.open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield domain_id
+            return
+    pytest.fail("all domains for tests are taken")
+
+
+@pytest.fixture
 def start_robot():
     """Start a robot: `with start_robot(prefixes, domain_id, *options) as process`."""
     return running_robot
 
 
 @pytest.fixture
-def peer(prefixes, monkeypatch):
+def peer(prefixes, domain_id, monkeypatch):
     """A peer in a domain where a fresh robot is running."""
     monkeypatch.setitem(os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    domain_id = next(DOMAINS)
     with running_robot(prefixes, domain_id):
         peer = Peer(domain_id)
         yield peer

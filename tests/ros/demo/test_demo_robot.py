@@ -160,8 +160,8 @@ def test_the_gripper_publishes_only_while_its_lifecycle_node_is_active(peer):
     assert change(Transition.TRANSITION_CONFIGURE)
 
 
-def test_without_interface_packages_it_says_what_it_leaves_out_and_ends_with_its_input(start_robot):
-    with start_robot([], 125, "--until-stdin-closes", "--namespace", "r2") as process:
+def test_without_interface_packages_it_says_what_it_leaves_out_and_ends_with_its_input(start_robot, domain_id):
+    with start_robot([], domain_id, "--until-stdin-closes", "--namespace", "r2") as process:
         assert "/navigate_to (no ros2_mcp_demo_interfaces)" in process.ready_line
         process.stdin.close()
         assert process.wait(10) == 0
