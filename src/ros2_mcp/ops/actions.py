@@ -118,7 +118,7 @@ class Cancellation:
 
 async def action_types(robot: Robot) -> dict[str, list[str]]:
     """Action → its types, of every action with a server or a client in the graph."""
-    services = (await robot.graph("services"))["services"]
+    services = (await robot.graph.query("services"))["services"]
     ending = "/_action/send_goal"
     return {
         name.removesuffix(ending): [kind.removesuffix("_SendGoal") for kind in types]
@@ -195,7 +195,7 @@ async def _submit(
     robot.goals.sent(goal_id, action, action_type)
     service = f"{action_type}_SendGoal"
     answer = await robot.call(f"{action}/_action/send_goal", service, request, timeout_s=10.0, wait_s=SERVER_S)
-    response = robot.render(f"{service}_Response", answer.body).value
+    response = robot.values.render(f"{service}_Response", answer.body).value
     if not response["accepted"]:
         robot.goals.ended(goal_id)
     return bool(response["accepted"]), response["stamp"]
@@ -316,7 +316,7 @@ async def request_result(
     except TimedOut:
         note = f"No result within {wait_s:g} s. The goal was not cancelled: ask again with this goal id."
         return GoalResult(service, goal_id, True, timeout_s, 0, "TIMEOUT", None, note)
-    response = robot.render(f"{service_type}_Response", answer.body).value
+    response = robot.values.render(f"{service_type}_Response", answer.body).value
     code = int(response["status"])
     if code in TERMINAL:
         robot.goals.ended(goal_id)
@@ -348,7 +348,7 @@ async def cancel(
     request = {"goal_info": {"goal_id": {"uuid": raw_id}, "stamp": dict(stamp or {"sec": 0, "nanosec": 0})}}
     service = f"{action}/_action/cancel_goal"
     answer = await robot.call(service, _CANCEL_TYPE, request, timeout_s=timeout_s, wait_s=timeout_s)
-    response = robot.render(f"{_CANCEL_TYPE}_Response", answer.body).value
+    response = robot.values.render(f"{_CANCEL_TYPE}_Response", answer.body).value
     code = int(response["return_code"])
     goals = [CancelledGoal(goal_id_hex(goal["goal_id"]["uuid"]), goal["stamp"]) for goal in response["goals_canceling"]]
     return Cancellation(service, code, CANCEL_CODES.get(code, str(code)), goals, _cancel_note(code, goals))
@@ -368,7 +368,7 @@ def _cancel_note(code: int, goals: Sequence[CancelledGoal]) -> str:
 
 async def _goal_fields(robot: Robot, action_type: str) -> dict[str, Any]:
     try:
-        await robot.learn(action_type)
+        await robot.values.learn(action_type)
     except UnknownInterface:
         return {}
-    return robot.field_types(f"{action_type}_Goal")
+    return robot.values.field_types(f"{action_type}_Goal")

@@ -130,7 +130,7 @@ async def follow_feedback(
     seen = 0
     async with robot.listen(topic, f"{action_type}_FeedbackMessage", wait_s=SERVER_S) as heard:
         async for sample in _samples(heard, duration_s, report):
-            message = robot.render(heard.type, sample.data).value
+            message = robot.values.render(heard.type, sample.data).value
             sender = goal_id_hex(message["goal_id"]["uuid"])
             if wanted in (None, sender):
                 seen += 1
@@ -196,7 +196,7 @@ async def _goals_of(robot: Robot, action: str) -> list[KnownGoal]:
 def _states(robot: Robot, sample: Sample) -> list[GoalState]:
     from ros2_mcp.codec.render import RenderOptions
 
-    message: Mapping[str, Any] = robot.render(_STATUS_TYPE, sample.data, RenderOptions(max_array=200)).value
+    message: Mapping[str, Any] = robot.values.render(_STATUS_TYPE, sample.data, RenderOptions(max_array=200)).value
     return [
         GoalState(
             goal_id_hex(entry["goal_info"]["goal_id"]["uuid"]),

@@ -55,7 +55,7 @@ async def list_interfaces(
     """The interfaces installed where the bridge runs."""
     if kind and kind not in KINDS:
         raise BadName(f"{kind!r} is not a kind of interface.", f"Give one of {', '.join(KINDS)}.")
-    every: list[str] = sorted((await robot.ask("interfaces")).ok["interfaces"])
+    every: list[str] = sorted((await robot.graph.ask("interfaces")).ok["interfaces"])
     chosen = [
         name
         for name in names.matching(every, pattern)
@@ -72,16 +72,16 @@ async def define(robot: Robot, type_name: str) -> Definition:
         UnknownInterface: if it is not installed where the bridge runs.
     """
     full = await _full_name(robot, type_name)
-    await robot.learn(full)
-    interface = robot.definitions.interface(full)
+    await robot.values.learn(full)
+    interface = robot.values.definitions.interface(full)
     sides = {section.name: f"{section.type}" for section in interface.sections}
     return Definition(
         full,
         interface.kind,
         _fields(interface),
         interface.text(),
-        {side: robot.definitions.example(name) for side, name in sides.items()},
-        robot.definitions.hash(full) if interface.kind == "msg" else "",
+        {side: robot.values.definitions.example(name) for side, name in sides.items()},
+        robot.values.definitions.hash(full) if interface.kind == "msg" else "",
     )
 
 
@@ -96,7 +96,7 @@ async def _full_name(robot: Robot, type_name: str) -> str:
     if text.count("/") == 2:
         return names.interface_type(text, text.split("/")[1])
     candidates = [names.interface_type(text, kind) for kind in KINDS]
-    installed = set((await robot.ask("interfaces")).ok["interfaces"])
+    installed = set((await robot.graph.ask("interfaces")).ok["interfaces"])
     found = [name for name in candidates if name in installed]
     if not found:
         near = names.did_you_mean(candidates[0], sorted(installed), "ros2_interface_list shows what is there.")

@@ -89,7 +89,7 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
 
 
 async def _lifecycle_nodes(robot: Robot) -> list[str]:
-    services = (await robot.graph("services"))["services"]
+    services = (await robot.graph.query("services"))["services"]
     ending, kind = "/change_state", "lifecycle_msgs/srv/ChangeState"
     return sorted(name.removesuffix(ending) for name, types in services if name.endswith(ending) and kind in types)
 
@@ -119,4 +119,4 @@ async def _call(
         known = await _lifecycle_nodes(robot)
         hint = names.did_you_mean(node, known, f"Lifecycle nodes: {', '.join(known) or 'none'}.")
         raise NotFound(f"{node} is not a lifecycle node that is running.", hint) from error
-    return robot.render(f"{kind}_Response", answer.body).value
+    return robot.values.render(f"{kind}_Response", answer.body).value

@@ -68,7 +68,7 @@ class NodeInfo:
 
 async def list_nodes(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> NodeList:
     """The nodes whose full names match the pattern, sorted; our own bridge is left out."""
-    raw = await robot.graph("nodes")
+    raw = await robot.graph.query("nodes")
     own = robot.bridge.hello.node if robot.bridge.hello else ""
     every = [names.full_node_name(name, namespace) for name, namespace in raw["nodes"]]
     visible = sorted(name for name in every if name != own and (include_hidden or not names.is_hidden(name)))
@@ -87,7 +87,7 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
     """
     name, namespace = names.node_name(node)
     try:
-        raw = await robot.graph("node", name=name, namespace=namespace)
+        raw = await robot.graph.query("node", name=name, namespace=namespace)
     except NotFound as error:
         known = await list_nodes(robot, include_hidden=True)
         full = names.full_node_name(name, namespace)

@@ -241,4 +241,4 @@ async def _call(robot: Robot, node: str, service: str, request: Mapping[str, Any
         if node in known:
             raise NotFound(f"{node} offers no parameters.", "It was built without parameter services.") from error
         raise NotFound(f"There is no node {node}.", names.did_you_mean(node, known)) from error
-    return robot.render(f"{kind}_Response", answer.body, RenderOptions(exact=True)).value
+    return robot.values.render(f"{kind}_Response", answer.body, RenderOptions(exact=True)).value

@@ -135,7 +135,7 @@ async def _tick(topic: str, duration_s: float, report: Report) -> None:
 async def _note(robot: Robot, sent: Sent) -> str:
     notes: list[str] = []
     if not sent.matched:
-        there = await robot.endpoints(sent.topic)
+        there = await robot.graph.endpoints(sent.topic)
         own = robot.bridge.hello.node if robot.bridge.hello else ""
         ours = [publisher for publisher in there.publishers if publisher.node == own]
         reasons = mismatches(ours, there.subscribers)

@@ -222,7 +222,7 @@ def _check_fields(robot: Robot, type_name: str, view: View) -> None:
     if view.fields:
         from ros2_mcp.codec.select import parse_fields
 
-        parse_fields(robot.definitions, type_name, view.fields)
+        parse_fields(robot.values.definitions, type_name, view.fields)
 
 
 async def _collect(
@@ -240,7 +240,7 @@ async def _collect(
 
 
 async def _why_nothing(robot: Robot, listening: Listening) -> str:
-    now = await robot.endpoints(listening.topic)
+    now = await robot.graph.endpoints(listening.topic)
     if not now.publishers:
         return "Nobody publishes on it now." if not listening.publishers else "Its publisher left during the read."
     if listening.type not in {publisher.type for publisher in now.publishers}:
@@ -249,7 +249,7 @@ async def _why_nothing(robot: Robot, listening: Listening) -> str:
 
 
 async def _why_few(robot: Robot, listening: Listening, collection: Collection) -> str:
-    now = await robot.endpoints(listening.topic)
+    now = await robot.graph.endpoints(listening.topic)
     last = iso_time(collection.samples[-1].received_ns) if collection.samples else "unknown"
     left = len(listening.publishers) - len(now.publishers)
     gone = f" {left} publisher(s) left during the read." if left > 0 else ""
@@ -305,7 +305,7 @@ def _render(
 
     def rendered(sample: Sample, max_bytes: int):
         options = RenderOptions(max_array=view.max_array, max_bytes=max_bytes, fields=tuple(view.fields) or None)
-        return render(robot.definitions, type_name, robot.decode(type_name, sample), options=options)
+        return render(robot.values.definitions, type_name, robot.values.decode(type_name, sample), options=options)
 
     size = rendered(samples[-1], view.max_bytes).bytes + 60
     shown = spread(samples, max(view.max_bytes // size, 1))
@@ -331,6 +331,6 @@ def _pictures(robot: Robot, type_name: str, samples: Sequence[Sample]) -> tuple[
 
     try:
         chosen = spread(samples, MAX_PICTURES)
-        return [picture_of(type_name, robot.decode(type_name, sample)) for sample in chosen], ""
+        return [picture_of(type_name, robot.values.decode(type_name, sample)) for sample in chosen], ""
     except RobotError as error:
         return [], f"No picture: {error}"

@@ -62,7 +62,7 @@ class ServiceAnswer:
 
 async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> ServiceList:
     """The services whose names match the pattern. Those that every node has are shown with `include_hidden`."""
-    raw = await robot.graph("services")
+    raw = await robot.graph.query("services")
     every: dict[str, list[str]] = dict(raw["services"])
     visible = [name for name in sorted(every) if include_hidden or not _is_infrastructure(name, every[name])]
     chosen = names.matching(visible, pattern)
@@ -98,12 +98,12 @@ async def call(
     bounded("timeout_sec", timeout_s, 0.01, MAX_TIMEOUT_S, "s")
     service = names.absolute(service, "service")
     service_type = await resolve_type(robot, service, service_type)
-    await robot.learn(service_type)
-    missing = robot.missing_fields(f"{service_type}_Request", request)
+    await robot.values.learn(service_type)
+    missing = robot.values.missing_fields(f"{service_type}_Request", request)
     if missing and not force_call:
         return _not_called(service, service_type, missing)
     answer = await robot.call(service, service_type, request, timeout_s=timeout_s)
-    shown = robot.render(f"{service_type}_Response", answer.body)
+    shown = robot.values.render(f"{service_type}_Response", answer.body)
     return ServiceAnswer(service, service_type, True, shown.value, missing, answer.elapsed_s, shown.truncated, "")
 
 
@@ -123,7 +123,7 @@ async def resolve_type(robot: Robot, service: str, asked: str) -> str:
         NotFound: if it is not there and no type is asked for.
     """
     wanted = names.interface_type(asked, "srv") if asked else ""
-    known = dict((await robot.graph("services"))["services"])
+    known = dict((await robot.graph.query("services"))["services"])
     types: list[str] = known.get(service, [])
     if wanted and types and wanted not in types:
         raise TypeConflict(f"{service} has the type {' and '.join(types)}, not {wanted}.", "Leave the type out.")
@@ -139,7 +139,7 @@ async def resolve_type(robot: Robot, service: str, asked: str) -> str:
 
 async def _providers(robot: Robot) -> dict[str, list[str]]:
     """Service → the full names of the nodes that serve it."""
-    nodes = (await robot.graph("nodes"))["nodes"]
+    nodes = (await robot.graph.query("nodes"))["nodes"]
     answers = await asyncio.gather(*(_served_by(robot, name, namespace) for name, namespace in nodes))
     providers: dict[str, list[str]] = {}
     for (name, namespace), services in zip(nodes, answers, strict=True):
@@ -150,7 +150,7 @@ async def _providers(robot: Robot) -> dict[str, list[str]]:
 
 async def _served_by(robot: Robot, name: str, namespace: str) -> list[str]:
     try:
-        return [entry[0] for entry in (await robot.graph("node", name=name, namespace=namespace))["servers"]]
+        return [entry[0] for entry in (await robot.graph.query("node", name=name, namespace=namespace))["servers"]]
     except NotFound:
         return []
 
@@ -159,8 +159,8 @@ async def _request_fields(robot: Robot, types: Sequence[str]) -> dict[str, dict[
     fields: dict[str, dict[str, Any]] = {}
     for name in sorted(set(types)):
         try:
-            await robot.learn(name)
-            fields[name] = robot.field_types(f"{name}_Request")
+            await robot.values.learn(name)
+            fields[name] = robot.values.field_types(f"{name}_Request")
         except UnknownInterface:
             fields[name] = {}
     return fields

@@ -44,7 +44,7 @@ async def status(robot: Robot) -> Status:
     Raises:
         LinkError: saying what is missing, if there is no bridge.
     """
-    stats = (await robot.ask("stats")).ok
+    stats = (await robot.graph.ask("stats")).ok
     hello = robot.bridge.hello
     assert hello is not None
     return Status(

@@ -109,7 +109,7 @@ async def _measure_or_error(robot: Robot, topic: str, duration_s: float, report:
 
 async def _measure(robot: Robot, topic: str, duration_s: float, report: Report) -> TopicStats:
     async with robot.listen(topic, wait_s=duration_s) as listening:
-        flow = Flow(has_header=robot.definitions.starts_with_header(listening.type))
+        flow = Flow(has_header=robot.values.definitions.starts_with_header(listening.type))
         started = monotonic()
         while (left := started + duration_s - monotonic()) > 0:
             for sample in await listening.take(min(left, 1.0)):

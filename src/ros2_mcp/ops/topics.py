@@ -73,7 +73,7 @@ class TopicInfo:
 
 async def list_topics(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> TopicList:
     """The topics whose names match the pattern (a glob, or any part of a name), sorted by name."""
-    raw = await robot.graph("topics")
+    raw = await robot.graph.query("topics")
     visible = {entry[0]: entry for entry in raw["topics"] if include_hidden or not names.is_hidden(entry[0])}
     chosen = names.matching(sorted(visible), pattern)
     topics = [_entry(*visible[name]) for name in chosen[:limit]]
@@ -100,11 +100,11 @@ async def topic_info(robot: Robot, topic: str) -> TopicInfo:
         NotFound: if nobody publishes or subscribes to it.
     """
     topic = names.absolute(topic)
-    found = await robot.endpoints(topic)
+    found = await robot.graph.endpoints(topic)
     if not found.types:
         raise NotFound(
             f"There is no topic {topic}: nobody publishes or subscribes to it.",
-            await robot.suggest_topic(topic),
+            await robot.graph.suggest_topic(topic),
         )
     hashes = {endpoint.hash for endpoint in (*found.publishers, *found.subscribers) if endpoint.hash}
     return TopicInfo(

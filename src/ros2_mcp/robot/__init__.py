@@ -1,0 +1,9 @@
+"""The only door to the robot: resolve the name, ask the guard, check the values, encode, send.
+
+Everything above speaks names and JSON values; everything below speaks bytes.
+"""
+
+from ros2_mcp.robot.door import Robot
+from ros2_mcp.robot.exchange import Answer, Listening, Sent, TopicEndpoints
+
+__all__ = ["Answer", "Listening", "Robot", "Sent", "TopicEndpoints"]

@@ -1,0 +1,103 @@
+"""Values of the robot's own types: definitions fetched once, bytes to JSON and back."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import UnknownInterface
+from ros2_mcp.model.samples import Sample
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.cdr import Codec, Message
+    from ros2_mcp.codec.definitions import Definitions
+    from ros2_mcp.codec.render import Rendered, RenderOptions
+    from ros2_mcp.robot.graph import Graph
+
+
+class Values:
+    """The types that have been learnt from the robot, and their values."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._codec: Codec | None = None
+        self._loading = asyncio.Lock()
+
+    @property
+    def codec(self) -> Codec:
+        """Bytes to values and back. Loaded at first use: NumPy and the type system take a moment."""
+        if self._codec is None:
+            from ros2_mcp.codec.cdr import Codec
+            from ros2_mcp.codec.definitions import Definitions
+
+            self._codec = Codec(Definitions())
+        return self._codec
+
+    @property
+    def definitions(self) -> Definitions:
+        """The definitions known so far."""
+        return self.codec.definitions
+
+    async def learn(self, *types: str) -> None:
+        """Fetches the definitions of these types, with all they refer to, from the robot.
+
+        Raises:
+            UnknownInterface: if the robot's installation has no definition of one.
+        """
+        async with self._loading:
+            unknown = sorted({names.defining_type(name) for name in types if not self.definitions.knows(name)})
+            if not unknown:
+                return
+            answer = (await self._graph.ask("definitions", types=unknown)).ok
+            if answer["missing"]:
+                raise UnknownInterface(
+                    f"No definition of {', '.join(answer['missing'])} is installed where the bridge runs.",
+                    await self._suggest_type(str(answer["missing"][0])),
+                )
+            from ros2_mcp.codec.definitions import DefinitionText
+
+            self.definitions.add(
+                {name: DefinitionText(text["format"], text["text"]) for name, text in answer["definitions"].items()}
+            )
+
+    async def _suggest_type(self, name: str) -> str:
+        known: list[str] = (await self._graph.ask("interfaces")).ok["interfaces"]
+        package = name.partition("/")[0]
+        if not any(other.startswith(package + "/") for other in known):
+            return f"The package {package} is not there: source its workspace (--workspace DIR) or install it."
+        return names.did_you_mean(name, known, "ros2_interface_list shows what is there.")
+
+    def decode(self, type_name: str, sample: Sample) -> Message:
+        """The values of a sample whose type has been learnt."""
+        return self.codec.decode(type_name, sample.data)
+
+    async def encode(self, type_name: str, value: object) -> bytes:
+        """The bytes of a JSON value, strictly checked.
+
+        Raises:
+            BadValue: naming the path of what does not fit.
+        """
+        from ros2_mcp.codec.check import check
+
+        await self.learn(type_name)
+        return self.codec.encode(type_name, check(self.definitions, type_name, value))
+
+    def render(self, type_name: str, body: bytes, options: RenderOptions | None = None) -> Rendered:
+        """Bytes as bounded JSON values."""
+        from ros2_mcp.codec.render import RenderOptions, render
+
+        return render(
+            self.definitions, type_name, self.codec.decode(type_name, body), options=options or RenderOptions()
+        )
+
+    def missing_fields(self, type_name: str, value: Mapping[str, Any]) -> list[str]:
+        """Top-level fields of a learnt type that the value does not give."""
+        from ros2_mcp.codec.check import missing_fields
+
+        return missing_fields(self.definitions, type_name, value)
+
+    def field_types(self, type_name: str) -> dict[str, Any]:
+        """Name → type of the top-level fields of a learnt message type."""
+        return {field.name: field.type for field in self.definitions.interface(type_name).sections[0].fields}
