@@ -7,6 +7,7 @@ import time
 
 from . import qos
 from .request import OperationError
+from .ros import others
 
 POLL_S = 0.06
 QUIET_S = 0.4
@@ -32,7 +33,7 @@ class Graph:
             now, current = time.monotonic(), self._snapshot()
             if current != seen:
                 seen, quiet_since = current, now
-            is_quiet = now - quiet_since >= QUIET_S and not self._has_unknown_nodes()
+            is_quiet = now - quiet_since >= QUIET_S and not self._has_unknown_nodes(self._topics())
             is_whole = self._hears_all() or now - started >= ANNOUNCEMENT_PERIOD_S
             self.settled = (is_quiet and is_whole) or now - started >= LONGEST_SETTLING_S
 
@@ -81,9 +82,11 @@ class Graph:
         deadline = time.monotonic() + request.number("timeout_s")
         while True:
             there = self._node.count_publishers(topic), self._node.count_subscribers(topic)
-            if there[0] >= wanted[0] and there[1] >= wanted[1]:
+            is_there = there[0] >= wanted[0] and there[1] >= wanted[1]
+            is_late = time.monotonic() >= deadline
+            if is_there and (is_late or not self._has_unknown_nodes([topic])):
                 return self._endpoints(topic)
-            if time.monotonic() >= deadline:
+            if is_late:
                 message = "{} has {} publishers and {} subscribers; waited for {} and {}."
                 raise OperationError("timeout", message.format(topic, *there, *wanted))
             yield 0.02
@@ -108,6 +111,9 @@ class Graph:
             "settled": self.settled,
         }
 
+    def _topics(self):
+        return [name for name, _ in self._node.get_topic_names_and_types()]
+
     def _snapshot(self):
         node = self._node
         return (
@@ -118,13 +124,13 @@ class Graph:
 
     def _hears_all(self):
         """Whether all nodes known from elsewhere are there, and anybody at all but ourselves."""
-        nodes = set(self._node.get_node_names_and_namespaces())
-        return nodes >= self._known_nodes and len(nodes) > 1
+        nodes = others(self._node)
+        return bool(nodes) and not self._known_nodes - nodes
 
-    def _has_unknown_nodes(self):
+    def _has_unknown_nodes(self, topics):
         return any(
             info.node_name == UNKNOWN_NODE
-            for topic, _ in self._node.get_topic_names_and_types()
+            for topic in topics
             for info in (*self._node.get_publishers_info_by_topic(topic), *self.subscribers(topic))
         )
 

@@ -15,8 +15,11 @@ from .request import OperationError
 INFINITE_NS = 2**63 - 1
 
 
-def profile(qos, min_depth=1):
-    """An rclpy profile of a request's `qos` object; raises `OperationError` of kind `bad_request`."""
+def profile(qos, min_depth=1, max_depth=1_000_000):
+    """An rclpy profile of a request's `qos` object, its depth within the limits.
+
+    Raises `OperationError` of kind `bad_request`.
+    """
     depth = qos.get("depth", 10)
     if isinstance(depth, bool) or not isinstance(depth, int) or depth < 0:
         raise OperationError("bad_request", f"qos: depth is {depth!r}, expected a number that is not negative.")
@@ -24,7 +27,7 @@ def profile(qos, min_depth=1):
         reliability=_policy(QoSReliabilityPolicy, qos, "reliability", "reliable", ("reliable", "best_effort")),
         durability=_policy(QoSDurabilityPolicy, qos, "durability", "volatile", ("volatile", "transient_local")),
         history=_policy(QoSHistoryPolicy, qos, "history", "keep_last", ("keep_last", "keep_all")),
-        depth=max(depth, min_depth),
+        depth=min(max(depth, min_depth), max_depth),
     )
 
 

@@ -6,6 +6,9 @@ from __future__ import annotations
 import os
 import platform
 import time
+from collections import Counter
+from functools import reduce
+from operator import or_
 from pathlib import Path
 
 import rclpy
@@ -22,7 +25,7 @@ LISTENING_S = 0.5
 def enter(node_name):
     """Initialise ROS and make the bridge's node, as light as it can be.
 
-    Returns the node, its executor, and the names and namespaces of all nodes that are known to be there.
+    Returns the node, its executor, and a `Counter` of all others that are known to be there, by name and namespace.
 
     A new participant of Fast DDS listens a moment later than it speaks. Whose answer it misses then, it does not see
     before their next announcement, up to 3 s later. So several begin, and the one that heard most stays.
@@ -31,14 +34,21 @@ def enter(node_name):
     nodes = [_new_node(node_name) for _ in range(CANDIDATES if is_fast_dds else 1)]
     if is_fast_dds:
         time.sleep(LISTENING_S)
-    heard = [set(node.get_node_names_and_namespaces()) for node in nodes]
-    best = nodes[max(range(len(nodes)), key=lambda number: len(heard[number]))]
+    heard = [others(node) for node in nodes]
+    best = nodes[max(range(len(nodes)), key=lambda number: sum(heard[number].values()))]
     for node in nodes:
         if node is not best:
             _destroy_node(node)
     executor = _new_executor(best.context)
     executor.add_node(best)
-    return best, executor, set().union(*heard)
+    return best, executor, reduce(or_, heard)
+
+
+def others(node):
+    """A `Counter` of the nodes that this one sees; several may share a name and namespace."""
+    found = Counter(node.get_node_names_and_namespaces())
+    del found[node.get_name(), node.get_namespace()]
+    return found
 
 
 def leave(node, executor):

@@ -1,0 +1,79 @@
+"""A minimal client of the stream for the tests of the bridge: raw frames to and from a real bridge process."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import time
+from typing import Any
+
+from ros2_mcp_bridge import frames
+
+RELIABLE = {"reliability": "reliable", "durability": "volatile", "history": "keep_last", "depth": 10}
+BEST_EFFORT = {**RELIABLE, "reliability": "best_effort"}
+STRING = "std_msgs/msg/String"
+
+
+def cdr_string(text: str) -> bytes:
+    """A std_msgs/msg/String in CDR."""
+    data = text.encode() + b"\0"
+    return b"\0\1\0\0" + struct.pack("<I", len(data)) + data
+
+
+class Client:
+    """Sends requests and sorts what comes back; single-threaded."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self.process = process
+        self.samples: list[tuple[dict[str, Any], bytes]] = []
+        self._answers: dict[int, tuple[dict[str, Any], bytes]] = {}
+        self._last_id = 0
+        self.hello = self.next_frame()[0]
+
+    def next_frame(self) -> tuple[dict[str, Any], bytes]:
+        """The next frame; EOFError at the end of the stream."""
+        assert self.process.stdout
+        prefix = self.process.stdout.read(frames.LENGTHS_SIZE)
+        if not prefix:
+            raise EOFError
+        header_length, body_length = frames.unpack_lengths(prefix)
+        header = frames.unpack_header(self.process.stdout.read(header_length))
+        return header, self.process.stdout.read(body_length)
+
+    def send(self, op: str, body: bytes = b"", **arguments: Any) -> int:
+        """Send a request; returns its id."""
+        assert self.process.stdin
+        self._last_id += 1
+        self.process.stdin.write(frames.pack({"id": self._last_id, "op": op, **arguments}, body))
+        self.process.stdin.flush()
+        return self._last_id
+
+    def answer(self, request_id: int) -> tuple[dict[str, Any], bytes]:
+        """Wait for the answer to a request: the whole header, and the body."""
+        while request_id not in self._answers:
+            header, body = self.next_frame()
+            if "id" in header:
+                self._answers[header["id"]] = header, body
+            else:
+                self.samples.append((header, body))
+        return self._answers.pop(request_id)
+
+    def ok(self, op: str, body: bytes = b"", **arguments: Any) -> dict[str, Any]:
+        """Send a request that must succeed; returns the `ok` part."""
+        header, _ = self.answer(self.send(op, body, **arguments))
+        assert "ok" in header, header
+        return header["ok"]
+
+    def error(self, op: str, body: bytes = b"", **arguments: Any) -> dict[str, Any]:
+        """Send a request that must fail; returns the `error` part."""
+        header, _ = self.answer(self.send(op, body, **arguments))
+        assert "error" in header, header
+        return header["error"]
+
+    def close(self) -> float:
+        """End the stream; returns how long the bridge took to leave, in seconds."""
+        assert self.process.stdin
+        started = time.monotonic()
+        self.process.stdin.close()
+        self.process.wait(5)
+        return time.monotonic() - started

@@ -1,0 +1,80 @@
+"""Every test talks to real ROS 2 processes on loopback, in a domain of its own test run, and leaves none behind."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))  # the tests import their neighbours
+SOURCES = HERE.parent.parent / "src"
+
+Start = Callable[..., "subprocess.Popen[bytes]"]
+
+
+@pytest.fixture(scope="session")
+def domain_id() -> int:
+    """A ROS domain for this test run: `ROS_DOMAIN_ID` where it is set, else one of 1 to 99."""
+    return int(os.environ.get("ROS_DOMAIN_ID") or 1 + os.getpid() % 99)
+
+
+@pytest.fixture(scope="session")
+def ros_environment(domain_id: int) -> dict[str, str]:
+    """The environment of every ROS process that a test starts."""
+    return {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(domain_id),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": tempfile.gettempdir(),
+        "PYTHONPATH": os.pathsep.join([str(SOURCES), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep),
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+@pytest.fixture
+def start(ros_environment: dict[str, str]) -> Iterator[Start]:
+    """Start Python processes, `start("peer.py", "argument", env={...})`; all are ended after the test.
+
+    A name that ends in .py is a script of tests/ros; anything else is a module. stdin and stdout are pipes.
+    A process that does not end within 5 s of SIGTERM fails the test.
+    """
+    processes: list[subprocess.Popen[bytes]] = []
+
+    def start_process(program: str, *arguments: str, env: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
+        target = [str(HERE / program)] if program.endswith(".py") else ["-m", program]
+        process = subprocess.Popen(
+            [sys.executable, *target, *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**ros_environment, **(env or {})},
+        )
+        processes.append(process)
+        return process
+
+    yield start_process
+    for process in processes:
+        process.terminate()
+    stubborn = [process.args for process in processes if not _ends_soon(process)]
+    assert not stubborn, f"did not end on SIGTERM: {stubborn}"
+
+
+def _ends_soon(process: subprocess.Popen[bytes]) -> bool:
+    try:
+        process.wait(5)
+        return True
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        return False
+    finally:
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()

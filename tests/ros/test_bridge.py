@@ -1,0 +1,311 @@
+"""The bridge as its server sees it: raw frames to a real process, checked against independent ROS nodes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bridge_client import BEST_EFFORT, RELIABLE, STRING, Client, cdr_string
+
+SET_BOOL = "std_srvs/srv/SetBool"
+TRUE, FALSE = b"\0\1\0\0\1", b"\0\1\0\0\0"
+ALL = {"keep": "all", "max_samples": 100_000, "max_bytes": 100_000_000}
+
+
+@pytest.fixture
+def bridge(start) -> Client:
+    return Client(start("ros2_mcp_bridge"))
+
+
+@pytest.fixture
+def peer(start):
+    def start_peer(*arguments: str) -> subprocess.Popen[bytes]:
+        process = start("bridge_peer.py", *arguments)
+        assert line(process) == "ready"
+        return process
+
+    return start_peer
+
+
+def line(process: subprocess.Popen[bytes]) -> str:
+    assert process.stdout
+    return process.stdout.readline().decode().strip()
+
+
+def received(bridge: Client) -> int:
+    return sum(len(header["samples"]) for header, _ in bridge.samples)
+
+
+def publish(bridge: Client, text: str, **changed: Any) -> dict[str, Any]:
+    arguments = {"topic": "/said", "type": STRING, "qos": RELIABLE, "wait_match_s": 3, "wait_ack_s": 2, **changed}
+    return bridge.ok("publish", cdr_string(text), **arguments)
+
+
+def wait_subscribers(bridge: Client, count: int) -> list[dict[str, Any]]:
+    return bridge.ok("wait_endpoints", topic="/said", publishers=0, subscribers=count, timeout_s=8)["subscribers"]
+
+
+def call(bridge: Client, body: bytes = TRUE, **changed: Any) -> int:
+    arguments = {"service": "/asked", "type": SET_BOOL, "wait_s": 3, "timeout_s": 3, **changed}
+    return bridge.send("call", body, **arguments)
+
+
+def test_it_says_hello_with_its_node_and_versions(bridge: Client, domain_id: int) -> None:
+    assert bridge.hello["event"] == "hello"
+    assert bridge.hello["protocol"] == 1
+    assert bridge.hello["domain_id"] == domain_id
+    assert bridge.hello["pid"] == bridge.process.pid
+    assert [bridge.hello["node"][1:], "/"] in bridge.ok("nodes", settle_s=0)["nodes"]
+
+
+def test_the_first_listing_is_whole(start, peer) -> None:
+    for prefix, count in (("a", 14), ("b", 13), ("c", 13)):
+        peer("topics", prefix, str(count))
+    started = time.monotonic()
+    bridge = Client(start("ros2_mcp_bridge"))
+    listing = bridge.ok("topics", settle_s=5)
+    assert listing["settled"]
+    assert time.monotonic() - started < 5
+    assert sum(name[2:4] == "/t" and publishers == 1 for name, _, publishers, _ in listing["topics"]) == 40
+
+
+def test_endpoints_tell_node_type_hash_and_qos(bridge: Client, peer) -> None:
+    peer("listen", "/said", "BEST_EFFORT")
+    found = wait_subscribers(bridge, 1)[0]
+    assert (found["node"], found["namespace"], found["type"]) == ("listen_peer", "/", STRING)
+    assert found["hash"].startswith("RIHS01_")
+    assert found["qos"]["reliability"] == "best_effort"
+    assert found["qos"]["deadline_ns"] is None
+    node = bridge.ok("node", name="listen_peer", namespace="/", settle_s=3)
+    assert ["/said", [STRING]] in node["subscribers"]
+    assert bridge.error("node", name="nobody", namespace="/", settle_s=3)["kind"] == "not_found"
+    error = bridge.error("wait_endpoints", topic="/said", publishers=1, subscribers=0, timeout_s=0.1)
+    assert error["kind"] == "timeout"
+
+
+def test_definitions_come_with_everything_they_refer_to(bridge: Client) -> None:
+    wanted = ["test_msgs/msg/MultiNested", "test_msgs/action/NestedMessage_FeedbackMessage", "no_msgs/msg/No"]
+    found = bridge.ok("definitions", types=wanted)
+    assert found["missing"] == ["no_msgs/msg/No"]
+    assert set(found["definitions"]) >= {
+        "test_msgs/msg/MultiNested",
+        "test_msgs/msg/BoundedSequences",
+        "test_msgs/msg/BasicTypes",
+        "test_msgs/action/NestedMessage",
+        "test_msgs/msg/Builtins",
+        "unique_identifier_msgs/msg/UUID",
+        "action_msgs/msg/GoalStatusArray",
+    }
+    assert {entry["format"] for entry in found["definitions"].values()} == {"msg", "action", "srv"}
+    interfaces = bridge.ok("interfaces")["interfaces"]
+    assert {"std_msgs/msg/String", SET_BOOL, "test_msgs/action/Fibonacci"} <= set(interfaces)
+
+
+@pytest.mark.parametrize("reliability", ["RELIABLE", "BEST_EFFORT"])
+def test_every_message_of_a_fast_topic_is_counted(bridge: Client, peer, reliability: str) -> None:
+    flood = peer("flood", "/fast", reliability, "4000", "8000")
+    qos = RELIABLE if reliability == "RELIABLE" else BEST_EFFORT
+    number = bridge.ok("subscribe", topic="/fast", type=STRING, qos=qos, **ALL)["sub"]
+    slowest = 0.0
+    while received(bridge) < 7000:
+        started = time.monotonic()
+        bridge.ok("stats")
+        slowest = max(slowest, time.monotonic() - started)
+        time.sleep(0.01)
+    assert slowest < 0.25
+    assert line(flood) == "8000"
+    time.sleep(0.1)
+    counts = bridge.ok("unsubscribe", sub=number)
+    assert counts["received"] + counts["lost"] == 8000
+    assert counts["dropped"] == 0
+    assert received(bridge) == counts["received"]
+    assert bridge.samples[-1][0]["received"] == counts["received"]
+    assert bridge.samples[-1][1].startswith(cdr_string("x" * 40)[:-3])
+
+
+def test_what_the_server_does_not_read_is_bounded_and_counted(bridge: Client, peer) -> None:
+    flood = peer("flood", "/fast", "RELIABLE", "4000", "8000")
+    bounds = {"keep": "all", "max_samples": 50, "max_bytes": 100_000_000}
+    request = bridge.send("subscribe", topic="/fast", type=STRING, qos=RELIABLE, **bounds)
+    assert line(flood) == "8000"
+    number = bridge.answer(request)[0]["ok"]["sub"]
+    counts = bridge.ok("unsubscribe", sub=number)
+    assert counts["received"] + counts["lost"] == 8000
+    assert counts["dropped"] > 0
+    assert received(bridge) == counts["received"] - counts["dropped"]
+
+
+def test_fifty_publishes_arrive_fifty_times_and_are_acknowledged(bridge: Client, peer) -> None:
+    listener = peer("listen", "/said", "RELIABLE")
+    wait_subscribers(bridge, 1)
+    answers = [publish(bridge, f"number {i}") for i in range(50)]
+    assert [line(listener) for _ in range(50)] == [f"number {i}" for i in range(50)]
+    assert {(answer["matched"], answer["acked"]) for answer in answers} == {(1, True)}
+    assert [answer["created"] for answer in answers] == [True] + 49 * [False]
+
+
+def test_a_publish_waits_for_every_subscriber_that_can_match(bridge: Client, peer) -> None:
+    listeners = [peer("listen", "/said", reliability) for reliability in ("RELIABLE", "BEST_EFFORT", "RELIABLE")]
+    wait_subscribers(bridge, 3)
+    assert publish(bridge, "hello")["matched"] == 3
+    assert [line(listener) for listener in listeners] == ["hello"] * 3
+
+
+def test_a_publish_to_nobody_says_so(bridge: Client) -> None:
+    answer = publish(bridge, "hello", wait_match_s=0.3)
+    assert (answer["matched"], answer["acked"]) == (0, None)
+    assert 0.3 <= answer["waited_s"] < 0.6
+
+
+def test_repeated_publishing_keeps_its_rate_and_ends_with_the_final_message(bridge: Client, peer) -> None:
+    listener = peer("listen", "/said", "RELIABLE")
+    request = repeat(bridge, rate_hz=100, duration_s=1)
+    answer = bridge.answer(request)[0]["ok"]
+    assert answer["sent"] + answer["late"] == 100
+    assert answer["late"] < 10
+    assert 0.95 < answer["elapsed_s"] < 1.3
+    assert (answer["final_sent"], answer["cancelled"], answer["matched"]) == (True, False, 1)
+    assert [line(listener) for _ in range(answer["sent"] + 1)] == ["go"] * answer["sent"] + ["stop"]
+
+
+def test_a_cancelled_repeat_says_what_it_sent(bridge: Client, peer) -> None:
+    peer("listen", "/said", "RELIABLE")
+    request = repeat(bridge, rate_hz=50, duration_s=60)
+    while not bridge.ok("stats")["repeats"]:
+        time.sleep(0.02)
+    bridge.ok("cancel", request=request)
+    answer = bridge.answer(request)[0]["ok"]
+    assert answer["cancelled"]
+    assert answer["sent"] >= 1
+    assert answer["final_sent"]
+
+
+@pytest.mark.parametrize("ending", ["stdin ends", "SIGTERM", "broken frame"])
+def test_the_final_message_is_sent_whatever_ends_the_bridge(bridge: Client, peer, ending: str) -> None:
+    listener = peer("listen", "/said", "RELIABLE")
+    repeat(bridge, rate_hz=50, duration_s=60)
+    assert line(listener) == "go"
+    started = time.monotonic()
+    if ending == "stdin ends":
+        bridge.close()
+    elif ending == "SIGTERM":
+        bridge.process.send_signal(signal.SIGTERM)
+    else:
+        assert bridge.process.stdin
+        bridge.process.stdin.write(b"\xff" * 100)
+        bridge.process.stdin.flush()
+    assert bridge.process.wait(3) == 0
+    assert time.monotonic() - started < 1
+    while (text := line(listener)) == "go":
+        pass
+    assert text == "stop"
+
+
+def repeat(bridge: Client, **arguments: Any) -> int:
+    final = cdr_string("stop")
+    body = cdr_string("go") + final
+    arguments = {"qos": RELIABLE, "wait_match_s": 3, "at_exit": True, "final_size": len(final), **arguments}
+    return bridge.send("repeat", body, topic="/said", type=STRING, **arguments)
+
+
+def test_a_call_is_answered_with_the_bytes_of_the_response(bridge: Client, peer) -> None:
+    peer("serve", "/asked", "0")
+    requests = {call(bridge, body): body for body in (TRUE, FALSE, TRUE)}
+    for request, body in requests.items():
+        header, response = bridge.answer(request)
+        assert header["ok"]["elapsed_s"] < 1
+        assert response[4] == body[4]
+        assert (b"asked True" if body == TRUE else b"asked False") in response
+
+
+def test_a_call_to_nobody_a_slow_server_or_of_an_unknown_type_has_its_own_error(bridge: Client, peer) -> None:
+    peer("serve", "/asked", "2")
+    kinds = [
+        bridge.answer(call(bridge, **changed))[0]["error"]["kind"]
+        for changed in ({"service": "/nobody", "wait_s": 0.2}, {"timeout_s": 0.2}, {"type": "no_msgs/srv/No"})
+    ]
+    assert kinds == ["not_found", "timeout", "unknown_type"]
+
+
+def test_a_server_that_leaves_ends_the_call_at_once(bridge: Client, peer) -> None:
+    server = peer("serve", "/asked", "30")
+    request = call(bridge, timeout_s=30)
+    time.sleep(0.5)
+    server.terminate()
+    server.wait(5)
+    started = time.monotonic()
+    assert bridge.answer(request)[0]["error"]["kind"] == "server_gone"
+    assert time.monotonic() - started < 1
+
+
+def test_a_cancelled_call_ends_at_once(bridge: Client, peer) -> None:
+    peer("serve", "/asked", "2")
+    request = call(bridge, timeout_s=30)
+    bridge.ok("cancel", request=request)
+    assert bridge.answer(request)[0]["error"]["kind"] == "cancelled"
+
+
+def test_an_action_is_called_through_its_hidden_services(bridge: Client, peer) -> None:
+    peer("act", "/count")
+    feedback = {"topic": "/count/_action/feedback", "type": "test_msgs/action/Fibonacci_FeedbackMessage"}
+    bridge.ok("subscribe", qos=RELIABLE, **feedback, **ALL)
+    bridge.ok("wait_endpoints", topic=feedback["topic"], publishers=1, subscribers=1, timeout_s=5)
+    goal_id = bytes(range(16))
+    arguments = {"wait_s": 3, "timeout_s": 3}
+    request = b"\0\1\0\0" + goal_id + b"\5\0\0\0"
+    action = {"service": "/count/_action/send_goal", "type": "test_msgs/action/Fibonacci_SendGoal"}
+    assert bridge.answer(bridge.send("call", request, **action, **arguments))[1][4] == 1
+    action = {"service": "/count/_action/get_result", "type": "test_msgs/action/Fibonacci_GetResult"}
+    result = bridge.answer(bridge.send("call", b"\0\1\0\0" + goal_id, **action, **arguments))[1]
+    assert result[4] == 4
+    while not bridge.samples:
+        bridge.ok("ping")
+    assert bridge.samples[0][1][4:20] == goal_id
+
+
+def test_many_subscriptions_leave_nothing_behind(bridge: Client) -> None:
+    def cycle() -> None:
+        number = bridge.ok("subscribe", topic="/said", type=STRING, qos=RELIABLE, **ALL)["sub"]
+        bridge.ok("unsubscribe", sub=number)
+
+    for _ in range(20):
+        cycle()
+    before = bridge.ok("stats")
+    for _ in range(500):
+        cycle()
+    after = bridge.ok("stats")
+    for name in ("publishers", "subscriptions", "clients", "threads", "open_files"):
+        assert after[name] == before[name], name
+    assert after["rss_bytes"] - before["rss_bytes"] < 5_000_000
+
+
+def test_nothing_but_frames_is_on_stdout(start) -> None:
+    noisy = {"RCUTILS_LOGGING_USE_STDOUT": "1", "RCUTILS_LOGGING_SEVERITY": "DEBUG"}
+    bridge = Client(start("ros2_mcp_bridge", env=noisy))
+    assert bridge.error("publish", topic="not a name", type=STRING, qos=RELIABLE)["kind"] == "ros_error"
+    assert "ros_idle_s" in bridge.ok("ping")
+    assert bridge.close() < 1
+    with pytest.raises(EOFError):
+        bridge.next_frame()
+
+
+def test_wrong_requests_are_answered_and_do_no_harm(bridge: Client) -> None:
+    assert bridge.error("no_such_operation")["kind"] == "bad_request"
+    assert bridge.error("publish", topic="/said", type=STRING)["kind"] == "bad_request"
+    assert bridge.error("unsubscribe", sub=99)["kind"] == "not_found"
+    error = bridge.error("call", b"\xff", service="/asked", type=SET_BOOL, wait_s=0, timeout_s=1)
+    assert error["kind"] == "bad_request"
+    assert bridge.ok("ping")
+
+
+def test_an_installation_without_rclpy_is_told(start, ros_environment, tmp_path: Path) -> None:
+    (tmp_path / "rclpy.py").write_text("raise ImportError('no rclpy here')\n")
+    path = os.pathsep.join([str(tmp_path), ros_environment["PYTHONPATH"]])
+    bridge = Client(start("ros2_mcp_bridge", env={"PYTHONPATH": path}))
+    assert (bridge.hello["event"], bridge.hello["kind"]) == ("failed", "no_rclpy")
+    assert bridge.process.wait(3) == 1
