@@ -100,6 +100,7 @@ def build_tool(declaration: ToolDeclaration, robot: Robot) -> RobotTool:
         parameters=plain_input(metadata.arg_model.model_json_schema()),
         fn_metadata=metadata,
         is_async=True,
+        context_kwarg=None,
         annotations=ToolAnnotations(
             title=declaration.title,
             read_only_hint=declaration.risk == "read",

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -75,7 +75,7 @@ def with_interfaces(settings: Settings) -> Settings:
 
 
 @contextmanager
-def simulated_robot(settings: Settings, graph: Graph) -> Iterator[str]:
+def simulated_robot(settings: Settings, graph: Graph) -> Generator[str, None, None]:
     """A running robot in a graph; yields the line with which it says that it is ready.
 
     Raises:

@@ -57,10 +57,10 @@ class Tour:
         print(_paint(_DIM, f"  > {tool} {json.dumps(arguments)}"), flush=True)
         started = time.monotonic()
 
-        async def progress(done: float, whole: float | None, line: str | None) -> None:
-            print(_paint(_DIM, f"    … {done:.0f}/{whole or 0:.0f} s  {line or ''}"), flush=True)
+        async def on_progress(progress: float, total: float | None, message: str | None) -> None:
+            print(_paint(_DIM, f"    … {progress:.0f}/{total or 0:.0f} s  {message or ''}"), flush=True)
 
-        result = await self._client.call_tool(tool, arguments, progress_callback=progress)
+        result = await self._client.call_tool(tool, arguments, progress_callback=on_progress)
         elapsed_s = time.monotonic() - started
         text = "".join(getattr(block, "text", "") for block in result.content)
         self.transcript.append({"tool": tool, "arguments": arguments, "seconds": round(elapsed_s, 3), "text": text})

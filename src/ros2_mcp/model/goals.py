@@ -30,6 +30,8 @@ CANCEL_CODES: Mapping[int, str] = {
 }
 """Codes of action_msgs/srv/CancelGoal."""
 
+CANCEL_TYPE = "action_msgs/srv/CancelGoal"
+
 
 def new_goal_id() -> str:
     """A fresh goal id: 32 hexadecimal digits."""
@@ -46,6 +48,12 @@ def goal_id_bytes(goal_id: str) -> list[int]:
         return list(uuid.UUID(hex=goal_id).bytes)
     except ValueError as error:
         raise BadValue("goal_id_hex", f"{goal_id!r} is not a goal id.", "Give its 32 hexadecimal digits.") from error
+
+
+def cancel_request(goal_id: str = "", stamp: Mapping[str, int] | None = None) -> dict[str, Any]:
+    """The request that cancels one goal; without a goal id, all that were accepted up to the stamp, or all."""
+    raw_id = goal_id_bytes(goal_id) if goal_id else [0] * 16
+    return {"goal_info": {"goal_id": {"uuid": raw_id}, "stamp": dict(stamp or {"sec": 0, "nanosec": 0})}}
 
 
 def goal_id_hex(raw: Sequence[int]) -> str:

@@ -14,8 +14,10 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound, RobotError, TimedOut, TypeConflict, UnknownInterface
 from ros2_mcp.model.goals import (
     CANCEL_CODES,
+    CANCEL_TYPE,
     STATUS,
     TERMINAL,
+    cancel_request,
     goal_id_bytes,
     goal_id_hex,
     new_goal_id,
@@ -25,8 +27,6 @@ from ros2_mcp.robot import Listening, Robot
 
 MAX_WAIT_S = 3600.0
 SERVER_S = 3.0
-_CANCEL_TYPE = "action_msgs/srv/CancelGoal"
-_STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,13 +191,15 @@ async def send_goal(
 async def _submit(
     robot: Robot, action: str, action_type: str, goal_id: str, goal: Mapping[str, Any]
 ) -> tuple[bool, dict[str, Any]]:
-    request = {"goal_id": {"uuid": goal_id_bytes(goal_id)}, "goal": dict(goal)}
-    robot.goals.sent(goal_id, action, action_type)
     service = f"{action_type}_SendGoal"
+    request = {"goal_id": {"uuid": goal_id_bytes(goal_id)}, "goal": dict(goal)}
+    await robot.values.encode(f"{service}_Request", request)
+    await robot.values.learn(CANCEL_TYPE)
+    robot.goal_sent(goal_id, action, action_type)
     answer = await robot.call(f"{action}/_action/send_goal", service, request, timeout_s=10.0, wait_s=SERVER_S)
     response = robot.values.render(f"{service}_Response", answer.body).value
     if not response["accepted"]:
-        robot.goals.ended(goal_id)
+        robot.goal_ended(goal_id)
     return bool(response["accepted"]), response["stamp"]
 
 
@@ -273,7 +275,7 @@ class _Feedback:
         started = monotonic()
         while True:
             for sample in await self._heard.take(1.0):
-                message = self._robot.render(self._heard.type, sample.data).value
+                message = self._robot.values.render(self._heard.type, sample.data).value
                 if goal_id_hex(message["goal_id"]["uuid"]) == self._goal_id:
                     self.count += 1
                     self.last = message["feedback"]
@@ -319,7 +321,7 @@ async def request_result(
     response = robot.values.render(f"{service_type}_Response", answer.body).value
     code = int(response["status"])
     if code in TERMINAL:
-        robot.goals.ended(goal_id)
+        robot.goal_ended(goal_id)
     note = "The server does not know this goal: it never was, or it has been forgotten." if code == 0 else ""
     result = response["result"] if code in TERMINAL else None
     return GoalResult(service, goal_id, True, timeout_s, code, STATUS.get(code, str(code)), result, note)
@@ -344,11 +346,11 @@ async def cancel(
     robot.policy.require_write(f"Cancelling goals of {action}")
     action = names.absolute(action, "action")
     await resolve_type(robot, action)
-    raw_id = [0] * 16 if cancel_all else goal_id_bytes(goal_id)
-    request = {"goal_info": {"goal_id": {"uuid": raw_id}, "stamp": dict(stamp or {"sec": 0, "nanosec": 0})}}
+    goal_id_bytes("0" * 32 if cancel_all else goal_id)
+    request = cancel_request("" if cancel_all else goal_id, stamp)
     service = f"{action}/_action/cancel_goal"
-    answer = await robot.call(service, _CANCEL_TYPE, request, timeout_s=timeout_s, wait_s=timeout_s)
-    response = robot.values.render(f"{_CANCEL_TYPE}_Response", answer.body).value
+    answer = await robot.call(service, CANCEL_TYPE, request, timeout_s=timeout_s, wait_s=timeout_s)
+    response = robot.values.render(f"{CANCEL_TYPE}_Response", answer.body).value
     code = int(response["return_code"])
     goals = [CancelledGoal(goal_id_hex(goal["goal_id"]["uuid"]), goal["stamp"]) for goal in response["goals_canceling"]]
     return Cancellation(service, code, CANCEL_CODES.get(code, str(code)), goals, _cancel_note(code, goals))

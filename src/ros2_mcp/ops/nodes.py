@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,7 +96,7 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
     return _assemble(names.full_node_name(name, namespace), raw)
 
 
-def _assemble(node: str, raw: dict[str, Any]) -> NodeInfo:
+def _assemble(node: str, raw: Mapping[str, Any]) -> NodeInfo:
     servers = _offers(raw["servers"])
     own_parameters = {f"{node}/{service}" for service in _PARAMETER_SERVICES}
     served = {offer.name for offer in servers}

@@ -100,7 +100,8 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
     wanted = [names.absolute(node, "node") for node in nodes] or list((await list_nodes(robot)).nodes)
     found = await asyncio.gather(*(_describe_or_error(robot, node, pattern) for node in wanted))
     total = sum(len(node.parameters) for node in found)
-    shown, left = [], limit
+    shown: list[NodeParameters] = []
+    left = limit
     for node in found:
         shown.append(NodeParameters(node.node, node.parameters[:left], node.error))
         left = max(left - len(node.parameters), 0)

@@ -144,6 +144,8 @@ async def _note(robot: Robot, sent: Sent) -> str:
         notes.append("Not every subscriber has acknowledged it in time.")
     if sent.late:
         notes.append(f"{sent.late} period(s) were missed.")
+    if sent.ended_early:
+        notes.append("It was ended before its time.")
     if sent.stopped_with_zero:
         notes.append("A zero command was sent at the end.")
     return " ".join(notes)

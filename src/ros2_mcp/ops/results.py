@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import datetime, timezone
 from time import monotonic
-from typing import Any
+from typing import Any, cast
 
 from ros2_mcp.model.pictures import Picture
 
@@ -62,9 +62,9 @@ def as_json(value: Any) -> Any:
     if is_dataclass(value):
         return {f.name: as_json(getattr(value, f.name)) for f in fields(value) if not f.metadata.get("hidden")}
     if isinstance(value, Mapping):
-        return value
+        return cast("Mapping[str, Any]", value)
     if isinstance(value, (list, tuple)):
-        return [as_json(item) for item in value]
+        return [as_json(item) for item in cast("Sequence[Any]", value)]
     return value
 
 

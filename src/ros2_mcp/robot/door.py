@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import Policy
-from ros2_mcp.guard.running import SentGoals
+from ros2_mcp.guard.running import Driven, SentGoals
 from ros2_mcp.model import names, qos
 from ros2_mcp.model.errors import NotFound, TypeConflict
-from ros2_mcp.model.qos import Choice
-from ros2_mcp.robot.exchange import Answer, Listening, Sent, TopicEndpoints
+from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request
+from ros2_mcp.robot.exchange import Answer, Listening, Outgoing, Sent, TopicEndpoints
 from ros2_mcp.robot.graph import REQUEST_S, Graph
 from ros2_mcp.robot.values import Values
+from ros2_mcp.robot.wills import Will, Wills
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge
@@ -37,7 +38,9 @@ class Robot:
         self.policy = policy or Policy()
         self.graph = Graph(bridge)
         self.values = Values(self.graph)
+        self.wills = Wills(self.graph)
         self.goals = SentGoals()
+        self.driven = Driven()
 
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -51,7 +54,7 @@ class Robot:
         keep: str = "all",
         max_samples: int = 20_000,
         max_bytes: int = 64_000_000,
-    ) -> AsyncIterator[Listening]:
+    ) -> AsyncGenerator[Listening, None]:
         """A subscription that matches every publisher there is.
 
         Args:
@@ -105,18 +108,17 @@ class Robot:
         self, topic: str, type_name: str, value: object, *, wait_match_s: float, wait_ack_s: float = 2.0
     ) -> Sent:
         """Publishes one message: waits (bounded) for a subscriber to match and for its acknowledgement."""
-        topic, type_name, choice, body = await self._prepare(topic, type_name, value)
+        message = await self._prepare(topic, type_name, value)
         reply = await self.graph.ask(
             "publish",
-            body,
+            message.body,
             timeout_s=wait_match_s + wait_ack_s + REQUEST_S,
-            topic=topic,
-            type=type_name,
-            qos=choice.qos.request(),
             wait_match_s=wait_match_s,
             wait_ack_s=wait_ack_s,
+            **message.destination(),
         )
-        return Sent(topic, type_name, choice, 1, reply.ok["matched"], reply.ok["acked"], reply.ok["waited_s"])
+        ok = reply.ok
+        return Sent(message.topic, message.type, message.choice, 1, ok["matched"], ok["acked"], ok["waited_s"])
 
     async def repeat(
         self,
@@ -129,22 +131,30 @@ class Robot:
         wait_match_s: float,
     ) -> Sent:
         """Publishes one message at a rate for a time; the rhythm is kept inside the bridge."""
-        topic, type_name, choice, body = await self._prepare(topic, type_name, value)
-        zero = await self.values.encode(type_name, {}) if type_name in VELOCITY_TYPES else b""
+        message = await self._prepare(topic, type_name, value)
         reply = await self.graph.ask(
             "repeat",
-            body + zero,
-            final_size=len(zero),
+            message.body + message.zero,
             timeout_s=duration_s + wait_match_s + REQUEST_S,
-            topic=topic,
-            type=type_name,
-            qos=choice.qos.request(),
+            final_size=len(message.zero),
             wait_match_s=wait_match_s,
             rate_hz=rate_hz,
             duration_s=duration_s,
+            **message.destination(),
         )
         ok = reply.ok
-        return Sent(topic, type_name, choice, ok["sent"], ok["matched"], None, ok["elapsed_s"], ok["late"], bool(zero))
+        return Sent(
+            message.topic,
+            message.type,
+            message.choice,
+            ok["sent"],
+            ok["matched"],
+            None,
+            ok["elapsed_s"],
+            ok["late"],
+            ok["final_sent"],
+            ok["cancelled"],
+        )
 
     async def call(
         self,
@@ -173,11 +183,28 @@ class Robot:
         )
         return Answer(reply.body, reply.ok["elapsed_s"])
 
-    async def _prepare(self, topic: str, type_name: str, value: object) -> tuple[str, str, Choice, bytes]:
+    def goal_sent(self, goal_id: str, action: str, action_type: str) -> None:
+        """Notes a goal just before it is sent: the bridge cancels it if this process dies."""
+        self.goals.sent(goal_id, action, action_type)
+        body = self.values.encode_known(f"{CANCEL_TYPE}_Request", cancel_request(goal_id))
+        service = {"service": f"{action}/_action/cancel_goal", "type": CANCEL_TYPE}
+        self.wills.leave(goal_id, Will("will_call", body, service))
+
+    def goal_ended(self, goal_id: str) -> None:
+        """Forgets a goal that has ended or was not accepted."""
+        self.goals.ended(goal_id)
+        self.wills.withdraw(goal_id)
+
+    async def _prepare(self, topic: str, type_name: str, value: object) -> Outgoing:
         topic = names.absolute(topic)
         self.policy.require_write(f"Publishing on {topic}")
         present = await self.graph.endpoints(topic)
         type_name = await self.topic_type(present, type_name)
         body = await self.values.encode(type_name, value)
         subscribers = [subscriber for subscriber in present.subscribers if subscriber.type == type_name]
-        return topic, type_name, qos.for_publishing(subscribers), body
+        zero = self.values.encode_known(type_name, {}) if type_name in VELOCITY_TYPES else b""
+        message = Outgoing(topic, type_name, qos.for_publishing(subscribers), body, zero)
+        if zero:
+            self.driven.drove(topic, type_name, zero)
+            self.wills.leave(topic, Will("will_publish", zero, message.destination()))
+        return message

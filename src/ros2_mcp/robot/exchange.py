@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.qos import Choice, Endpoint
 from ros2_mcp.model.samples import Counts, Sample
@@ -64,6 +64,22 @@ class Sent:
     elapsed_s: float
     late: int = 0
     stopped_with_zero: bool = False
+    ended_early: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Outgoing:
+    """A checked and encoded message with its destination; `zero` is what stops a robot that such messages drive."""
+
+    topic: str
+    type: str
+    choice: Choice
+    body: bytes
+    zero: bytes
+
+    def destination(self) -> dict[str, Any]:
+        """The arguments that the bridge's publishing operations take."""
+        return {"topic": self.topic, "type": self.type, "qos": self.choice.qos.request()}
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,7 +43,7 @@ class Graph:
         except BridgeRefused as refused:
             raise _KINDS.get(refused.kind, LinkError)(refused.message, refused.hint) from refused
 
-    async def query(self, op: str, **arguments: Any) -> dict[str, Any]:
+    async def query(self, op: str, **arguments: Any) -> Mapping[str, Any]:
         """One query of the graph, after discovery has settled."""
         return (await self.ask(op, settle_s=SETTLE_S, timeout_s=REQUEST_S + SETTLE_S, **arguments)).ok
 

@@ -79,9 +79,13 @@ class Values:
         Raises:
             BadValue: naming the path of what does not fit.
         """
+        await self.learn(type_name)
+        return self.encode_known(type_name, value)
+
+    def encode_known(self, type_name: str, value: object) -> bytes:
+        """The same, for a type that has been learnt."""
         from ros2_mcp.codec.check import check
 
-        await self.learn(type_name)
         return self.codec.encode(type_name, check(self.definitions, type_name, value))
 
     def render(self, type_name: str, body: bytes, options: RenderOptions | None = None) -> Rendered:
