@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,12 @@ def reference(tools: Sequence[Tool]) -> str:
 def overview(tools: Sequence[Tool], declared: Mapping[str, ToolDeclaration]) -> str:
     """The table of all tools."""
     rows = [
-        (f"[`{tool.name}`](#{tool.name})", first_line(tool), RISKS[declared[tool.name].risk], declared[tool.name].group)
+        (
+            f"[`{tool.name}`](#{tool.name})",
+            first_sentence(tool),
+            RISKS[declared[tool.name].risk],
+            declared[tool.name].group,
+        )
         for tool in tools
     ]
     return table(("tool", "what it does", "risk", "group"), rows)
@@ -130,9 +136,10 @@ def bounds(node: Mapping[str, Any]) -> str:
     return ", ".join(text.format(f"{node[key]:g}") for key, text in limits.items() if key in node)
 
 
-def first_line(tool: Tool) -> str:
-    """The first line of a tool's description."""
-    return (tool.description or "").splitlines()[0]
+def first_sentence(tool: Tool) -> str:
+    """The first sentence of a tool's description."""
+    paragraph = " ".join((tool.description or "").partition("\n\n")[0].split())
+    return re.split(r"(?<=[.?!]) (?=[A-Z])", paragraph)[0]
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
