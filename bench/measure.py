@@ -1,0 +1,200 @@
+"""The measurements. What is compared is measured in turns, so that the machine's other load falls on both."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from .processes import Peer, counts, ours, rss_bytes, trivial
+from .report import Row, p50, p99
+from .stdio import StdioClient
+
+TOPICS = 40
+SET = {"service_name": "/bench/set", "fields": {"data": True}}
+
+
+async def timed(call: Awaitable[Any]) -> float:
+    started = time.perf_counter()
+    await call
+    return time.perf_counter() - started
+
+
+async def start_to_tools_list(rounds: int) -> list[Row]:
+    async def start(make: Callable[[], StdioClient]) -> float:
+        client, started = make(), time.perf_counter()
+        async with client:
+            await client.greet()
+            return time.perf_counter() - started
+
+    times: dict[Any, list[float]] = {ours: [], trivial: []}
+    for make in (ours, trivial):
+        await start(make)  # compiles what is not compiled yet
+    for _ in range(rounds):
+        for make, seconds in times.items():
+            seconds.append(await start(make))
+    return [Row("start → tools/list, p50", p50(times[ours]), "ms", 1.4, p50(times[trivial]))]
+
+
+async def topic_list(rounds: int) -> list[Row]:
+    mine, floor = [], []
+    with Peer("topics", TOPICS):
+        async with ours() as us, trivial() as them:
+            await us.greet()
+            await them.greet()
+            await complete_listing(us)
+            for _ in range(rounds):
+                mine.append(await timed(us.call("ros2_topic_list")))
+                floor.append(await timed(them.call("ping")))
+    return [
+        Row(f"ros2_topic_list, {TOPICS} topics, p50", p50(mine), "ms", 3, p50(floor)),
+        Row(f"ros2_topic_list, {TOPICS} topics, p99", p99(mine), "ms", 3, p99(floor)),
+    ]
+
+
+async def complete_listing(client: StdioClient) -> int:
+    """Ask until every topic of the peer is listed; how often the list was called settled while it was incomplete."""
+    untrue = 0
+    while True:
+        listing = await client.call("ros2_topic_list", pattern="/bench/t*")
+        if len(listing["topics"]) >= TOPICS:
+            return untrue
+        untrue += listing["settled"]
+        await asyncio.sleep(0.02)
+
+
+async def first_listing(rounds: int) -> list[Row]:
+    times, untrue = [], 0
+    with Peer("topics", TOPICS):
+        for _ in range(rounds):
+            client, started = ours(), time.perf_counter()
+            async with client:
+                await client.greet()
+                untrue += await complete_listing(client)
+                times.append(time.perf_counter() - started)
+    spread = ", ".join(f"{seconds:.1f}" for seconds in sorted(times))
+    return [
+        Row("start → complete listing, slowest", max(times), "s", 3, note=spread),
+        Row(f"incomplete, but called settled, in {rounds} starts", untrue, "times", 0),
+    ]
+
+
+async def read_one(rounds: int) -> list[Row]:
+    mine, floor = [], []
+    with Peer("ticks", 1, 100), Peer("floor") as bare:
+        async with ours() as us:
+            await us.greet()
+            await us.call("ros2_topic_subscribe", topic_name="/bench/tick0")
+            for _ in range(rounds):
+                mine.append(await timed(us.call("ros2_topic_subscribe", topic_name="/bench/tick0")))
+                floor += bare.seconds("read", 1)
+    return [
+        Row("read one message of 100 Hz, p50", p50(mine), "ms", 40, note=f"bare rclpy: {p50(floor):.1f} ms"),
+        Row("read one message of 100 Hz, p99", p99(mine), "ms"),
+    ]
+
+
+async def while_subscribed(rounds: int) -> list[Row]:
+    quiet, one, ten = [], [], []
+    with Peer("ticks", 10, 100):
+        async with ours() as us:
+            await us.greet()
+            await us.call("ros2_topic_subscribe", topic_name="/bench/tick0")
+            for _ in range(rounds):
+                quiet += await listings_during(us, asyncio.sleep(3))
+                one += await listings_during(us, subscriptions(us, 1))
+                ten += await listings_during(us, subscriptions(us, 10))
+    floor = p50(quiet)
+    return [
+        Row("ros2_topic_list during a subscription of 3 s, p50", p50(one), "ms", 2, floor),
+        Row("ros2_topic_list during ten of them, p50", p50(ten), "ms", 2, floor),
+    ]
+
+
+async def subscriptions(client: StdioClient, count: int) -> None:
+    names = [f"/bench/tick{number}" for number in range(count)]
+    await asyncio.gather(*(client.call("ros2_topic_subscribe", topic_name=name, duration=3) for name in names))
+
+
+async def listings_during(client: StdioClient, other: Awaitable[Any]) -> list[float]:
+    """How long listings of topics take, about 30 a second, while something else goes on."""
+    task, seconds = asyncio.ensure_future(other), []
+    while not task.done():
+        seconds.append(await timed(client.call("ros2_topic_list")))
+        await asyncio.sleep(0.02)
+    await task
+    return seconds
+
+
+async def flooded(rate_hz: int, duration_s: int) -> list[Row]:
+    count = rate_hz * duration_s
+    with Peer("flood", rate_hz, count) as peer:
+        async with ours() as us:
+            await us.greet()
+            await us.call("ros2_get_message_fields", message_type="std_msgs/msg/UInt64")
+            quiet = await listings_during(us, asyncio.sleep(duration_s))
+            before = rss_bytes(us.pid)
+            reading = asyncio.ensure_future(
+                us.call("ros2_topic_subscribe", topic_name="/bench/flood", duration=duration_s + 2)
+            )
+            busy = await listings_during(us, asyncio.wait({reading}))
+            grown = (rss_bytes(us.pid) - before) / 1e6
+            result = await reading
+        sent = int(peer.line())
+    unaccounted = sent - result["received"] - (result["lost"] or 0)
+    found = f"sent {sent}, received {result['received']}, lost {result['lost']}, dropped {result['dropped']}"
+    return [
+        Row(f"{rate_hz} Hz for {duration_s} s: messages unaccounted for", abs(unaccounted), "", 0, note=found),
+        Row("ros2_topic_list meanwhile, p99", p99(busy), "ms", 2, p99(quiet)),
+        Row("growth of the server's memory by it", grown, "MB", 100),
+    ]
+
+
+async def service_calls(rounds: int) -> list[Row]:
+    mine, floor, bare = [], [], []
+    with Peer("service"), Peer("floor") as node:
+        async with ours() as us, trivial() as them:
+            await us.greet()
+            await them.greet()
+            await us.call("ros2_service_call", **SET)
+            for _ in range(rounds):
+                mine.append(await timed(us.call("ros2_service_call", **SET)))
+                floor.append(await timed(them.call("ping")))
+                bare += node.seconds("call", 1)
+    parts = f"trivial tool {p50(floor):.2f} + rclpy {p50(bare):.2f} ms"
+    return [Row("ros2_service_call, p50", p50(mine), "ms", 1.6, p50(floor) + p50(bare), note=parts)]
+
+
+async def many_calls(count: int) -> list[Row]:
+    with Peer("service"):
+        async with ours() as us:
+            await us.greet()
+            await us.call("ros2_service_call", **SET)
+            started = time.perf_counter()
+            answers = await asyncio.gather(*(us.call("ros2_service_call", **SET) for _ in range(100)))
+            elapsed = time.perf_counter() - started
+            before = await everything_open(us)
+            for _ in range(count):
+                await us.call("ros2_service_call", **SET)
+            after = await everything_open(us)
+    unanswered = sum(not answer["result"]["success"] for answer in answers)
+    changed = {name: (before[name], after[name]) for name in before if before[name] != after[name]}
+    return [
+        Row("100 calls in flight: unanswered", unanswered, "", 0, note=f"all in {elapsed * 1000:.0f} ms"),
+        Row(f"{count} calls: counts that changed", len(changed), "", 0, note=str(changed or before)),
+    ]
+
+
+async def everything_open(client: StdioClient) -> dict[str, int]:
+    """Entities of the bridge, threads and open files of both processes."""
+    status = await client.call("ros2_status")
+    server, bridge = counts(client.pid), counts(status["bridge_pid"])
+    entities = {name: status[name] for name in ("subscriptions", "publishers", "service_clients")}
+    return {
+        **entities,
+        "threads": server[0],
+        "files": server[1],
+        "bridge_threads": bridge[0],
+        "bridge_files": bridge[1],
+    }

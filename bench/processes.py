@@ -1,0 +1,70 @@
+"""The processes of a run: servers to measure, and nodes to measure them with."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from types import TracebackType
+
+from .stdio import StdioClient
+
+HERE = Path(__file__).parent
+ENVIRONMENT = {
+    "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
+    "ROS_LOG_DIR": tempfile.gettempdir(),
+    **os.environ,
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+}
+
+
+def ours() -> StdioClient:
+    """This project's server."""
+    return StdioClient([sys.executable, "-m", "ros2_mcp"], ENVIRONMENT)
+
+
+def trivial() -> StdioClient:
+    """A trivial tool on the bare SDK."""
+    return StdioClient([sys.executable, str(HERE / "trivial.py")], ENVIRONMENT)
+
+
+class Peer:
+    """A node of `peers.py` that is ready; use as a context manager."""
+
+    def __init__(self, role: str, *arguments: object) -> None:
+        command = [sys.executable, str(HERE / "peers.py"), role, *map(str, arguments)]
+        self._process = subprocess.Popen(
+            command, env=ENVIRONMENT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        assert self.line() == "ready"
+
+    def __enter__(self) -> Peer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._process.terminate()
+        self._process.communicate(timeout=10)
+
+    def line(self) -> str:
+        return self._process.stdout.readline().strip()  # type: ignore[union-attr]
+
+    def seconds(self, what: str, count: int) -> list[float]:
+        """How long each took, done by the node itself with bare rclpy."""
+        self._process.stdin.write(f"{what} {count}\n")  # type: ignore[union-attr]
+        self._process.stdin.flush()  # type: ignore[union-attr]
+        return json.loads(self.line())
+
+
+def rss_bytes(pid: int) -> int:
+    """The resident memory of a process."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def counts(pid: int) -> tuple[int, int]:
+    """The threads and open files of a process."""
+    return len(list(Path(f"/proc/{pid}/task").iterdir())), len(list(Path(f"/proc/{pid}/fd").iterdir()))
