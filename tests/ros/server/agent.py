@@ -1,0 +1,74 @@
+"""An MCP client for the tests: `mcp.Client` over real stdio, called without async."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from typing import Any
+
+from anyio.from_thread import BlockingPortal, start_blocking_portal
+from mcp import Client, StdioServerParameters
+from mcp.types import CallToolResult
+
+FULL = bool(os.environ.get("ROS2_MCP_FULL"))
+"""Whether the long versions of the tests run."""
+CALL_S = 60.0
+
+
+class Refusal(Exception):
+    """The text of a tool's error, as the model reads it."""
+
+
+class Agent:
+    """Calls tools and gets their structured results."""
+
+    def __init__(self, client: Client, portal: BlockingPortal) -> None:
+        self.client = client
+        self._portal = portal
+
+    def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
+        """The structured result of a tool; raises `Refusal` with the text of its error."""
+        return self.begin(tool, **arguments).result(CALL_S)
+
+    def begin(self, tool: str, **arguments: Any) -> Future[dict[str, Any]]:
+        """Start a call; cancelling the future cancels the call."""
+        return self._portal.start_task_soon(self._call, tool, arguments)
+
+    def refusal(self, tool: str, **arguments: Any) -> str:
+        """The text of the error that the call must end in."""
+        try:
+            result = self.call(tool, **arguments)
+        except Refusal as refusal:
+            return str(refusal)
+        raise AssertionError(f"{tool} was not refused: {result}")
+
+    def whole(self, tool: str, arguments: dict[str, Any]) -> CallToolResult:
+        """The result with its text and pictures."""
+        return self._portal.call(self.client.call_tool, tool, arguments)
+
+    def tools(self) -> dict[str, Any]:
+        """Every tool by name."""
+        return {tool.name: tool for tool in self._portal.call(self.client.list_tools).tools}
+
+    async def _call(self, tool: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        result = await self.client.call_tool(tool, arguments)
+        text = result.content[0].text  # type: ignore[union-attr]
+        if result.is_error:
+            raise Refusal(text)
+        assert json.loads(json.dumps(result.structured_content, allow_nan=False)) is not None
+        return result.structured_content or {}
+
+
+@contextmanager
+def agent_for(environment: dict[str, str], *options: str, mode: Any = "auto") -> Iterator[Agent]:
+    """A client of a newly started server; both end with the block."""
+    server = StdioServerParameters(command=sys.executable, args=["-m", "ros2_mcp", *options], env=environment)
+    with (
+        start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(Client(server, mode=mode, read_timeout_seconds=CALL_S)) as client,
+    ):
+        yield Agent(client, portal)
