@@ -63,7 +63,7 @@ class Bridge:
         self._outbox.send(ros.hello(node, executor))
         self._ros_is_up.set()
         self._loop.run(executor)
-        self._operations.end()
+        self._operations.end(executor)
         ros.leave(node, executor)
         self._exit(0)
 
@@ -90,7 +90,7 @@ class Bridge:
     def _enforce_end(self):
         time.sleep(FINALS_AFTER_S)
         if self._operations is not None:
-            self._operations.publishers.send_finals()
+            self._operations.last_deeds()
         time.sleep(GIVE_UP_AFTER_S - FINALS_AFTER_S)
         os._exit(1)
 

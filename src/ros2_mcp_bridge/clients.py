@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import time
+from contextlib import contextmanager
+from functools import partial
 
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -24,12 +26,10 @@ class Clients:
 
     def call(self, request):
         """Send a request and wait for its response."""
-        service, interface = request.text("service"), request.interface
+        service = request.text("service")
         wait_s, timeout_s = request.number("wait_s", 0.0), request.number("timeout_s")
-        message = _deserialize(request)
         started = time.monotonic()
-        key = service, interface
-        with self.pool.use(key, lambda: self._node.create_client(interface, service)) as (client, _):
+        with self.use(request) as (client, message):
             yield from _wait_server(client, service, wait_s)
             sent_at = time.monotonic()
             future = client.call_async(message)
@@ -42,12 +42,20 @@ class Clients:
         elapsed_s = round(time.monotonic() - sent_at, 6)
         return {"waited_s": round(sent_at - started, 6), "elapsed_s": elapsed_s}, body
 
+    @contextmanager
+    def use(self, request):
+        """The pooled client of the service that a request names, and the message to send."""
+        message, interface, service = _deserialize(request), request.interface, request.text("service")
+        create = partial(self._node.create_client, interface, service)
+        with self.pool.use((service, interface), create) as (client, _):
+            yield client, message
+
 
 def _deserialize(request):
     try:
         return deserialize_message(request.body, request.interface.Request)
     except Exception as error:  # the middlewares raise errors of many kinds
-        message = f"call: the body is no request of {request.text('type')}: {error}"
+        message = f"{request.op}: the body is no request of {request.text('type')}: {error}"
         raise OperationError("bad_request", message) from error
 
 

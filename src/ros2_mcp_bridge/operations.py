@@ -15,8 +15,10 @@ from .graph import Graph
 from .publishers import Publishers
 from .request import OperationError
 from .subscriptions import Subscriptions
+from .wills import Wills
 
 EXPIRE_EVERY_S = 5.0
+LAST_DEEDS_S = 0.3
 
 
 class Operations:
@@ -32,6 +34,7 @@ class Operations:
         self._subscriptions = Subscriptions(node, self._graph, loop, outbox)
         self._clients = Clients(node)
         self.publishers = Publishers(node, self._graph)
+        self._wills = Wills(self.publishers, self._clients)
         self._table = {
             "cancel": self._cancel,
             "topics": self._graph.topics,
@@ -45,6 +48,9 @@ class Operations:
             "publish": self.publishers.publish,
             "repeat": self.publishers.repeat,
             "call": self._clients.call,
+            "will_publish": self._wills.publish,
+            "will_call": self._wills.call,
+            "stop": self._stop,
             "stats": self._stats,
         }
         loop.start(self._graph.settle(), _log_failure)
@@ -66,9 +72,19 @@ class Operations:
         else:
             self._answer(request, result)
 
-    def end(self):
+    def last_deeds(self):
+        """Send all that must be sent last; returns the futures of the calls. Any thread may call it."""
+        self.publishers.send_finals()
+        return self._wills.carry_out()
+
+    def end(self, executor):
         """Stop everything, sending what must be sent last."""
-        self.publishers.end()
+        futures, deadline = self.last_deeds(), time.monotonic() + LAST_DEEDS_S
+        while time.monotonic() < deadline:
+            if all(future.done() for future in futures) and self.publishers.are_acknowledged():
+                break
+            executor.spin_once(timeout_sec=0.005)
+        self.publishers.pool.clear()
         self._subscriptions.clear()
         self._clients.pool.clear()
 
@@ -101,6 +117,12 @@ class Operations:
             target.cancel()
         return {}
 
+    def _stop(self, _request):
+        repeats = [request for request in self._requests.values() if request.op == "repeat"]
+        for request in repeats:
+            request.cancel()
+        return {"repeats": len(repeats)}
+
     def _stats(self, _request):
         return {
             "publishers": len(self.publishers.pool),
@@ -110,6 +132,7 @@ class Operations:
             "open_files": _count("/proc/self/fd") - 1,
             "rss_bytes": int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"),
             "repeats": self.publishers.repeats,
+            "wills": len(self._wills),
             "uptime_s": round(time.monotonic() - self._started, 3),
         }
 

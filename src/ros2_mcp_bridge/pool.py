@@ -26,6 +26,10 @@ class Pool:
     def __len__(self):
         return len(self._entries)
 
+    def values(self):
+        """All entities."""
+        return [entry.entity for entry in self._entries.values()]
+
     @contextmanager
     def use(self, key, create):
         """The entity of that key and whether it was just created."""

@@ -152,7 +152,7 @@ class Publishers:
         """Publish once, when those who listen are matched, and wait for their acknowledgement."""
         wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
         started = time.monotonic()
-        with self._use(request) as (publisher, created):
+        with self.use(request) as (publisher, created):
             yield from publisher.wait_match(created, wait_match_s)
             matched, acked = yield from publisher.publish_acknowledged(request.body, wait_ack_s)
         waited_s = round(time.monotonic() - started, 6)
@@ -165,7 +165,7 @@ class Publishers:
         if not 0 < rate_hz <= MAX_RATE_HZ:
             raise OperationError("bad_request", f"repeat: rate_hz is {rate_hz}, expected up to {MAX_RATE_HZ:.0f}.")
         wait_match_s = request.number("wait_match_s", 0.0)
-        with self._use(request) as (publisher, created):
+        with self.use(request) as (publisher, created):
             repeat, cancelled = Repeat(publisher, message, final), False
             try:
                 yield from publisher.wait_match(created, wait_match_s)
@@ -189,27 +189,21 @@ class Publishers:
         }
 
     def send_finals(self):
-        """Send the final message of everything that is being repeated and asks for it; returns the publishers.
+        """Send the final message of everything that is being repeated and asks for it.
 
         Another thread may call it when the ROS thread does not come to it.
         """
-        ended = []
         while self._repeats:
             repeat, at_exit = self._repeats.popitem()[1]
             if at_exit:
                 _try(repeat.send_final)
-                ended.append(repeat.publisher)
-        return ended
 
-    def end(self):
-        """Send what must be sent last, give it a moment to arrive, and destroy all publishers."""
-        ended = self.send_finals()
-        deadline = time.monotonic() + FINAL_ACK_S
-        while not all(publisher.is_acknowledged() for publisher in ended) and time.monotonic() < deadline:
-            time.sleep(POLL_S)
-        self.pool.clear()
+    def are_acknowledged(self):
+        """Whether all that was published has been acknowledged by all who do that."""
+        return all(publisher.is_acknowledged() for publisher in self.pool.values())
 
-    def _use(self, request):
+    def use(self, request):
+        """The pooled publisher that a request names: a context of it and whether it was created for it."""
         key = (request.text("topic"), request.text("type"), tuple(sorted(request.qos().items())))
         return self.pool.use(key, lambda: Publisher(self._node, self._graph, request))
 

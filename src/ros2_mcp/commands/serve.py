@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import signal
 from collections.abc import Awaitable
@@ -37,9 +38,8 @@ def serve(settings: Settings) -> int:
     """Serves until the client goes away or the process is told to end."""
     wire = claim_wire() if settings.transport == "stdio" else None
     bridge = launch(settings)
-    code = asyncio.run(_serve(bridge, settings, wire))
-    # The thread that reads stdin cannot be interrupted; everything is closed by now.
-    os._exit(code)
+    asyncio.run(_serve(bridge, settings, wire))
+    return 0
 
 
 def launch(settings: Settings) -> Bridge:
@@ -52,7 +52,7 @@ def launch(settings: Settings) -> Bridge:
     return bridge
 
 
-async def _serve(bridge: Bridge, settings: Settings, wire: Wire | None) -> int:
+async def _serve(bridge: Bridge, settings: Settings, wire: Wire | None) -> None:
     from ros2_mcp.guard.policy import Policy
     from ros2_mcp.http import serve_http
     from ros2_mcp.robot import Robot
@@ -61,10 +61,10 @@ async def _serve(bridge: Bridge, settings: Settings, wire: Wire | None) -> int:
     robot = Robot(bridge, Policy(settings.read_only))
     server = build_server(robot, groups=settings.tools, log_level=settings.log_level.upper())
     running = serve_stdio(server, wire.read_fd, wire.write_fd) if wire else serve_http(server, settings)
-    return await _until_told_to_end(robot, running)
+    await _until_told_to_end(robot, running)
 
 
-async def _until_told_to_end(robot: Robot, running: Awaitable[None]) -> int:
+async def _until_told_to_end(robot: Robot, running: Awaitable[None]) -> None:
     told_to_end = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(number, told_to_end.set)
@@ -77,4 +77,6 @@ async def _until_told_to_end(robot: Robot, running: Awaitable[None]) -> int:
         await robot.bridge.close()
     if serving.done():
         serving.result()
-    return 0
+    # The robot is left in peace. The thread that reads stdin cannot be interrupted, and asyncio would wait for it.
+    logging.shutdown()
+    os._exit(0)

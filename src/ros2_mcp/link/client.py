@@ -134,6 +134,11 @@ class Bridge:
         return hello
 
     @property
+    def is_closed(self) -> bool:
+        """Whether `close` has been called."""
+        return self._closed
+
+    @property
     def hello(self) -> Hello | None:
         """How the running bridge introduced itself; None while there is none."""
         outcome = self._outcome.result() if self._outcome and self._outcome.done() else None

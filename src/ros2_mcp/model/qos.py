@@ -95,7 +95,7 @@ def for_publishing(subscribers: Sequence[Endpoint]) -> Choice:
         QoS(
             "best_effort" if best_effort else "reliable",
             "transient_local" if latched else "volatile",
-            depth=10 if latched else 100,
+            depth=1 if latched else 100,
         ),
         f"{reliability}; {durability}",
     )

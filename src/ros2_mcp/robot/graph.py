@@ -36,6 +36,11 @@ class Graph:
     def __init__(self, bridge: Bridge) -> None:
         self._bridge = bridge
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether the link to the robot was closed by us."""
+        return self._bridge.is_closed
+
     async def ask(self, op: str, body: bytes = b"", *, timeout_s: float = REQUEST_S, **arguments: Any) -> Reply:
         """One request to the bridge, with its refusals mapped to this package's errors."""
         try:

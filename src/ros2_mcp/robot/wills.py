@@ -61,7 +61,8 @@ class Wills:
                 except BridgeLost:
                     await self._after_loss(will)
         except RobotError as error:
-            _logger.warning("a last will is not in force: %s", error)
+            if not self._graph.is_closed:
+                _logger.warning("a last will is not in force: %s", error)
 
     async def _after_loss(self, will: Will) -> None:
         """A bridge that was killed could not stop what it kept moving: its successor does it at once."""
