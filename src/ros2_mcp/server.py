@@ -18,11 +18,11 @@ from mcp.server.stdio import stdio_server
 from mcp.types import CallToolResult, ContentBlock, ImageContent, TextContent, ToolAnnotations
 from pydantic import PrivateAttr, TypeAdapter, ValidationError
 
-from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.ops.results import Report, as_json, at_most_every
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools import TOOLS, ToolDeclaration
+from ros2_mcp.tools import GROUPS, TOOLS, ToolDeclaration
 from ros2_mcp.tools.schema import plain_input, plain_output
 
 INSTRUCTIONS = """\
@@ -133,7 +133,14 @@ def build_tools(robot: Robot, groups: Sequence[str] = ()) -> list[RobotTool]:
 
 
 def chosen_tools(robot: Robot, groups: Sequence[str]) -> list[ToolDeclaration]:
-    """The tools of the chosen groups (none or `all` is every group) that the policy allows."""
+    """The tools of the chosen groups (none or `all` is every group) that the policy allows.
+
+    Raises:
+        BadInput: for a group that does not exist.
+    """
+    unknown = [group for group in groups if group not in (*GROUPS, "all")]
+    if unknown:
+        raise BadInput(f"There is no group of tools {unknown[0]!r}.", f"Choose from {', '.join(GROUPS)} or all.")
     return [
         declaration
         for declaration in TOOLS

@@ -33,7 +33,12 @@ def call(settings: Settings, tool: str | None, assignments: Sequence[str], *, as
     async def once() -> int:
         await bridge.attach()
         try:
-            tools = {tool.name: tool for tool in build_tools(Robot(bridge, Policy(settings.read_only)), settings.tools)}
+            tools = {
+                tool.name: tool
+                for tool in build_tools(
+                    Robot(bridge, Policy(settings.read_only), settings.result_bytes), settings.tools
+                )
+            }
             if tool is None:
                 return _print_tools(tools)
             if tool not in tools:
@@ -63,9 +68,14 @@ def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
     return arguments
 
 
+def first_sentence(text: str) -> str:
+    """The first sentence of a description, on one line."""
+    return " ".join(text.split()).partition(". ")[0].rstrip(".") + "."
+
+
 def _print_tools(tools: Mapping[str, RobotTool]) -> int:
     for tool in tools.values():
-        print(f"{tool.name:36} {tool.description.splitlines()[0]}")
+        print(f"{tool.name:36} {first_sentence(tool.description)}")
     return 0
 
 

@@ -26,7 +26,7 @@ _PLACES = {
 
 def print_config(client: str, argv: Sequence[str]) -> int:
     """Prints the configuration on stdout and where it goes on stderr; options before `config` are carried over."""
-    options = list(argv[: argv.index("config")])
+    options = absolute_paths(argv[: argv.index("config")])
     print(f"# {_PLACES[client]}", file=sys.stderr)
     print(configuration(client, executable(), options, environment(os.environ)))
     return 0
@@ -43,6 +43,14 @@ def configuration(client: str, command: str, options: Sequence[str], variables: 
     if client == "vscode":
         return json.dumps({"servers": {NAME: {"type": "stdio", **entry}}}, indent=2)
     return json.dumps({"mcpServers": {NAME: entry}}, indent=2)
+
+
+def absolute_paths(options: Sequence[str]) -> list[str]:
+    """The options with workspaces as absolute paths: a client starts the server in a folder of its own."""
+    return [
+        str(Path(word).expanduser().resolve()) if before == "--workspace" else word
+        for before, word in zip(("", *options), options, strict=False)
+    ]
 
 
 def executable() -> str:

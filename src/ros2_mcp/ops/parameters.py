@@ -134,7 +134,6 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
         BadValue: if a value is not of its parameter's type or out of its range, or the parameter is read-only or not
             declared; nothing is set.
     """
-    robot.policy.require_write(f"Setting parameters of {node}")
     node = names.absolute(node, "node")
     if not values:
         raise BadInput("No parameters are given.", 'Give an object such as {"max_speed": 0.5}.')
@@ -235,8 +234,9 @@ async def _call(robot: Robot, node: str, service: str, request: Mapping[str, Any
     from ros2_mcp.codec.render import RenderOptions
 
     kind = "rcl_interfaces/srv/" + "".join(word.capitalize() for word in service.split("_"))
+    ask = robot.call if service.startswith("set_") else robot.inquire
     try:
-        answer = await robot.call(f"{node}/{service}", kind, request, timeout_s=TIMEOUT_S, wait_s=_APPEAR_S)
+        answer = await ask(f"{node}/{service}", kind, request, timeout_s=TIMEOUT_S, wait_s=_APPEAR_S)
     except NotFound as error:
         known = (await list_nodes(robot, include_hidden=True)).nodes
         if node in known:

@@ -94,7 +94,6 @@ async def call(
         TimedOut: if it did not answer in time.
         BadValue: naming the path of a value that does not fit; nothing is sent.
     """
-    robot.policy.require_write(f"Calling {service}")
     bounded("timeout_sec", timeout_s, 0.01, MAX_TIMEOUT_S, "s")
     service = names.absolute(service, "service")
     service_type = await resolve_type(robot, service, service_type)

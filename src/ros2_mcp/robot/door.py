@@ -33,8 +33,9 @@ VELOCITY_TYPES = frozenset(
 class Robot:
     """One robot: its graph, its definitions, its topics and services."""
 
-    def __init__(self, bridge: Bridge, policy: Policy | None = None) -> None:
+    def __init__(self, bridge: Bridge, policy: Policy | None = None, result_bytes: int = 32_000) -> None:
         self.bridge = bridge
+        self.result_bytes = result_bytes
         self.policy = policy or Policy()
         self.graph = Graph(bridge)
         self.values = Values(self.graph)
@@ -165,12 +166,26 @@ class Robot:
         timeout_s: float,
         wait_s: float | None = None,
     ) -> Answer:
-        """Calls a service whose server may still have to appear.
+        """Commands a service whose server may still have to appear.
 
         Raises:
+            Refused: if this server is read-only.
             NotFound: if no server appeared within `wait_s` (the time-out if not given), or it left before it answered.
             TimedOut: if it did not answer in time.
         """
+        self.policy.require_write(f"Calling {service}")
+        return await self.inquire(service, service_type, request, timeout_s=timeout_s, wait_s=wait_s)
+
+    async def inquire(
+        self,
+        service: str,
+        service_type: str,
+        request: Mapping[str, Any],
+        *,
+        timeout_s: float,
+        wait_s: float | None = None,
+    ) -> Answer:
+        """Calls a service that only tells something, such as `get_parameters`; otherwise as `call`."""
         body = await self.values.encode(f"{service_type}_Request", request)
         wait_s = timeout_s if wait_s is None else wait_s
         reply = await self.graph.ask(

@@ -1,6 +1,14 @@
-"""What the model sees: one module per family of tools, listed here in the order of `tools/list`."""
+"""What the model sees: one module per family of tools."""
 
 from ros2_mcp.tools import actions, graph, parameters, publishing, services, stop, topics
-from ros2_mcp.tools.declare import TOOLS, ToolDeclaration
+from ros2_mcp.tools.declare import DECLARED, ToolDeclaration
 
-__all__ = ["TOOLS", "ToolDeclaration", "actions", "graph", "parameters", "publishing", "services", "stop", "topics"]
+__all__ = ["GROUPS", "TOOLS", "ToolDeclaration"]
+
+_FAMILIES = (graph, topics, publishing, stop, services, actions, parameters)
+
+TOOLS = [tool for family in _FAMILIES for tool in DECLARED if tool.function.__module__ == family.__name__]
+"""Every tool, in the order of `tools/list`."""
+
+GROUPS = tuple(dict.fromkeys(tool.group for tool in TOOLS))
+"""The groups that a user can choose."""

@@ -24,13 +24,13 @@ ResultTimeout = Annotated[
 ]
 
 
-@tool(title="List actions", risk="read")
+@tool(title="List actions", risk="read", group="actions")
 async def ros2_list_actions(robot: Robot, pattern: Pattern = "") -> actions.ActionList:
     """List the actions of the robot with their types and the fields of their goals."""
     return await actions.list_actions(robot, pattern)
 
 
-@tool(title="Send a goal", risk="actuate")
+@tool(title="Send a goal", risk="actuate", group="actions")
 async def ros2_send_action_goal(
     robot: Robot,
     report: Report,
@@ -56,7 +56,7 @@ async def ros2_send_action_goal(
     )
 
 
-@tool(title="Cancel goals", risk="actuate")
+@tool(title="Cancel goals", risk="actuate", group="actions")
 async def ros2_cancel_action_goal(
     robot: Robot,
     action_name: ActionName,
@@ -77,7 +77,7 @@ async def ros2_cancel_action_goal(
     )
 
 
-@tool(title="Result of a goal", risk="read")
+@tool(title="Result of a goal", risk="read", group="actions")
 async def ros2_action_request_result(
     robot: Robot,
     action_name: ActionName,
@@ -92,7 +92,7 @@ async def ros2_action_request_result(
     )
 
 
-@tool(title="Feedback of goals", risk="read")
+@tool(title="Feedback of goals", risk="read", group="actions")
 async def ros2_action_subscribe_feedback(
     robot: Robot,
     report: Report,
@@ -114,7 +114,7 @@ async def ros2_action_subscribe_feedback(
     )
 
 
-@tool(title="Status of an action's goals", risk="read")
+@tool(title="Status of an action's goals", risk="read", group="actions")
 async def ros2_action_subscribe_status(
     robot: Robot,
     report: Report,
@@ -128,7 +128,7 @@ async def ros2_action_subscribe_status(
     )
 
 
-@tool(title="All goals", risk="read")
+@tool(title="All goals", risk="read", group="actions")
 async def ros2_action_status(robot: Robot) -> following.KnownGoals:
     """Show every goal of every action with its state and age, in one look."""
     return await following.all_goals(robot)

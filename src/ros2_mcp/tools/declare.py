@@ -53,8 +53,8 @@ class ToolDeclaration:
         return whole.replace(parameters=given)
 
 
-TOOLS: list[ToolDeclaration] = []
-"""Every tool, in the order of declaration, which is the order of `tools/list`."""
+DECLARED: list[ToolDeclaration] = []
+"""Every tool, in the order of declaration."""
 
 
 def tool(
@@ -63,7 +63,7 @@ def tool(
     """Declares the function as a tool of the same name."""
 
     def declare(function: ToolFunction) -> ToolFunction:
-        TOOLS.append(ToolDeclaration(function, function.__name__, title, risk, group, aliases or {}))
+        DECLARED.append(ToolDeclaration(function, function.__name__, title, risk, group, aliases or {}))
         return function
 
     return declare

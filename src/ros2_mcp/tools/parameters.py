@@ -15,7 +15,7 @@ NodeName = Annotated[str, Field(description="Full name of the node, such as /bas
 NodeNames = Annotated[list[str] | None, Field(description="Full names of nodes; default: every node.")]
 
 
-@tool(title="List parameters", risk="read")
+@tool(title="List parameters", risk="read", group="parameters")
 async def ros2_parameter_list(
     robot: Robot, node_names: NodeNames = None, pattern: Pattern = "", limit: Limit = 100
 ) -> parameters.ParameterList:
@@ -23,7 +23,7 @@ async def ros2_parameter_list(
     return await parameters.describe(robot, node_names or (), pattern, limit)
 
 
-@tool(title="Read parameters", risk="read")
+@tool(title="Read parameters", risk="read", group="parameters")
 async def ros2_parameter_get(
     robot: Robot,
     node_name: NodeName,
@@ -33,7 +33,7 @@ async def ros2_parameter_get(
     return await parameters.dump(robot, node_name, names)
 
 
-@tool(title="Set parameters", risk="actuate")
+@tool(title="Set parameters", risk="actuate", group="parameters")
 async def ros2_parameter_set(
     robot: Robot,
     node_name: NodeName,
@@ -44,13 +44,13 @@ async def ros2_parameter_set(
     return await parameters.set_values(robot, node_name, values, atomic=atomic)
 
 
-@tool(title="Lifecycle states", risk="read")
+@tool(title="Lifecycle states", risk="read", group="parameters")
 async def ros2_lifecycle_state(robot: Robot, node_names: NodeNames = None) -> lifecycle.LifecycleStates:
     """Show the state of lifecycle nodes and the transitions possible now."""
     return await lifecycle.states(robot, node_names or ())
 
 
-@tool(title="Change a lifecycle state", risk="actuate")
+@tool(title="Change a lifecycle state", risk="actuate", group="parameters")
 async def ros2_lifecycle_change(
     robot: Robot,
     node_name: NodeName,

@@ -12,7 +12,7 @@ from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Number, Pattern
 from ros2_mcp.tools.declare import tool
 
 
-@tool(title="List services", risk="read")
+@tool(title="List services", risk="read", group="services")
 async def ros2_service_list(
     robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 100
 ) -> services.ServiceList:
@@ -20,7 +20,7 @@ async def ros2_service_list(
     return await services.list_services(robot, pattern, include_hidden, limit)
 
 
-@tool(title="Call a service", risk="actuate", aliases={"timeout": "timeout_sec"})
+@tool(title="Call a service", risk="actuate", group="services", aliases={"timeout": "timeout_sec"})
 async def ros2_service_call(
     robot: Robot,
     service_name: Annotated[str, Field(description="Name of the service, such as /set_mode.")],

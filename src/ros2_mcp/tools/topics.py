@@ -73,7 +73,7 @@ async def ros2_topic_subscribe(
     fields to see a part in full. For rates use ros2_topic_stats.
     """
     request = reading.Request(topic_name, msg_type, duration, message_limit)
-    return await reading.read(robot, request, reading.View(fields or (), max_array, every_n), report)
+    return await reading.read(robot, request, _view(robot, fields, max_array, every_n), report)
 
 
 @tool(title="Read several topics", risk="read")
@@ -87,7 +87,7 @@ async def ros2_subscribe_multiple_topics(
 ) -> reading.Readings:
     """Read several topics truly at the same time, each with its own duration or message limit."""
     requests = [reading.Request(t.name, t.msg_type, t.duration, t.message_limit) for t in topics]
-    return await reading.read_several(robot, requests, reading.View(fields or (), max_array, every_n), report)
+    return await reading.read_several(robot, requests, _view(robot, fields, max_array, every_n), report)
 
 
 @tool(title="Wait for a message", risk="read", aliases={"msg_type": "message_type"})
@@ -100,7 +100,7 @@ async def ros2_topic_echo_wait(
     max_array: MaxArray = 64,
 ) -> reading.Echo:
     """Wait for the next message of a topic; the topic itself may appear meanwhile."""
-    return await reading.echo(robot, topic_name, message_type, timeout, reading.View(fields or (), max_array))
+    return await reading.echo(robot, topic_name, message_type, timeout, _view(robot, fields, max_array))
 
 
 @tool(title="Rate and age of topics", risk="read")
@@ -112,3 +112,7 @@ async def ros2_topic_stats(
 ) -> timing.Stats:
     """Measure how topics flow, several at once: rate, jitter, gaps, bandwidth, loss, age against the header's stamp."""
     return await timing.measure(robot, topic_names, duration, report)
+
+
+def _view(robot: Robot, fields: list[str] | None, max_array: int, every_n: int = 1) -> reading.View:
+    return reading.View(fields or (), max_array, every_n, robot.result_bytes)
