@@ -66,7 +66,7 @@ def _add_settings(top: argparse.ArgumentParser) -> None:
     serving.add_argument("--host", help="address for HTTP (default: 127.0.0.1)")
     serving.add_argument("--port", type=int, help="port for HTTP (default: 8123)")
     serving.add_argument("--read-only", action="store_true", default=None, help="leave out tools that write")
-    serving.add_argument("--tools", metavar="GROUPS", help="groups of tools, such as core,actions, or all")
+    serving.add_argument("--tools", metavar="GROUPS", help="groups of tools, such as default,lifecycle, or all")
     serving.add_argument("--log-level", choices=("debug", "info", "warning", "error"), help="default: warning")
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
 

@@ -128,25 +128,26 @@ def build_server(robot: Robot, *, groups: Sequence[str] = (), log_level: str = "
 
 
 def build_tools(robot: Robot, groups: Sequence[str] = ()) -> list[RobotTool]:
-    """Every tool that the groups and the policy leave, in the order of `tools/list`."""
+    """Every tool that the chosen groups and the policy leave, in the order of `tools/list`."""
     return [build_tool(declaration, robot) for declaration in chosen_tools(robot, groups)]
 
 
 def chosen_tools(robot: Robot, groups: Sequence[str]) -> list[ToolDeclaration]:
-    """The tools of the chosen groups (none or `all` is every group) that the policy allows.
+    """The tools of the chosen groups that the policy allows. No group is `default`; `all` is every tool.
 
     Raises:
         BadInput: for a group that does not exist.
     """
-    unknown = [group for group in groups if group not in (*GROUPS, "all")]
-    if unknown:
-        raise BadInput(f"There is no group of tools {unknown[0]!r}.", f"Choose from {', '.join(GROUPS)} or all.")
-    return [
-        declaration
-        for declaration in TOOLS
-        if (not groups or "all" in groups or declaration.group in groups)
-        and (declaration.risk == "read" or not robot.policy.read_only)
-    ]
+    for group in groups:
+        if group not in (*GROUPS, "default", "all"):
+            known = ", ".join(("default", "all", *GROUPS))
+            raise BadInput(f"There is no group of tools {group!r}.", f"Choose from {known}.")
+    return [tool for tool in TOOLS if _is_chosen(tool, groups) and (tool.risk == "read" or not robot.policy.read_only)]
+
+
+def _is_chosen(tool: ToolDeclaration, groups: Sequence[str]) -> bool:
+    by_default = tool.by_default and (not groups or "default" in groups)
+    return by_default or tool.group in groups or "all" in groups
 
 
 def answer(result: Any) -> CallToolResult:

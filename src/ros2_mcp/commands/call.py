@@ -33,12 +33,8 @@ def call(settings: Settings, tool: str | None, assignments: Sequence[str], *, as
     async def once() -> int:
         await bridge.attach()
         try:
-            tools = {
-                tool.name: tool
-                for tool in build_tools(
-                    Robot(bridge, Policy(settings.read_only), settings.result_bytes), settings.tools
-                )
-            }
+            robot = Robot(bridge, Policy(settings.read_only), settings.result_bytes)
+            tools = {tool.name: tool for tool in build_tools(robot, settings.tools or ("all",))}
             if tool is None:
                 return _print_tools(tools)
             if tool not in tools:

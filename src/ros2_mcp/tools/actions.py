@@ -128,7 +128,7 @@ async def ros2_action_subscribe_status(
     )
 
 
-@tool(title="All goals", risk="read", group="actions")
+@tool(title="All goals", risk="read", group="actions", by_default=False)
 async def ros2_action_status(robot: Robot) -> following.KnownGoals:
     """Show every goal of every action with its state and age, in one look."""
     return await following.all_goals(robot)

@@ -22,13 +22,18 @@ ToolFunction = Callable[..., Awaitable[Any]]
 
 @dataclass(frozen=True)
 class ToolDeclaration:
-    """One tool as the model sees it. `aliases` maps other spellings of its arguments to the right ones."""
+    """One tool as the model sees it.
+
+    `aliases` maps other spellings of its arguments to the right ones. Tools that are not offered `by_default` come
+    with their group: models choose best among about thirty.
+    """
 
     function: ToolFunction
     name: str
     title: str
     risk: Risk
     group: str
+    by_default: bool = True
     aliases: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @cached_property
@@ -58,12 +63,17 @@ DECLARED: list[ToolDeclaration] = []
 
 
 def tool(
-    *, title: str, risk: Risk, group: str = "core", aliases: Mapping[str, str] | None = None
+    *,
+    title: str,
+    risk: Risk,
+    group: str = "core",
+    by_default: bool = True,
+    aliases: Mapping[str, str] | None = None,
 ) -> Callable[[ToolFunction], ToolFunction]:
     """Declares the function as a tool of the same name."""
 
     def declare(function: ToolFunction) -> ToolFunction:
-        DECLARED.append(ToolDeclaration(function, function.__name__, title, risk, group, aliases or {}))
+        DECLARED.append(ToolDeclaration(function, function.__name__, title, risk, group, by_default, aliases or {}))
         return function
 
     return declare

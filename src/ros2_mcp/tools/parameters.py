@@ -23,7 +23,7 @@ async def ros2_parameter_list(
     return await parameters.describe(robot, node_names or (), pattern, limit)
 
 
-@tool(title="Read parameters", risk="read", group="parameters")
+@tool(title="Read parameters", risk="read", group="parameters", by_default=False)
 async def ros2_parameter_get(
     robot: Robot,
     node_name: NodeName,
@@ -44,13 +44,13 @@ async def ros2_parameter_set(
     return await parameters.set_values(robot, node_name, values, atomic=atomic)
 
 
-@tool(title="Lifecycle states", risk="read", group="parameters")
+@tool(title="Lifecycle states", risk="read", group="lifecycle", by_default=False)
 async def ros2_lifecycle_state(robot: Robot, node_names: NodeNames = None) -> lifecycle.LifecycleStates:
     """Show the state of lifecycle nodes and the transitions possible now."""
     return await lifecycle.states(robot, node_names or ())
 
 
-@tool(title="Change a lifecycle state", risk="actuate", group="parameters")
+@tool(title="Change a lifecycle state", risk="actuate", group="lifecycle", by_default=False)
 async def ros2_lifecycle_change(
     robot: Robot,
     node_name: NodeName,
