@@ -43,8 +43,13 @@ def test_a_read_only_server_has_no_tool_that_writes() -> None:
     assert listed(Policy(read_only=True), "all") == [tool.name for tool in TOOLS if tool.risk == "read"]
 
 
-def test_a_server_without_chosen_groups_has_every_tool() -> None:
-    assert listed(Policy(), *Settings().tools) == [tool.name for tool in TOOLS]
+def test_a_server_without_chosen_groups_has_the_default_tools() -> None:
+    assert listed(Policy(), *Settings().tools) == [tool.name for tool in TOOLS if tool.by_default]
+
+
+def test_a_group_can_be_added_to_the_default_tools() -> None:
+    chosen = [tool.name for tool in TOOLS if tool.by_default or tool.group == "lifecycle"]
+    assert listed(Policy(), "default", "lifecycle") == chosen
 
 
 def test_a_server_has_only_the_groups_that_were_chosen() -> None:

@@ -12,18 +12,21 @@ _LIVELINESS_RANK = {"automatic": 0, "manual_by_topic": 1}
 
 @dataclass(frozen=True, slots=True)
 class QoS:
-    """The policies of one endpoint. `"unknown"` where the middleware does not tell; None is an infinite duration."""
+    """The policies of one endpoint; None is an infinite duration.
+
+    What the middleware does not tell is `"unknown"`, an unknown depth is None.
+    """
 
     reliability: str = "reliable"
     durability: str = "volatile"
     history: str = "keep_last"
-    depth: int = 10
+    depth: int | None = 10
     deadline_ns: int | None = None
     lifespan_ns: int | None = None
     liveliness: str = "automatic"
     liveliness_lease_ns: int | None = None
 
-    def request(self) -> dict[str, str | int]:
+    def request(self) -> dict[str, str | int | None]:
         """The policies that the bridge sets on an endpoint of ours."""
         return {
             "reliability": self.reliability,
@@ -48,12 +51,13 @@ class Endpoint:
         """From the bridge's `endpoints` answer."""
         qos = raw["qos"]
         assert isinstance(qos, dict)
+        depth = qos["depth"] if isinstance(qos["depth"], int) else None
         return cls(
             node=full_node_name(str(raw["node"]), str(raw["namespace"])),
             type=str(raw["type"]),
             hash=str(raw["hash"]),
             gid=str(raw["gid"]),
-            qos=QoS(**qos),  # pyright: ignore[reportUnknownArgumentType]
+            qos=QoS(**{**qos, "depth": depth}),  # pyright: ignore[reportUnknownArgumentType]
         )
 
 

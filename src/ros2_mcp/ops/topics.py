@@ -11,6 +11,9 @@ from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.robot import Robot
 
 
+_OF_EVERY_NODE = {"/parameter_events", "/rosout"}
+
+
 @dataclass(frozen=True, slots=True)
 class TopicEntry:
     """One topic; `topic_types` is filled only where there are several, which is a fault of the system."""
@@ -38,14 +41,14 @@ class TopicList:
 
 @dataclass(frozen=True, slots=True)
 class EndpointInfo:
-    """A publisher or subscriber, with the policies that decide who matches whom."""
+    """A publisher or subscriber, with the policies that decide who matches whom; null where that is not told."""
 
     node: str
     type: str
     reliability: str
     durability: str
     history: str
-    depth: int
+    depth: int | None
     deadline_s: float | None
     lifespan_s: float | None
     liveliness: str
@@ -77,11 +80,22 @@ async def list_topics(robot: Robot, pattern: str = "", include_hidden: bool = Fa
     visible = {entry[0]: entry for entry in raw["topics"] if include_hidden or not names.is_hidden(entry[0])}
     chosen = names.matching(sorted(visible), pattern)
     topics = [_entry(*visible[name]) for name in chosen[:limit]]
-    return TopicList(topics, len(visible), raw["settled"], _list_note(len(topics), len(chosen), raw["settled"]))
+    note = _list_note(len(topics), len(chosen), raw["settled"])
+    if visible.keys() <= _OF_EVERY_NODE:
+        note = f"{note} {_alone(robot)}".strip()
+    return TopicList(topics, len(visible), raw["settled"], note)
 
 
 def _entry(name: str, types: list[str], publishers: int, subscribers: int) -> TopicEntry:
     return TopicEntry(name, types[0], publishers, subscribers, types if len(types) > 1 else ())
+
+
+def _alone(robot: Robot) -> str:
+    domain = f"domain {robot.bridge.hello.domain_id}" if robot.bridge.hello else "this domain"
+    return (
+        f"No topic of a robot is seen in {domain}: is the robot on, in the same domain (ROS_DOMAIN_ID), and reachable "
+        "from here?"
+    )
 
 
 def _list_note(shown: int, matching: int, settled: bool) -> str:

@@ -20,7 +20,8 @@ from ros2_mcp.robot.exchange import TopicEndpoints
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Reply
 
-SETTLE_S = 2.5
+SETTLE_S = 3.0
+"""A little longer than the bridge needs to be sure that nobody else is there."""
 REQUEST_S = 10.0
 _KINDS: Mapping[str, type[RobotError]] = {
     "unknown_type": UnknownInterface,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -60,7 +59,7 @@ class PeerProcess:
 @pytest.fixture(scope="session")
 def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
     """A client of a server that all tests share."""
-    with agent_for(ros_environment) as client:
+    with agent_for(ros_environment, "--tools", "all") as client:
         yield client
 
 
@@ -94,6 +93,16 @@ def start_raw(ros_environment: dict[str, str]) -> Iterator[Callable[..., RawServ
 
     yield begin
     for server in servers:
-        if server.process.poll() is None:
-            server.process.send_signal(signal.SIGKILL)
-            server.process.wait(5)
+        server.end()
+
+
+@pytest.fixture(scope="session")
+def small_robot(ros_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    """A node with services and an action."""
+    script = Path(__file__).parent / "server_robot.py"
+    process = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env=ros_environment)
+    assert process.stdout
+    assert process.stdout.readline() == "ready\n"
+    yield process
+    process.kill()  # rclpy's threads may sleep in a callback
+    process.communicate(timeout=5)

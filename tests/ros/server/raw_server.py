@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -89,6 +90,14 @@ class RawServer:
             pass
         self.process.wait(within_s)
         return time.monotonic() - started
+
+    def end(self) -> None:
+        """Whatever it does, end it."""
+        self.process.kill()
+        self.process.wait(5)
+        for pipe in (self.process.stdin, self.process.stdout, self.errors):
+            with contextlib.suppress(BrokenPipeError):
+                pipe.close()
 
     def _listen(self, seconds: float) -> bool:
         assert self.process.stdout

@@ -147,7 +147,7 @@ def with_ramp(name: str, field: str, length: int) -> Any:
     modulo = 251 if kind in ("uint8", "octet") else 2**31
     numbers = [index * 7919 % modulo for index in range(length)]
     floating = kind in ("float", "double")
-    setattr(message, field, [_as_float32(number / 8) for number in numbers] if floating else numbers)
+    setattr(message, field, [number / 8 for number in numbers] if floating else numbers)
     return message
 
 
