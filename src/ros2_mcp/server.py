@@ -129,7 +129,9 @@ def build_server(robot: Robot, *, groups: Sequence[str] = (), log_level: str = "
 
 def build_tools(robot: Robot, groups: Sequence[str] = ()) -> list[RobotTool]:
     """Every tool that the chosen groups and the policy leave, in the order of `tools/list`."""
-    return [build_tool(declaration, robot) for declaration in chosen_tools(robot, groups)]
+    chosen = chosen_tools(robot, groups)
+    robot.limitations = left_out(chosen)
+    return [build_tool(declaration, robot) for declaration in chosen]
 
 
 def chosen_tools(robot: Robot, groups: Sequence[str]) -> list[ToolDeclaration]:
@@ -143,6 +145,17 @@ def chosen_tools(robot: Robot, groups: Sequence[str]) -> list[ToolDeclaration]:
             known = ", ".join(("default", "all", *GROUPS))
             raise BadInput(f"There is no group of tools {group!r}.", f"Choose from {known}.")
     return [tool for tool in TOOLS if _is_chosen(tool, groups) and (tool.risk == "read" or not robot.policy.read_only)]
+
+
+def left_out(chosen: Sequence[ToolDeclaration]) -> list[str]:
+    """In words, which tools are not offered and how to have them."""
+    missing = [tool for tool in TOOLS if tool not in chosen]
+    by_group = {group: [tool.name for tool in missing if tool.group == group] for group in GROUPS}
+    return [
+        f"Not offered: {', '.join(names)}. Start the server with --tools default,{group} (or all) to have them."
+        for group, names in by_group.items()
+        if names
+    ]
 
 
 def _is_chosen(tool: ToolDeclaration, groups: Sequence[str]) -> bool:

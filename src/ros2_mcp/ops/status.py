@@ -70,7 +70,7 @@ async def status(robot: Robot) -> Status:
 
 
 def _limitations(robot: Robot) -> list[str]:
-    limits: list[str] = []
+    limits = list(robot.limitations)
     if robot.policy.read_only:
         limits.append("Tools that write are absent: the server was started read-only.")
     hello = robot.bridge.hello

@@ -40,6 +40,7 @@ class Robot:
         self.graph = Graph(bridge)
         self.values = Values(self.graph)
         self.wills = Wills(self.graph)
+        self.limitations: list[str] = []
         self.goals = SentGoals()
         self.driven = Driven()
 
