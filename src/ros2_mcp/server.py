@@ -18,6 +18,7 @@ from mcp.server.stdio import stdio_server
 from mcp.types import CallToolResult, ContentBlock, ImageContent, TextContent, ToolAnnotations
 from pydantic import PrivateAttr, TypeAdapter, ValidationError
 
+from ros2_mcp.guard.policy import Policy
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.ops.results import Report, as_json, at_most_every
@@ -130,7 +131,7 @@ def build_server(robot: Robot, *, groups: Sequence[str] = (), log_level: str = "
 def build_tools(robot: Robot, groups: Sequence[str] = ()) -> list[RobotTool]:
     """Every tool that the chosen groups and the policy leave, in the order of `tools/list`."""
     chosen = chosen_tools(robot, groups)
-    robot.limitations = left_out(chosen)
+    robot.limitations = left_out(chosen, allowed_tools(robot.policy))
     return [build_tool(declaration, robot) for declaration in chosen]
 
 
@@ -144,12 +145,17 @@ def chosen_tools(robot: Robot, groups: Sequence[str]) -> list[ToolDeclaration]:
         if group not in (*GROUPS, "default", "all"):
             known = ", ".join(("default", "all", *GROUPS))
             raise BadInput(f"There is no group of tools {group!r}.", f"Choose from {known}.")
-    return [tool for tool in TOOLS if _is_chosen(tool, groups) and (tool.risk == "read" or not robot.policy.read_only)]
+    return [tool for tool in allowed_tools(robot.policy) if _is_chosen(tool, groups)]
 
 
-def left_out(chosen: Sequence[ToolDeclaration]) -> list[str]:
-    """In words, which tools are not offered and how to have them."""
-    missing = [tool for tool in TOOLS if tool not in chosen]
+def allowed_tools(policy: Policy) -> list[ToolDeclaration]:
+    """The tools that the policy allows."""
+    return [tool for tool in TOOLS if tool.risk == "read" or not policy.read_only]
+
+
+def left_out(chosen: Sequence[ToolDeclaration], allowed: Sequence[ToolDeclaration]) -> list[str]:
+    """In words, which tools are not offered although they could be, and how to have them."""
+    missing = [tool for tool in allowed if tool not in chosen]
     by_group = {group: [tool.name for tool in missing if tool.group == group] for group in GROUPS}
     return [
         f"Not offered: {', '.join(names)}. Start the server with --tools default,{group} (or all) to have them."
