@@ -1,1 +1,1 @@
-"""What this server costs, against two floors: a trivial tool on the bare SDK, and bare rclpy. Run: `python -m bench`."""
+"""What this server costs beside two floors: a trivial tool on the bare SDK, and bare rclpy. Run `python -m bench`."""

@@ -20,7 +20,7 @@ MEASUREMENTS: dict[str, Callable[[bool], Awaitable[list[Row]]]] = {
     "first": lambda full: measure.first_listing(20 if full else 5),
     "read": lambda full: measure.read_one(300 if full else 100),
     "subscribed": lambda full: measure.while_subscribed(4 if full else 1),
-    "flood": lambda full: measure.flooded(5000, 10),
+    "flood": lambda _: measure.flooded(5000, 10),
     "service": lambda full: measure.service_calls(1000 if full else 300),
     "many": lambda full: measure.many_calls(10_000 if full else 500),
 }

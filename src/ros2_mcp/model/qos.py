@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 from ros2_mcp.model.names import full_node_name
 
@@ -49,15 +50,15 @@ class Endpoint:
     @classmethod
     def parse(cls, raw: Mapping[str, object]) -> Endpoint:
         """From the bridge's `endpoints` answer."""
-        qos = raw["qos"]
-        assert isinstance(qos, dict)
-        depth = qos["depth"] if isinstance(qos["depth"], int) else None
+        qos = cast("dict[str, Any]", raw["qos"])
+        if qos["depth"] == "unknown":
+            qos = {**qos, "depth": None}
         return cls(
             node=full_node_name(str(raw["node"]), str(raw["namespace"])),
             type=str(raw["type"]),
             hash=str(raw["hash"]),
             gid=str(raw["gid"]),
-            qos=QoS(**{**qos, "depth": depth}),  # pyright: ignore[reportUnknownArgumentType]
+            qos=QoS(**qos),
         )
 
 

@@ -1,0 +1,89 @@
+"""Nodes that a robot would rather not have: `faulty_peer.py ROLE ARGUMENT...` prints a line when it is ready."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from array import array
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.serialization import serialize_message
+from std_msgs.msg import UInt8MultiArray, UInt64
+
+
+def repeat(node: Node, topic: str, kind: str, rate_hz: str) -> None:
+    """Publish an empty message again and again."""
+    package, name = kind.split("/msg/")
+    message = getattr(importlib.import_module(f"{package}.msg"), name)()
+    publisher = node.create_publisher(type(message), topic, 10)
+    node.create_timer(1 / float(rate_hz), lambda: publisher.publish(message))
+
+
+def endpoint(node: Node, side: str, topic: str, qos: str) -> None:
+    """A publisher or subscription of UInt64 with the policies given as JSON."""
+    given = json.loads(qos)
+    profile = QoSProfile(
+        depth=10,
+        reliability=QoSReliabilityPolicy[given.get("reliability", "RELIABLE")],
+        durability=QoSDurabilityPolicy[given.get("durability", "VOLATILE")],
+        deadline=Duration(nanoseconds=given.get("deadline_ns", 0)),
+    )
+    if side == "publisher":
+        node.create_publisher(UInt64, topic, profile)
+    else:
+        node.create_subscription(UInt64, topic, lambda _: None, profile)
+
+
+def flood(node: Node, topic: str, rate_hz: str, count: str, size: str) -> None:
+    """As soon as there is a subscriber: messages numbered in their first four bytes, then a line with their count."""
+    publisher = node.create_publisher(UInt8MultiArray, topic, QoSProfile(depth=1000))
+    threading.Thread(target=_flood, args=(publisher, float(rate_hz), int(count), int(size)), daemon=True).start()
+
+
+def _flood(publisher: object, rate_hz: float, count: int, size: int) -> None:
+    while not publisher.get_subscription_count():  # type: ignore[attr-defined]
+        time.sleep(0.01)
+    time.sleep(0.3)  # the other side learns of the match a moment later
+    empty = bytearray(serialize_message(UInt8MultiArray(data=array("B", bytes(size)))))
+    begin = empty.index(size.to_bytes(4, "little")) + 4
+    started, sent = time.monotonic(), 0
+    while sent < count:
+        due = min(count, int((time.monotonic() - started) * rate_hz))
+        for number in range(sent, due):
+            empty[begin : begin + 4] = number.to_bytes(4, "big")
+            publisher.publish(bytes(empty))  # type: ignore[attr-defined]
+        sent = due
+        time.sleep(0.001)
+    _say(count)
+
+
+def _say(text: object) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    role, *arguments = sys.argv[1:]
+    rclpy.init()
+    told_to_end = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: told_to_end.set())
+    node = Node(f"{role}_{os.getpid()}")
+    globals()[role](node, *arguments)
+    _say("ready")
+    while not told_to_end.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+    node.destroy_node()
+    rclpy.try_shutdown()
+    os._exit(0)  # a daemon thread may still use what has just been destroyed
+
+
+if __name__ == "__main__":
+    main()

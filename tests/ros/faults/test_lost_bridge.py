@@ -1,0 +1,60 @@
+"""The bridge dies or hangs during a read: the call says so within a second, and the next one works."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import time
+
+import pytest
+from trouble import Agent, ToolFailed
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(signal.SIGKILL, "died with signal SIGKILL"), (signal.SIGSTOP, "was stopped")]
+)
+def test_a_bridge_lost_during_a_read_is_told_within_a_second_and_the_next_read_works(
+    play, peer, number: signal.Signals, words: str
+) -> None:
+    peer("repeat", "/steady", "std_msgs/msg/String", 100)
+
+    async def scenario(agent: Agent) -> None:
+        await agent.knows("/steady")
+        bridge = (await agent.call("ros2_status"))["bridge_pid"]
+        reading = asyncio.ensure_future(agent.call("ros2_topic_subscribe", topic_name="/steady", duration=20))
+        while not (await agent.call("ros2_status"))["subscriptions"]:
+            await asyncio.sleep(0.02)
+        os.kill(bridge, number)
+        lost_at = time.monotonic()
+        with pytest.raises(ToolFailed, match=rf"BridgeLost: The bridge \(pid {bridge}\) {words}.*started again"):
+            await reading
+        assert time.monotonic() - lost_at < 1.0
+        again = await agent.call("ros2_topic_subscribe", topic_name="/steady")
+        assert again["count"] == 1
+        status = await agent.call("ros2_status")
+        assert status["bridge_starts"] == 2
+        assert words in status["bridge_restarts"][0]
+
+    play(scenario)
+
+
+def test_all_calls_under_way_hear_of_a_lost_bridge_and_none_hangs(play, peer) -> None:
+    peer("repeat", "/steady", "std_msgs/msg/String", 100)
+
+    async def scenario(agent: Agent) -> None:
+        await agent.knows("/steady")
+        calls = [
+            agent.call("ros2_topic_echo_wait", topic_name="/never", message_type="std_msgs/msg/String", timeout=30),
+            agent.call("ros2_topic_stats", topic_names=["/steady"], duration=30),
+            agent.call("ros2_topic_subscribe", topic_name="/steady", duration=30),
+        ]
+        waiting = asyncio.gather(*calls, return_exceptions=True)
+        await asyncio.sleep(0.5)
+        os.kill((await agent.call("ros2_status"))["bridge_pid"], signal.SIGKILL)
+        failed, measured, read = await asyncio.wait_for(waiting, 2)
+        assert "died with signal SIGKILL" in str(failed)
+        assert "died with signal SIGKILL" in measured["topics"][0]["error"]
+        assert "died with signal SIGKILL" in str(read)
+
+    play(scenario)

@@ -1,0 +1,130 @@
+"""Topics that cannot be read as they should: each says clearly why, in bounded time, and the next call works."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from trouble import Agent, ToolFailed
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture(scope="session")
+def built_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The variables with which a process finds the package nobody_msgs; the bridge does not have them."""
+    package = tmp_path_factory.mktemp("interfaces") / "nobody_msgs"
+    (package / "msg").mkdir(parents=True)
+    (package / "msg" / "Thing.msg").write_text("int32 number\n")
+    (package / "package.xml").write_text("<package><name>nobody_msgs</name><version>1.0.0</version></package>\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "ros2_mcp_interfaces", str(package)],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        pytest.skip(f"The package cannot be built here: {done.stderr[-300:]}")
+    prefix = done.stdout.split()[-1]
+    return {"AMENT_PREFIX_PATH": f"{prefix}:{sys.prefix}", "PYTHONPATH": f"{prefix}/site-packages"}
+
+
+def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(play, peer, built_elsewhere) -> None:
+    peer("repeat", "/thing", "nobody_msgs/msg/Thing", 20, **built_elsewhere)
+
+    async def scenario(agent: Agent) -> None:
+        info = await agent.knows("/thing")
+        assert info["topic_types"] == ["nobody_msgs/msg/Thing"]
+        begun = time.monotonic()
+        with pytest.raises(ToolFailed, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
+            await agent.call("ros2_topic_subscribe", topic_name="/thing", duration=10)
+        with pytest.raises(ToolFailed, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
+            await agent.call("ros2_topic_publish", topic_name="/thing", data={"number": 1})
+        assert time.monotonic() - begun < 1.0
+        assert (await agent.call("ros2_topic_stats", topic_names=["/thing"]))["topics"][0]["error"]
+        await agent.call("ros2_status")
+
+    play(scenario)
+
+
+def test_a_topic_with_two_types_names_both_and_each_can_be_read(play, peer) -> None:
+    types = ["std_msgs/msg/String", "std_msgs/msg/UInt64"]
+    for kind in types:
+        peer("repeat", "/both", kind, 50)
+
+    async def scenario(agent: Agent) -> None:
+        await agent.knows("/both", publishers=2)
+        with pytest.raises(ToolFailed, match=r"2 types: std_msgs/msg/String, std_msgs/msg/UInt64.*type you mean"):
+            await agent.call("ros2_topic_subscribe", topic_name="/both")
+        for kind in types:
+            reading = await agent.call("ros2_topic_subscribe", topic_name="/both", msg_type=kind)
+            assert (reading["count"], reading["topic_type"], len(reading["publishers"])) == (1, kind, 1)
+        with pytest.raises(ToolFailed, match="not std_msgs/msg/Bool"):
+            await agent.call("ros2_topic_subscribe", topic_name="/both", msg_type="std_msgs/msg/Bool")
+
+    play(scenario)
+
+
+def test_policies_that_keep_third_parties_apart_are_told_in_words(play, peer) -> None:
+    pairs = {
+        "/reliability": ('{"reliability": "BEST_EFFORT"}', "{}", "best_effort"),
+        "/durability": ("{}", '{"durability": "TRANSIENT_LOCAL"}', "transient_local"),
+        "/deadline": ("{}", '{"deadline_ns": 100000000}', "deadline"),
+    }
+    for topic, (offered, asked, _) in pairs.items():
+        peer("endpoint", "publisher", topic, offered)
+        peer("endpoint", "subscription", topic, asked)
+
+    async def scenario(agent: Agent) -> None:
+        for topic, (_, _, word) in pairs.items():
+            info = await agent.knows(topic, publishers=1, subscribers=1)
+            assert len(info["mismatches"]) == 1
+            assert word in info["mismatches"][0]
+
+    play(scenario)
+
+
+def test_a_publish_that_a_policy_keeps_from_its_subscriber_says_which(play, peer) -> None:
+    peer("endpoint", "subscription", "/strict", '{"deadline_ns": 100000000}')
+
+    async def scenario(agent: Agent) -> None:
+        await agent.knows("/strict", publishers=0, subscribers=1)
+        begun = time.monotonic()
+        sent = await agent.call("ros2_topic_publish", topic_name="/strict", data={"data": 1})
+        assert time.monotonic() - begun < 5.0
+        assert sent["status"] == "nobody_listening", sent
+        assert "deadline" in sent["note"], sent
+
+    play(scenario)
+
+
+@pytest.mark.parametrize(("number", "limit_s"), [(signal.SIGKILL, 4.0), (signal.SIGTERM, 4.0)])
+def test_a_publisher_that_dies_during_a_read_is_told_with_what_had_come(
+    play, peer, number: signal.Signals, limit_s: float
+) -> None:
+    publisher = peer("repeat", "/brief", "std_msgs/msg/String", 100)
+
+    async def scenario(agent: Agent) -> None:
+        await agent.knows("/brief")
+        begun = time.monotonic()
+        reading = asyncio.ensure_future(
+            agent.call("ros2_topic_subscribe", topic_name="/brief", duration=2, message_limit=100_000)
+        )
+        await asyncio.sleep(1)
+        publisher.process.send_signal(number)
+        result = await reading
+        assert time.monotonic() - begun < limit_s
+        assert 20 < result["received"] < 150
+        assert "the last came at" in result["note"], result["note"]
+        if number == signal.SIGTERM:
+            assert "1 publisher(s) left" in result["note"]
+        await agent.call("ros2_status")
+
+    play(scenario)
