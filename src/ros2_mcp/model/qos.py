@@ -50,7 +50,7 @@ class Endpoint:
     @classmethod
     def parse(cls, raw: Mapping[str, object]) -> Endpoint:
         """From the bridge's `endpoints` answer."""
-        qos = cast("dict[str, Any]", raw["qos"])
+        qos: dict[str, Any] = cast("dict[str, Any]", raw["qos"])
         if qos["depth"] == "unknown":
             qos = {**qos, "depth": None}
         return cls(
