@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Awaitable, Callable
+from contextlib import ExitStack
 from typing import Any
 
 from .processes import Peer, counts, ours, rss_bytes, trivial
@@ -12,6 +13,7 @@ from .report import Row, p50, p99
 from .stdio import StdioClient
 
 TOPICS = 40
+PROCESSES = 4
 SET = {"service_name": "/bench/set", "fields": {"data": True}}
 
 
@@ -66,7 +68,10 @@ async def complete_listing(client: StdioClient) -> int:
 
 async def first_listing(rounds: int) -> list[Row]:
     times, untrue = [], 0
-    with Peer("topics", TOPICS):
+    share = TOPICS // PROCESSES
+    with ExitStack() as peers:
+        for number in range(PROCESSES):
+            peers.enter_context(Peer("topics", share, share * number))
         for _ in range(rounds):
             client, started = ours(), time.perf_counter()
             async with client:
@@ -75,7 +80,7 @@ async def first_listing(rounds: int) -> list[Row]:
                 times.append(time.perf_counter() - started)
     spread = ", ".join(f"{seconds:.1f}" for seconds in sorted(times))
     return [
-        Row("start → complete listing, slowest", max(times), "s", 3, note=spread),
+        Row(f"start → listing with all of {PROCESSES} processes, slowest", max(times), "s", 3, note=spread),
         Row(f"incomplete, but called settled, in {rounds} starts", untrue, "times", 0),
     ]
 

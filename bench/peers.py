@@ -18,9 +18,10 @@ from std_msgs.msg import String, UInt64
 from std_srvs.srv import SetBool
 
 
-def topics(node: Node, count: str) -> None:
+def topics(node: Node, count: str, first: str = "0") -> None:
     """Publishers on /bench/t00, /bench/t01 …"""
-    node.kept = [node.create_publisher(String, f"/bench/t{number:02}", 10) for number in range(int(count))]
+    numbers = range(int(first), int(first) + int(count))
+    node.kept = [node.create_publisher(String, f"/bench/t{number:02}", 10) for number in numbers]
 
 
 def ticks(node: Node, count: str, rate_hz: str) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import time
 
-from . import qos
+from . import participants, qos
 from .request import OperationError
 from .ros import others
 
 POLL_S = 0.06
 QUIET_S = 0.4
-ANNOUNCEMENT_PERIOD_S = 2.6
+ANNOUNCEMENT_PERIOD_S = 3.5
 LONGEST_SETTLING_S = 10.0
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 
@@ -123,9 +123,16 @@ class Graph:
         )
 
     def _hears_all(self):
-        """Whether all nodes known from elsewhere are there, and anybody at all but ourselves."""
+        """Whether all participants on this machine and all nodes known from elsewhere are there.
+
+        Where the kernel cannot tell of everybody, one who is heard stands for all who are not.
+        """
+        on_this_machine = participants.on_this_machine(self._node.context.get_domain_id())
+        if participants.discovered(self._node) < on_this_machine:
+            return False
         nodes = others(self._node)
-        return bool(nodes) and not self._known_nodes - nodes
+        is_told = bool(on_this_machine) and participants.reach_is_local()
+        return (is_told or bool(nodes)) and not self._known_nodes - nodes
 
     def _has_unknown_nodes(self, topics):
         return any(
