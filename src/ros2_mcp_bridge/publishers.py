@@ -15,6 +15,7 @@ from .request import Cancelled, OperationError
 
 POLL_S = 0.002
 NO_MORE_MATCHES_S = 0.1
+FIRST_ACK_S = 0.1
 FINAL_ACK_S = 0.1
 MAX_RATE_HZ = 1000.0
 
@@ -22,13 +23,13 @@ MAX_RATE_HZ = 1000.0
 class Publisher:
     """A publisher of serialized messages."""
 
-    def __init__(self, node, graph, request):
+    def __init__(self, node, graph, request, max_depth=None):
         self._graph = graph
         self._topic, self._type = request.text("topic"), request.text("type")
         # Fast DDS asks for acknowledgement at once (5 ms) only when its history is full, else every 3 s. A depth of 1
         # is always full. Nobody can tell the difference but late joiners of a transient-local topic.
         is_volatile = request.qos().get("durability") != "transient_local"
-        self._profile = qos.profile(request.qos(), max_depth=1 if is_volatile else 1000)
+        self._profile = qos.profile(request.qos(), max_depth=max_depth or (1 if is_volatile else 1000))
         self.is_busy = False
         self._accepted = None
         with node.handle:
@@ -115,16 +116,24 @@ class Repeat:
     def run(self, rate_hz, duration_s):
         """Steps that publish at the rate; periods that were missed are counted and not made up for."""
         period = 1.0 / rate_hz
+        self._publish()
+        # A subscriber may not know a new publisher yet, and with a depth of 1 the second message replaces the first.
+        yield from self.publisher.wait_acknowledged(FIRST_ACK_S)
         self.started = due = time.monotonic()
         end = self.started + duration_s
-        while due < end - period * 1e-6:
-            self.publisher.publish(self._message)
-            self.sent += 1
+        while True:
             due += period
             missed = int(max(0.0, time.monotonic() - due) / period)
             self.late += missed
             due += missed * period
             yield max(0.0, min(due, end) - time.monotonic())
+            if due >= end - period * 1e-6:
+                return
+            self._publish()
+
+    def _publish(self):
+        self.publisher.publish(self._message)
+        self.sent += 1
 
     def send_final(self):
         """Publish the final message twice, for best-effort subscribers."""
