@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ros2_mcp.model import names, qos
-from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.robot import Robot
-
 
 _OF_EVERY_NODE = {"/parameter_events", "/rosout"}
 
@@ -116,10 +114,7 @@ async def topic_info(robot: Robot, topic: str) -> TopicInfo:
     topic = names.absolute(topic)
     found = await robot.graph.endpoints(topic)
     if not found.types:
-        raise NotFound(
-            f"There is no topic {topic}: nobody publishes or subscribes to it.",
-            await robot.graph.suggest_topic(topic),
-        )
+        raise await robot.graph.no_such_topic(topic)
     hashes = {endpoint.hash for endpoint in (*found.publishers, *found.subscribers) if endpoint.hash}
     return TopicInfo(
         topic,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.running import Driven, SentGoals
 from ros2_mcp.model import names, qos
-from ros2_mcp.model.errors import NotFound, TypeConflict
+from ros2_mcp.model.errors import TypeConflict
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request
 from ros2_mcp.robot.exchange import Answer, Listening, Outgoing, Sent, TopicEndpoints
 from ros2_mcp.robot.graph import REQUEST_S, Graph
@@ -93,10 +93,7 @@ class Robot:
                 )
             return wanted
         if not present.types:
-            raise NotFound(
-                f"There is no topic {present.topic}: nobody publishes or subscribes to it.",
-                await self.graph.suggest_topic(present.topic),
-            )
+            raise await self.graph.no_such_topic(present.topic)
         if len(present.types) > 1:
             raise TypeConflict(
                 f"{present.topic} has {len(present.types)} types: {', '.join(present.types)}.",

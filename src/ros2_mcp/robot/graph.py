@@ -76,10 +76,16 @@ class Graph:
             return await self.endpoints(topic)
         return _endpoints(topic, reply.ok)
 
-    async def suggest_topic(self, topic: str) -> str:
-        """A hint for a topic that is not there."""
-        known = [str(entry[0]) for entry in (await self.query("topics"))["topics"]]
-        return names.did_you_mean(topic, known, "ros2_topic_list shows what is there.")
+    async def no_such_topic(self, topic: str) -> NotFound:
+        """The error for a topic that is not there, or not seen yet, with the nearest right spelling."""
+        found = await self.query("topics")
+        if not found["settled"]:
+            return NotFound(f"{topic} is not seen yet, but discovery is still under way.", "Ask again in a moment.")
+        known = [str(entry[0]) for entry in found["topics"]]
+        return NotFound(
+            f"There is no topic {topic}: nobody publishes or subscribes to it.",
+            names.did_you_mean(topic, known, "ros2_topic_list shows what is there."),
+        )
 
 
 def _endpoints(topic: str, raw: Mapping[str, Any]) -> TopicEndpoints:
