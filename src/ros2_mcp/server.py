@@ -15,9 +15,11 @@ from mcp.server.mcpserver.exceptions import ToolError
 from mcp.server.mcpserver.tools.base import Tool
 from mcp.server.mcpserver.utilities.func_metadata import func_metadata
 from mcp.server.stdio import stdio_server
+from mcp.server.subscriptions import InMemorySubscriptionBus
 from mcp.types import CallToolResult, ContentBlock, ImageContent, TextContent, ToolAnnotations
 from pydantic import PrivateAttr, TypeAdapter, ValidationError
 
+from ros2_mcp import resources
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.names import did_you_mean
@@ -117,15 +119,18 @@ def build_tool(declaration: ToolDeclaration, robot: Robot) -> RobotTool:
 
 def build_server(robot: Robot, *, groups: Sequence[str] = (), log_level: str = "WARNING") -> MCPServer[None]:
     """The MCP server for one robot. In read-only mode tools that write are absent, not refused."""
-
-    return MCPServer[None](
+    events = InMemorySubscriptionBus()
+    server = MCPServer[None](
         name="ros2-mcp",
         title="ROS 2 robot",
         version=version("ros2-mcp"),
         instructions=INSTRUCTIONS,
         tools=list(build_tools(robot, groups)),
         log_level=cast("Any", log_level),
+        subscriptions=events,
     )
+    resources.offer(server, robot, events)
+    return server
 
 
 def build_tools(robot: Robot, groups: Sequence[str] = ()) -> list[RobotTool]:

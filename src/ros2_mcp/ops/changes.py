@@ -1,0 +1,220 @@
+"""What can be watched: topics, the graph, goals, diagnostics, parameters."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Iterable, Sequence
+from contextlib import aclosing, suppress
+from dataclasses import dataclass
+from typing import Any
+
+from ros2_mcp.model import qos
+from ros2_mcp.model.errors import NotFound
+from ros2_mcp.model.goals import TERMINAL, goal_id_hex
+from ros2_mcp.model.names import is_hidden
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.actions import action_types
+from ros2_mcp.ops.diagnostics import DIAGNOSTICS, DiagnosticTable
+from ros2_mcp.robot import Listening, Robot, TopicEndpoints
+
+POLL_S = 0.5
+_ENDPOINTS_S = 2.0
+_APPEARS_S = 60.0
+_LATCHED_S = 0.5
+_STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """The newest sample of a topic, with its type."""
+
+    type: str
+    sample: Sample
+
+
+@dataclass(frozen=True, slots=True)
+class Unchanging:
+    """What stays as it is, such as a definition."""
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[Any, None]:  # noqa: ARG002
+        """Nothing ever."""
+        yield None
+        await asyncio.Event().wait()
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSamples:
+    """The samples of a topic, which need not be there yet."""
+
+    topic: str
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[Seen | None, None]:
+        """The newest sample, whenever there is one."""
+        async with aclosing(_samples(robot, self.topic, "latest")) as arrivals:
+            await anext(arrivals)
+            yield None
+            async for type_name, samples in arrivals:
+                if samples:
+                    yield Seen(type_name, samples[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class GraphParts:
+    """Parts of the graph: `nodes`, `topics`, `services`. Which subscribers a topic has does not count: we are one."""
+
+    parts: Sequence[str]
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
+        """Whenever something came or went."""
+        before = await self._look(robot)
+        yield None
+        while True:
+            await asyncio.sleep(POLL_S)
+            now = await self._look(robot)
+            if now != before:
+                before = now
+                yield None
+
+    async def _look(self, robot: Robot) -> list[Any]:
+        return [_outline(part, (await robot.graph.query(part))[part]) for part in self.parts]
+
+
+@dataclass(frozen=True, slots=True)
+class GoalsEnded:
+    """The goals of every action, and the actions."""
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
+        """Whenever a goal has ended, or an action came or went."""
+        ended, followers = asyncio.Event(), dict[str, asyncio.Task[None]]()
+        try:
+            known = set(await action_types(robot))
+            ready = [_follow_goals(robot, action, ended, followers) for action in known]
+            await asyncio.gather(*ready)
+            yield None
+            while True:
+                with suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(ended.wait(), POLL_S)
+                present = set(await action_types(robot))
+                await asyncio.gather(*(_follow_goals(robot, action, ended, followers) for action in present))
+                if ended.is_set() or present != known:
+                    known = present
+                    ended.clear()
+                    yield None
+        finally:
+            for follower in followers.values():
+                follower.cancel()
+            await asyncio.gather(*followers.values(), return_exceptions=True)
+
+
+@dataclass(frozen=True, slots=True)
+class WorseDiagnostics:
+    """The components that report on /diagnostics."""
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[DiagnosticTable, None]:
+        """The table of all components, which stays up to date, whenever one got worse."""
+        table = DiagnosticTable()
+        async with aclosing(_samples(robot, DIAGNOSTICS, "all")) as arrivals:
+            await anext(arrivals)
+            yield table
+            async for type_name, samples in arrivals:
+                worse = [table.take(robot.values.decode(type_name, s), s.received_ns) for s in samples]
+                if any(worse):
+                    yield table
+
+
+@dataclass(frozen=True, slots=True)
+class ParametersOf:
+    """The parameters of one node."""
+
+    node: str
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
+        """Whenever the node says that one has changed."""
+        async with aclosing(_samples(robot, "/parameter_events", "all")) as arrivals:
+            await anext(arrivals)
+            yield None
+            async for type_name, samples in arrivals:
+                messages: list[Any] = [robot.values.decode(type_name, sample) for sample in samples]
+                if any(message.node == self.node for message in messages):
+                    yield None
+
+
+async def _samples(robot: Robot, topic: str, keep: str) -> AsyncGenerator[tuple[str, list[Sample]], None]:
+    """The type of a topic and its samples as they come, following its publishers' QoS.
+
+    An empty list says that it is listened to from now on, or that it is not there yet.
+    """
+    present = await robot.graph.endpoints(topic)
+    while True:
+        while not present.publishers:
+            yield "", []
+            present = await robot.graph.wait_for(topic, publishers=1, timeout_s=_APPEARS_S)
+        async with robot.listen(topic, present.publishers[0].type, keep=keep, max_samples=1000) as heard:
+            yield heard.type, []
+            while True:
+                look_at = _now() + _ENDPOINTS_S
+                while (left := look_at - _now()) > 0:
+                    if samples := await heard.take(left):
+                        yield heard.type, samples
+                present = await robot.graph.endpoints(topic)
+                if not _still_matches(heard, present):
+                    break
+
+
+def _still_matches(heard: Listening, present: TopicEndpoints) -> bool:
+    """Whether a new subscription would be made in the same way."""
+    publishers = [publisher for publisher in present.publishers if publisher.type == heard.type]
+    now, then = qos.for_subscribing(publishers).qos, heard.choice.qos
+    return bool(publishers) and (now.reliability, now.durability) == (then.reliability, then.durability)
+
+
+async def _follow_goals(
+    robot: Robot, action: str, ended: asyncio.Event, followers: dict[str, asyncio.Task[None]]
+) -> None:
+    """Starts following the goals of an action, unless that goes on already; returns when it has begun."""
+    if action in followers and not followers[action].done():
+        return
+    begun = asyncio.Event()
+    follower = followers[action] = asyncio.create_task(_goals(robot, action, ended, begun))
+    waiting = asyncio.create_task(begun.wait())
+    await asyncio.wait({follower, waiting}, return_when=asyncio.FIRST_COMPLETED)
+    waiting.cancel()
+
+
+async def _goals(robot: Robot, action: str, ended: asyncio.Event, begun: asyncio.Event) -> None:
+    with suppress(NotFound):
+        async with robot.listen(f"{action}/_action/status", _STATUS_TYPE, keep="latest") as heard:
+            first = await heard.take(_LATCHED_S)
+            over = _over(robot, first)
+            begun.set()
+            while True:
+                if samples := await heard.take(_APPEARS_S):
+                    now = _over(robot, samples)
+                    if now - over:
+                        ended.set()
+                    over = now
+
+
+def _over(robot: Robot, samples: Sequence[Sample]) -> set[str]:
+    """The goals that the newest status says have ended."""
+    if not samples:
+        return set()
+    message: Any = robot.values.decode(_STATUS_TYPE, samples[-1])
+    return {
+        goal_id_hex([int(byte) for byte in status.goal_info.goal_id.uuid])
+        for status in message.status_list
+        if int(status.status) in TERMINAL
+    }
+
+
+def _outline(part: str, entries: Iterable[Sequence[Any]]) -> list[Any]:
+    """What of the graph counts as a change."""
+    if part == "topics":
+        return sorted((name, types, publishers) for name, types, publishers, _ in entries if not is_hidden(name))
+    if part == "services":
+        return sorted((name, types) for name, types in entries if not is_hidden(name))
+    return sorted(tuple(entry) for entry in entries)
+
+
+def _now() -> float:
+    return asyncio.get_running_loop().time()

@@ -1,0 +1,68 @@
+"""Diagnostics: what the components of a robot say of their health."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+from typing import Any
+
+from ros2_mcp.ops.results import iso_time
+from ros2_mcp.robot import Robot
+
+DIAGNOSTICS = "/diagnostics"
+LEVELS = ("OK", "WARN", "ERROR", "STALE")
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostic:
+    """What a component last said of itself; `level` is OK, WARN, ERROR or STALE."""
+
+    name: str
+    hardware_id: str
+    level: str
+    message: str
+    values: dict[str, Any]
+    received_at: str
+
+
+@dataclass(slots=True)
+class DiagnosticTable:
+    """The newest word of every component."""
+
+    _newest: dict[tuple[str, str], tuple[int, Diagnostic]] = field(
+        default_factory=dict[tuple[str, str], tuple[int, Diagnostic]]
+    )
+
+    def take(self, message: Any, received_ns: int) -> bool:
+        """Takes a diagnostic_msgs/msg/DiagnosticArray in; true if a component got worse."""
+        worse = [self._take_one(status, received_ns) for status in message.status]
+        return any(worse)
+
+    @property
+    def rows(self) -> list[Diagnostic]:
+        """All components, the worst first."""
+        return [row for _, row in sorted(self._newest.values(), key=lambda entry: (-entry[0], entry[1].name))]
+
+    def _take_one(self, status: Any, received_ns: int) -> bool:
+        key, level = (status.name, status.hardware_id), int(status.level)
+        before = self._newest[key][0] if key in self._newest else 0
+        values = {entry.key: entry.value for entry in status.values}
+        label = LEVELS[level] if level < len(LEVELS) else str(level)
+        row = Diagnostic(status.name, status.hardware_id, label, status.message, values, iso_time(received_ns))
+        self._newest[key] = (level, row)
+        return level > before
+
+
+async def read_diagnostics(robot: Robot, listen_s: float = 1.5) -> DiagnosticTable:
+    """What the components say within a while; most say it once a second.
+
+    Raises:
+        NotFound: if nobody publishes diagnostics.
+    """
+    table = DiagnosticTable()
+    end = asyncio.get_running_loop().time() + listen_s
+    async with robot.listen(DIAGNOSTICS) as heard:
+        while (left := end - asyncio.get_running_loop().time()) > 0:
+            for sample in await heard.take(left):
+                table.take(robot.values.decode(heard.type, sample), sample.received_ns)
+    return table

@@ -1,0 +1,194 @@
+"""Telling subscribers: `resources/subscribe` of the handshake era and `subscriptions/listen` of the modern one.
+
+Whoever does not read is told once, later: each client has a mailbox in which an event stands at most once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+from mcp.server.context import ServerRequestContext
+from mcp.server.subscriptions import SUBSCRIPTION_ID_META_KEY, ResourceUpdated, ServerEvent, SubscriptionBus
+from mcp.shared.exceptions import MCPError
+from mcp.shared.subscriptions import event_matches, event_to_notification
+from mcp.types import (
+    INVALID_PARAMS,
+    EmptyResult,
+    SubscribeRequestParams,
+    SubscriptionFilter,
+    SubscriptionsAcknowledgedNotification,
+    SubscriptionsAcknowledgedNotificationParams,
+    SubscriptionsListenRequestParams,
+    SubscriptionsListenResult,
+    UnsubscribeRequestParams,
+)
+
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.ops.watching import Watcher
+from ros2_mcp.resources.catalogue import subject_of
+
+MAX_URIS = 200
+"""Watched by one client."""
+MAX_LISTENING = 256
+"""Open `subscriptions/listen` requests."""
+_STATE = "ros2_mcp.resources"
+
+Request = ServerRequestContext[Any, Any]
+
+
+class Mailbox:
+    """Events for one client, each at most once, in the order in which they came first."""
+
+    def __init__(self) -> None:
+        self._events: dict[ServerEvent, None] = {}
+        self._arrived = asyncio.Event()
+
+    def put(self, event: ServerEvent) -> None:
+        """Takes an event in, never waits."""
+        self._events[event] = None
+        self._arrived.set()
+
+    async def take(self) -> ServerEvent:
+        """The oldest event, as soon as there is one."""
+        while not self._events:
+            self._arrived.clear()
+            await self._arrived.wait()
+        event = next(iter(self._events))
+        del self._events[event]
+        return event
+
+
+class Subscriber:
+    """A client of the handshake era: its URIs and the task that tells it."""
+
+    def __init__(self, request: Request) -> None:
+        self.watched: dict[str, Callable[[], None]] = {}
+        self.mailbox = Mailbox()
+        self._session = request.session
+        self._telling = asyncio.create_task(self._tell())
+
+    async def close(self) -> None:
+        """Ends everything when the client is gone."""
+        for leave in self.watched.values():
+            leave()
+        self.watched.clear()
+        self._telling.cancel()
+        await asyncio.wait({self._telling})
+
+    async def _tell(self) -> None:
+        while True:
+            event = await self.mailbox.take()
+            if isinstance(event, ResourceUpdated) and event.uri in self.watched:
+                await self._session.send_resource_updated(event.uri)
+
+
+class Push:
+    """The handlers of the subscription methods of both eras."""
+
+    def __init__(self, watcher: Watcher, bus: SubscriptionBus) -> None:
+        self._watcher = watcher
+        self._bus = bus
+        self._listening = 0
+
+    async def subscribe(self, request: Request, params: SubscribeRequestParams) -> EmptyResult:
+        """Handshake era; answers when nothing that happens from now on is missed.
+
+        Raises:
+            MCPError: for a URI that is none of ours.
+        """
+        uri, subscriber = str(params.uri), _subscriber(request)
+        subject = _known(uri)
+        if len(subscriber.watched) >= MAX_URIS:
+            raise MCPError(INVALID_PARAMS, f"You are subscribed to {MAX_URIS} resources: unsubscribe from some first.")
+        if uri not in subscriber.watched:
+            subscriber.watched[uri] = self._watch(uri, subscriber.mailbox)
+            await self._watcher.begun(subject)
+        return EmptyResult()
+
+    async def unsubscribe(self, request: Request, params: UnsubscribeRequestParams) -> EmptyResult:
+        """Handshake era; without effect where there is no such subscription."""
+        leave = _subscriber(request).watched.pop(str(params.uri), None)
+        if leave:
+            leave()
+        return EmptyResult()
+
+    async def listen(self, request: Request, params: SubscriptionsListenRequestParams) -> SubscriptionsListenResult:
+        """Modern era: acknowledges what it honours, then tells of events until the request is cancelled."""
+        if self._listening >= MAX_LISTENING:
+            raise MCPError(INVALID_PARAMS, f"{MAX_LISTENING} subscriptions are open: end some first.")
+        honored = _honored(params.notifications)
+        uris = frozenset(honored.resource_subscriptions or ())
+        mailbox = Mailbox()
+
+        def deliver(event: ServerEvent) -> None:
+            if event_matches(honored, uris, event):
+                mailbox.put(event)
+
+        with ExitStack() as until_the_end:
+            self._listening += 1
+            until_the_end.callback(self._left)
+            until_the_end.callback(self._bus.subscribe(deliver))
+            for uri in uris:
+                until_the_end.callback(self._watch(uri, mailbox))
+            await self._watcher.begun(*(subject_of(uri) for uri in uris))
+            await _tell_listener(request, honored, mailbox)
+        return SubscriptionsListenResult()
+
+    def _watch(self, uri: str, mailbox: Mailbox) -> Callable[[], None]:
+        return self._watcher.watch(subject_of(uri), lambda: mailbox.put(ResourceUpdated(uri)))
+
+    def _left(self) -> None:
+        self._listening -= 1
+
+
+async def _tell_listener(request: Request, honored: SubscriptionFilter, mailbox: Mailbox) -> None:
+    stamp: dict[str, Any] = {SUBSCRIPTION_ID_META_KEY: request.request_id}
+    acknowledgement = SubscriptionsAcknowledgedNotificationParams(notifications=honored, _meta=stamp)
+    await request.session.send_notification(
+        SubscriptionsAcknowledgedNotification(params=acknowledgement), related_request_id=request.request_id
+    )
+    while True:
+        event = await mailbox.take()
+        await request.session.send_notification(
+            event_to_notification(event, stamp), related_request_id=request.request_id
+        )
+
+
+def _subscriber(request: Request) -> Subscriber:
+    """What we keep for the client's connection; ends with it."""
+    connection = request.session._connection  # pyright: ignore[reportPrivateUsage]
+    if _STATE not in connection.state:
+        subscriber = connection.state[_STATE] = Subscriber(request)
+        connection.exit_stack.push_async_callback(subscriber.close)
+    return connection.state[_STATE]
+
+
+def _known(uri: str) -> Any:
+    try:
+        return subject_of(uri)
+    except RobotError as error:
+        raise MCPError(INVALID_PARAMS, str(error), data={"uri": uri}) from error
+
+
+def _honored(wanted: SubscriptionFilter) -> SubscriptionFilter:
+    """What of the wanted can happen here: resources that are ours, and every list."""
+    uris = list(dict.fromkeys(wanted.resource_subscriptions or ()))
+    if len(uris) > MAX_URIS:
+        raise MCPError(INVALID_PARAMS, f"{len(uris)} resources are too many: at most {MAX_URIS}.")
+    return SubscriptionFilter(
+        tools_list_changed=wanted.tools_list_changed or None,
+        prompts_list_changed=wanted.prompts_list_changed or None,
+        resources_list_changed=wanted.resources_list_changed or None,
+        resource_subscriptions=[uri for uri in uris if _is_known(uri)] or None,
+    )
+
+
+def _is_known(uri: str) -> bool:
+    try:
+        subject_of(uri)
+    except RobotError:
+        return False
+    return True
