@@ -29,13 +29,14 @@ class Clients:
         service = request.text("service")
         wait_s, timeout_s = request.number("wait_s", 0.0), request.number("timeout_s")
         started = time.monotonic()
+        latest = started + request.number("within_s", wait_s + timeout_s)
         with self.use(request) as (client, message):
             yield from _wait_server(client, service, wait_s)
             sent_at = time.monotonic()
             future = client.call_async(message)
             future.add_done_callback(lambda _: request.wake())
             try:
-                yield from _wait_response(client, service, future, timeout_s)
+                yield from _wait_response(client, service, future, min(timeout_s, latest - sent_at))
             finally:
                 client.remove_pending_request(future)
             body = serialize_message(future.result())
@@ -63,7 +64,7 @@ def _wait_server(client, service, wait_s):
     deadline = time.monotonic() + wait_s
     while not client.service_is_ready():
         if time.monotonic() >= deadline:
-            raise OperationError("not_found", f"No server of {service} appeared within {wait_s} s.")
+            raise OperationError("not_found", f"No server of {service} appeared within {wait_s:g} s.")
         yield APPEARS_POLL_S
 
 
@@ -77,5 +78,5 @@ def _wait_response(client, service, future, timeout_s):
         if now - last_ready > GONE_AFTER_S:
             raise OperationError("server_gone", f"The server of {service} disappeared before it answered.")
         if now >= deadline:
-            raise OperationError("timeout", f"{service} did not answer within {timeout_s} s.")
+            raise OperationError("timeout", f"{service} did not answer within {timeout_s:.3g} s.")
         yield min(POLL_S, deadline - now)

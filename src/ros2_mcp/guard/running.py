@@ -18,13 +18,23 @@ class SentGoal:
 
 
 class SentGoals:
-    """The goals of this server that have not been seen to end."""
+    """The goals that this server sent: the last `most`, and which of them have not been seen to end."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = 1000) -> None:
+        self._most = most
+        self._ids: dict[str, None] = {}
         self._open: dict[str, SentGoal] = {}
+
+    def __contains__(self, goal_id: str) -> bool:
+        return goal_id in self._ids
 
     def sent(self, goal_id: str, action: str, action_type: str) -> None:
         """Notes a goal just before it is sent."""
+        if len(self._ids) >= self._most:
+            oldest = next(iter(self._ids))
+            del self._ids[oldest]
+            self.ended(oldest)
+        self._ids[goal_id] = None
         self._open[goal_id] = SentGoal(goal_id, action, action_type, monotonic())
 
     def ended(self, goal_id: str) -> None:

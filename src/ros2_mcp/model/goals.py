@@ -42,12 +42,15 @@ def goal_id_bytes(goal_id: str) -> list[int]:
     """The 16 bytes of a goal id as unique_identifier_msgs/msg/UUID holds them.
 
     Raises:
-        BadValue: if it is not 32 hexadecimal digits.
+        BadValue: if it is not 32 hexadecimal digits, or all zeros, which stands for every goal.
     """
     try:
-        return list(uuid.UUID(hex=goal_id).bytes)
+        raw = uuid.UUID(hex=goal_id)
     except ValueError as error:
         raise BadValue("goal_id_hex", f"{goal_id!r} is not a goal id.", "Give its 32 hexadecimal digits.") from error
+    if not raw.int:
+        raise BadValue("goal_id_hex", "all zeros is no goal, it stands for every goal.", "Give the id of one goal.")
+    return list(raw.bytes)
 
 
 def cancel_request(goal_id: str = "", stamp: Mapping[str, int] | None = None) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -23,6 +24,8 @@ TYPES = (
 
 _FIELDS = ("", *(f"{name}_value" for name in TYPES[1:]))
 _NOT_FINITE = ("nan", "inf", "-inf")
+_EXACT = 2**53
+_INTEGER = re.compile(r"-?[0-9]{1,19}")
 
 
 def type_name(code: int) -> str:
@@ -39,7 +42,8 @@ def value_of(message: Mapping[str, Any]) -> Any:
 def as_message(path: str, value: Any, declared: str) -> dict[str, Any]:
     """The ParameterValue of a JSON value for a parameter declared with that type.
 
-    An integer is taken for a double (1 → 1.0) and a whole double for an integer (3.0 → 3); nothing else is converted.
+    An integer is taken for a double (1 → 1.0) and a whole double for an integer (3.0 → 3), text only where the value
+    is shown as text: not finite, or an integer beyond 2^53. Nothing else is converted.
 
     Raises:
         BadValue: if the value is not of the declared type.
@@ -74,9 +78,11 @@ def _kind(path: str, value: Any, declared: str) -> str:
 def _converted(path: str, value: Any, kind: str) -> Any:
     if kind == "not_set":
         return None
+    if kind == "byte_array" and isinstance(value, str):
+        return value
     if kind.endswith("_array"):
         if not isinstance(value, list):
-            raise BadValue(path, f"{value!r} is not an array.", f"The parameter is a {kind.replace('_', ' ')}.")
+            raise BadValue(path, f"{value!r} is not an array.", f"The parameter is declared as {kind}.")
         element = {"byte_array": "integer"}.get(kind, kind.removesuffix("_array"))
         items = cast("list[Any]", value)
         return [_converted(f"{path}[{index}]", item, element) for index, item in enumerate(items)]
@@ -91,8 +97,18 @@ def _scalar(path: str, value: Any, kind: str) -> Any:
         return value
     if kind == "double" and (is_number or value in _NOT_FINITE):
         return value
-    if kind == "integer" and is_number and value == int(value):
+    whole = _whole(value) if kind == "integer" else None
+    if whole is None:
+        raise BadValue(path, f"{value!r} is not of type {kind}.", f"The parameter is declared as {kind}.")
+    if not -(2**63) <= whole < 2**63:
+        raise BadValue(path, f"{value!r} does not fit an integer of 64 bits.")
+    return whole
+
+
+def _whole(value: Any) -> int | None:
+    """The integer that the value is exactly, None where it is none."""
+    if isinstance(value, str) and _INTEGER.fullmatch(value) and abs(int(value)) > _EXACT:
         return int(value)
-    if kind == "integer" and isinstance(value, str) and value.lstrip("-").isdecimal():
-        return int(value)
-    raise BadValue(path, f"{value!r} is not of type {kind}.", f"The parameter is declared as {kind}.")
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    return int(value) if isinstance(value, int) or value.is_integer() else None

@@ -12,14 +12,16 @@ from typing import Any
 from ros2_mcp.guard.policy import MAX_DURATION_S, bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound
-from ros2_mcp.model.goals import STATUS, goal_id_bytes, goal_id_hex, stamp_seconds
+from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_bytes, goal_id_hex, stamp_seconds
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.actions import SERVER_S, action_types, resolve_type
+from ros2_mcp.ops.actions import action_types, resolve_type
+from ros2_mcp.ops.goals import SERVER_S
 from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.robot import Listening, Robot
 
 _STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 _LATCHED_S = 0.5
+_OTHER_CLOCK_S = 1e8
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,13 +84,15 @@ class StatusFrames:
 
 @dataclass(frozen=True, slots=True)
 class KnownGoal:
-    """A goal of any action, with its age since it was accepted; `ours` if this server sent it."""
+    """A goal of any action; `ours` if this server sent it. `age_sec` since it was accepted is null where the action
+    server keeps another time than this machine, as in a simulation.
+    """
 
     action_name: str
     goal_id: str
     status_code: int
     status: str
-    age_sec: float
+    age_sec: float | None
     ours: bool
 
 
@@ -127,18 +131,24 @@ async def follow_feedback(
     action_type = await resolve_type(robot, action, action_type)
     topic, started = f"{action}/_action/feedback", monotonic()
     messages: list[FeedbackMessage] = []
-    seen = 0
+    omitted, size = 0, 0
     async with robot.listen(topic, f"{action_type}_FeedbackMessage", wait_s=SERVER_S) as heard:
         async for sample in _samples(heard, duration_s, report):
-            message = robot.values.render(heard.type, sample.data).value
-            sender = goal_id_hex(message["goal_id"]["uuid"])
-            if wanted in (None, sender):
-                seen += 1
-                messages.append(FeedbackMessage(sender, message["feedback"], iso_time(sample.received_ns)))
+            rendered = robot.values.render(heard.type, sample.data)
+            sender = goal_id_hex(rendered.value["goal_id"]["uuid"])
+            if wanted not in (None, sender):
+                continue
+            size += rendered.bytes
+            if size > robot.result_bytes and messages:
+                omitted += 1
+                continue
+            messages.append(FeedbackMessage(sender, rendered.value["feedback"], iso_time(sample.received_ns)))
             if len(messages) >= max_messages:
                 break
     note = "" if messages else "No feedback came: no goal is running, or its server sends none."
-    return FeedbackMessages(topic, action_type, wanted, monotonic() - started, messages, seen - len(messages), note)
+    if omitted:
+        note = f"The {omitted} last message(s) are left out: the answer would be too long."
+    return FeedbackMessages(topic, action_type, wanted, monotonic() - started, messages, omitted, note)
 
 
 async def follow_status(
@@ -167,7 +177,7 @@ async def all_goals(robot: Robot) -> KnownGoals:
     """Every goal that the action servers tell of, with state and age."""
     actions = sorted(await action_types(robot))
     found = await asyncio.gather(*(_goals_of(robot, action) for action in actions))
-    goals = sorted((goal for goals in found for goal in goals), key=lambda goal: goal.age_sec)
+    goals = sorted((goal for goals in found for goal in goals), key=lambda goal: goal.age_sec or 0.0)
     note = "" if goals else "No goal has been sent yet, or the servers have forgotten them."
     return KnownGoals(goals, actions, note)
 
@@ -179,24 +189,31 @@ async def _goals_of(robot: Robot, action: str) -> list[KnownGoal]:
     except NotFound:
         return []
     states = _states(robot, samples[-1]) if samples else []
-    now, ours = time.time(), robot.goals.open
+    for state in states:
+        if state.status_code in TERMINAL:
+            robot.goal_ended(state.goal_id)
     return [
         KnownGoal(
             action,
             state.goal_id,
             state.status_code,
             state.status,
-            round(now - stamp_seconds(state.accept_stamp), 3),
-            state.goal_id in ours,
+            _age(state.accept_stamp),
+            state.goal_id in robot.goals,
         )
         for state in states
     ]
 
 
+def _age(stamp: Mapping[str, Any]) -> float | None:
+    age_s = time.time() - stamp_seconds(stamp)
+    return round(age_s, 3) if abs(age_s) < _OTHER_CLOCK_S else None
+
+
 def _states(robot: Robot, sample: Sample) -> list[GoalState]:
     from ros2_mcp.codec.render import RenderOptions
 
-    message: Mapping[str, Any] = robot.values.render(_STATUS_TYPE, sample.data, RenderOptions(max_array=200)).value
+    message: Mapping[str, Any] = robot.values.render(_STATUS_TYPE, sample.data, RenderOptions(exact=True)).value
     return [
         GoalState(
             goal_id_hex(entry["goal_info"]["goal_id"]["uuid"]),

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import NotFound
+from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.robot import Robot
 
+ANSWER_S = 0.4
 _PARAMETER_SERVICES = (
     "describe_parameters",
     "get_parameter_types",
@@ -46,7 +48,10 @@ class Offer:
 
 @dataclass(frozen=True, slots=True)
 class NodeInfo:
-    """What one node offers and uses; the six parameter services that every node has are left out."""
+    """What one node offers and uses; the six parameter services that every node has are left out.
+
+    `parameters` is how many it has and `lifecycle_state` its state, null where it has none or did not answer at once.
+    """
 
     node: str
     publishes: Sequence[Offer]
@@ -57,12 +62,16 @@ class NodeInfo:
     action_clients: Sequence[Offer]
     has_parameters: bool
     is_lifecycle: bool
+    parameters: int | None
+    lifecycle_state: str | None
 
     def summary(self) -> str:
         """One line."""
+        has = "" if self.parameters is None else f" It has {self.parameters} parameters."
+        state = f" Its lifecycle state is {self.lifecycle_state}." if self.lifecycle_state else ""
         return (
             f"{self.node} publishes {len(self.publishes)} and subscribes to {len(self.subscribes)} topics, "
-            f"offers {len(self.services)} services and {len(self.actions)} actions."
+            f"offers {len(self.services)} services and {len(self.actions)} actions.{has}{state}"
         )
 
 
@@ -93,10 +102,30 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
         full = names.full_node_name(name, namespace)
         hint = names.did_you_mean(full, known.nodes, "ros2_node_list shows what is there.")
         raise NotFound(f"There is no node {full}.", hint) from error
-    return _assemble(names.full_node_name(name, namespace), raw)
+    full = names.full_node_name(name, namespace)
+    served = {name for name, _ in raw["servers"]}
+    listed, current = await asyncio.gather(
+        _ask(robot, served, f"{full}/list_parameters", "rcl_interfaces/srv/ListParameters"),
+        _ask(robot, served, f"{full}/get_state", "lifecycle_msgs/srv/GetState"),
+    )
+    parameters = None if listed is None else len(listed["result"]["names"])
+    return _assemble(full, raw, parameters, None if current is None else current["current_state"]["label"])
 
 
-def _assemble(node: str, raw: Mapping[str, Any]) -> NodeInfo:
+async def _ask(robot: Robot, served: set[str], service: str, kind: str) -> dict[str, Any] | None:
+    """The answer of a service that the node has; None where it has not, or does not answer at once."""
+    from ros2_mcp.codec.render import RenderOptions
+
+    if service not in served:
+        return None
+    try:
+        answer = await robot.inquire(service, kind, {}, timeout_s=ANSWER_S)
+    except RobotError:
+        return None
+    return robot.values.render(f"{kind}_Response", answer.body, RenderOptions(exact=True)).value
+
+
+def _assemble(node: str, raw: Mapping[str, Any], parameters: int | None, lifecycle_state: str | None) -> NodeInfo:
     servers = _offers(raw["servers"])
     own_parameters = {f"{node}/{service}" for service in _PARAMETER_SERVICES}
     served = {offer.name for offer in servers}
@@ -110,6 +139,8 @@ def _assemble(node: str, raw: Mapping[str, Any]) -> NodeInfo:
         action_clients=_actions(_offers(raw["clients"])),
         has_parameters=own_parameters <= served,
         is_lifecycle=f"{node}/change_state" in served,
+        parameters=parameters,
+        lifecycle_state=lifecycle_state,
     )
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+import asyncio
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import datetime, timezone
+from functools import cache
 from time import monotonic
 from typing import Any, cast
 
@@ -34,6 +37,23 @@ async def silent(_done: float, _whole: float, _line: str) -> None:
     """A `Report` for callers that do not want to know."""
 
 
+@asynccontextmanager
+async def reporting(report: Report, whole_s: float, line: str) -> AsyncGenerator[None, None]:
+    """Reports once a second, while the block runs, for how long it has been waited."""
+    started = monotonic()
+
+    async def tick() -> None:
+        while True:
+            await asyncio.sleep(1.0)
+            await report(monotonic() - started, whole_s, line)
+
+    ticking = asyncio.create_task(tick())
+    try:
+        yield
+    finally:
+        ticking.cancel()
+
+
 @dataclass(frozen=True, slots=True)
 class PictureFacts:
     """What a picture shows; the picture itself travels beside the result."""
@@ -59,13 +79,16 @@ def facts(pictures: Sequence[Picture]) -> list[PictureFacts]:
 
 def as_json(value: Any) -> Any:
     """A result as JSON values, field by field, without what is hidden."""
-    if is_dataclass(value):
-        return {f.name: as_json(getattr(value, f.name)) for f in fields(value) if not f.metadata.get("hidden")}
-    if isinstance(value, Mapping):
-        return cast("Mapping[str, Any]", value)
     if isinstance(value, (list, tuple)):
         return [as_json(item) for item in cast("Sequence[Any]", value)]
+    if is_dataclass(value):
+        return {name: as_json(getattr(value, name)) for name in _shown_fields(type(value))}
     return value
+
+
+@cache
+def _shown_fields(kind: type[Any]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind) if not field.metadata.get("hidden"))
 
 
 def iso_time(unix_ns: int) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound, TypeConflict, UnknownInterface
+from ros2_mcp.ops.results import Report, reporting, silent
 from ros2_mcp.robot import Robot
 
 _INFRASTRUCTURE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
@@ -85,6 +86,7 @@ async def call(
     *,
     force_call: bool = False,
     timeout_s: float = 10.0,
+    report: Report = silent,
 ) -> ServiceAnswer:
     """Calls a service and waits for its answer; a server that appears within the time-out is used.
 
@@ -101,7 +103,11 @@ async def call(
     missing = robot.values.missing_fields(f"{service_type}_Request", request)
     if missing and not force_call:
         return _not_called(service, service_type, missing)
-    answer = await robot.call(service, service_type, request, timeout_s=timeout_s)
+    try:
+        async with reporting(report, timeout_s, f"waiting for {service}"):
+            answer = await robot.call(service, service_type, request, timeout_s=timeout_s)
+    except NotFound as error:
+        raise NotFound(error.message, error.hint or await _suggest(robot, service)) from error
     shown = robot.values.render(f"{service_type}_Response", answer.body)
     return ServiceAnswer(service, service_type, True, shown.value, missing, answer.elapsed_s, shown.truncated, "")
 
@@ -129,11 +135,16 @@ async def resolve_type(robot: Robot, service: str, asked: str) -> str:
     if wanted:
         return wanted
     if not types:
-        hint = names.did_you_mean(service, list(known), "ros2_service_list shows what is there.")
-        raise NotFound(f"There is no service {service}.", hint)
+        raise NotFound(f"There is no service {service}.", await _suggest(robot, service))
     if len(types) > 1:
         raise TypeConflict(f"{service} has {len(types)} types: {', '.join(types)}.", "Give the type you mean.")
     return types[0]
+
+
+async def _suggest(robot: Robot, service: str) -> str:
+    every = (await robot.graph.query("services"))["services"]
+    known = [name for name, types in every if name != service and not _is_infrastructure(name, types)]
+    return names.did_you_mean(service, known, "ros2_service_list shows what is there.")
 
 
 async def _providers(robot: Robot) -> dict[str, list[str]]:

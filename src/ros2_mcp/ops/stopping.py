@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ros2_mcp.guard.running import SentGoal
-from ros2_mcp.model.errors import RobotError
-from ros2_mcp.model.goals import TERMINAL
-from ros2_mcp.ops import actions
+from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.model.goals import STATUS, TERMINAL
+from ros2_mcp.ops import cancelling, goals
 from ros2_mcp.robot import Robot
 
 ENDED_S = 3.0
@@ -61,13 +61,23 @@ async def stop(robot: Robot) -> Stopped:
         LinkError: if the bridge cannot be reached at all.
     """
     repeats = (await robot.graph.ask("stop")).ok["repeats"]
-    topics, goals = await asyncio.gather(
+    topics, ended = await asyncio.gather(
         asyncio.gather(*(_zero(robot, topic, kind) for topic, kind in robot.driven.zeros)),
         asyncio.gather(*(_cancel(robot, goal) for goal in robot.goals.open.values())),
     )
     confirmed = all(topic.subscribers and topic.acknowledged is not False for topic in topics)
-    note = "" if topics or goals or repeats else "This server had nothing in motion."
-    return Stopped(repeats, topics, goals, confirmed and all(goal.confirmed for goal in goals), note)
+    return Stopped(
+        repeats, topics, ended, confirmed and all(goal.confirmed for goal in ended), _note(repeats, topics, ended)
+    )
+
+
+def _note(repeats: int, topics: Sequence[StoppedTopic], ended: Sequence[StoppedGoal]) -> str:
+    if not (repeats or topics or ended):
+        return "This server had nothing in motion."
+    unheard = [topic.topic_name for topic in topics if not topic.subscribers and not topic.error]
+    errors = [entry.error for entry in (*topics, *ended) if entry.error]
+    running = [f"Goal {goal.goal_id} has not ended yet." for goal in ended if not goal.confirmed and not goal.error]
+    return " ".join([*(f"Nobody subscribes to {topic} now." for topic in unheard), *errors, *running])
 
 
 async def _zero(robot: Robot, topic: str, kind: str) -> StoppedTopic:
@@ -79,9 +89,15 @@ async def _zero(robot: Robot, topic: str, kind: str) -> StoppedTopic:
 
 
 async def _cancel(robot: Robot, goal: SentGoal) -> StoppedGoal:
+    """Cancels a goal and sees it end; one that its server does not know, or no longer, is not running."""
     try:
-        await actions.cancel(robot, goal.action, goal.goal_id)
-        ended = await actions.request_result(robot, goal.action, goal.action_type, goal.goal_id, timeout_s=ENDED_S)
+        answer = await cancelling.cancel(robot, goal.action, goal.goal_id)
+        ended = await goals.request_result(robot, goal.action, goal.action_type, goal.goal_id, timeout_s=ENDED_S)
+    except NotFound as error:
+        robot.goal_ended(goal.goal_id)
+        return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, str(error))
     except RobotError as error:
         return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, str(error))
-    return StoppedGoal(goal.action, goal.goal_id, ended.status, ended.status_code in TERMINAL)
+    is_unknown = answer.return_code == cancelling.UNKNOWN_GOAL and ended.status == STATUS[0]
+    confirmed = is_unknown or ended.status_code in TERMINAL
+    return StoppedGoal(goal.action, goal.goal_id, ended.status, confirmed)

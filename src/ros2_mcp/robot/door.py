@@ -168,7 +168,8 @@ class Robot:
 
         Raises:
             Refused: if this server is read-only.
-            NotFound: if no server appeared within `wait_s` (the time-out if not given), or it left before it answered.
+            NotFound: if no server appeared within `wait_s`, or it left before it answered. Without `wait_s`, the
+                time-out holds for both together.
             TimedOut: if it did not answer in time.
         """
         self.policy.require_write(f"Calling {service}")
@@ -185,6 +186,7 @@ class Robot:
     ) -> Answer:
         """Calls a service that only tells something, such as `get_parameters`; otherwise as `call`."""
         body = await self.values.encode(f"{service_type}_Request", request)
+        within_s = timeout_s if wait_s is None else wait_s + timeout_s
         wait_s = timeout_s if wait_s is None else wait_s
         reply = await self.graph.ask(
             "call",
@@ -193,6 +195,7 @@ class Robot:
             type=service_type,
             wait_s=wait_s,
             timeout_s=timeout_s,
+            within_s=within_s,
         )
         return Answer(reply.body, reply.ok["elapsed_s"])
 

@@ -31,40 +31,43 @@ class Will:
 
 
 class Wills:
-    """The wills that are in force, by key; the oldest gives way where there are too many."""
+    """The wills that are in force, by key. Where there are too many of one kind, its oldest gives way: goals that
+    nobody followed to their end never displace a zero command.
+    """
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
-        self._held: dict[str, asyncio.Task[None]] = {}
+        self._held: dict[str, tuple[str, asyncio.Task[None]]] = {}
 
     def leave(self, key: str, will: Will) -> None:
         """Puts a will in force, unless one of that key is."""
         if key in self._held:
             return
-        if len(self._held) >= MOST:
-            self.withdraw(next(iter(self._held)))
-        held = asyncio.create_task(self._hold(will))
-        self._held[key] = held
-        held.add_done_callback(lambda _: self._held.pop(key, None) if self._held.get(key) is held else None)
+        of_this_kind = [other for other, (op, _) in self._held.items() if op == will.op]
+        if len(of_this_kind) >= MOST:
+            self.withdraw(of_this_kind[0])
+        self._held[key] = will.op, asyncio.create_task(self._hold(key, will))
 
     def withdraw(self, key: str) -> None:
         """Takes a will back; without effect where there is none."""
-        held = self._held.pop(key, None)
-        if held is not None:
-            held.cancel()
+        if key in self._held:
+            self._held.pop(key)[1].cancel()
 
-    async def _hold(self, will: Will) -> None:
+    async def _hold(self, key: str, will: Will) -> None:
         try:
-            while True:
-                try:
-                    await self._graph.ask(will.op, will.body, timeout_s=_FOREVER_S, **will.arguments)
-                except BridgeLost:
-                    await self._after_loss(will)
+            await self._keep_in_force(will)
         except RobotError as error:
+            self._held.pop(key, None)
             if not self._graph.is_closed:
                 _logger.warning("a last will is not in force: %s", error)
 
-    async def _after_loss(self, will: Will) -> None:
+    async def _keep_in_force(self, will: Will) -> None:
         """A bridge that was killed could not stop what it kept moving: its successor does it at once."""
-        if will.op == "will_publish":
-            await self._graph.ask("publish", will.body, wait_match_s=1.0, wait_ack_s=0.5, **will.arguments)
+        was_lost = False
+        while True:
+            try:
+                if was_lost and will.op == "will_publish":
+                    await self._graph.ask("publish", will.body, wait_match_s=1.0, wait_ack_s=0.5, **will.arguments)
+                await self._graph.ask(will.op, will.body, timeout_s=_FOREVER_S, **will.arguments)
+            except BridgeLost:
+                was_lost = True

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ros2_mcp.ops import actions, following
+from ros2_mcp.ops import actions, cancelling, following, goals
 from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Number, Pattern, Whole
@@ -39,13 +39,13 @@ async def ros2_send_action_goal(
     action_type: ActionType = "",
     wait_for_result: Annotated[Flag, Field(description="Wait until the goal has ended.")] = False,
     timeout_sec: ResultTimeout = 60.0,
-) -> actions.GoalOutcome:
+) -> goals.GoalOutcome:
     """Send a goal to an action server. Can move the robot.
 
     With wait_for_result the result is waited for, with feedback as progress; if the time ends first the goal goes on
     (status TIMEOUT). Without it, use ros2_action_request_result with the goal_id later.
     """
-    return await actions.send_goal(
+    return await goals.send_goal(
         robot,
         action_name,
         action_type,
@@ -62,12 +62,14 @@ async def ros2_cancel_action_goal(
     action_name: ActionName,
     goal_id_hex: Annotated[str, Field(description="The goal's id; needed unless cancel_all is true.")] = "",
     cancel_all: Annotated[Flag, Field(description="Cancel every goal of the action.")] = False,
-    stamp_sec: Annotated[Whole, Field(description="With cancel_all: only goals accepted up to this time.")] = 0,
+    stamp_sec: Annotated[
+        Whole, Field(description="Goals accepted up to this time too; with cancel_all only those.")
+    ] = 0,
     stamp_nanosec: Annotated[Whole, Field(ge=0, lt=1_000_000_000, description="Nanoseconds of that time.")] = 0,
     wait_timeout_sec: Annotated[Number, Field(gt=0, le=60, description="Wait at most this long for the answer.")] = 3.0,
-) -> actions.Cancellation:
+) -> cancelling.Cancellation:
     """Ask an action server to cancel a goal, or all goals."""
-    return await actions.cancel(
+    return await cancelling.cancel(
         robot,
         action_name,
         goal_id_hex,
@@ -80,15 +82,22 @@ async def ros2_cancel_action_goal(
 @tool(title="Result of a goal", risk="read", group="actions")
 async def ros2_action_request_result(
     robot: Robot,
+    report: Report,
     action_name: ActionName,
     goal_id_hex: GoalId,
     action_type: ActionType = "",
     timeout_sec: ResultTimeout = 60.0,
     wait_for_service_sec: Annotated[Number, Field(ge=0, le=60, description="Wait this long for the server.")] = 3.0,
-) -> actions.GoalResult:
+) -> goals.GoalResult:
     """Wait for the result of a goal, whoever sent it. A time-out does not cancel it."""
-    return await actions.request_result(
-        robot, action_name, action_type, goal_id_hex, timeout_s=timeout_sec, wait_for_service_s=wait_for_service_sec
+    return await goals.request_result(
+        robot,
+        action_name,
+        action_type,
+        goal_id_hex,
+        timeout_s=timeout_sec,
+        wait_for_service_s=wait_for_service_sec,
+        report=report,
     )
 
 

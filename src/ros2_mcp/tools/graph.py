@@ -31,7 +31,7 @@ async def ros2_node_info(
     robot: Robot,
     node_name: Annotated[str, Field(description="Full name of the node, such as /base_controller.")],
 ) -> nodes.NodeInfo:
-    """Show what a node publishes, subscribes to, offers and calls."""
+    """Show what a node publishes, subscribes to, offers and calls, its lifecycle state and how many parameters."""
     return await nodes.node_info(robot, node_name)
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from ros2_mcp.ops import services
+from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Number, Pattern
 from ros2_mcp.tools.declare import tool
@@ -23,6 +24,7 @@ async def ros2_service_list(
 @tool(title="Call a service", risk="actuate", group="services", aliases={"timeout": "timeout_sec"})
 async def ros2_service_call(
     robot: Robot,
+    report: Report,
     service_name: Annotated[str, Field(description="Name of the service, such as /set_mode.")],
     fields: Annotated[dict[str, Any], Field(description='The request\'s fields, such as {"data": true}.')],
     service_type: Annotated[
@@ -37,4 +39,6 @@ async def ros2_service_call(
 
     If request fields are missing it is not called: the answer names them.
     """
-    return await services.call(robot, service_name, service_type, fields, force_call=force_call, timeout_s=timeout_sec)
+    return await services.call(
+        robot, service_name, service_type, fields, force_call=force_call, timeout_s=timeout_sec, report=report
+    )

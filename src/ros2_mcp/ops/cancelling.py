@@ -1,0 +1,80 @@
+"""Cancelling goals: one, all, or those accepted up to a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadValue
+from ros2_mcp.model.goals import CANCEL_CODES, CANCEL_TYPE, cancel_request, goal_id_hex
+from ros2_mcp.ops.actions import resolve_type
+from ros2_mcp.robot import Robot
+
+UNKNOWN_GOAL = 2
+ENDED_ALREADY = 3
+
+
+@dataclass(frozen=True, slots=True)
+class CancelledGoal:
+    """A goal that the server is cancelling."""
+
+    goal_id: str
+    stamp: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Cancellation:
+    """The server's answer to a cancel request."""
+
+    service: str
+    return_code: int
+    return_code_text: str
+    goals_canceling: Sequence[CancelledGoal]
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{self.return_code_text}: {len(self.goals_canceling)} goal(s) are being cancelled. {self.note}".rstrip()
+
+
+async def cancel(
+    robot: Robot,
+    action: str,
+    goal_id: str = "",
+    *,
+    cancel_all: bool = False,
+    stamp: Mapping[str, int] | None = None,
+    timeout_s: float = 3.0,
+) -> Cancellation:
+    """Asks the server to cancel one goal, all goals, or all that were accepted up to a stamp.
+
+    Raises:
+        BadValue: if there is neither a goal id nor `cancel_all`.
+        NotFound: if no such action is there.
+        TimedOut: if the server did not answer.
+    """
+    action = names.absolute(action, "action")
+    if not goal_id and not cancel_all:
+        raise BadValue("goal_id_hex", "no goal is named.", "Give its id, or set cancel_all to cancel every goal.")
+    request = cancel_request("" if cancel_all else goal_id, stamp)
+    await resolve_type(robot, action)
+    service = f"{action}/_action/cancel_goal"
+    answer = await robot.call(service, CANCEL_TYPE, request, timeout_s=timeout_s)
+    response = robot.values.render(f"{CANCEL_TYPE}_Response", answer.body).value
+    code = int(response["return_code"])
+    goals = [CancelledGoal(goal_id_hex(goal["goal_id"]["uuid"]), goal["stamp"]) for goal in response["goals_canceling"]]
+    return Cancellation(service, code, CANCEL_CODES.get(code, str(code)), goals, _note(code, goals))
+
+
+def _note(code: int, goals: Sequence[CancelledGoal]) -> str:
+    if code == 0 and goals:
+        return "A goal ends when the server has stopped it: ros2_action_request_result tells."
+    notes: Mapping[int, str] = {
+        0: "There was nothing to cancel.",
+        1: "The server refuses to cancel.",
+        UNKNOWN_GOAL: "The server does not know such a goal.",
+        ENDED_ALREADY: "The goal had ended already.",
+    }
+    return notes.get(code, "")

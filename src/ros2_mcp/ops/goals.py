@@ -1,0 +1,284 @@
+"""Sending goals and waiting for their results, through the services and topics under `<action>/_action/`."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from time import monotonic
+from typing import Any
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import LinkError, NotFound, RobotError, TimedOut
+from ros2_mcp.model.goals import (
+    CANCEL_TYPE,
+    STATUS,
+    TERMINAL,
+    goal_id_bytes,
+    goal_id_hex,
+    new_goal_id,
+)
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.actions import action_types, resolve_type
+from ros2_mcp.ops.cancelling import cancel
+from ros2_mcp.ops.results import Report, reporting, silent
+from ros2_mcp.robot import Listening, Robot
+
+MAX_WAIT_S = 3600.0
+SERVER_S = 3.0
+ACCEPT_S = 10.0
+_AT_LEAST_S = 0.1
+_LAST_FEEDBACK_S = 0.02
+_LINE_PART = 60
+
+
+@dataclass(frozen=True, slots=True)
+class GoalOutcome:
+    """What became of a goal.
+
+    `status` is `TIMEOUT` (code 0) if the waiting ended first; the goal then goes on. `result` is null until it ended.
+    """
+
+    action_name: str
+    action_type: str
+    accepted: bool
+    goal_id: str
+    send_goal_stamp: dict[str, Any] | None
+    waited: bool
+    result_timeout_sec: float | None
+    status_code: int
+    status: str
+    result: dict[str, Any] | None
+    feedback_count: int
+    last_feedback: dict[str, Any] | None
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{self.action_name} goal {self.goal_id}: {self.status}. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class GoalResult:
+    """The result of a goal, whoever sent it; `TIMEOUT` (code 0) if it had not ended in time."""
+
+    service: str
+    goal_id: str
+    waited: bool
+    result_timeout_sec: float | None
+    status_code: int
+    status: str
+    result: dict[str, Any] | None
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"goal {self.goal_id}: {self.status}. {self.note}".rstrip()
+
+
+async def send_goal(
+    robot: Robot,
+    action: str,
+    action_type: str,
+    goal: Mapping[str, Any],
+    *,
+    wait_for_result: bool = False,
+    timeout_s: float = 60.0,
+    report: Report = silent,
+) -> GoalOutcome:
+    """Sends a goal, and waits for its result if asked to, reporting its feedback as progress.
+
+    A waiting that times out leaves the goal running; a waiting that is cancelled cancels the goal.
+
+    Raises:
+        NotFound: if no such action is there, or its server left.
+        BadValue: naming the path of a value that does not fit; nothing is sent.
+        TimedOut: if the server did not say whether it accepts.
+    """
+    bounded("timeout_sec", timeout_s, 0.0, MAX_WAIT_S, "s")
+    action = names.absolute(action, "action")
+    action_type = await resolve_type(robot, action, action_type)
+    goal_id = new_goal_id()
+    sent = _Goal(robot, action, action_type, goal_id)
+    try:
+        if wait_for_result:
+            return await sent.send_and_wait(goal, timeout_s, report)
+        return sent.outcome(*await sent.submit(goal))
+    except asyncio.CancelledError:
+        await asyncio.shield(sent.give_up())
+        raise
+
+
+class _Goal:
+    """One goal of ours on its way."""
+
+    def __init__(self, robot: Robot, action: str, action_type: str, goal_id: str) -> None:
+        self._robot, self._action, self._type, self._id = robot, action, action_type, goal_id
+
+    async def send_and_wait(self, goal: Mapping[str, Any], timeout_s: float, report: Report) -> GoalOutcome:
+        topic, kind = f"{self._action}/_action/feedback", f"{self._type}_FeedbackMessage"
+        async with self._robot.listen(topic, kind, wait_s=SERVER_S) as heard:
+            accepted, stamp = await self.submit(goal)
+            if not accepted:
+                return self.outcome(accepted, stamp)
+            feedback = _Feedback(self._robot, heard, self._id, timeout_s, report)
+            try:
+                ended = await self._ending(feedback, timeout_s)
+            except (NotFound, LinkError) as error:
+                raise type(error)(f"{error.message} Goal {self._id} had been accepted.", error.hint) from error
+        return self.outcome(
+            True,
+            stamp,
+            waited=True,
+            result_timeout_sec=timeout_s,
+            status_code=ended.status_code,
+            status=ended.status,
+            result=ended.result,
+            feedback_count=feedback.count,
+            last_feedback=feedback.last,
+            note=ended.note,
+        )
+
+    async def submit(self, goal: Mapping[str, Any]) -> tuple[bool, dict[str, Any]]:
+        """Whether the server accepts the goal, and when it did."""
+        service = f"{self._type}_SendGoal"
+        request = {"goal_id": {"uuid": goal_id_bytes(self._id)}, "goal": dict(goal)}
+        await self._robot.values.encode(f"{service}_Request", request)
+        await self._robot.values.learn(CANCEL_TYPE)
+        self._robot.goal_sent(self._id, self._action, self._type)
+        name = f"{self._action}/_action/send_goal"
+        try:
+            answer = await self._robot.call(name, service, request, timeout_s=ACCEPT_S, wait_s=SERVER_S)
+        except NotFound as error:
+            self._robot.goal_ended(self._id)
+            raise NotFound(f"The server of {self._action} is not there: the goal was not accepted.") from error
+        except TimedOut as error:
+            raise TimedOut(
+                f"The server of {self._action} did not say within {ACCEPT_S:g} s whether it accepts goal {self._id}.",
+                "It may still accept it: ros2_cancel_action_goal cancels it.",
+            ) from error
+        response = self._robot.values.render(f"{service}_Response", answer.body).value
+        if not response["accepted"]:
+            self._robot.goal_ended(self._id)
+        return bool(response["accepted"]), response["stamp"]
+
+    async def give_up(self) -> None:
+        """Cancels the goal, if it was sent and has not ended."""
+        if self._id in self._robot.goals.open:
+            with suppress(RobotError):
+                await cancel(self._robot, self._action, self._id)
+
+    def outcome(self, accepted: bool, stamp: dict[str, Any], **known: Any) -> GoalOutcome:
+        """What became of it; `known` are the fields beyond those of a goal that is not waited for."""
+        code = 1 if accepted else -1
+        defaults: dict[str, Any] = {
+            "waited": False,
+            "result_timeout_sec": None,
+            "status_code": code,
+            "status": STATUS[code],
+            "result": None,
+            "feedback_count": 0,
+            "last_feedback": None,
+            "note": "" if accepted else "The action server rejected the goal.",
+        }
+        since = stamp if accepted else None
+        return GoalOutcome(self._action, self._type, accepted, self._id, since, **{**defaults, **known})
+
+    async def _ending(self, feedback: _Feedback, timeout_s: float) -> GoalResult:
+        following = asyncio.create_task(feedback.follow())
+        try:
+            return await request_result(self._robot, self._action, self._type, self._id, timeout_s=timeout_s)
+        finally:
+            following.cancel()
+            await feedback.drain()
+
+
+class _Feedback:
+    """Follows the feedback of one goal while its result is waited for."""
+
+    def __init__(self, robot: Robot, heard: Listening, goal_id: str, timeout_s: float, report: Report) -> None:
+        self.count = 0
+        self.last: dict[str, Any] | None = None
+        self._robot, self._heard, self._goal_id = robot, heard, goal_id
+        self._timeout_s, self._report = timeout_s, report
+
+    async def follow(self) -> None:
+        """Takes feedback until cancelled, reporting the newest at least once a second."""
+        started = monotonic()
+        while True:
+            self._take(await self._heard.take(1.0))
+            line = "no feedback yet" if self.last is None else _line(self.last)
+            await self._report(monotonic() - started, self._timeout_s, line)
+
+    async def drain(self) -> None:
+        """Takes what came together with the result."""
+        while samples := await self._heard.take(_LAST_FEEDBACK_S):
+            self._take(samples)
+
+    def _take(self, samples: Sequence[Sample]) -> None:
+        for sample in samples:
+            message = self._robot.values.render(self._heard.type, sample.data).value
+            if goal_id_hex(message["goal_id"]["uuid"]) == self._goal_id:
+                self.count += 1
+                self.last = message["feedback"]
+
+
+def _line(feedback: Mapping[str, Any]) -> str:
+    """Feedback as a readable line of its values; long ones are cut."""
+    return ", ".join(f"{name} {_brief(value)}" for name, value in feedback.items())
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _LINE_PART else f"{text[:_LINE_PART]}…"
+
+
+async def request_result(
+    robot: Robot,
+    action: str,
+    action_type: str,
+    goal_id: str,
+    *,
+    timeout_s: float | None = 60.0,
+    wait_for_service_s: float = SERVER_S,
+    report: Report = silent,
+) -> GoalResult:
+    """Waits for the result of a goal, whoever sent it. A time-out does not cancel it.
+
+    Raises:
+        NotFound: if no such action is there, or its server left while it was waited for.
+        BadValue: if the goal id is not one.
+    """
+    action = names.absolute(action, "action")
+    wait_s = MAX_WAIT_S if timeout_s is None else bounded("timeout_sec", timeout_s, 0.0, MAX_WAIT_S, "s")
+    raw_id = goal_id_bytes(goal_id)
+    goal_id = goal_id_hex(raw_id)
+    if not (action_type and action not in await action_types(robot)):
+        action_type = await resolve_type(robot, action, action_type)
+    service, service_type = f"{action}/_action/get_result", f"{names.interface_type(action_type, 'action')}_GetResult"
+    try:
+        async with reporting(report, wait_s, f"waiting for the result of {action}"):
+            answer = await robot.inquire(
+                service,
+                service_type,
+                {"goal_id": {"uuid": raw_id}},
+                timeout_s=max(wait_s, _AT_LEAST_S),
+                wait_s=wait_for_service_s,
+            )
+    except NotFound as error:
+        raise NotFound(f"The server of {action} is not there, or left before the goal ended.") from error
+    except TimedOut:
+        note = f"No result within {wait_s:g} s. The goal was not cancelled: ask again with this goal id."
+        return GoalResult(service, goal_id, True, timeout_s, 0, "TIMEOUT", None, note)
+    response = robot.values.render(f"{service_type}_Response", answer.body).value
+    code = int(response["status"])
+    if code in TERMINAL or code == 0:
+        robot.goal_ended(goal_id)
+    note = "The server does not know this goal: it never was, or it has been forgotten." if code == 0 else ""
+    result = response["result"] if code in TERMINAL else None
+    return GoalResult(service, goal_id, True, timeout_s, code, STATUS.get(code, str(code)), result, note)
