@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 from ros2_mcp.ops import publishing
 from ros2_mcp.ops.results import Report
@@ -26,7 +26,7 @@ class TopicToPublish(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     topic_name: TopicName
-    message_type: MessageType = ""
+    message_type: Annotated[MessageType, Field(validation_alias=AliasChoices("message_type", "msg_type"))] = ""
     data: Data
     frequency: Annotated[Number, Field(gt=0, le=1000, description=_HZ)] = 1.0
     duration: Annotated[Number, Field(gt=0, le=3600, description=_SECONDS)] = 5.0

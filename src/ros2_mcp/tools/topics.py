@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 from ros2_mcp.ops import reading, timing, topics
 from ros2_mcp.ops.results import Report
@@ -35,8 +35,8 @@ class TopicToRead(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    name: TopicName
-    msg_type: MessageType = ""
+    name: Annotated[TopicName, Field(validation_alias=AliasChoices("name", "topic_name"))]
+    msg_type: Annotated[MessageType, Field(validation_alias=AliasChoices("msg_type", "message_type"))] = ""
     duration: Duration = None
     message_limit: MessageLimit = None
 

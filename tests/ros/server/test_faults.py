@@ -1,0 +1,166 @@
+"""The faults of existing servers that this one must not have: the table of the tool contract, row by row."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import pytest
+from agent import FULL
+
+STRING = "std_msgs/msg/String"
+LIGHTS_ON = {"service_name": "/set_lamp", "service_type": "std_srvs/srv/SetBool", "fields": {"data": True}}
+COUNTING = {"action_name": "/fibonacci", "action_type": "test_msgs/action/Fibonacci"}
+
+
+def test_arrays_bytes_and_fields_named_data_keep_their_names_and_values(agent, peer) -> None:
+    peer.offer_ramp(topic="/layout", kind="std_msgs/msg/Float32MultiArray", field="data", length=3, latched=True)
+    message = agent.call("ros2_topic_subscribe", topic_name="/layout")["messages"][0]
+    assert message == {"layout": {"dim": [], "data_offset": 0}, "data": [0.0, 989.875, 1979.75]}
+    peer.offer_ramp(topic="/id", kind="unique_identifier_msgs/msg/UUID", field="uuid", length=16, latched=True)
+    message = agent.call("ros2_topic_subscribe", topic_name="/id")["messages"][0]
+    assert message == {"uuid": [index * 7919 % 251 for index in range(16)]}
+
+
+def test_a_service_answers_with_an_object(agent, small_robot) -> None:
+    answer = agent.call("ros2_service_call", **LIGHTS_ON)
+    assert answer["result"] == {"success": True, "message": "lamp on"}
+
+
+def test_calls_leave_no_entities_threads_or_files_behind(agent, peer, small_robot) -> None:
+    peer.offer(topic="/left_behind", kind=STRING, seed=1, latched=True)
+    peer.listen(topic="/left_here", kind=STRING)
+
+    def use(times: int) -> None:
+        for _ in range(times):
+            agent.call("ros2_topic_subscribe", topic_name="/left_behind")
+            agent.call("ros2_topic_publish", topic_name="/left_here", data={"data": "x"})
+            agent.call("ros2_service_call", **LIGHTS_ON)
+
+    use(20)
+    before = resources(agent)
+    use(3400 if FULL else 60)
+    after = resources(agent)
+    assert {what: many for what, many in after.items() if many > before[what]} == {}
+
+
+def resources(agent) -> dict[str, int]:
+    """Entities of ROS, threads and open files of the bridge and the server that are there to stay."""
+    status = agent.call("ros2_status")
+    parent = int(Path(f"/proc/{status['bridge_pid']}/stat").read_text().rpartition(")")[2].split()[1])
+    counts = {name: status[name] for name in ("subscriptions", "publishers", "service_clients")}
+    for process, pid in (("bridge", status["bridge_pid"]), ("server", parent)):
+        for what in ("fd", "task"):
+            counts[f"{process} {what}"] = len(list(Path(f"/proc/{pid}/{what}").iterdir()))
+    return counts
+
+
+def test_ten_subscriptions_and_a_waiting_goal_delay_no_other_call(agent, peer, small_robot) -> None:
+    quiet = seconds_of_a_listing(agent)
+    peer.offer(topic="/seldom", kind=STRING, seed=1)
+    reading = [agent.begin("ros2_topic_subscribe", topic_name="/seldom", duration=3.0) for _ in range(10)]
+    goal = agent.begin("ros2_send_action_goal", **COUNTING, goal_fields={"order": 25}, wait_for_result=True)
+    time.sleep(0.3)
+    busy = seconds_of_a_listing(agent)
+    assert not any(call.done() for call in [*reading, goal])
+    assert busy < max(2 * quiet, 0.03)
+    assert {call.result(10)["count"] for call in reading} == {0}
+    assert goal.result(10)["status"] == "SUCCEEDED"
+
+
+def seconds_of_a_listing(agent) -> float:
+    """The median time of `ros2_topic_list`."""
+    times = []
+    for _ in range(15):
+        started = time.monotonic()
+        agent.call("ros2_topic_list")
+        times.append(time.monotonic() - started)
+    return median(times)
+
+
+def test_a_goal_that_is_waited_for_can_be_cancelled_meanwhile(agent, small_robot) -> None:
+    goal = agent.begin("ros2_send_action_goal", **COUNTING, goal_fields={"order": 300}, wait_for_result=True)
+    time.sleep(0.5)
+    started = time.monotonic()
+    cancelled = agent.call("ros2_cancel_action_goal", action_name="/fibonacci", cancel_all=True)
+    assert cancelled["return_code_text"] == "ERROR_NONE"
+    assert goal.result(5)["status"] == "CANCELED"
+    assert time.monotonic() - started < 1.0
+
+
+def test_a_service_that_takes_too_long_is_given_up_in_time(agent, small_robot) -> None:
+    started = time.monotonic()
+    refusal = agent.refusal("ros2_service_call", service_name="/slow_lamp", fields={"data": True}, timeout_sec=0.5)
+    assert 0.4 < time.monotonic() - started < 1.0
+    assert "/slow_lamp" in refusal
+    assert "0.5 s" in refusal
+
+
+def test_a_goal_goes_on_when_the_waiting_ends_and_says_so(agent, small_robot) -> None:
+    waited = agent.call(
+        "ros2_send_action_goal", **COUNTING, goal_fields={"order": 12}, wait_for_result=True, timeout_sec=0.3
+    )
+    assert (waited["status"], waited["status_code"], waited["result"]) == ("TIMEOUT", 0, None)
+    assert "The goal was not cancelled" in waited["note"]
+    result = agent.call("ros2_action_request_result", **COUNTING, goal_id_hex=waited["goal_id"])
+    assert (result["status"], len(result["result"]["sequence"])) == ("SUCCEEDED", 14)
+
+
+def test_reading_a_latched_topic_changes_no_later_publisher(agent, peer) -> None:
+    peer.offer(topic="/latched", kind=STRING, seed=1, latched=True)
+    assert "transient_local" in agent.call("ros2_topic_subscribe", topic_name="/latched")["qos"]
+    peer.listen(topic="/afterwards", kind=STRING)
+    sent = agent.call("ros2_topic_publish", topic_name="/afterwards", data={"data": "x"})
+    assert sent["qos"].startswith("reliable, volatile")
+
+
+@pytest.mark.parametrize(
+    ("kind", "data", "clear"),
+    [
+        ("std_msgs/msg/Bool", {"data": "false"}, 'data: "false" given, bool expected. Write true or false'),
+        ("std_msgs/msg/UInt8", {"data": 300}, "data: 300 given, uint8, 0 to 255, expected"),
+        ("std_msgs/msg/Int32", {"data": 1.5}, "data: 1.5 given, int32 expected. It would lose its fraction"),
+        ("std_msgs/msg/Int32", {"data": True}, "data: true given, int32 expected"),
+        ("std_msgs/msg/Float64", {"data": "1.0"}, 'data: "1.0" given, float64 expected. Write the number without'),
+        ("geometry_msgs/msg/Twist", {"linear": {"q": 1}}, "linear.q: "),
+        ("geometry_msgs/msg/Twist", {"linaer": {"x": 1}}, "Did you mean linear?"),
+        ("std_msgs/msg/Strin", {"data": "x"}, "Did you mean std_msgs/msg/String?"),
+        ("std_msgs/String", {"text": "x"}, "text"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_refused_in_words(agent, kind: str, data: dict[str, Any], clear: str) -> None:
+    refusal = agent.refusal("ros2_topic_publish", topic_name="/refused", message_type=kind, data=data)
+    assert clear in refusal
+
+
+def test_a_whole_number_becomes_a_floating_point_number_exactly(agent, peer) -> None:
+    peer.listen(topic="/whole", kind="geometry_msgs/msg/Twist")
+    reading = agent.begin("ros2_topic_subscribe", topic_name="/whole")
+    agent.call("ros2_topic_publish", topic_name="/whole", data={"linear": {"x": 1}}, frequency=20, duration=0.5)
+    assert reading.result(10)["messages"][0]["linear"] == {"x": 1.0, "y": 0.0, "z": 0.0}
+
+
+@pytest.mark.parametrize("kind", ["sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"])
+def test_big_messages_come_as_bounded_summaries(agent, peer, kind: str) -> None:
+    topic = f"/big_{kind[-5:].lower()}"
+    peer.offer_ramp(topic=topic, kind=kind, field="data", length=2**20, latched=True)
+    whole = agent.whole("ros2_topic_subscribe", {"topic_name": topic, "max_array": 10_000})
+    assert len(whole.content[0].text) < 33_000
+    assert whole.structured_content["messages"][0]["data"] == {"$summary": "uint8[]", "length": 2**20}
+
+
+def test_the_first_listing_of_a_new_server_is_whole(peer, start_agent) -> None:
+    topics = {f"/listed/t{number}" for number in range(40)}
+    for topic in topics:
+        peer.offer(topic=topic, kind=STRING, seed=1)
+    for _ in range(10 if FULL else 2):
+        started = time.monotonic()
+        listing = start_agent().call("ros2_topic_list", pattern="/listed/*")
+        assert listing["settled"]
+        assert {entry["topic_name"] for entry in listing["topics"]} == topics
+        assert all(entry["publishers"] == 1 for entry in listing["topics"])
+        assert time.monotonic() - started < 6
+    for topic in topics:
+        peer.forget(topic=topic)

@@ -1,0 +1,104 @@
+"""The server introduces itself and lists its tools at once, wherever ROS 2 is, and then finds it or says what to do."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import time
+import venv
+from pathlib import Path
+
+import pytest
+
+SITE_PACKAGES = Path(next(entry for entry in sys.path if entry.endswith("site-packages")))
+SLOW_S = 3.0
+
+
+@pytest.fixture(scope="session")
+def bare_python(tmp_path_factory) -> str:
+    """A Python environment with what the server needs, and without ROS 2."""
+    root = tmp_path_factory.mktemp("bare")
+    venv.create(root, symlinks=True)
+    site_packages = next(root.glob("lib/python3*/site-packages"))
+    for entry in SITE_PACKAGES.iterdir():
+        if "ros_jazzy" not in entry.name and "rclpy" not in entry.name and entry.suffix != ".pth":
+            (site_packages / entry.name).symlink_to(entry)
+    return str(root / "bin" / "python")
+
+
+def sourced() -> dict[str, str]:
+    """What a sourced shell has, for the ROS 2 wheels of the tests' own environment."""
+    libraries = [sys.prefix + "/lib", *map(str, SITE_PACKAGES.glob("ros_*.libs"))]
+    return {
+        "AMENT_PREFIX_PATH": sys.prefix,
+        "LD_LIBRARY_PATH": os.pathsep.join(libraries),
+        "ROS_DISTRO": "jazzy",
+    }
+
+
+def opened(server) -> float:
+    """How long it took to introduce itself and to list its tools, in seconds."""
+    started = time.monotonic()
+    assert server.begin("2025-11-25")["serverInfo"]["name"] == "ros2-mcp"
+    assert len(server.ask("tools/list")["result"]["tools"]) > 20
+    return time.monotonic() - started
+
+
+def found(server) -> str:
+    result = server.call("ros2_status")
+    assert not result.get("isError"), result
+    return result["structuredContent"]["ros_found"]
+
+
+def test_wheels(start_raw, tmp_path: Path) -> None:
+    server = start_raw(ROS2_MCP_ROS_ROOT=str(tmp_path))
+    assert opened(server) < SLOW_S
+    assert "wheels" in found(server)
+
+
+def test_a_sourced_shell(start_raw, ros_environment, bare_python: str) -> None:
+    shell = sourced()
+    path = os.pathsep.join([ros_environment["PYTHONPATH"], str(SITE_PACKAGES)])
+    server = start_raw(command=[bare_python, "-m", "ros2_mcp"], **{**shell, "PYTHONPATH": path})
+    assert opened(server) < SLOW_S
+    assert "This shell is sourced" in found(server)
+
+
+def test_an_installation_that_is_slow_to_source(start_raw, bare_python: str, tmp_path: Path) -> None:
+    (tmp_path / "jazzy").mkdir()
+    exports = {**sourced(), "PYTHONPATH": str(SITE_PACKAGES), "PATH": f"{sys.prefix}/bin:{os.environ['PATH']}"}
+    lines = [f"sleep {SLOW_S}", *(f"export {name}={shlex.quote(value)}" for name, value in exports.items())]
+    (tmp_path / "jazzy" / "setup.bash").write_text("\n".join(lines) + "\n")
+    server = start_raw(command=[bare_python, "-m", "ros2_mcp"], ROS2_MCP_ROS_ROOT=str(tmp_path))
+    assert opened(server) < SLOW_S
+    assert "setup.bash is sourced for the bridge" in found(server)
+
+
+def test_none(start_raw, bare_python: str, tmp_path: Path) -> None:
+    server = start_raw(command=[bare_python, "-m", "ros2_mcp"], ROS2_MCP_ROS_ROOT=str(tmp_path))
+    assert opened(server) < SLOW_S
+    for _ in range(2):
+        started = time.monotonic()
+        result = server.call("ros2_topic_list")
+        assert result["isError"]
+        text = result["content"][0]["text"]
+        assert "No ROS 2 found" in text
+        assert "pip install 'ros2-mcp[jazzy]'" in text
+        assert time.monotonic() - started < 1
+
+
+@pytest.mark.parametrize(
+    ("options", "clear"),
+    [
+        (["--distro", "foxy"], "ROS 2 foxy was asked for (--distro) and is not there; found: jazzy"),
+        (["--workspace", "/nowhere"], "The workspace /nowhere has no install/setup.bash. Build it"),
+        (["--rmw", "rmw_none"], "rmw_none"),
+    ],
+)
+def test_what_cannot_be_used_is_named_by_every_call(start_raw, tmp_path: Path, options: list[str], clear: str) -> None:
+    server = start_raw(*options, ROS2_MCP_ROS_ROOT=str(tmp_path))
+    assert opened(server) < SLOW_S
+    result = server.call("ros2_topic_list")
+    assert result["isError"]
+    assert clear in result["content"][0]["text"]

@@ -1,0 +1,81 @@
+"""Every version of the protocol that the SDK knows, in lines written by hand."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from mcp_types.version import KNOWN_PROTOCOL_VERSIONS
+from raw_server import MODERN, RawServer
+
+READING = {"topic_name": "/seldom_said", "duration": 60}
+
+
+@pytest.fixture(params=KNOWN_PROTOCOL_VERSIONS)
+def server(request, start_raw, peer) -> RawServer:
+    peer.offer(topic="/seldom_said", kind="std_msgs/msg/String", seed=1)
+    raw = start_raw()
+    introduction = raw.begin(request.param)
+    if request.param == MODERN:
+        assert request.param in introduction["supportedVersions"]
+    else:
+        assert introduction["protocolVersion"] == request.param
+    return raw
+
+
+def test_a_session_lists_calls_refuses_and_cancels(server: RawServer) -> None:
+    assert_tools_are_listed(server)
+    assert_a_call_is_answered(server)
+    assert_a_misspelt_argument_is_explained(server)
+    assert_a_cancelled_read_ends_its_work(server)
+    assert server.close() < 2
+
+
+def assert_tools_are_listed(server: RawServer) -> None:
+    tools = server.ask("tools/list")["result"]["tools"]
+    assert "ros2_topic_list" in {tool["name"] for tool in tools}
+    assert all(tool["inputSchema"]["type"] == "object" for tool in tools)
+
+
+def assert_a_call_is_answered(server: RawServer) -> None:
+    result = server.call("ros2_topic_list", pattern="/parameter_events")
+    assert not result.get("isError")
+    assert '"topic_name":"/parameter_events"' in result["content"][0]["text"]
+    if server.version >= "2025-06-18":
+        assert result["structuredContent"]["topics"][0]["topic_name"] == "/parameter_events"
+
+
+def assert_a_misspelt_argument_is_explained(server: RawServer) -> None:
+    result = server.call("ros2_topic_list", patern="/x")
+    assert result["isError"]
+    assert "ros2_topic_list has no argument 'patern'. Did you mean pattern?" in result["content"][0]["text"]
+
+
+def assert_a_cancelled_read_ends_its_work(server: RawServer) -> None:
+    request = server.send("tools/call", name="ros2_topic_subscribe", arguments=READING)
+    wait_for_subscriptions(server, 1)
+    server.tell("notifications/cancelled", requestId=request, reason="no longer wanted")
+    wait_for_subscriptions(server, 0)
+    answers = [line for line in server.lines() if line.get("id") == request]
+    assert not answers or "error" in answers[0]
+
+
+def wait_for_subscriptions(server: RawServer, expected: int) -> None:
+    deadline = time.monotonic() + 3
+    while (found := subscriptions(server)) != expected:
+        assert time.monotonic() < deadline, f"{found} subscriptions"
+
+
+def subscriptions(server: RawServer) -> int:
+    text = server.call("ros2_status")["content"][0]["text"]
+    return int(text.partition('"subscriptions":')[2].partition(",")[0])
+
+
+def test_lines_that_are_not_json_do_no_harm(start_raw) -> None:
+    server = start_raw()
+    server.process.stdin.write(b"\xff\xfe this is not JSON\n\n")
+    server.begin("2025-11-25")
+    assert server.ask("no/such/method")["error"]["code"] == -32601
+    unknown = server.ask("tools/call", name="ros2_topic_lst", arguments={})
+    assert "ros2_topic_lst" in str(unknown)
+    assert not server.call("ros2_topic_list").get("isError")

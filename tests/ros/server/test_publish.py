@@ -1,0 +1,77 @@
+"""A one-shot publish arrives, or says that nobody was there."""
+
+from __future__ import annotations
+
+import time
+
+from agent import FULL, agent_for
+
+STRING = "std_msgs/msg/String"
+TIMES = 950 if FULL else 60
+FRESH = 50 if FULL else 3
+
+
+def test_every_one_shot_publish_arrives(agent, peer) -> None:
+    peer.listen(topic="/arrives", kind=STRING)
+    for number in range(TIMES):
+        sent = agent.call("ros2_topic_publish", topic_name="/arrives", data={"data": str(number)})
+        assert (sent["status"], sent["subscribers"], sent["acknowledged"]) == ("published", 1, True)
+    assert peer.texts(topic="/arrives", expected=TIMES) == [str(number) for number in range(TIMES)]
+    peer.forget(topic="/arrives")
+
+
+def test_the_first_publish_of_a_new_server_arrives(peer, ros_environment) -> None:
+    peer.listen(topic="/first", kind=STRING)
+    for number in range(FRESH):
+        with agent_for(ros_environment) as fresh:
+            sent = fresh.call(
+                "ros2_topic_publish", topic_name="/first", message_type=STRING, data={"data": str(number)}
+            )
+        assert (sent["status"], sent["subscribers"], sent["acknowledged"]) == ("published", 1, True), number
+    assert peer.texts(topic="/first", expected=FRESH) == [str(number) for number in range(FRESH)]
+    peer.forget(topic="/first")
+
+
+def test_a_publish_reaches_each_of_several_topics(agent, peer) -> None:
+    topics = [f"/several_{number}" for number in range(3)]
+    for topic in topics:
+        peer.listen(topic=topic, kind=STRING)
+    wanted = [
+        {"topic_name": topic, "message_type": STRING, "data": {"data": topic}, "frequency": 20.0, "duration": 0.5}
+        for topic in topics
+    ]
+    sent = agent.call("ros2_publish_multiple_topics", topics=wanted)["topics"]
+    assert [(each["status"], each["subscribers"]) for each in sent] == [("published", 1)] * 3
+    assert [peer.count(topic=topic, expected=each["sent"]) for topic, each in zip(topics, sent, strict=True)] == [
+        each["sent"] for each in sent
+    ]
+    assert all(9 <= each["sent"] <= 10 for each in sent)
+
+
+def test_a_publish_to_nobody_says_so(agent) -> None:
+    started = time.monotonic()
+    sent = agent.call("ros2_topic_publish", topic_name="/nobody_here", message_type=STRING, data={"data": "x"})
+    assert (sent["status"], sent["subscribers"], sent["acknowledged"]) == ("nobody_listening", 0, None)
+    assert "Nobody received it." in sent["note"]
+    assert time.monotonic() - started < 2.0
+
+
+def test_a_publish_without_a_type_to_an_unknown_topic_is_refused(agent) -> None:
+    refusal = agent.refusal("ros2_topic_publish", topic_name="/nobody_knows", data={"data": "x"})
+    assert "There is no topic /nobody_knows" in refusal
+
+
+def test_a_publish_of_the_wrong_type_names_the_right_one(agent, peer) -> None:
+    peer.listen(topic="/typed", kind=STRING)
+    refusal = agent.refusal(
+        "ros2_topic_publish", topic_name="/typed", message_type="std_msgs/Bool", data={"data": True}
+    )
+    assert "/typed has the type std_msgs/msg/String, not std_msgs/msg/Bool." in refusal
+    peer.forget(topic="/typed")
+
+
+def test_a_best_effort_subscriber_is_reached_without_an_acknowledgement(agent, peer) -> None:
+    peer.listen(topic="/lossy", kind=STRING, best_effort=True)
+    sent = agent.call("ros2_topic_publish", topic_name="/lossy", data={"data": "x"})
+    assert (sent["status"], sent["subscribers"]) == ("published", 1)
+    assert peer.texts(topic="/lossy", expected=1) == ["x"]
