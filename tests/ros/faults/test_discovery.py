@@ -18,7 +18,7 @@ def test_a_first_listing_that_is_called_settled_holds_the_topics_of_every_proces
     async def scenario(agent: Agent) -> None:
         listings.append(await agent.call("ros2_topic_list", pattern="/part*"))
 
-    for _ in range(20 if FULL else 4):
+    for _ in range(20 if FULL else 2):
         play(scenario)
     found = [{topic["topic_name"] for topic in listing["topics"]} for listing in listings if listing["settled"]]
     assert found
