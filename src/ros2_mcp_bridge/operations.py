@@ -13,6 +13,7 @@ from pathlib import Path
 from .clients import Clients
 from .graph import Graph
 from .publishers import Publishers
+from .relay import Relays
 from .request import OperationError
 from .subscriptions import Subscriptions
 from .wills import Wills
@@ -34,6 +35,7 @@ class Operations:
         self._subscriptions = Subscriptions(node, self._graph, loop, outbox)
         self._clients = Clients(node)
         self.publishers = Publishers(node, self._graph)
+        self._relays = Relays(node, self._graph, loop)
         self._wills = Wills(self.publishers, self._clients)
         self._table = {
             "cancel": self._cancel,
@@ -47,6 +49,10 @@ class Operations:
             "unsubscribe": self._subscriptions.unsubscribe,
             "publish": self.publishers.publish,
             "repeat": self.publishers.repeat,
+            "relay": self._relays.relay,
+            "relay_feed": self._relays.feed,
+            "relay_stop": self._relay_stop,
+            "relays": self._relays.counts,
             "call": self._clients.call,
             "will_publish": self._wills.publish,
             "will_call": self._wills.call,
@@ -75,18 +81,22 @@ class Operations:
     def last_deeds(self):
         """Send all that must be sent last; returns the futures of the calls. Any thread may call it."""
         self.publishers.send_finals()
+        self._relays.send_finals()
         return self._wills.carry_out()
 
     def end(self, executor):
         """Stop everything, sending what must be sent last."""
         futures, deadline = self.last_deeds(), time.monotonic() + LAST_DEEDS_S
-        while time.monotonic() < deadline:
-            if all(future.done() for future in futures) and self.publishers.are_acknowledged():
-                break
+        while time.monotonic() < deadline and not self._are_done(futures):
             executor.spin_once(timeout_sec=0.005)
         self.publishers.pool.clear()
+        self._relays.clear()
         self._subscriptions.clear()
         self._clients.pool.clear()
+
+    def _are_done(self, futures):
+        acknowledged = self.publishers.are_acknowledged() and self._relays.are_acknowledged()
+        return acknowledged and all(future.done() for future in futures)
 
     def _start_steps(self, request, steps):
         def finished(result, error):
@@ -118,10 +128,17 @@ class Operations:
         return {}
 
     def _stop(self, _request):
-        repeats = [request for request in self._requests.values() if request.op == "repeat"]
-        for request in repeats:
+        return {"repeats": self._cancel_all("repeat"), "relays": self._cancel_all("relay")}
+
+    def _relay_stop(self, request):
+        name = request.text("name")
+        return {"relays": self._cancel_all("relay", lambda relay: relay.text("name") == name)}
+
+    def _cancel_all(self, op, is_meant=lambda _: True):
+        meant = [request for request in self._requests.values() if request.op == op and is_meant(request)]
+        for request in meant:
             request.cancel()
-        return {"repeats": len(repeats)}
+        return len(meant)
 
     def _stats(self, _request):
         return {
@@ -132,6 +149,7 @@ class Operations:
             "open_files": _count("/proc/self/fd") - 1,
             "rss_bytes": int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"),
             "repeats": self.publishers.repeats,
+            "relays": len(self._relays),
             "wills": len(self._wills),
             "uptime_s": round(time.monotonic() - self._started, 3),
         }

@@ -75,6 +75,15 @@ class Request:
             raise self._bad(name, "a number that is not negative")
         return value
 
+    def sizes(self, name):
+        """The required sizes of the parts that the body is made of."""
+        value = self._header.get(name)
+        if not isinstance(value, list) or not all(isinstance(size, int) and size >= 0 for size in value):
+            raise self._bad(name, "a list of sizes")
+        if sum(value) != len(self.body):
+            raise self._bad(name, f"sizes that add up to the body's {len(self.body)} bytes")
+        return value
+
     def choice(self, name, choices):
         """A required string out of `choices`."""
         value = self._header.get(name)
@@ -90,11 +99,11 @@ class Request:
         """Whether the argument is there and not null."""
         return self._header.get(name) is not None
 
-    def qos(self):
-        """The required object `qos`."""
-        value = self._header.get("qos")
+    def qos(self, name="qos"):
+        """A required object of policies."""
+        value = self._header.get(name)
         if not isinstance(value, dict):
-            raise self._bad("qos", "an object")
+            raise self._bad(name, "an object")
         return value
 
     def _bad(self, name, expected):

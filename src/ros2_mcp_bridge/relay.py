@@ -1,0 +1,212 @@
+# pyright: basic
+"""Relays: the messages of one topic appear on another, as bytes, for a while.
+
+A relay without a source is fed by the server, which sees values and so can compare and change them.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+
+from rclpy.impl.implementation_singleton import rclpy_implementation
+
+from . import qos
+from .publishers import FINAL_ACK_S, MAX_RATE_HZ, Publisher
+from .request import Cancelled, OperationError
+from .rhythm import Rhythm
+from .subscriptions import DEPTH_FOR_ALL, DRAIN_AT_MOST_S, DRAIN_PERIOD_S, LAST_DRAIN_S, NO_SEQUENCE, LossCount
+
+FED_PERIOD_S = 0.25
+DEPTH = 100
+
+
+class Source:
+    """A raw subscription to what is relayed."""
+
+    def __init__(self, node, graph, request):
+        topic = request.text("source")
+        profile = qos.profile(request.qos("source_qos"), DEPTH_FOR_ALL)
+        self._interface = request.interface
+        with node.handle:
+            self._handle = rclpy_implementation.Subscription(
+                node.handle, self._interface, topic, profile.get_c_qos_profile()
+            )
+        self.publisher_count = getattr(self._handle, "get_publisher_count", lambda: node.count_publishers(topic))
+        self.loss = LossCount(self.publisher_count, lambda: graph.publisher_gids(topic))
+
+    def take(self):
+        """The next message and the time when it came, in nanoseconds; None if there is none."""
+        taken = self._handle.take_message(self._interface, True)
+        if taken is None:
+            return None
+        data, info = taken
+        sequence = info.get("publication_sequence_number")
+        self.loss.count(None if sequence in NO_SEQUENCE else sequence)
+        return data, info.get("received_timestamp") or time.time_ns()
+
+    def destroy(self):
+        """End receiving."""
+        self._handle.destroy_when_not_in_use()
+
+
+class Relay:
+    """One relay with its entities and counts: `passed` messages were published, `dropped` held back by the rate."""
+
+    def __init__(self, node, graph, request):
+        # A depth of 1 is acknowledged at once (see `Publisher`), which the final message needs; else a burst must fit.
+        self._final = request.body
+        self._rhythm = Rhythm(_rate(request)) if request.has("rate_hz") else None
+        self._publisher = Publisher(node, graph, request, max_depth=1 if self._final else DEPTH)
+        self._open_source = (lambda: Source(node, graph, request)) if request.has("source") else None
+        self._source = None
+        self.final_counts = {}
+        self._started = time.monotonic()
+        self.is_running = False
+        self.passed = 0
+        self.dropped = 0
+
+    def run(self, wait_match_s, duration_s, has_due):
+        """Steps that relay: first wait for those who listen, so that they miss nothing."""
+        if wait_match_s:
+            yield from self._publisher.wait_match(True, wait_match_s)
+        if self._open_source is not None:
+            self._source = self._open_source()
+        self.is_running, self._started = True, time.monotonic()
+        end = self._started + (duration_s or math.inf)
+        while time.monotonic() < end:
+            pause = FED_PERIOD_S if self._source is None else self._drain(self._source, has_due)
+            yield max(0.0, min(pause, end - time.monotonic()))
+        while self._source is not None and self._drain(self._source, has_due) == 0.0:
+            if time.monotonic() > end + LAST_DRAIN_S:
+                break
+            yield 0.0
+
+    def publish(self, data):
+        """Pass one message on."""
+        self._publisher.publish(data)
+        self.passed += 1
+
+    def finish(self):
+        """Steps that send the final message and end it when that is acknowledged, or too much time is gone."""
+        try:
+            self.final_counts = self.counts()
+            self.send_final()
+            yield from self._publisher.wait_acknowledged(FINAL_ACK_S)
+        finally:
+            self.destroy()
+
+    def send_final(self):
+        """Publish the final message twice, for best-effort subscribers."""
+        if self._final and self.is_running:
+            self._publisher.publish(self._final)
+            self._publisher.publish(self._final)
+            self.final_counts["final_sent"] = True
+
+    def is_acknowledged(self):
+        """Whether the final message, if there is one, has been acknowledged."""
+        return not self._final or self._publisher.is_acknowledged()
+
+    def counts(self):
+        """What became of the messages so far."""
+        return {
+            "running": self.is_running,
+            "passed": self.passed,
+            "dropped": self.dropped,
+            "lost": self._source.loss.lost if self._source else 0,
+            "publishers": self._source.publisher_count() if self._source else 0,
+            "matched": self._publisher.matched(),
+            "elapsed_s": round(time.monotonic() - self._started, 6),
+            "final_sent": False,
+        }
+
+    def destroy(self):
+        """End it."""
+        if self._source is not None:
+            self._source.destroy()
+        self._publisher.destroy()
+
+    def _drain(self, source, has_due):
+        """Relay what the middleware holds; returns when to come again, in seconds."""
+        started = time.monotonic()
+        while (taken := source.take()) is not None:
+            data, received_ns = taken
+            if self._rhythm is None or self._rhythm.passes(received_ns):
+                self.publish(data)
+            else:
+                self.dropped += 1
+            if (self.passed + self.dropped) % 16 == 0 and (has_due() or time.monotonic() > started + DRAIN_AT_MOST_S):
+                return 0.0
+        source.loss.check_publishers()
+        return started + DRAIN_PERIOD_S - time.monotonic()
+
+
+class Relays:
+    """All relays of the bridge, by the names that the server gave them."""
+
+    def __init__(self, node, graph, loop):
+        self._node = node
+        self._graph = graph
+        self._loop = loop
+        self._open = {}
+
+    def __len__(self):
+        return len(self._open)
+
+    def relay(self, request):
+        """Relay until its time is over or the request is cancelled, then send the final message."""
+        name, duration_s = request.text("name"), request.number("duration_s", 0.0)
+        if name in self._open:
+            raise OperationError("bad_request", f"There is a relay {name!r} already.")
+        if request.has("source") and request.text("source") == request.text("topic"):
+            raise OperationError("bad_request", "relay: source and topic are the same, it would feed itself.")
+        relay, cancelled = Relay(self._node, self._graph, request), False
+        self._open[name] = relay
+        try:
+            yield from relay.run(request.number("wait_match_s", 0.0), duration_s, self._loop.has_due)
+        except Cancelled:
+            cancelled = True
+        finally:
+            self._open.pop(name, None)
+            yield from relay.finish()
+        return {**relay.final_counts, "cancelled": cancelled}
+
+    def feed(self, request):
+        """Publish messages through a relay of that name: the body is one after the other, of these sizes."""
+        relay = self._open.get(request.text("name"))
+        if relay is None or not relay.is_running:
+            raise OperationError("not_found", f"There is no running relay {request.text('name')!r}.")
+        offset = 0
+        for size in request.sizes("sizes"):
+            relay.publish(request.body[offset : offset + size])
+            offset += size
+        return {"passed": relay.passed}
+
+    def counts(self, _request):
+        """What became of the messages of every relay so far."""
+        return {"relays": {name: relay.counts() for name, relay in self._open.items()}}
+
+    def send_finals(self):
+        """Send the final messages; another thread may call it when the ROS thread does not come to it."""
+        for relay in list(self._open.values()):
+            try:
+                relay.send_final()
+            except Exception as error:  # noqa: BLE001 - one that fails must not keep the others from being sent
+                sys.stderr.write(f"a final message could not be sent: {error}\n")
+
+    def are_acknowledged(self):
+        """Whether every final message has been acknowledged."""
+        return all(relay.is_acknowledged() for relay in self._open.values())
+
+    def clear(self):
+        """End all."""
+        while self._open:
+            self._open.popitem()[1].destroy()
+
+
+def _rate(request):
+    rate_hz = request.number("rate_hz")
+    if not 0 < rate_hz <= MAX_RATE_HZ:
+        raise OperationError("bad_request", f"relay: rate_hz is {rate_hz}, expected up to {MAX_RATE_HZ:.0f}.")
+    return rate_hz
