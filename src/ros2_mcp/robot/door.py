@@ -28,6 +28,8 @@ VELOCITY_TYPES = frozenset(
     }
 )
 """Types whose messages keep a robot moving, and whose default value stops it."""
+_APPEARING_S = 1.0
+"""How long a publication without a type waits for a topic that is just coming up."""
 
 
 class Robot:
@@ -215,6 +217,8 @@ class Robot:
         topic = names.absolute(topic)
         self.policy.require_write(f"Publishing on {topic}")
         present = await self.graph.endpoints(topic)
+        if not (type_name or present.types):
+            present = await self.graph.wait_for(topic, subscribers=1, timeout_s=_APPEARING_S)
         type_name = await self.topic_type(present, type_name)
         body = await self.values.encode(type_name, value)
         subscribers = [subscriber for subscriber in present.subscribers if subscriber.type == type_name]
