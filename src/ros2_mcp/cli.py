@@ -50,6 +50,10 @@ def parser() -> argparse.ArgumentParser:
     steps = interfaces.add_subparsers(dest="step", metavar="STEP", required=True)
     build = steps.add_parser("build", help="generate and compile .msg, .srv and .action files")
     build.add_argument("directories", nargs="+", type=Path, metavar="DIR", help="a package, or a folder with packages")
+    prompts = verbs.add_parser("prompts", help="check a folder of prompts in Markdown")
+    steps = prompts.add_subparsers(dest="step", metavar="STEP", required=True)
+    check = steps.add_parser("check", help="list the prompts of a folder, and their mistakes by file and line")
+    check.add_argument("folder", type=Path, metavar="DIR")
     config = verbs.add_parser("config", help="print the configuration for an MCP client")
     config.add_argument("client", choices=CLIENTS)
     return top
@@ -68,7 +72,21 @@ def _add_settings(top: argparse.ArgumentParser) -> None:
     serving.add_argument("--read-only", action="store_true", default=None, help="leave out tools that write")
     serving.add_argument("--tools", metavar="GROUPS", help="groups of tools, such as default,lifecycle, or all")
     serving.add_argument("--log-level", choices=("debug", "info", "warning", "error"), help="default: warning")
+    _add_prompts(top.add_argument_group("prompts"))
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
+
+
+def _add_prompts(prompts: Any) -> None:
+    switch = {"nargs": "?", "const": "true", "choices": ("true", "false", "1", "0"), "metavar": "true|false"}
+    prompts.add_argument("--prompts", type=Path, metavar="DIR", help="folder of your prompts in Markdown")
+    prompts.add_argument("--custom-prompts", **switch, help="load prompts of Python packages (default: false)")
+    prompts.add_argument("--prompts-local", **switch, help="with --custom-prompts: load a module instead")
+    prompts.add_argument("--prompts-path", type=Path, metavar="DIR", help="folder of that module")
+    prompts.add_argument("--prompts-module", metavar="NAME", help="its name (default: extension_prompts)")
+
+
+def _is_on(choice: str | None) -> bool | None:
+    return None if choice is None else choice in ("true", "1")
 
 
 class _Version(argparse.Action):
@@ -95,6 +113,11 @@ def settings_from(arguments: argparse.Namespace) -> Settings:
         "read_only": arguments.read_only,
         "tools": tuple(arguments.tools.split(",")) if arguments.tools else None,
         "log_level": arguments.log_level,
+        "prompts": arguments.prompts,
+        "custom_prompts": _is_on(arguments.custom_prompts),
+        "prompts_local": _is_on(arguments.prompts_local),
+        "prompts_path": arguments.prompts_path,
+        "prompts_module": arguments.prompts_module,
     }
     return Settings.from_environment(os.environ, **given)
 
@@ -117,6 +140,10 @@ def _run(arguments: argparse.Namespace) -> int:
         from ros2_mcp.commands.demo import demo
 
         return demo(settings, robot_only=arguments.robot, output=arguments.output)
+    if arguments.verb == "prompts":
+        from ros2_mcp.commands.prompts import check_prompts
+
+        return check_prompts(arguments.folder)
     if arguments.verb == "interfaces":
         from ros2_mcp.commands.interfaces import build_interfaces
 

@@ -27,7 +27,9 @@ class Settings:
     `domain_id` and `rmw` are None where ROS itself shall decide from the bridge's environment. `tools` names the
     groups to offer; empty means all. `result_bytes` bounds the text of one result. `ros_root` is where the
     installations of ROS 2 stand (`<ros_root>/<distro>/setup.bash`). `interface_prefixes` are built interface
-    packages that the bridge shall find besides those of its installation.
+    packages that the bridge shall find besides those of its installation. `prompts` is a folder of prompts in Markdown.
+    `custom_prompts` lets prompts in Python code be loaded: of installed packages, or, with `prompts_local`, of the
+    module `prompts_module` in the folder `prompts_path`.
     """
 
     transport: Transport = "stdio"
@@ -46,6 +48,10 @@ class Settings:
     interface_prefixes: tuple[Path, ...] = ()
     cache_dir: Path = Path("~/.cache/ros2-mcp")
     custom_prompts: bool = False
+    prompts: Path | None = None
+    prompts_local: bool = False
+    prompts_path: Path | None = None
+    prompts_module: str = "extension_prompts"
 
     @property
     def debug(self) -> bool:
@@ -150,5 +156,9 @@ _VARIABLES: Mapping[str, tuple[str, Any]] = {
     "ROS2_MCP_RESULT_BYTES": ("result_bytes", _number),
     "ROS2_MCP_ROS_ROOT": ("ros_root", _path),
     "ROS2_MCP_INTERFACES": ("interface_prefixes", _paths),
+    "ROS2_MCP_PROMPTS": ("prompts", _path),
     "MCP_CUSTOM_PROMPTS": ("custom_prompts", _switch),
+    "MCP_PROMPTS_LOCAL": ("prompts_local", _switch),
+    "MCP_PROMPTS_PATH": ("prompts_path", _path),
+    "MCP_PROMPTS_MODULE": ("prompts_module", _text),
 }

@@ -61,7 +61,7 @@ async def _serve(bridge: Bridge, settings: Settings, wire: Wire | None) -> None:
     from ros2_mcp.server import build_server, serve_stdio
 
     robot = Robot(bridge, Policy(settings.read_only), settings.result_bytes)
-    server = build_server(robot, groups=settings.tools, log_level=settings.log_level.upper())
+    server = build_server(robot, groups=settings.tools, log_level=settings.log_level.upper(), settings=settings)
     gc.freeze()
     gc.enable()
     running = serve_stdio(server, wire.read_fd, wire.write_fd) if wire else serve_http(server, settings)

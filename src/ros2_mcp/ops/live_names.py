@@ -1,0 +1,103 @@
+"""Names of the graph as it is now, quickly or not at all: for completions and for prompts that name what is there."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.robot import Robot
+
+PATIENCE_S = 1.0
+"""Nobody who types waits longer."""
+_SETTLE_S = 0.5
+_OF_EVERY_NODE = ("/parameter_events", "/rosout")
+_ACTION_SERVICE = "/_action/send_goal"
+
+
+async def live_names(robot: Robot, kind: str) -> list[str]:
+    """The names of a kind, sorted: those of the robot's own before those that every ROS system has.
+
+    Args:
+        robot: the robot.
+        kind: `topic`, `service`, `node`, `action`, `message_type` or `interface`.
+
+    Returns:
+        Nothing for another kind, or where the robot does not answer within `PATIENCE_S`.
+    """
+    if kind not in _LISTS:
+        return []
+    try:
+        return await asyncio.wait_for(_LISTS[kind](robot), PATIENCE_S)
+    except (TimeoutError, asyncio.TimeoutError, RobotError):
+        return []
+
+
+async def topic_types(robot: Robot, topic: str) -> list[str]:
+    """The types of one topic; nothing where it is not known within `PATIENCE_S`."""
+    try:
+        raw = await asyncio.wait_for(_query(robot, "topics"), PATIENCE_S)
+        wanted = names.absolute(topic)
+    except (TimeoutError, asyncio.TimeoutError, RobotError):
+        return []
+    found: list[list[str]] = [entry[1] for entry in raw["topics"] if entry[0] == wanted]
+    return found[0] if found else []
+
+
+def is_of_every_node(topic: str) -> bool:
+    """Whether every ROS system has the topic, so that it tells nothing of this robot."""
+    return topic in _OF_EVERY_NODE
+
+
+async def _query(robot: Robot, op: str) -> Mapping[str, Any]:
+    return (await robot.graph.ask(op, settle_s=_SETTLE_S, timeout_s=PATIENCE_S)).ok
+
+
+async def _topics(robot: Robot) -> list[str]:
+    visible = [entry[0] for entry in (await _query(robot, "topics"))["topics"] if not names.is_hidden(entry[0])]
+    return sorted(visible, key=lambda name: (is_of_every_node(name), name))
+
+
+async def _services(robot: Robot) -> list[str]:
+    every = (await _query(robot, "services"))["services"]
+    visible = [(name, types[0]) for name, types in every if not names.is_hidden(name)]
+    return [name for name, _ in sorted(visible, key=lambda entry: (_is_infrastructure(entry[1]), entry[0]))]
+
+
+def _is_infrastructure(service_type: str) -> bool:
+    return service_type.startswith(("rcl_interfaces/", "type_description_interfaces/"))
+
+
+async def _nodes(robot: Robot) -> list[str]:
+    own = robot.bridge.hello.node if robot.bridge.hello else ""
+    every = {names.full_node_name(*entry) for entry in (await _query(robot, "nodes"))["nodes"]}
+    return sorted(name for name in every if name.startswith("/") and name != own and not names.is_hidden(name))
+
+
+async def _actions(robot: Robot) -> list[str]:
+    every = (await _query(robot, "services"))["services"]
+    return sorted(name.removesuffix(_ACTION_SERVICE) for name, _ in every if name.endswith(_ACTION_SERVICE))
+
+
+async def _message_types(robot: Robot) -> list[str]:
+    """The types that the topics have, then every other message type that is installed."""
+    in_use = sorted({kind for entry in (await _query(robot, "topics"))["topics"] for kind in entry[1]})
+    installed = [name for name in await _interfaces(robot) if "/msg/" in name]
+    return [*in_use, *(name for name in installed if name not in set(in_use))]
+
+
+async def _interfaces(robot: Robot) -> list[str]:
+    every = (await robot.graph.ask("interfaces", timeout_s=PATIENCE_S)).ok["interfaces"]
+    return sorted(every)
+
+
+_LISTS: Mapping[str, Callable[[Robot], Awaitable[list[str]]]] = {
+    "topic": _topics,
+    "service": _services,
+    "node": _nodes,
+    "action": _actions,
+    "message_type": _message_types,
+    "interface": _interfaces,
+}

@@ -1,0 +1,239 @@
+"""The `base.*` prompts: each leads to tools that measure inside the server, so that no number is imagined."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ros2_mcp.ops.live_names import is_of_every_node, live_names
+from ros2_mcp.prompts.arguments import Argument, shown
+from ros2_mcp.prompts.prompt import Message, Prompt, step
+from ros2_mcp.robot import Robot
+
+MAX_WINDOW_S = 45.0
+"""A call stays below the time that clients wait for one."""
+_MOST_TOPICS = 20
+_TRUTH = "Report only what the results say; where a value is missing, say so."
+
+
+def base_prompts(robot: Robot) -> list[Prompt]:
+    """The four prompts that are always there."""
+    return [_echo_and_analyze(robot), _RELAY, _HEALTH, _COMPARE]
+
+
+def _window(name: str, default: float, what: str) -> Argument:
+    return Argument(name, f"Seconds to {what}", "number", default=default, minimum=0.1, maximum=MAX_WINDOW_S)
+
+
+def _ask(*lines: str) -> Sequence[Message]:
+    return [Message("\n".join(lines))]
+
+
+# ── one topic, measured ────────────────────────────────────────────────────────────────────────────────────────────
+
+_ECHO_ARGUMENTS = (
+    Argument("topic_name", "Topic to analyze; empty: the only one, if there is only one", "topic", default=""),
+    _window("duration_sec", 5.0, "listen"),
+    Argument(
+        "analysis_type",
+        "What to measure",
+        default="all",
+        choices=("all", "statistics", "rate", "message_count"),
+    ),
+)
+_ECHO_REPORTS = {
+    "all": "the number of messages and the rate; a table of min, max, mean and standard deviation of every numeric "
+    "field; then gaps and anomalies, the worst first",
+    "statistics": "a table of min, max, mean and standard deviation of every numeric field, then anomalies, the worst "
+    "first",
+    "rate": "the rate in Hz, its regularity, and gaps",
+    "message_count": "how many messages came in how many seconds",
+}
+
+
+def _echo_and_analyze(robot: Robot) -> Prompt:
+    async def write(values: Mapping[str, Any]) -> Sequence[Message]:
+        topics = [values["topic_name"]] if values["topic_name"] else await _robot_topics(robot)
+        if not topics:
+            return _ask(
+                "Analyze a topic. None of a robot is seen.", step(1, "ros2_status"), "Report what it says is wrong."
+            )
+        if len(topics) > 1:
+            return _choose_topic(topics, values["duration_sec"])
+        return _analyze(topics[0], values["duration_sec"], values["analysis_type"])
+
+    return Prompt(
+        "base.ros2-topic-echo-and-analyze",
+        "Analyze a topic",
+        "Listen to a topic; report measured count, rate, statistics of every numeric field, gaps and anomalies.",
+        _ECHO_ARGUMENTS,
+        write,
+        ("ros2_topic_statistics", "ros2_topic_stats"),
+    )
+
+
+async def _robot_topics(robot: Robot) -> list[str]:
+    return [topic for topic in await live_names(robot, "topic") if not is_of_every_node(topic)]
+
+
+def _analyze(topic: str, duration_s: float, analysis: str) -> Sequence[Message]:
+    tools = {"all": ("ros2_topic_statistics", "ros2_topic_stats"), "statistics": ("ros2_topic_statistics",)}
+    chosen = tools.get(analysis, ("ros2_topic_stats",))
+    steps = [
+        step(number, tool, topic_names=[topic], duration=duration_s) for number, tool in enumerate(chosen, start=1)
+    ]
+    return _ask(
+        f"Analyze the topic {topic} ({analysis}).",
+        *steps,
+        f"Then report: {_ECHO_REPORTS[analysis]}. If no message came, say so and look at who publishes it with "
+        "ros2_topic_info.",
+        _TRUTH,
+    )
+
+
+def _choose_topic(topics: Sequence[str], duration_s: float) -> Sequence[Message]:
+    shown_topics = topics[:_MOST_TOPICS]
+    more = f" (and {len(topics) - len(shown_topics)} more)" if len(topics) > len(shown_topics) else ""
+    return _ask(
+        f"Analyze a topic. None was named, and there are {len(topics)}: {', '.join(shown_topics)}{more}.",
+        step(1, "ros2_topic_stats", topic_names=shown_topics, duration=duration_s),
+        "Then report a table of their rates, say which look unhealthy, and ask which one to analyze with "
+        "ros2_topic_statistics.",
+        _TRUTH,
+    )
+
+
+# ── relay ──────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+_RELAYED = {
+    "identity": "every message",
+    "rate_limit": "at most {target_rate_hz} messages per second",
+    "filter": "only messages that differ from the one before",
+}
+_TRANSFORMS = {"filter": "on_change"}
+_CHECK_S = 3.0
+
+
+async def _write_relay(values: Mapping[str, Any]) -> Sequence[Message]:
+    source, destination, duration_s = values["source_topic"], values["destination_topic"], values["duration_sec"]
+    is_limited = values["transform"] == "rate_limit"
+    end = f"It ends by itself after {shown(duration_s)} s" if duration_s else "It runs until it is stopped"
+    passed = _RELAYED[values["transform"]].format(target_rate_hz=shown(values["target_rate_hz"]))
+    start = step(
+        1,
+        "ros2_relay_start",
+        source_topic=source,
+        destination_topic=destination,
+        message_type=values["message_type"],
+        transform=_TRANSFORMS.get(values["transform"], values["transform"]),
+        target_rate_hz=values["target_rate_hz"] if is_limited else None,
+        duration_sec=duration_s,
+    )
+    return _ask(
+        f"Relay {source} to {destination}: {passed}.",
+        start,
+        step(2, "ros2_topic_stats", topic_names=[source, destination], duration=_check_s(duration_s)),
+        step(3, "ros2_relay_list"),
+        "Then report: both rates, how many messages were passed and dropped, and any error. "
+        f"{end}; ros2_relay_stop ends it sooner. Leave it running unless asked to stop it.",
+        _TRUTH,
+    )
+
+
+def _check_s(duration_s: float) -> float:
+    return min(_CHECK_S, duration_s / 2) if duration_s else _CHECK_S
+
+
+_RELAY = Prompt(
+    "base.ros2-topic-relay",
+    "Relay a topic",
+    "Let the messages of one topic appear on another: all, rate limited, or only when they change.",
+    (
+        Argument("source_topic", "Topic to read", "topic", required=True),
+        Argument("destination_topic", "Topic to publish on", "topic", required=True),
+        Argument(
+            "message_type",
+            "Type, if the source has several or none yet",
+            "message_type",
+            default="",
+            type_of="source_topic",
+        ),
+        Argument(
+            "transform",
+            "What is passed on; filter passes only changes",
+            default="identity",
+            choices=("identity", "rate_limit", "filter"),
+            other_choices={"on_change": "filter"},
+        ),
+        Argument("target_rate_hz", "Limit for rate_limit in Hz", "number", default=10.0, minimum=0.01, maximum=1000),
+        Argument("duration_sec", "Seconds; 0: until stopped", "number", default=60.0, minimum=0, maximum=86_400),
+    ),
+    _write_relay,
+    ("ros2_relay_start", "ros2_relay_list", "ros2_relay_stop", "ros2_topic_stats"),
+)
+
+
+# ── health ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def _write_health(values: Mapping[str, Any]) -> Sequence[Message]:
+    return _ask(
+        "Check the health of the robot's ROS 2 system.",
+        step(1, "ros2_health_check", **values),
+        "Then report: the verdict (HEALTHY, DEGRADED or CRITICAL) first; a table of what was checked with its state; "
+        "a recommendation for each problem, the worst first.",
+        _TRUTH,
+    )
+
+
+_HEALTH = Prompt(
+    "base.ros2-node-health-check",
+    "Check the robot's health",
+    "Expected topics, services and rates, QoS mismatches, silent topics, diagnostics: HEALTHY, DEGRADED or CRITICAL.",
+    (
+        Argument("expected_topics", "Topics that must be there, such as /scan, /odom", "topics", default=[]),
+        Argument("expected_services", "Services that must be there", "services", default=[]),
+        Argument("check_rates", "Also measure rates", "boolean", default=True),
+        _window("rate_check_duration_sec", 3.0, "measure rates"),
+        Argument("min_expected_rate_hz", "A slower topic is a problem", "number", default=1.0, minimum=0, maximum=1e4),
+    ),
+    _write_health,
+    ("ros2_health_check",),
+)
+
+
+# ── comparison ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def _write_compare(values: Mapping[str, Any]) -> Sequence[Message]:
+    return _ask(
+        f"Compare the topics {values['topic1_name']} and {values['topic2_name']}.",
+        step(1, "ros2_topic_compare", **values),
+        "Then report: the verdict (IDENTICAL, SIMILAR, DIFFERENT or VERY DIFFERENT) first; how many pairs it stands "
+        "on; a table of the differences of each field; the delay between the topics; what the difference means.",
+        _TRUTH,
+    )
+
+
+_COMPARE = Prompt(
+    "base.ros2-topic-diff-monitor",
+    "Compare two topics",
+    "Record two topics at the same time and report field by field how far they differ.",
+    (
+        Argument("topic1_name", "First topic", "topic", required=True),
+        Argument("topic2_name", "Second topic", "topic", required=True),
+        _window("duration_sec", 5.0, "record"),
+        Argument("diff_fields", "Fields to compare, such as pose.pose; empty: all numeric ones", "list", default=[]),
+        Argument(
+            "tolerance_percent",
+            "Differences up to this count as equal",
+            "number",
+            default=0.1,
+            minimum=0,
+            maximum=100,
+        ),
+        Argument("sync_by_timestamp", "Pair by header stamp, not by time of arrival", "boolean", default=True),
+    ),
+    _write_compare,
+    ("ros2_topic_compare",),
+)

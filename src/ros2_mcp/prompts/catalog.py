@@ -1,0 +1,118 @@
+"""Every prompt of one server: the base prompts, those of the user's folder, those of the user's code."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from ros2_mcp.model.errors import NotFound
+from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.prompts.base import base_prompts
+from ros2_mcp.prompts.custom import from_entry_points, from_module
+from ros2_mcp.prompts.folder import PromptFolder
+from ros2_mcp.prompts.mistakes import Mistake, Tell, tell_on_stderr
+from ros2_mcp.prompts.prompt import Message, Prompt
+from ros2_mcp.robot import Robot
+from ros2_mcp.settings import Settings
+
+Load = Callable[[Tell], Sequence[Prompt]]
+
+
+class Catalog:
+    """The prompts as they are now, by name.
+
+    Args:
+        robot: for prompts that name what is there.
+        folder: where the user's Markdown files are.
+        load_code: finds the prompts of the user's code; called once, when the prompts are first asked for.
+        missing: for tools that this server does not offer, what would offer them.
+        tools: every tool there is.
+        tell: where mistakes of users are told.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        folder: Path | None = None,
+        load_code: Load | None = None,
+        missing: Mapping[str, str] | None = None,
+        tools: Sequence[str] = (),
+        tell: Tell = tell_on_stderr,
+    ) -> None:
+        self._base = base_prompts(robot)
+        taken = frozenset(prompt.name for prompt in self._base)
+        self._folder = PromptFolder(folder, tell, taken=taken, tools=frozenset(tools)) if folder else None
+        self._load_code = load_code
+        self._of_code: Sequence[Prompt] | None = None if load_code else ()
+        self._loading = asyncio.Lock()
+        self._missing = missing or {}
+        self._tell = tell
+
+    async def prompts(self) -> Mapping[str, Prompt]:
+        """Every prompt by name, in the order of `prompts/list`."""
+        prompts = {prompt.name: prompt for prompt in self._base}
+        for prompt in self._folder.prompts() if self._folder else ():
+            prompts[prompt.name] = prompt
+        for prompt in await self._code():
+            prompts.setdefault(prompt.name, prompt)
+        return prompts
+
+    async def prompt(self, name: str) -> Prompt:
+        """The prompt of that name.
+
+        Raises:
+            NotFound: with the nearest name that there is.
+        """
+        prompts = await self.prompts()
+        if name not in prompts:
+            known = list(prompts)
+            raise NotFound(
+                f"There is no prompt {name!r}.", did_you_mean(name, known, f"There are: {', '.join(known)}.")
+            )
+        return prompts[name]
+
+    async def messages(self, name: str, given: Mapping[str, str]) -> Sequence[Message]:
+        """The messages of a prompt, and a last one where a tool that they name is not offered.
+
+        Raises:
+            NotFound: if there is no such prompt.
+            BadInput: naming the argument, what was given and what is allowed.
+        """
+        prompt = await self.prompt(name)
+        messages = await prompt.messages(given)
+        absent = [f"{tool} ({self._missing[tool]})" for tool in prompt.tools if tool in self._missing]
+        if not absent:
+            return messages
+        note = f"This server does not offer {', '.join(absent)}. Say so if the task cannot be done without."
+        return [*messages, Message(note)]
+
+    def has_news(self) -> bool:
+        """Whether the user's folder has changed since the prompts were asked for; each change is news once."""
+        return self._folder is not None and self._folder.has_news()
+
+    async def _code(self) -> Sequence[Prompt]:
+        async with self._loading:
+            if self._of_code is None and self._load_code:
+                self._of_code = self._first_of_each(await asyncio.to_thread(self._load_code, self._tell))
+        return self._of_code or ()
+
+    def _first_of_each(self, prompts: Sequence[Prompt]) -> Sequence[Prompt]:
+        """Each name once; who comes later, or takes a name of the base prompts, is told."""
+        kept: dict[str, Prompt] = {}
+        for prompt in prompts:
+            if prompt.name in kept or prompt.name in {base.name for base in self._base}:
+                self._tell(Mistake("prompts of code", 0, f"The name {prompt.name} is already taken."))
+            else:
+                kept[prompt.name] = prompt
+        return list(kept.values())
+
+
+def code_of(settings: Settings) -> Load | None:
+    """What finds the prompts of the user's code, as the settings say; None where they are off."""
+    if not settings.custom_prompts:
+        return None
+    if settings.prompts_local:
+        return lambda tell: from_module(settings.prompts_path, settings.prompts_module, tell)
+    return from_entry_points

@@ -1,0 +1,28 @@
+"""Mistakes in what users wrote: by file and line, or by the name of what failed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """One mistake; `line` counts from 1, and is 0 where it belongs to the whole of `where`."""
+
+    where: str
+    line: int
+    text: str
+
+    def __str__(self) -> str:
+        place = f"{self.where}:{self.line}" if self.line else self.where
+        return f"{place}: {self.text}"
+
+
+Tell = Callable[[Mistake], None]
+
+
+def tell_on_stderr(mistake: Mistake) -> None:
+    """One line for the person who reads the server's log."""
+    print(f"ros2-mcp: {mistake}", file=sys.stderr, flush=True)  # noqa: T201
