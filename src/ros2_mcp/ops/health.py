@@ -1,0 +1,318 @@
+"""Health of a robot: what should be there and is not, what is silent or slow, what cannot match, what it says itself.
+
+The parts that judge are pure functions on what a source knows; nothing here asks whether it is live or recorded.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.ops.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
+from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.topics import mismatches
+from ros2_mcp.ops.window import Missing, Scene, Source, Window
+from ros2_mcp.robot import TopicEndpoints
+
+MAX_MEASURED = 60
+MAX_LARGE = 4
+MAX_ROWS = 80
+MAX_NAMES = 30
+RATE_TOLERANCE = 0.9
+"""A topic is slow below this share of the rate that is expected of it."""
+
+LARGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CompressedImage"})
+STREAM_TYPES = LARGE_TYPES | {
+    "sensor_msgs/msg/CameraInfo",
+    "sensor_msgs/msg/Imu",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/LaserScan",
+    "sensor_msgs/msg/MagneticField",
+    "sensor_msgs/msg/MultiEchoLaserScan",
+    "sensor_msgs/msg/PointCloud",
+    "sensor_msgs/msg/Range",
+    "nav_msgs/msg/Odometry",
+}
+"""Types of sensors that stream as long as they live. On any other topic silence may be what is meant."""
+_DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+_OF_EVERY_NODE = frozenset({"/rosout", "/parameter_events"})
+
+Severity = Literal["critical", "warning"]
+Verdict = Literal["HEALTHY", "DEGRADED", "CRITICAL"]
+State = Literal["OK", "MISSING", "SILENT", "SLOW", "QUIET", "NOT MEASURED"]
+
+
+@dataclass(frozen=True, slots=True)
+class Expectations:
+    """What the caller expects to be there, and how fast."""
+
+    topics: Sequence[str] = ()
+    services: Sequence[str] = ()
+    nodes: Sequence[str] = ()
+    check_rates: bool = True
+    min_rate_hz: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something that is wrong, and what to do about it."""
+
+    severity: Severity
+    subject: str
+    problem: str
+    recommendation: str
+
+
+@dataclass(frozen=True, slots=True)
+class TopicRow:
+    """A topic in the table. `QUIET` is silence that is no fault by itself: of commands, events, latched data."""
+
+    topic_name: str
+    topic_type: str
+    publishers: int
+    subscribers: int
+    state: State
+    rate_hz: float | None
+    expected: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """A report on the robot.
+
+    `CRITICAL`: something expected is missing or silent, or diagnostics report an error. `DEGRADED`: a sensor is silent
+    or slow, endpoints cannot match, nodes share a name, or diagnostics warn. Topics that nobody listens to, or nobody
+    publishes on, are told but are no fault by themselves. A `rate_hz` of null: fewer than two messages came.
+    """
+
+    verdict: Verdict
+    findings: Sequence[Finding]
+    topics: Sequence[TopicRow]
+    diagnostics: Sequence[Diagnostic]
+    publishers_without_subscribers: Sequence[str]
+    subscribers_without_publishers: Sequence[str]
+    counts: Mapping[str, int]
+    source: str
+    note: str
+
+    def summary(self) -> str:
+        """The verdict, and a line for each finding."""
+        lines = [f"{each.severity}: {each.subject}: {each.problem} {each.recommendation}" for each in self.findings]
+        return "\n".join([f"{self.verdict}. {self.note}".rstrip(), *lines])
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """What came on one topic in the time of measuring; `most_hz` is the highest rate that its silences allow."""
+
+    count: int
+    rate_hz: float | None
+    most_hz: float
+
+
+async def check_health(source: Source, expected: Expectations, report: Report = silent) -> Health:
+    """Looks at the graph, listens to topics and to diagnostics at the same time, and judges.
+
+    Raises:
+        BadName: for an expected name that ROS does not allow.
+        BadValue: if a number is out of range.
+    """
+    bounded("rate_check_duration_sec", source.duration_s, 0.5, 60.0, "s")
+    bounded("min_expected_rate_hz", expected.min_rate_hz, 0.0, 1000.0, "Hz")
+    expected = _normalized(expected)
+    scene = await source.scene()
+    chosen, skipped = to_measure(scene, expected) if expected.check_rates else ([], [])
+    measured, reported = await asyncio.gather(
+        source.windows(chosen, report, times_only=True),
+        source.windows([DIAGNOSTICS] if _is_published(scene, DIAGNOSTICS) else [], silent),
+    )
+    diagnostics = await asyncio.to_thread(_reported, [each for each in reported if isinstance(each, Window)])
+    flows = {window.topic: flow(window) for window in measured if isinstance(window, Window)}
+    failed = [each for each in measured if isinstance(each, Missing)]
+    return _judge(source.words, scene, expected, flows, diagnostics, _note(scene, skipped, failed))
+
+
+def _reported(windows: Sequence[Window]) -> list[Diagnostic]:
+    table = DiagnosticTable()
+    for window in windows:
+        for sample in window.samples if window.type == _DIAGNOSTICS_TYPE else ():
+            table.take(window.decode(sample), sample.received_ns)
+    return table.rows
+
+
+def _normalized(expected: Expectations) -> Expectations:
+    return Expectations(
+        [names.absolute(name) for name in expected.topics],
+        [names.absolute(name, "service") for name in expected.services],
+        [names.absolute(name, "node") for name in expected.nodes],
+        expected.check_rates,
+        expected.min_rate_hz,
+    )
+
+
+def to_measure(scene: Scene, expected: Expectations) -> tuple[list[str], list[str]]:
+    """Which topics to listen to: those expected, then the others as far as the bounds go; and those left out."""
+    wanted = [name for name in expected.topics if _is_published(scene, name)]
+    others = [name for name in sorted(scene.topics) if name not in wanted and _is_measured(scene.topics[name])]
+    others.sort(key=lambda name: not _streams(scene.topics[name]))
+    large = [name for name in others if LARGE_TYPES.intersection(scene.topics[name].types)]
+    chosen = [*wanted, *(name for name in others if name not in large[MAX_LARGE:])]
+    left_out = [*large[MAX_LARGE:], *chosen[MAX_MEASURED:]]
+    return chosen[:MAX_MEASURED], left_out
+
+
+def flow(window: Window) -> Flow:
+    """The rate of a window's messages, and the highest that its longest silence allows."""
+    times = [(sample.received_ns - window.start_ns) / 1e9 for sample in window.samples]
+    edges = [0.0, *times, window.duration_s]
+    longest = max(later - earlier for earlier, later in pairwise(edges))
+    span = times[-1] - times[0] if len(times) > 1 else 0.0
+    return Flow(len(times), (len(times) - 1) / span if span > 0 else None, 1 / longest if longest > 0 else 0.0)
+
+
+def _judge(
+    source: str,
+    scene: Scene,
+    expected: Expectations,
+    flows: Mapping[str, Flow],
+    diagnostics: Sequence[Diagnostic],
+    note: str,
+) -> Health:
+    rows = [_row(scene, name, flows.get(name), expected) for name in sorted({*scene.topics, *expected.topics})]
+    findings = [
+        *_missing(scene, expected),
+        *(finding for row in rows for finding in _flow_finding(scene, row, expected)),
+        *_graph_findings(scene),
+        *(_diagnosis(status) for status in diagnostics if status.level != "OK"),
+    ]
+    findings.sort(key=lambda finding: finding.severity)  # critical before warning
+    severities = {finding.severity for finding in findings}
+    visible = [row for row in rows if not names.is_hidden(row.topic_name) and row.topic_name not in _OF_EVERY_NODE]
+    visible.sort(key=lambda row: (row.state in ("OK", "QUIET", "NOT MEASURED"), not row.expected))
+    return Health(
+        "CRITICAL" if "critical" in severities else "DEGRADED" if severities else "HEALTHY",
+        findings,
+        visible[:MAX_ROWS],
+        diagnostics[:MAX_ROWS],
+        [row.topic_name for row in visible if row.publishers and not row.subscribers][:MAX_NAMES],
+        [row.topic_name for row in visible if row.subscribers and not row.publishers][:MAX_NAMES],
+        {
+            "topics": len(scene.topics),
+            "nodes": len(scene.nodes or ()),
+            "services": len(scene.services or ()),
+            "measured": len(flows),
+        },
+        source,
+        note,
+    )
+
+
+def _row(scene: Scene, name: str, measured: Flow | None, expected: Expectations) -> TopicRow:
+    found = scene.topics.get(name, TopicEndpoints(name, (), ()))
+    is_expected = name in expected.topics
+    return TopicRow(
+        name,
+        ", ".join(found.types),
+        len(found.publishers),
+        len(found.subscribers),
+        _state(found, measured, is_expected, expected.min_rate_hz),
+        measured.rate_hz if measured else None,
+        is_expected,
+    )
+
+
+def _state(found: TopicEndpoints, measured: Flow | None, is_expected: bool, min_rate_hz: float) -> State:
+    if is_expected and not found.publishers:
+        return "MISSING"
+    if measured is None:
+        return "NOT MEASURED"
+    if not (_streams(found) or (is_expected and not _is_latched(found))):
+        return "OK" if measured.count else "QUIET"
+    if not measured.count:
+        return "SILENT"
+    rate_hz = measured.most_hz if measured.rate_hz is None else measured.rate_hz
+    return "SLOW" if rate_hz < RATE_TOLERANCE * min_rate_hz else "OK"
+
+
+def _missing(scene: Scene, expected: Expectations) -> Iterator[Finding]:
+    for topic in expected.topics:
+        if topic not in scene.topics:
+            hint = names.did_you_mean(topic, list(scene.topics), "Start the node that publishes it.")
+            yield Finding("critical", topic, "The expected topic is not there.", hint)
+        elif not scene.topics[topic].publishers:
+            yield Finding("critical", topic, "Nobody publishes on the expected topic.", "Start its publisher.")
+    for what, wanted, there in (
+        ("service", expected.services, scene.services),
+        ("node", expected.nodes, scene.nodes),
+    ):
+        known = wanted if there is None else there  # what a source does not know is not missing
+        for name in wanted:
+            if name not in known:
+                hint = names.did_you_mean(name, known, "Start it, or correct the name.")
+                yield Finding("critical", name, f"The expected {what} is not there.", hint)
+
+
+def _flow_finding(scene: Scene, row: TopicRow, expected: Expectations) -> Iterator[Finding]:
+    if row.state == "SILENT":
+        by = ", ".join(sorted({each.node for each in scene.topics[row.topic_name].publishers}))
+        advice = f"Look at {by}: its device, parameters and log."
+        problem = f"Published by {by}, but nothing came."
+        yield Finding("critical" if row.expected else "warning", row.topic_name, problem, advice)
+    elif row.state == "SLOW":
+        rate = "fewer than two messages came" if row.rate_hz is None else f"{row.rate_hz:.2f} Hz"
+        problem = f"Slow: {rate}, at least {expected.min_rate_hz:g} Hz expected."
+        advice = "Look at its publisher's load and rate parameter, or lower min_expected_rate_hz."
+        yield Finding("warning", row.topic_name, problem, advice)
+
+
+def _graph_findings(scene: Scene) -> Iterator[Finding]:
+    for topic, found in scene.topics.items():
+        for sentence in mismatches(found.publishers, found.subscribers):
+            yield Finding("warning", topic, sentence, "They never exchange a message: align type and QoS of the two.")
+        if _streams(found) and found.subscribers and not found.publishers:
+            waiting = ", ".join(sorted({each.node for each in found.subscribers}))
+            problem = f"{waiting} waits for it, but nobody publishes."
+            yield Finding("warning", topic, problem, "Start the sensor's driver, or correct a remapping.")
+    for name, count in Counter(scene.nodes or ()).items():
+        if count > 1:
+            yield Finding("warning", name, f"{count} nodes have this name.", "Rename or stop all but one.")
+
+
+def _diagnosis(status: Diagnostic) -> Finding:
+    severity: Severity = "critical" if status.level == "ERROR" else "warning"
+    return Finding(severity, status.name, f"Diagnostics say {status.level}: {status.message}.", "See its values.")
+
+
+def _note(scene: Scene, skipped: Sequence[str], failed: Sequence[Missing]) -> str:
+    notes = [] if scene.settled else ["Discovery had not settled: ask again."]
+    if skipped:
+        listed = ", ".join(skipped[:8]) + (f" and {len(skipped) - 8} more" if len(skipped) > 8 else "")
+        notes.append(f"Not measured, to spare the robot: {listed} (expected_topics are always measured).")
+    if scene.nodes is None or scene.services is None:
+        notes.append("Nodes and services are not known here.")
+    if failed:
+        notes.append(f"Could not be measured: {'; '.join(f'{each.topic}: {each.error}' for each in failed[:5])}")
+    return " ".join(notes)
+
+
+def _is_published(scene: Scene, topic: str) -> bool:
+    return topic in scene.topics and bool(scene.topics[topic].publishers)
+
+
+def _is_measured(found: TopicEndpoints) -> bool:
+    is_of_ros = found.topic in _OF_EVERY_NODE or names.is_hidden(found.topic)
+    return bool(found.publishers) and len(found.types) == 1 and not is_of_ros
+
+
+def _streams(found: TopicEndpoints) -> bool:
+    return bool(STREAM_TYPES.intersection(found.types)) and not _is_latched(found)
+
+
+def _is_latched(found: TopicEndpoints) -> bool:
+    return bool(found.publishers) and all(each.qos.durability == "transient_local" for each in found.publishers)

@@ -1,0 +1,204 @@
+"""The arithmetic of measuring: pure functions on NumPy arrays. Times are in seconds and rise.
+
+Import it inside functions only: NumPy takes a moment, and listing the tools must not wait for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Numbers: TypeAlias = "NDArray[np.float64]"
+
+GAP_FACTOR = 3.0
+"""A gap is a period longer than this many times the median period."""
+JUMP_FACTOR = 8.0
+"""A jump is a step larger than this many times the usual step (a robust standard deviation)."""
+STUCK_SAMPLES = 5
+STUCK_SHARE = 0.1
+"""A value is stuck if it stands still this long (samples, and share of all) although it changes otherwise."""
+_LIVELY = 0.8
+_MAD_TO_SIGMA = 1.4826
+_MOST_SAMPLES = 3
+_GRID = 2000
+_NEAR_BEST = 0.98
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A time without messages: from the message before it (or the window's beginning), `duration_s` long."""
+
+    at_s: float
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """A step much larger than the usual ones."""
+
+    at_s: float
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stuck:
+    """A value that stood still for `samples` messages although it changes otherwise."""
+
+    at_s: float
+    duration_s: float
+    samples: int
+    value: float
+
+
+def number(value: Any) -> float | None:
+    """A finite number as a float; None for anything else, as JSON has no other."""
+    return float(value) if math.isfinite(value) else None
+
+
+def rate(times: Numbers) -> float | None:
+    """Messages per second between the first and the last."""
+    span = float(times[-1] - times[0]) if len(times) > 1 else 0.0
+    return (len(times) - 1) / span if span > 0 else None
+
+
+def gaps(times: Numbers, duration_s: float) -> list[Gap]:
+    """Periods longer than three times the median one, the silence before the first and after the last included."""
+    if len(times) <= _MOST_SAMPLES:
+        return []
+    limit = GAP_FACTOR * float(np.median(np.diff(times)))
+    edges = np.concatenate(([0.0], times, [duration_s]))
+    periods = np.diff(edges)
+    return [Gap(float(edges[index]), float(periods[index])) for index in np.flatnonzero(periods > limit)]
+
+
+def slope(times: Numbers, values: Numbers) -> float | None:
+    """The change per second of the straight line that fits best (least squares)."""
+    centred = times - times.mean() if len(times) else times
+    spread = float(centred @ centred)
+    return number(centred @ (values - values.mean()) / spread) if spread > 0 else None
+
+
+def jumps(times: Numbers, values: Numbers) -> list[Jump]:
+    """Steps far out of the usual. A value that mostly stands still has one only if it moves once."""
+    steps = np.diff(values)
+    if len(steps) < _MOST_SAMPLES:
+        return []
+    size = np.abs(steps)
+    usual = _MAD_TO_SIGMA * float(np.median(np.abs(steps - np.median(steps))))
+    if float(np.median(size)) > 0:
+        large = size > JUMP_FACTOR * max(usual, float(np.median(size)))
+    else:
+        large = size > 0
+        if np.count_nonzero(large) > max(1, len(steps) // 100):
+            return []
+    return [Jump(float(times[i + 1]), float(values[i]), float(values[i + 1])) for i in np.flatnonzero(large)]
+
+
+def stuck(times: Numbers, values: Numbers) -> Stuck | None:
+    """The longest time that a lively value stood still, if that is suspiciously long."""
+    if len(values) <= STUCK_SAMPLES:
+        return None
+    starts = np.flatnonzero(np.concatenate(([True], np.diff(values) != 0)))
+    lengths = np.diff(np.append(starts, len(values)))
+    longest = int(np.argmax(lengths))
+    first, samples = int(starts[longest]), int(lengths[longest])
+    steps_elsewhere = len(values) - samples
+    if samples < max(STUCK_SAMPLES, STUCK_SHARE * len(values)) or len(starts) - 1 < _LIVELY * steps_elsewhere:
+        return None
+    if len(starts) <= _MOST_SAMPLES:
+        return None
+    last = first + samples - 1
+    return Stuck(float(times[first]), float(times[last] - times[first]), samples, float(values[first]))
+
+
+def pairs(first: Numbers, second: Numbers) -> list[tuple[int, int]]:
+    """Which of the one belongs to which of the other: each the other's nearest in time, and not far apart.
+
+    Not far is at most half of the longer of the two median periods (or one whole window with too few to tell).
+    """
+    if not len(first) or not len(second):
+        return []
+    forth, back = _nearest(first, second), _nearest(second, first)
+    periods = [float(np.median(np.diff(times))) for times in (first, second) if len(times) > 1]
+    limit = max(periods) / 2 if len(periods) == 2 else math.inf
+    mutual = [(i, int(j)) for i, j in enumerate(forth) if back[j] == i]
+    return [(i, j) for i, j in mutual if abs(first[i] - second[j]) <= limit]
+
+
+def _nearest(wanted: Numbers, times: Numbers) -> NDArray[np.intp]:
+    if len(times) == 1:
+        return np.zeros(len(wanted), np.intp)
+    right = np.minimum(np.maximum(np.searchsorted(times, wanted), 1), len(times) - 1)
+    return np.where(wanted - times[right - 1] <= times[right] - wanted, right - 1, right)
+
+
+def correlation(first: Numbers, second: Numbers) -> float | None:
+    """Pearson's correlation; None where one of them does not vary."""
+    if len(first) < 2:
+        return None
+    one, other = first - first.mean(), second - second.mean()
+    norm = math.sqrt(float(one @ one) * float(other @ other))
+    noise = 1e-12 * len(first) * float(max(np.abs(first).max(), np.abs(second).max())) ** 2
+    return number(one @ other / norm) if norm > noise else None
+
+
+def delay(
+    first_times: Numbers, first: Numbers, second_times: Numbers, second: Numbers
+) -> tuple[float | None, float | None]:
+    """By how many seconds the second signal follows the first, and how well the two agree then (-1 to 1).
+
+    Both are brought onto one grid of times; the lag with the highest correlation counts, up to a third of the time
+    they have in common. Of lags that fit equally well (a periodic signal), the shortest.
+    """
+    begin, end = max(first_times[0], second_times[0]), min(first_times[-1], second_times[-1])
+    if min(len(first), len(second)) < 8 or end <= begin:
+        return None, None
+    step = max(min(_period(first_times), _period(second_times)) / 4, (end - begin) / _GRID)
+    grid = np.arange(begin, end, step)
+    if len(grid) < 8:
+        return None, None
+    one, other = np.interp(grid, first_times, first), np.interp(grid, second_times, second)
+    most = len(grid) // 3
+    scores = [correlation(*_shifted(one, other, lag)) for lag in range(-most, most + 1)]
+    known = np.array([-2.0 if score is None else score for score in scores])
+    best = float(known.max())
+    if best < 0:
+        return None, None
+    index = _shortest_peak(known, best, most)
+    return (index - most + _vertex(known, index)) * step, best
+
+
+def _period(times: Numbers) -> float:
+    return float(np.median(np.diff(times)))
+
+
+def _shifted(one: Numbers, other: Numbers, lag: int) -> tuple[Numbers, Numbers]:
+    return (one[: len(one) - lag], other[lag:]) if lag >= 0 else (one[-lag:], other[:lag])
+
+
+def _shortest_peak(scores: Numbers, best: float, middle: int) -> int:
+    """The highest score; of local maxima that are almost as high, the one nearest to no delay."""
+    padded = np.concatenate(([-np.inf], scores, [-np.inf]))
+    is_peak = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]) & (scores >= _NEAR_BEST * best)
+    peaks = np.flatnonzero(is_peak)
+    return int(peaks[np.argmin(np.abs(peaks - middle))])
+
+
+def _vertex(scores: Numbers, index: int) -> float:
+    """Where between the grid's points the peak is: the vertex of a parabola through three of them."""
+    if not 0 < index < len(scores) - 1:
+        return 0.0
+    left, middle, right = (float(score) for score in scores[index - 1 : index + 2])
+    bend = left - 2 * middle + right
+    return (left - right) / (2 * bend) if bend < 0 else 0.0
+
+
+def flat(values: Sequence[Any]) -> Numbers:
+    """A list or array of numbers as float64."""
+    return np.asarray(values, np.float64).ravel()

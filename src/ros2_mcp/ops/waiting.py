@@ -1,0 +1,155 @@
+"""Waiting until a condition on a topic holds; in a recording, finding the first time that it held."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.guard.policy import MAX_DURATION_S, bounded
+from ros2_mcp.model.errors import BadValue, NotFound
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.results import Report, iso_time, silent
+from ros2_mcp.ops.window import Source, Stream
+
+if TYPE_CHECKING:
+    from ros2_mcp.ops.expression import Condition
+
+_TURN_SAMPLES = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """Whether a condition came true, with the message that met it; else the last one that came.
+
+    `looked_at` messages were examined; `undecided` of them had no answer (a list too short, a division by zero).
+    `values` are the fields that the condition names. `dropped` messages came too fast to be looked at.
+    """
+
+    topic_name: str
+    topic_type: str
+    condition: str
+    met: bool
+    at: str
+    waited: float
+    looked_at: int
+    undecided: int
+    dropped: int
+    values: Mapping[str, Any]
+    message: dict[str, Any] | None
+    source: str
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        outcome = "is met" if self.met else "was not met"
+        values = ", ".join(f"{path} = {value}" for path, value in self.values.items())
+        line = f"{self.topic_name}: {self.condition} {outcome} after {self.waited:.3f} s ({values or 'no message'})."
+        return f"{line} {self.note}".rstrip()
+
+
+@dataclass(slots=True)
+class _Search:
+    """What has been seen so far."""
+
+    condition: Condition
+    last: Sample | None = None
+    met: bool = False
+    looked_at: int = 0
+    undecided: int = 0
+
+    def look(self, stream: Stream, samples: Sequence[Sample]) -> bool:
+        """Examines samples up to the one that meets the condition; true if there is one."""
+        for sample in samples:
+            self.last = sample
+            self.looked_at += 1
+            holds = self.condition.holds(stream.codec.decode(stream.type, sample.data))
+            self.undecided += holds is None
+            if holds:
+                self.met = True
+                return True
+        return False
+
+
+async def wait_until(
+    source: Source, topic: str, text: str, report: Report = silent, *, max_bytes: int = 32_000
+) -> Wait:
+    """Looks at every message until one meets the condition, or the source's time is over.
+
+    Raises:
+        BadInput: for what is not a condition.
+        BadValue: for a field that does not exist, or a time out of range.
+        NotFound: if the topic does not appear in that time.
+        TypeConflict: if it has several types.
+        BadData: if a message does not fit the type.
+    """
+    from ros2_mcp.ops.expression import condition
+
+    bounded("timeout", source.duration_s, 0.0, MAX_DURATION_S, "s")
+    started = monotonic()
+    with contextlib.suppress(NotFound):  # it may appear in time
+        condition(source.codec.definitions, await source.type_of(topic), text)
+    async with source.follow(topic) as stream:
+        search = _Search(condition(stream.codec.definitions, stream.type, text))
+        await _examine(stream, search, started, source.duration_s, report)
+        return await asyncio.to_thread(_result, stream, search, monotonic() - started, source.words, max_bytes)
+
+
+async def _examine(stream: Stream, search: _Search, started: float, longest_s: float, report: Report) -> None:
+    async for batch in stream.batches:
+        for begin in range(0, len(batch), _TURN_SAMPLES):
+            part = batch[begin : begin + _TURN_SAMPLES]
+            if await asyncio.to_thread(search.look, stream, part):
+                return
+        elapsed = monotonic() - started
+        if elapsed > 1.0:
+            await report(min(elapsed, longest_s), longest_s, f"{stream.topic}: {search.looked_at} messages, not met")
+
+
+def _result(stream: Stream, search: _Search, waited_s: float, words: str, max_bytes: int) -> Wait:
+    last, paths = search.last, search.condition.fields
+    return Wait(
+        stream.topic,
+        stream.type,
+        search.condition.text,
+        search.met,
+        iso_time(last.received_ns) if last else "",
+        round(waited_s, 6),
+        search.looked_at,
+        search.undecided,
+        stream.counts().dropped,
+        _shown(stream, last, paths, 2000) if last and paths else {},
+        _shown(stream, last, (), max_bytes // 2) if last else None,
+        words,
+        _note(stream, search),
+    )
+
+
+def _shown(stream: Stream, sample: Sample, paths: Sequence[str], max_bytes: int) -> dict[str, Any]:
+    from ros2_mcp.codec.render import RenderOptions, render
+
+    message = stream.codec.decode(stream.type, sample.data)
+    if not paths:
+        return render(stream.codec.definitions, stream.type, message, options=RenderOptions(max_bytes=max_bytes)).value
+    values: dict[str, Any] = {}
+    for path in paths:
+        options = RenderOptions(max_array=8, max_string=200, max_bytes=max_bytes, fields=[path])
+        try:
+            values |= render(stream.codec.definitions, stream.type, message, options=options).value
+        except BadValue:
+            values[path] = None
+    return values
+
+
+def _note(stream: Stream, search: _Search) -> str:
+    notes: list[str] = []
+    if not search.looked_at:
+        notes.append("No message came." if stream.publishers else "No message came: nobody publishes on it.")
+    if search.undecided:
+        notes.append(f"{search.undecided} messages had no answer (a list too short, or a division by zero).")
+    if dropped := stream.counts().dropped:
+        notes.append(f"{dropped} messages came too fast to be looked at.")
+    return " ".join(notes)
