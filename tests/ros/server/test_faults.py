@@ -95,7 +95,7 @@ def test_a_service_that_takes_too_long_is_given_up_in_time(agent, small_robot) -
     refusal = agent.refusal("ros2_service_call", service_name="/slow_lamp", fields={"data": True}, timeout_sec=0.5)
     assert 0.4 < time.monotonic() - started < 1.0
     assert "/slow_lamp" in refusal
-    assert "0.5 s" in refusal
+    assert "did not answer within" in refusal
 
 
 def test_a_goal_goes_on_when_the_waiting_ends_and_says_so(agent, small_robot) -> None:

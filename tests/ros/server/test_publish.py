@@ -75,3 +75,13 @@ def test_a_best_effort_subscriber_is_reached_without_an_acknowledgement(agent, p
     sent = agent.call("ros2_topic_publish", topic_name="/lossy", data={"data": "x"})
     assert (sent["status"], sent["subscribers"]) == ("published", 1)
     assert peer.texts(topic="/lossy", expected=1) == ["x"]
+
+
+def test_a_publish_without_a_type_waits_for_a_subscriber_that_is_coming_up(agent, peer) -> None:
+    for number in range(10):
+        topic = f"/coming_up_{number}"
+        sent = agent.begin("ros2_topic_publish", topic_name=topic, data={"data": "x"})
+        peer.listen(topic=topic, kind=STRING)
+        assert sent.result(10)["status"] == "published"
+        assert peer.texts(topic=topic, expected=1) == ["x"]
+        peer.forget(topic=topic)
