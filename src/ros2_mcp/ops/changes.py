@@ -17,10 +17,11 @@ from ros2_mcp.ops.actions import action_types
 from ros2_mcp.ops.diagnostics import DIAGNOSTICS, DiagnosticTable
 from ros2_mcp.robot import Listening, Robot, TopicEndpoints
 
-POLL_S = 0.5
+POLL_S = 0.25
 _ENDPOINTS_S = 2.0
 _APPEARS_S = 60.0
 _LATCHED_S = 0.5
+_MATCHING_S = 0.2
 _STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 
 
@@ -51,8 +52,8 @@ class TopicSamples:
     async def changes(self, robot: Robot) -> AsyncGenerator[Seen | None, None]:
         """The newest sample, whenever there is one."""
         async with aclosing(_samples(robot, self.topic, "latest")) as arrivals:
-            await anext(arrivals)
-            yield None
+            type_name, samples = await anext(arrivals)
+            yield Seen(type_name, samples[-1]) if samples else None
             async for type_name, samples in arrivals:
                 if samples:
                     yield Seen(type_name, samples[-1])
@@ -114,11 +115,11 @@ class WorseDiagnostics:
         """The table of all components, which stays up to date, whenever one got worse."""
         table = DiagnosticTable()
         async with aclosing(_samples(robot, DIAGNOSTICS, "all")) as arrivals:
-            await anext(arrivals)
+            type_name, samples = await anext(arrivals)
+            table.take_all(robot, type_name, samples)
             yield table
             async for type_name, samples in arrivals:
-                worse = [table.take(robot.values.decode(type_name, s), s.received_ns) for s in samples]
-                if any(worse):
+                if table.take_all(robot, type_name, samples):
                     yield table
 
 
@@ -142,7 +143,8 @@ class ParametersOf:
 async def _samples(robot: Robot, topic: str, keep: str) -> AsyncGenerator[tuple[str, list[Sample]], None]:
     """The type of a topic and its samples as they come, following its publishers' QoS.
 
-    An empty list says that it is listened to from now on, or that it is not there yet.
+    Whenever listening begins: what came until every publisher had matched, or nothing. Also nothing while the topic
+    is not there yet.
     """
     present = await robot.graph.endpoints(topic)
     while True:
@@ -150,7 +152,7 @@ async def _samples(robot: Robot, topic: str, keep: str) -> AsyncGenerator[tuple[
             yield "", []
             present = await robot.graph.wait_for(topic, publishers=1, timeout_s=_APPEARS_S)
         async with robot.listen(topic, present.publishers[0].type, keep=keep, max_samples=1000) as heard:
-            yield heard.type, []
+            yield heard.type, await heard.take(_MATCHING_S)
             while True:
                 look_at = _now() + _ENDPOINTS_S
                 while (left := look_at - _now()) > 0:

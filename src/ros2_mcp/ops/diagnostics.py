@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.robot import Robot
 
@@ -33,8 +35,13 @@ class DiagnosticTable:
         default_factory=dict[tuple[str, str], tuple[int, Diagnostic]]
     )
 
+    def take_all(self, robot: Robot, type_name: str, samples: Sequence[Sample]) -> bool:
+        """Takes samples of diagnostic_msgs/msg/DiagnosticArray in; true if a component got worse."""
+        worse = [self.take(robot.values.decode(type_name, sample), sample.received_ns) for sample in samples]
+        return any(worse)
+
     def take(self, message: Any, received_ns: int) -> bool:
-        """Takes a diagnostic_msgs/msg/DiagnosticArray in; true if a component got worse."""
+        """Takes one message in; true if a component got worse."""
         worse = [self._take_one(status, received_ns) for status in message.status]
         return any(worse)
 
@@ -63,6 +70,5 @@ async def read_diagnostics(robot: Robot, listen_s: float = 1.5) -> DiagnosticTab
     end = asyncio.get_running_loop().time() + listen_s
     async with robot.listen(DIAGNOSTICS) as heard:
         while (left := end - asyncio.get_running_loop().time()) > 0:
-            for sample in await heard.take(left):
-                table.take(robot.values.decode(heard.type, sample), sample.received_ns)
+            table.take_all(robot, heard.type, await heard.take(left))
     return table
