@@ -9,7 +9,7 @@ from pydantic import BeforeValidator, Field
 
 def _no_bool(value: Any) -> Any:
     if isinstance(value, bool):
-        raise ValueError("a number is meant, not true or false")
+        raise ValueError("a number is meant")
     return value
 
 

@@ -164,3 +164,22 @@ def test_the_first_listing_of_a_new_server_is_whole(peer, start_agent) -> None:
         assert time.monotonic() - started < 6
     for topic in topics:
         peer.forget(topic=topic)
+
+
+@pytest.mark.parametrize(
+    ("tool", "arguments", "clear"),
+    [
+        ("ros2_topic_subscribe", {"topic_nam": "/x"}, "Did you mean topic_name?"),
+        ("ros2_topic_subscribe", {}, "ros2_topic_subscribe needs the argument 'topic_name'."),
+        ("ros2_topic_subscribe", {"topic_name": "/x", "duration": True}, "duration: a number is meant, not true."),
+        (
+            "ros2_subscribe_multiple_topics",
+            {"topics": [{"name": "/x", "durtion": 1}]},
+            "no argument 'topics.0.durtion'. Did you mean duration?",
+        ),
+        ("ros2_subscribe_multiple_topics", {"topics": "/x"}, 'topics: a list is expected, not "/x".'),
+        ("ros2_topic_publish", {"topic_name": "/x", "data": "x"}, 'data: an object is expected, not "x".'),
+    ],
+)
+def test_arguments_that_do_not_fit_are_explained(agent, tool: str, arguments: dict[str, Any], clear: str) -> None:
+    assert clear in agent.refusal(tool, **arguments)
