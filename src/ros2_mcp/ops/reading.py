@@ -245,7 +245,7 @@ async def _why_nothing(robot: Robot, listening: Listening) -> str:
         return "Nobody publishes on it now." if not listening.publishers else "Its publisher left during the read."
     if listening.type not in {publisher.type for publisher in now.publishers}:
         return f"It is published with the type {', '.join(now.types)}."
-    return f"{len(now.publishers)} publisher(s) there, but nothing was sent: {_nodes(now)}."
+    return f"{len(now.publishers)} publisher(s) there, but no message came while this listened: {_nodes(now)}."
 
 
 async def _why_few(robot: Robot, listening: Listening, collection: Collection) -> str:
