@@ -30,7 +30,9 @@ async def run(names: list[str], full: bool) -> list[Row]:
     rows: list[Row] = []
     for name in names:
         print(f"{name} …", file=sys.stderr, flush=True)
-        rows += await MEASUREMENTS[name](full)
+        found = await MEASUREMENTS[name](full)
+        print(table(found), file=sys.stderr, flush=True)
+        rows += found
     return rows
 
 
