@@ -1,0 +1,210 @@
+"""A recording in progress: samples go in from the event loop, a thread writes them, and it ends by itself at limits.
+
+What has been given in is on its way to the disk within `FLUSH_S`, however slow the disk's own syncing is.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from time import monotonic
+from typing import Protocol
+
+from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.bags.writer import free_bytes
+from ros2_mcp.model.samples import Sample
+
+FLUSH_S = 0.3
+QUEUE_BYTES = 64_000_000
+FREE_FLOOR_BYTES = 500_000_000
+
+
+class Sink(Protocol):
+    """Where messages are written: one recording, or a ring of files."""
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk."""
+        ...
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages of each topic that were written."""
+        ...
+
+    @property
+    def descriptor(self) -> int:
+        """The open file, to sync it."""
+        ...
+
+    def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
+        """A topic that messages may follow for."""
+        ...
+
+    def write(self, topic_name: str, sample: Sample) -> None:
+        """One message."""
+        ...
+
+    def flush(self) -> None:
+        """Gives everything to the system."""
+        ...
+
+    def close(self) -> None:
+        """Ends in good order."""
+        ...
+
+    def abandon(self) -> None:
+        """Ends with what is whole."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """When a recording ends by itself; 0 is never. `free_floor_bytes` stay free on the disk."""
+
+    duration_s: float = 0.0
+    max_bytes: int = 0
+    free_floor_bytes: int = FREE_FLOOR_BYTES
+
+
+class Recorder:
+    """Writes in a thread of its own. `ended` says in words why it ended, and is empty while it runs.
+
+    `failed` is true if that was an error of the disk. `dropped` counts, by topic, samples that the disk was too slow
+    for. All methods may be called from any thread.
+    """
+
+    def __init__(self, sink: Sink, folder: str | os.PathLike[str], limits: Limits | None = None) -> None:
+        self.sink = sink
+        self.ended = ""
+        self.failed = False
+        self.dropped: dict[str, int] = {}
+        self.elapsed_s = 0.0
+        self._folder = folder
+        self._limits = limits or Limits()
+        self._waiting: deque[tuple[str, Sequence[Sample]]] = deque()
+        self._waiting_bytes = 0
+        self._topics: deque[tuple[StoredTopic, str]] = deque()
+        self._news = threading.Condition()
+        self._stop = ""
+        self._started = monotonic()
+        self._syncing: Future[None] | None = None
+        self._syncer = ThreadPoolExecutor(1, "recording-sync")
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+        self._thread.start()
+
+    def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
+        """A topic that samples may be put for from now on."""
+        with self._news:
+            self._topics.append((topic, type_hash))
+
+    def put(self, topic_name: str, samples: Sequence[Sample]) -> None:
+        """Hands over samples; they are dropped and counted where the disk has fallen behind, or it has ended."""
+        if not samples:
+            return
+        size = sum(len(sample.data) for sample in samples)
+        with self._news:
+            if self.ended or self._waiting_bytes + size > QUEUE_BYTES:
+                self._drop(topic_name, len(samples))
+                return
+            self._waiting.append((topic_name, samples))
+            self._waiting_bytes += size
+
+    def stop(self, reason: str = "stopped") -> None:
+        """Writes what waits, closes the files and waits for that."""
+        with self._news:
+            self._stop = self._stop or reason
+            self._news.notify()
+        self._thread.join()
+
+    # ── in the thread ──────────────────────────────────────────────────────────────────────────────────────────
+
+    def _run(self) -> None:
+        reason = "It ended by a fault of this program; see its log."
+        try:
+            reason = self._write_until_the_end()
+            self._settle_sync()
+            self.sink.close()
+        except OSError as error:
+            self.failed = True
+            reason = f"The disk took no more: {error.strerror or error}."
+            with suppress(OSError):
+                self._settle_sync()
+            with suppress(OSError):
+                self.sink.abandon()
+        finally:
+            self.elapsed_s = monotonic() - self._started
+            self._syncer.shutdown()
+            with self._news:
+                self.ended = reason
+
+    def _write_until_the_end(self) -> str:
+        while True:
+            with self._news:
+                if not self._stop:
+                    self._news.wait(FLUSH_S)
+                stop = self._stop
+            self.elapsed_s = monotonic() - self._started
+            reason = stop or self._limit_reached()
+            reason = self._write_waiting() or reason
+            self.sink.flush()
+            if reason:
+                return reason
+            self._sync()
+
+    def _write_waiting(self) -> str:
+        with self._news:
+            batches, self._waiting = self._waiting, deque()
+            self._waiting_bytes = 0
+            topics, self._topics = self._topics, deque()
+        for topic, type_hash in topics:
+            self.sink.add_topic(topic, type_hash)
+        for topic_name, samples in batches:
+            for index, sample in enumerate(samples):
+                if self._is_full():
+                    self._drop(topic_name, len(samples) - index)
+                    break
+                self.sink.write(topic_name, sample)
+        return self._full_reason() if self._is_full() else ""
+
+    def _drop(self, topic_name: str, count: int) -> None:
+        self.dropped[topic_name] = self.dropped.get(topic_name, 0) + count
+
+    def _full_reason(self) -> str:
+        return f"The limit of {self._limits.max_bytes} bytes is reached."
+
+    def _is_full(self) -> bool:
+        return bool(self._limits.max_bytes) and self.sink.size >= self._limits.max_bytes
+
+    def _limit_reached(self) -> str:
+        limits = self._limits
+        if limits.duration_s and self.elapsed_s >= limits.duration_s:
+            return f"The time of {limits.duration_s:g} s is over."
+        if self._is_full():
+            return self._full_reason()
+        if (free := free_bytes(self._folder)) < limits.free_floor_bytes:
+            self.failed = True
+            return f"The disk is nearly full: {free} bytes are free, {limits.free_floor_bytes} must stay free."
+        return ""
+
+    def _sync(self) -> None:
+        """Asks the disk to keep what the system has; one request at a time, and never waited for here."""
+        if self._syncing is None or self._syncing.done():
+            self._settle_sync()
+            self._syncing = self._syncer.submit(_fsync, os.dup(self.sink.descriptor))
+
+    def _settle_sync(self) -> None:
+        if self._syncing is not None:
+            self._syncing.result()
+
+
+def _fsync(descriptor: int) -> None:
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

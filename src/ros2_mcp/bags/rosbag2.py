@@ -1,0 +1,156 @@
+"""The folder that rosbag2 makes of a recording: `metadata.yaml` beside the files, and its text for QoS."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.model.qos import QoS
+
+METADATA = "metadata.yaml"
+VERSION = 8
+"""Of the metadata: the one of Iron, whose integers for QoS every later distribution reads too."""
+_INFINITE = (9223372036, 854775807)
+_HISTORY = {"keep_last": 1, "keep_all": 2}
+_RELIABILITY = {"reliable": 1, "best_effort": 2}
+_DURABILITY = {"transient_local": 1, "volatile": 2}
+_LIVELINESS = {"automatic": 1, "manual_by_topic": 3}
+_UNKNOWN = {"history": 3, "reliability": 3, "durability": 3, "liveliness": 4}
+
+
+@dataclass(frozen=True, slots=True)
+class FilePart:
+    """One finished file of a recording: name, Unix times of its first and last message (0: none), messages."""
+
+    name: str
+    start_ns: int
+    end_ns: int
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class FolderFacts:
+    """What a `metadata.yaml` says: files in their order, messages in all, how the files are compressed."""
+
+    files: Sequence[str]
+    count: int | None
+    compression_mode: str
+    compression_format: str
+    distro: str
+
+
+def qos_text(profiles: Sequence[QoS]) -> str:
+    """The publishers' QoS as rosbag2 keeps it (YAML with the numbers of `rmw`)."""
+    return _dumped([_profile(qos) for qos in profiles]) if profiles else ""
+
+
+def write_metadata(folder: Path, topics: Sequence[tuple[StoredTopic, str]], files: Sequence[FilePart]) -> None:
+    """Writes `metadata.yaml` in one step; `topics` come with their type hash.
+
+    Raises:
+        OSError: if the folder cannot be written.
+    """
+    text = _dumped({"rosbag2_bagfile_information": _information(topics, files)})
+    draft = folder / f".{METADATA}"
+    with draft.open("w", encoding="utf-8") as file:
+        file.write(text + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+    draft.replace(folder / METADATA)
+
+
+def read_metadata(folder: Path) -> FolderFacts | str:
+    """What `metadata.yaml` says, or in words why it says nothing."""
+    try:
+        loaded = YAML(typ="safe", pure=True).load((folder / METADATA).read_text(encoding="utf-8"))  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
+        return _facts(cast("dict[str, Any]", loaded)["rosbag2_bagfile_information"])
+    except FileNotFoundError:
+        return f"{METADATA} is missing: the recording was not closed."
+    except (OSError, YAMLError, UnicodeDecodeError, ValueError, TypeError, KeyError, AttributeError) as error:
+        return f"{METADATA} cannot be read: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
+
+
+def _facts(raw: dict[str, Any]) -> FolderFacts:
+    return FolderFacts(
+        [str(path) for path in raw["relative_file_paths"]],
+        int(raw["message_count"]),
+        str(raw.get("compression_mode") or "").lower(),
+        str(raw.get("compression_format") or "").lower(),
+        str(raw.get("ros_distro") or ""),
+    )
+
+
+def _information(topics: Sequence[tuple[StoredTopic, str]], files: Sequence[FilePart]) -> dict[str, Any]:
+    timed = [part for part in files if part.count]
+    start = min((part.start_ns for part in timed), default=0)
+    end = max((part.end_ns for part in timed), default=0)
+    return {
+        "version": VERSION,
+        "storage_identifier": "mcap",
+        "duration": {"nanoseconds": end - start},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": sum(part.count for part in files),
+        "topics_with_message_count": [_topic(topic, type_hash) for topic, type_hash in topics],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [part.name for part in files],
+        "files": [
+            {
+                "path": part.name,
+                "starting_time": {"nanoseconds_since_epoch": part.start_ns},
+                "duration": {"nanoseconds": part.end_ns - part.start_ns},
+                "message_count": part.count,
+            }
+            for part in files
+        ],
+        "custom_data": None,
+        "ros_distro": "unknown",
+    }
+
+
+def _topic(topic: StoredTopic, type_hash: str) -> dict[str, Any]:
+    return {
+        "topic_metadata": {
+            "name": topic.name,
+            "type": topic.type,
+            "serialization_format": topic.serialization,
+            "offered_qos_profiles": topic.qos,
+            "type_description_hash": type_hash,
+        },
+        "message_count": topic.count or 0,
+    }
+
+
+def _profile(qos: QoS) -> dict[str, Any]:
+    return {
+        "history": _HISTORY.get(qos.history, _UNKNOWN["history"]),
+        "depth": qos.depth or 0,
+        "reliability": _RELIABILITY.get(qos.reliability, _UNKNOWN["reliability"]),
+        "durability": _DURABILITY.get(qos.durability, _UNKNOWN["durability"]),
+        "deadline": _time(qos.deadline_ns),
+        "lifespan": _time(qos.lifespan_ns),
+        "liveliness": _LIVELINESS.get(qos.liveliness, _UNKNOWN["liveliness"]),
+        "liveliness_lease_duration": _time(qos.liveliness_lease_ns),
+        "avoid_ros_namespace_conventions": False,
+    }
+
+
+def _time(duration_ns: int | None) -> dict[str, int]:
+    sec, nsec = _INFINITE if duration_ns is None else divmod(duration_ns, 1_000_000_000)
+    return {"sec": sec, "nsec": nsec}
+
+
+def _dumped(value: object) -> str:
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = False
+    stream = io.StringIO()
+    yaml.dump(value, stream)  # pyright: ignore[reportUnknownMemberType]
+    return stream.getvalue().strip()

@@ -1,0 +1,93 @@
+"""The definitions inside a bag: one text for each type, with everything that it refers to."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+
+from ros2_mcp.model.interfaces import Constant, DefinitionText, Interface, Structure
+from ros2_mcp.model.names import defining_type, is_derived
+
+_LINE = "=" * 80
+_PART = re.compile(r"^={80}\r?\n(MSG|IDL): (\S+)\r?$", re.MULTILINE)
+_ENDINGS = {"srv": ("_Request", "_Response"), "action": ("_Goal", "_Result", "_Feedback")}
+
+
+def schema_text(interface: Interface) -> str:
+    """A message type as `ros2msg` text, with every type that it refers to, as rosbag2 and Foxglove read it.
+
+    Defaults are left out: they say nothing about bytes.
+    """
+    parts = [_structure_text(interface.sections[0].structure)]
+    for name, structure in interface.nested.items():
+        package, _, base = name.split("/")
+        title = name if is_derived(name) else f"{package}/{base}"
+        parts += [f"{_LINE}\nMSG: {title}", _structure_text(structure)]
+    return "\n".join(parts)
+
+
+def definitions_in(type_name: str, encoding: str, text: str) -> dict[str, DefinitionText]:
+    """The definitions in a schema's text, by the names of the interfaces; empty where it has none that is known."""
+    if encoding not in ("ros2msg", "ros2idl") or not text.strip():
+        return {}
+    found: dict[str, DefinitionText] = {}
+    flat: dict[str, str] = {}
+    for name, kind, part in _parts(type_name, encoding, text):
+        if kind == "msg" and is_derived(name):
+            flat[name] = part
+        elif name.count("/") == 2:
+            found[name] = DefinitionText(kind, part)
+    return {**_owners(flat), **found}
+
+
+def _parts(type_name: str, encoding: str, text: str) -> Iterator[tuple[str, str, str]]:
+    """Name, format and text of each part; the first part has no title in `ros2msg`."""
+    pieces = _PART.split(text)
+    if pieces[0].strip() or len(pieces) == 1:
+        yield type_name, encoding.removeprefix("ros2"), pieces[0]
+    elif pieces[1] == "MSG" or _full(pieces[2]) != type_name:
+        yield type_name, "msg", ""
+    for kind, name, part in zip(pieces[1::3], pieces[2::3], pieces[3::3], strict=True):
+        yield _full(name), kind.lower(), part
+
+
+def _full(name: str) -> str:
+    package, *_, base = name.split("/")
+    return name if name.count("/") == 2 else f"{package}/msg/{base}"
+
+
+def _owners(flat: Mapping[str, str]) -> dict[str, DefinitionText]:
+    """Services and actions put together again from those of their sides that are there."""
+    owners: dict[str, DefinitionText] = {}
+    for owner in {defining_type(name) for name in flat}:
+        kind = owner.split("/")[1]
+        sides = [flat.get(owner + ending, "") for ending in _ENDINGS[kind]]
+        owners[owner] = DefinitionText(kind, "\n---\n".join(sides))
+    return owners
+
+
+def _structure_text(structure: Structure) -> str:
+    return "\n".join(_lines(structure))
+
+
+def _lines(structure: Structure) -> Iterator[str]:
+    for constant in structure.constants:
+        yield f"{constant.type} {constant.name}={_constant_text(constant)}"
+    for field in structure.fields:
+        comment = f" # {field.comment}" if field.comment else ""
+        yield f"{_type_text(field.type)} {field.name}{comment}"
+
+
+def _constant_text(constant: Constant) -> str:
+    if isinstance(constant.value, bool):
+        return str(constant.value).lower()
+    if isinstance(constant.value, str):
+        return f'"{constant.value}"' if '"' not in constant.value else f"'{constant.value}'"
+    return repr(constant.value)
+
+
+def _type_text(written: str) -> str:
+    """`std_msgs/msg/Header` is written `std_msgs/Header` in .msg files; parts of actions keep their full name."""
+    base = re.match(r"[\w/]+", written)
+    assert base
+    return written if is_derived(base[0]) else written.replace("/msg/", "/", 1)

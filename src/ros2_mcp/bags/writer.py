@@ -1,0 +1,199 @@
+"""Writes a recording: MCAP files in a rosbag2 folder, valid up to the last `flush` whatever happens after it."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from mcap.writer import CompressionType, Writer
+
+from ros2_mcp.bags.rosbag2 import FilePart, write_metadata
+from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.model.samples import Sample
+
+CHUNK_BYTES = 1 << 20
+_SEQUENCE = 0xFFFFFFFF
+_MESSAGE_BYTES = 31 + 16
+"""What a message needs beside its data: its record's head, and its place in the chunk's index."""
+_LIBRARY = "ros2-mcp"
+
+
+@dataclass(slots=True)
+class _Count:
+    """What the file that is being written holds so far."""
+
+    messages: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+    bytes: int = 0
+
+    def add(self, at_ns: int, size: int) -> None:
+        self.start_ns = min(self.start_ns, at_ns) if self.messages else at_ns
+        self.end_ns = max(self.end_ns, at_ns)
+        self.messages += 1
+        self.bytes += size
+
+
+class _Output:
+    """An unbuffered file that knows how much of it is whole."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.file = path.open("xb", buffering=0)
+        self.size = 0
+        self.whole = 0
+
+    def write(self, data: bytes) -> int:
+        view = memoryview(data)
+        while view:
+            written = self.file.write(view)
+            view = view[written:]
+            self.size += written
+        return len(data)
+
+    def tell(self) -> int:
+        return self.size
+
+    def flush(self) -> None:
+        self.whole = self.size
+
+
+class BagWriter:
+    """One recording on disk. Every method that writes raises `OSError` as the system does; use it from one thread.
+
+    `counts` has the messages of each topic, `files` what is finished, `bytes_before` the size of those.
+    """
+
+    def __init__(self, folder: Path, name: str, split_bytes: int = 0) -> None:
+        self.folder = folder
+        self._name = name
+        self._split_bytes = split_bytes
+        self.topics: dict[str, StoredTopic] = {}
+        self.counts: dict[str, int] = {}
+        self._hashes: dict[str, str] = {}
+        self.files: list[FilePart] = []
+        self.bytes_before = 0
+        self._open_file()
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files, with the messages that are not on the disk yet."""
+        return self.bytes_before + max(self._output.size, self._count.bytes)
+
+    @property
+    def path(self) -> Path:
+        """The file that is being written."""
+        return self._output.path
+
+    @property
+    def descriptor(self) -> int:
+        """The descriptor of that file, to sync it."""
+        return self._output.file.fileno()
+
+    def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
+        """A topic that messages may follow for."""
+        self.topics[topic.name] = topic
+        self.counts.setdefault(topic.name, 0)
+        self._hashes[topic.name] = type_hash
+
+    def write(self, topic_name: str, sample: Sample) -> None:
+        """One message, with the time of receipt as its time."""
+        channel = self._channels.get(topic_name) or self._register(topic_name)
+        self._writer.add_message(
+            channel,
+            sample.received_ns,
+            sample.data,
+            sample.source_ns or sample.received_ns,
+            (sample.sequence or 0) & _SEQUENCE,
+        )
+        self._count.add(sample.received_ns, _MESSAGE_BYTES + len(sample.data))
+        self.counts[topic_name] += 1
+
+    def flush(self) -> None:
+        """Closes the chunk and gives everything to the system; begins the next file where this one is full."""
+        self._writer.flush()
+        if self._split_bytes and self._output.size >= self._split_bytes:
+            self.split()
+
+    def split(self) -> None:
+        """Ends this file and begins the next one."""
+        self.end()
+        self._open_file()
+
+    def close(self) -> None:
+        """Ends the file with its index and writes `metadata.yaml`."""
+        self.end()
+        write_metadata(self.folder, [self._described(name) for name in self.topics], self.files)
+
+    def end(self) -> None:
+        """Ends the file with its index, without `metadata.yaml`."""
+        self._writer.flush()
+        self._writer.finish()
+        self._output.flush()
+        os.fsync(self.descriptor)
+        self._output.file.close()
+        self.bytes_before += self._output.size
+        count = self._count
+        self.files.append(FilePart(self._output.path.name, count.start_ns, count.end_ns, count.messages))
+
+    def abandon(self) -> None:
+        """Ends without writing more than was whole: for a disk that takes no more."""
+        try:
+            os.ftruncate(self.descriptor, self._output.whole)
+        finally:
+            self._output.file.close()
+
+    def _described(self, name: str) -> tuple[StoredTopic, str]:
+        return replace(self.topics[name], count=self.counts[name]), self._hashes[name]
+
+    def _register(self, topic_name: str) -> int:
+        topic = self.topics[topic_name]
+        key = (topic.type, topic.definition)
+        if key not in self._schemas:
+            self._schemas[key] = self._writer.register_schema(topic.type, topic.encoding, topic.definition.encode())
+        metadata = {"offered_qos_profiles": topic.qos, "topic_type_hash": self._hashes[topic_name]}
+        channel = self._writer.register_channel(topic.name, topic.serialization, self._schemas[key], metadata)
+        self._channels[topic_name] = channel
+        return channel
+
+    def _open_file(self) -> None:
+        self._output = _Output(self.folder / f"{self._name}_{len(self.files)}.mcap")
+        self._writer = Writer(self._output, CHUNK_BYTES, CompressionType.NONE)  # pyright: ignore[reportArgumentType]
+        self._writer.start("ros2", _LIBRARY)
+        self._writer.flush()
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[tuple[str, str], int] = {}
+        self._count = _Count()
+
+
+def fresh_folder(parent: Path, wanted: str) -> Path:
+    """Makes a new folder below `parent`; its name is made fit and unique.
+
+    Raises:
+        OSError: if it cannot be made.
+    """
+    name = safe_name(wanted) or time.strftime("recording_%Y%m%d_%H%M%S", time.gmtime())
+    parent.mkdir(parents=True, exist_ok=True)
+    for number in range(1, 10_000):
+        folder = parent / (name if number == 1 else f"{name}_{number}")
+        try:
+            folder.mkdir()
+            return folder
+        except FileExistsError:
+            continue
+    raise FileExistsError(f"{parent} has too many recordings of the name {name}")
+
+
+def safe_name(wanted: str) -> str:
+    """The name without anything that could lead out of the folder: letters, digits, `-` and `_`, at most 80."""
+    kept = [character if character.isascii() and character.isalnum() else "_" for character in wanted.strip()]
+    joined = "".join("-" if sign == "-" else new for sign, new in zip(wanted.strip(), kept, strict=True))
+    return joined.strip("_-")[:80]
+
+
+def free_bytes(folder: str | os.PathLike[str]) -> int:
+    """What the disk still takes, for a user without privileges."""
+    found = os.statvfs(folder)
+    return found.f_bavail * found.f_frsize

@@ -1,0 +1,179 @@
+"""Damaged bags give what can be read and say what is missing: never a wrong message, never a crash."""
+
+from __future__ import annotations
+
+import os
+import random
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import zstandard
+
+from ros2_mcp.bags.bag import Bag
+from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.bags.writer import BagWriter
+from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.samples import Sample
+
+OpenBag = Callable[[Path], Bag]
+FLIPS = 10_000 if os.environ.get("ROS2_MCP_FULL") else 300
+TOPICS = ("/first", "/second")
+Message = tuple[str, Sample]
+
+
+def written(folder: Path, *, closed: bool, count: int = 200) -> tuple[Path, list[Message]]:
+    """A small recording with many chunks; without an end if it is not `closed`."""
+    folder.mkdir()
+    writer = BagWriter(folder, folder.name)
+    for topic in TOPICS:
+        writer.add_topic(StoredTopic(topic, "demo/msg/Raw", None, "ros2msg", "uint8[] data\n"))
+    chance = random.Random(7)
+    messages: list[Message] = []
+    for number in range(count):
+        at_ns = 1_700_000_000_000_000_000 + number * 1_000_000
+        body = b"\0\1\0\0" + chance.randbytes(chance.randrange(4, 80))
+        messages.append((TOPICS[number % 2], Sample(at_ns, at_ns - 3, number + 1, body)))
+        writer.write(*messages[-1])
+        if number % 20 == 19:
+            writer.flush()
+    if closed:
+        writer.close()
+    else:
+        writer.abandon()
+    return writer.path, messages
+
+
+def check(path: Path, messages: list[Message]) -> bool:
+    """Whether damage was noticed; fails if something was read that was not written, or missing without a word."""
+    try:
+        with Bag(path) as bag:
+            read = list(bag.messages())
+            problems = bag.problems
+    except BadData:
+        return True
+    remaining = iter(messages)
+    assert all(message in remaining for message in read), "a message that was never written, or the wrong order"
+    assert len(read) == len(messages) or problems, f"{len(messages) - len(read)} messages are missing without a word"
+    return bool(problems)
+
+
+@pytest.mark.parametrize("closed", [True, False], ids=["closed", "killed"])
+def test_a_flipped_byte_is_noticed_or_harmless(tmp_path: Path, closed: bool) -> None:
+    path, messages = written(tmp_path / "run", closed=closed)
+    whole = path.read_bytes()
+    chance = random.Random(2026)
+    target = tmp_path / "flipped.mcap"
+    for _ in range(FLIPS // 2):
+        place = chance.randrange(len(whole))
+        flipped = bytes([whole[place] ^ (1 << chance.randrange(8))])
+        target.write_bytes(whole[:place] + flipped + whole[place + 1 :])
+        check(target, messages)
+
+
+def test_every_byte_of_the_heads_may_be_flipped(tmp_path: Path) -> None:
+    """The first chunk's head, its index records and the head of the next chunk, each bit."""
+    path, messages = written(tmp_path / "run", closed=False, count=40)
+    whole = path.read_bytes()
+    second = whole.index(b"\x06", whole.index(b"\x07\x26"))
+    target = tmp_path / "flipped.mcap"
+    for place in [*range(100), *range(second - 120, second + 70)]:
+        for bit in range(8):
+            target.write_bytes(whole[:place] + bytes([whole[place] ^ (1 << bit)]) + whole[place + 1 :])
+            check(target, messages)
+
+
+def test_a_cut_file_gives_everything_before_the_cut(tmp_path: Path) -> None:
+    path, messages = written(tmp_path / "run", closed=True)
+    whole = path.read_bytes()
+    target = tmp_path / "cut.mcap"
+    for share in (0.1, 0.3, 0.5, 0.7, 0.9):
+        target.write_bytes(whole[: int(len(whole) * share)])
+        assert check(target, messages)
+    with Bag(target) as bag:
+        assert len(list(bag.messages())) >= 140
+
+
+def test_a_hole_costs_only_the_chunks_it_touches(tmp_path: Path, open_bag: OpenBag) -> None:
+    path, messages = written(tmp_path / "run", closed=False)
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    path.write_bytes(whole[:middle] + bytes(300) + whole[middle + 300 :])
+    bag = open_bag(tmp_path / "run")
+    assert len(list(bag.messages())) >= len(messages) - 60
+    assert any("bytes are lost" in problem for problem in bag.problems)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"hello" * 100, bytes(5000)])
+def test_what_is_no_bag_is_an_error_in_words(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "no.mcap"
+    path.write_bytes(content)
+    try:
+        with Bag(path) as bag:
+            assert list(bag.messages()) == []
+            assert bag.problems
+    except BadData as error:
+        assert "no.mcap" in str(error)
+
+
+def database(path: Path, count: int, *, packed: bool = False) -> list[Message]:
+    """A rosbag2 database as Foxy and Humble write it: without definitions."""
+    connection = sqlite3.connect(path)
+    connection.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)")
+    connection.execute(
+        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB NOT NULL)"
+    )
+    connection.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
+    connection.executemany("INSERT INTO topics VALUES(?, ?, 'demo/msg/Raw', 'cdr')", enumerate(TOPICS))
+    messages = [(TOPICS[n % 2], Sample(1000 + n, 0, None, b"\0\1\0\0" + bytes([n % 256]) * 600)) for n in range(count)]
+    pack = zstandard.ZstdCompressor().compress if packed else bytes
+    rows = [(n % 2, sample.received_ns, pack(sample.data)) for n, (_, sample) in enumerate(messages)]
+    connection.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", rows)
+    connection.commit()
+    connection.close()
+    return messages
+
+
+METADATA = """rosbag2_bagfile_information:
+  version: 5
+  storage_identifier: sqlite3
+  relative_file_paths: [run_0.db3, run_1.db3]
+  message_count: 100
+  compression_mode: MESSAGE
+  compression_format: zstd
+"""
+
+
+def test_a_sqlite_bag_is_read_with_compressed_messages_and_says_which_file_is_missing(
+    tmp_path: Path, open_bag: OpenBag
+) -> None:
+    messages = database(tmp_path / "run_0.db3", 60, packed=True)
+    (tmp_path / "metadata.yaml").write_text(METADATA)
+    bag = open_bag(tmp_path)
+    assert list(bag.messages()) == messages
+    assert bag.last("/second", 2) == [messages[57][1], messages[59][1]]
+    assert bag.problems == [
+        "run_1.db3 is listed in metadata.yaml, but missing.",
+        "metadata.yaml counts 100 messages, 60 are there.",
+    ]
+
+
+def test_a_sqlite_bag_that_was_cut_gives_what_can_be_read(tmp_path: Path, open_bag: OpenBag) -> None:
+    messages = database(tmp_path / "run_0.db3", 3000)
+    whole = (tmp_path / "run_0.db3").read_bytes()
+    (tmp_path / "run_0.db3").write_bytes(whole[: len(whole) * 2 // 3])
+    try:
+        bag = open_bag(tmp_path)
+    except BadData:
+        return
+    read = list(bag.messages())
+    assert read == messages[: len(read)]
+    assert any("lost" in problem for problem in bag.problems)
+
+
+def test_a_file_that_is_compressed_as_a_whole_is_read(tmp_path: Path, open_bag: OpenBag) -> None:
+    messages = database(tmp_path / "plain.db3", 60)
+    packed = zstandard.ZstdCompressor().compress((tmp_path / "plain.db3").read_bytes())
+    (tmp_path / "run_0.db3.zstd").write_bytes(packed)
+    assert list(open_bag(tmp_path / "run_0.db3.zstd").messages()) == messages
