@@ -21,8 +21,8 @@ def base_prompts(robot: Robot) -> list[Prompt]:
     return [_echo_and_analyze(robot), _RELAY, _HEALTH, _COMPARE]
 
 
-def _window(name: str, default: float, what: str) -> Argument:
-    return Argument(name, f"Seconds to {what}", "number", default=default, minimum=0.1, maximum=MAX_WINDOW_S)
+def _window(name: str, default: float, what: str, minimum: float = 0.1) -> Argument:
+    return Argument(name, f"Seconds to {what}", "number", default=default, minimum=minimum, maximum=MAX_WINDOW_S)
 
 
 def _ask(*lines: str) -> Sequence[Message]:
@@ -110,7 +110,6 @@ _RELAYED = {
     "rate_limit": "at most {target_rate_hz} messages per second",
     "filter": "only messages that differ from the one before",
 }
-_TRANSFORMS = {"filter": "on_change"}
 _CHECK_S = 3.0
 
 
@@ -125,7 +124,7 @@ async def _write_relay(values: Mapping[str, Any]) -> Sequence[Message]:
         source_topic=source,
         destination_topic=destination,
         message_type=values["message_type"],
-        transform=_TRANSFORMS.get(values["transform"], values["transform"]),
+        transform=values["transform"],
         target_rate_hz=values["target_rate_hz"] if is_limited else None,
         duration_sec=duration_s,
     )
@@ -194,8 +193,8 @@ _HEALTH = Prompt(
         Argument("expected_topics", "Topics that must be there, such as /scan, /odom", "topics", default=[]),
         Argument("expected_services", "Services that must be there", "services", default=[]),
         Argument("check_rates", "Also measure rates", "boolean", default=True),
-        _window("rate_check_duration_sec", 3.0, "measure rates"),
-        Argument("min_expected_rate_hz", "A slower topic is a problem", "number", default=1.0, minimum=0, maximum=1e4),
+        _window("rate_check_duration_sec", 3.0, "measure rates", 0.5),
+        Argument("min_expected_rate_hz", "A slower topic is a problem", "number", default=1.0, minimum=0, maximum=1000),
     ),
     _write_health,
     ("ros2_health_check",),

@@ -8,8 +8,9 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from importlib.metadata import entry_points
+from itertools import chain
 from pathlib import Path
 from typing import Any, cast
 
@@ -68,8 +69,8 @@ def _made(hook: Any) -> Iterator[Prompt]:
         things = hook(registry) if takes_registry else hook()
     elif inspect.isclass(hook):
         things = hook()
-    listed = cast("list[Any]", things if isinstance(things, (list, tuple)) else [things])
-    for thing in (*registry.things, *listed):
+    listed = cast("Iterable[Any]", things if isinstance(things, (list, tuple, Iterator)) else [things])
+    for thing in chain(listed, registry.things):
         if thing is not None:
             yield _adopted(thing)
 

@@ -1,0 +1,39 @@
+"""A robot that is not there: base prompts need it only to name what is there."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp.link.client import Bridge
+from ros2_mcp.link.environment import find_ros
+from ros2_mcp.prompts.folder import PromptFolder
+from ros2_mcp.prompts.mistakes import Mistake
+from ros2_mcp.robot import Robot
+from ros2_mcp.settings import Settings
+
+sys.path.insert(0, str(Path(__file__).parent))  # the tests import their neighbours
+
+MakeFolder = Callable[..., tuple[PromptFolder, list[Mistake]]]
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return Robot(Bridge(lambda: find_ros(Settings())), Policy())
+
+
+@pytest.fixture
+def make_folder(tmp_path: Path) -> MakeFolder:
+    """Write files, `make_folder({"hello.md": "---…"})`, and get the folder and the list its mistakes go to."""
+
+    def make(files: dict[str, str], **options: frozenset[str]) -> tuple[PromptFolder, list[Mistake]]:
+        for name, text in files.items():
+            (tmp_path / name).write_text(text, encoding="utf-8")
+        told: list[Mistake] = []
+        return PromptFolder(tmp_path, told.append, **options), told
+
+    return make

@@ -1,0 +1,137 @@
+"""The base prompts: what the contract promises, and calls that the tools accept as they are written."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import jsonschema
+import pytest
+from generate import served_tools
+from prompt_steps import steps_of
+
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.prompts.base import base_prompts
+from ros2_mcp.prompts.prompt import Prompt
+from ros2_mcp.robot import Robot
+
+CONTRACT: dict[str, dict[str, Any]] = {
+    "base.ros2-topic-echo-and-analyze": {"topic_name": "", "duration_sec": 5.0, "analysis_type": "all"},
+    "base.ros2-topic-relay": {
+        "source_topic": None,
+        "destination_topic": None,
+        "message_type": "",
+        "transform": "identity",
+        "target_rate_hz": 10.0,
+        "duration_sec": 60.0,
+    },
+    "base.ros2-node-health-check": {
+        "expected_topics": [],
+        "expected_services": [],
+        "check_rates": True,
+        "rate_check_duration_sec": 3.0,
+        "min_expected_rate_hz": 1.0,
+    },
+    "base.ros2-topic-diff-monitor": {
+        "topic1_name": None,
+        "topic2_name": None,
+        "duration_sec": 5.0,
+        "diff_fields": [],
+        "tolerance_percent": 0.1,
+        "sync_by_timestamp": True,
+    },
+}
+NEEDED = {
+    "base.ros2-topic-echo-and-analyze": {"topic_name": "/imu"},
+    "base.ros2-topic-relay": {"source_topic": "/imu", "destination_topic": "/imu_slow"},
+    "base.ros2-node-health-check": {},
+    "base.ros2-topic-diff-monitor": {"topic1_name": "/imu", "topic2_name": "/imu_slow"},
+}
+LEAST_AND_MOST = [
+    ("base.ros2-topic-echo-and-analyze", {"duration_sec": "0.1", "analysis_type": "statistics"}),
+    ("base.ros2-topic-echo-and-analyze", {"duration_sec": "45", "analysis_type": "rate"}),
+    ("base.ros2-topic-echo-and-analyze", {"analysis_type": "message_count"}),
+    ("base.ros2-topic-relay", {"transform": "rate_limit", "target_rate_hz": "0.01", "duration_sec": "0"}),
+    ("base.ros2-topic-relay", {"transform": "rate_limit", "target_rate_hz": "1000", "duration_sec": "86400"}),
+    ("base.ros2-topic-relay", {"transform": "filter", "message_type": "sensor_msgs/Imu", "duration_sec": "0.1"}),
+    ("base.ros2-topic-relay", {"transform": "on_change"}),
+    (
+        "base.ros2-node-health-check",
+        {
+            "expected_topics": "/imu, /scan",
+            "expected_services": '["/reset"]',
+            "check_rates": "false",
+            "rate_check_duration_sec": "0.5",
+            "min_expected_rate_hz": "0",
+        },
+    ),
+    ("base.ros2-node-health-check", {"rate_check_duration_sec": "45", "min_expected_rate_hz": "1000"}),
+    (
+        "base.ros2-topic-diff-monitor",
+        {"duration_sec": "0.1", "diff_fields": "a.b, c", "tolerance_percent": "0", "sync_by_timestamp": "false"},
+    ),
+    ("base.ros2-topic-diff-monitor", {"duration_sec": "45", "tolerance_percent": "100"}),
+]
+SCHEMAS = {tool.name: tool.input_schema for tool in served_tools()}
+
+
+def prompt_named(robot: Robot, name: str) -> Prompt:
+    return next(prompt for prompt in base_prompts(robot) if prompt.name == name)
+
+
+def text_of(robot: Robot, name: str, given: dict[str, str]) -> str:
+    messages = asyncio.run(prompt_named(robot, name).messages({**NEEDED[name], **given}))
+    return "\n".join(message.text for message in messages)
+
+
+def test_the_prompts_have_the_arguments_and_defaults_of_the_contract(robot: Robot) -> None:
+    assert {
+        prompt.name: {argument.name: argument.default for argument in prompt.arguments}
+        for prompt in base_prompts(robot)
+    } == CONTRACT
+
+
+@pytest.mark.parametrize(("name", "given"), [*((name, {}) for name in NEEDED), *LEAST_AND_MOST])
+def test_every_call_that_a_prompt_names_is_one_that_the_tool_accepts(
+    robot: Robot, name: str, given: dict[str, str]
+) -> None:
+    steps = steps_of(text_of(robot, name, given))
+    assert steps
+    for tool, arguments in steps:
+        jsonschema.validate(arguments, SCHEMAS[tool])
+
+
+def test_given_values_stand_in_the_calls(robot: Robot) -> None:
+    given = {"diff_fields": "linear.x", "duration_sec": "2", "tolerance_percent": "5", "sync_by_timestamp": "no"}
+    assert steps_of(text_of(robot, "base.ros2-topic-diff-monitor", given)) == [
+        (
+            "ros2_topic_compare",
+            {
+                "topic1_name": "/imu",
+                "topic2_name": "/imu_slow",
+                "duration_sec": 2.0,
+                "diff_fields": ["linear.x"],
+                "tolerance_percent": 5.0,
+                "sync_by_timestamp": False,
+            },
+        )
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "complaint"),
+    [
+        ("base.ros2-topic-relay", {"transform": "filtre"}, "transform is 'filtre'. Give one of identity, rate_limit"),
+        ("base.ros2-topic-relay", {"target_rate_hz": "0"}, "target_rate_hz is '0'. Give a number from 0.01 to 1000"),
+        ("base.ros2-topic-diff-monitor", {"topic1_name": ""}, "needs the argument topic1_name"),
+        ("base.ros2-node-health-check", {"expected_nodes": "/a"}, "no argument 'expected_nodes'"),
+    ],
+)
+def test_wrong_values_are_refused(robot: Robot, name: str, given: dict[str, str], complaint: str) -> None:
+    with pytest.raises(BadInput) as refused:
+        text_of(robot, name, given)
+    assert complaint in str(refused.value)
+
+
+def test_a_prompt_is_short(robot: Robot) -> None:
+    assert max(len(text_of(robot, name, {})) for name in NEEDED) < 1000
