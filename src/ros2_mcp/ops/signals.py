@@ -23,6 +23,7 @@ STUCK_SAMPLES = 5
 STUCK_SHARE = 0.1
 """A value is stuck if it stands still this long (samples, and share of all) although it changes otherwise."""
 _LIVELY = 0.8
+_NOISY = 0.25
 _MAD_TO_SIGMA = 1.4826
 _MOST_SAMPLES = 3
 _GRID = 2000
@@ -101,20 +102,29 @@ def jumps(times: Numbers, values: Numbers) -> list[Jump]:
 
 
 def stuck(times: Numbers, values: Numbers) -> Stuck | None:
-    """The longest time that a lively value stood still, if that is suspiciously long."""
-    if len(values) <= STUCK_SAMPLES:
-        return None
+    """The longest time that a lively value stood still, if that is suspicious.
+
+    It is where the value is noisy otherwise, or leaps when it moves again. A smooth one may just rest, as a robot does.
+    """
     starts = np.flatnonzero(np.concatenate(([True], np.diff(values) != 0)))
+    if len(starts) <= STUCK_SAMPLES:
+        return None
     lengths = np.diff(np.append(starts, len(values)))
     longest = int(np.argmax(lengths))
     first, samples = int(starts[longest]), int(lengths[longest])
-    steps_elsewhere = len(values) - samples
-    if samples < max(STUCK_SAMPLES, STUCK_SHARE * len(values)) or len(starts) - 1 < _LIVELY * steps_elsewhere:
-        return None
-    if len(starts) <= _MOST_SAMPLES:
+    is_long = samples >= max(STUCK_SAMPLES, STUCK_SHARE * len(values))
+    is_lively = len(starts) - 1 >= _LIVELY * (len(values) - samples)
+    if not (is_long and is_lively and _is_suspicious(np.diff(values[starts]), longest)):
         return None
     last = first + samples - 1
     return Stuck(float(times[first]), float(times[last] - times[first]), samples, float(values[first]))
+
+
+def _is_suspicious(steps: Numbers, still: int) -> bool:
+    """Whether it is strange that the value rests between the steps before and at `still`."""
+    noise = np.count_nonzero(np.diff(np.sign(steps))) / max(len(steps) - 1, 1)
+    leap = still < len(steps) and abs(steps[still]) > JUMP_FACTOR * float(np.median(np.abs(steps)))
+    return bool(noise > _NOISY or leap)
 
 
 def pairs(first: Numbers, second: Numbers) -> list[tuple[int, int]]:

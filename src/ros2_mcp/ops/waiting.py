@@ -46,9 +46,14 @@ class Wait:
     def summary(self) -> str:
         """One line."""
         outcome = "is met" if self.met else "was not met"
-        values = ", ".join(f"{path} = {value}" for path, value in self.values.items())
+        values = ", ".join(f"{path} = {_brief(value)}" for path, value in self.values.items())
         line = f"{self.topic_name}: {self.condition} {outcome} after {self.waited:.3f} s ({values or 'no message'})."
         return f"{line} {self.note}".rstrip()
+
+
+def _brief(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 80 else "…"
 
 
 @dataclass(slots=True)
