@@ -20,7 +20,7 @@ from ros2_mcp.robot.exchange import TopicEndpoints
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Reply
 
-SETTLE_S = 3.0
+SETTLE_S = 4.0
 """A little longer than the bridge needs to be sure that nobody else is there."""
 REQUEST_S = 10.0
 _KINDS: Mapping[str, type[RobotError]] = {
