@@ -1,0 +1,87 @@
+"""A raw client of either era that is told of changes, and keeps when."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "server"))
+
+from raw_server import MODERN, RawServer
+
+HANDSHAKE = "2025-11-25"
+UPDATED = "notifications/resources/updated"
+
+
+class Listener(RawServer):
+    """Lines by hand; `updates` are the pushes so far: URI and moment of arrival."""
+
+    def __init__(self, environment: dict[str, str], *options: str) -> None:
+        super().__init__(environment, *options)
+        self.updates: list[tuple[str, float]] = []
+        self._seen = 0
+        self._listening: dict[str, int] = {}
+
+    def subscribe(self, uri: str) -> None:
+        """Ask for pushes in the way of the era; returns when the server has agreed."""
+        if self.version != MODERN:
+            assert "result" in self.ask("resources/subscribe", uri=uri)
+            return
+        request = self.send("subscriptions/listen", notifications={"resourceSubscriptions": [uri]})
+        self._listening[uri] = request
+        acknowledged = self.wait_for_line("notifications/subscriptions/acknowledged", request)
+        assert acknowledged["params"]["notifications"] == {"resourceSubscriptions": [uri]}
+
+    def unsubscribe(self, uri: str) -> None:
+        """End it in the way of the era."""
+        if self.version != MODERN:
+            assert "result" in self.ask("resources/unsubscribe", uri=uri)
+        else:
+            self.tell("notifications/cancelled", requestId=self._listening.pop(uri))
+
+    def read(self, uri: str) -> dict[str, Any]:
+        """The JSON of a resource."""
+        answer = self.ask("resources/read", uri=uri)
+        assert "result" in answer, answer
+        return json.loads(answer["result"]["contents"][0]["text"])
+
+    def update(self, uri: str, after: float, within_s: float = 5.0) -> float:
+        """The moment of the first push of the URI that came after a moment."""
+        while True:
+            for told, moment in self.updates:
+                if told == uri and moment >= after:
+                    return moment
+            left = after + within_s - time.monotonic()
+            assert left > 0 and self._listen(left), f"no push of {uri} within {within_s} s; came: {self.updates}"
+
+    def drain(self, seconds: float) -> list[str]:
+        """The URIs pushed during a time."""
+        before, end = len(self.updates), time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            self._listen(left)
+        return [uri for uri, _ in self.updates[before:]]
+
+    def wait_for_line(self, method: str, request: int, within_s: float = 5.0) -> dict[str, Any]:
+        """A notification that belongs to a request."""
+        end = time.monotonic() + within_s
+        while True:
+            for line in self.lines():
+                stamp = line.get("params", {}).get("_meta", {}) if line.get("method") == method else {}
+                if stamp.get("io.modelcontextprotocol/subscriptionId") == request:
+                    return line
+            left = end - time.monotonic()
+            assert left > 0 and self._listen(left), f"no {method}: {self.said[-500:]!r}"
+
+    def _listen(self, seconds: float) -> bool:
+        heard = super()._listen(seconds)
+        moment = time.monotonic()
+        whole = self.said.rfind(b"\n") + 1
+        for line in self.said[self._seen : whole].splitlines():
+            message = json.loads(line)
+            if message.get("method") == UPDATED:
+                self.updates.append((message["params"]["uri"], moment))
+        self._seen = whole
+        return heard

@@ -1,0 +1,196 @@
+"""A subscriber of either era is told within half a second, and costs nothing when it does not read."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import signal
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import EventsPeer
+from listener import MODERN, Listener
+from raw_server import children
+
+WITHIN_S = 0.5
+TIMES = 20
+SAID = "ros2://topic/events/said"
+FAST = "ros2://topic/events/fast"
+
+
+def delays(listener: Listener, uri: str, event: Callable[[int], float], times: int = TIMES) -> list[float]:
+    """How long after each event the push came; events come at random moments."""
+    listener.subscribe(uri)
+    listener.drain(1.0)
+    late: list[float] = []
+    for number in range(times):
+        moment = event(number)
+        late.append(listener.update(uri, moment) - moment)
+        listener.drain(random.uniform(0.3, 0.6))  # noqa: S311
+    listener.unsubscribe(uri)
+    print(f"{uri} {listener.version}: p50 {statistics.median(late):.4f} s, max {max(late):.4f} s")
+    return late
+
+
+def memory(listener: Listener) -> float:
+    """The server's resident memory in MB."""
+    status = Path(f"/proc/{listener.process.pid}/status").read_text()
+    return int(re.search(r"VmRSS:\s+(\d+)", status)[1]) / 1024  # type: ignore[index]
+
+
+def eventually(condition: Callable[[], bool], within_s: float = 3.0) -> bool:
+    """Whether the condition holds within a time."""
+    end = time.monotonic() + within_s
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.05)
+    return condition()
+
+
+def test_a_new_sample_is_told(listener: Listener, events: EventsPeer) -> None:
+    assert max(delays(listener, SAID, lambda number: events.say(text=str(number)))) < WITHIN_S
+
+
+@pytest.mark.parametrize("uri", ["ros2://nodes", "ros2://graph"])
+def test_a_node_that_comes_or_goes_is_told(listener: Listener, events: EventsPeer, uri: str) -> None:
+    def come_or_go(number: int) -> float:
+        return events.leave(name="guest") if number % 2 else events.enter(name="guest")
+
+    assert max(delays(listener, uri, come_or_go)) < WITHIN_S
+
+
+def test_a_goal_that_ended_is_told(listener: Listener, events: EventsPeer) -> None:
+    def reach(_: int) -> float:
+        goal = {
+            "action_name": "/events/count",
+            "action_type": "test_msgs/action/Fibonacci",
+            "goal_fields": {"order": 1},
+        }
+        listener.call("ros2_send_action_goal", **goal, wait_for_result=True)
+        return events.ended()
+
+    assert max(delays(listener, "ros2://actions", reach)) < WITHIN_S
+
+
+def test_a_line_of_at_least_the_level_is_told_and_no_other(listener: Listener, events: EventsPeer) -> None:
+    uri = "ros2://log?level=warn"
+    assert max(delays(listener, uri, lambda number: events.log(level="warning", text=str(number)))) < WITHIN_S
+    listener.subscribe(uri)
+    listener.drain(0.5)
+    events.log(level="info", text="nothing new")
+    assert uri not in listener.drain(1.0)
+    listener.unsubscribe(uri)
+
+
+def test_a_diagnostic_that_got_worse_is_told_and_one_that_got_better_is_not(
+    listener: Listener, events: EventsPeer
+) -> None:
+    uri = "ros2://diagnostics"
+
+    def worsen(_: int) -> float:
+        events.diagnose(level=0)
+        return events.diagnose(level=2)
+
+    assert max(delays(listener, uri, worsen)) < WITHIN_S
+    listener.subscribe(uri)
+    listener.update(uri, events.diagnose(level=2))
+    assert [row["level"] for row in listener.read(uri)["components"] if row["name"] == "pump"] == ["ERROR"]
+    listener.drain(0.5)
+    events.diagnose(level=1)
+    assert uri not in listener.drain(1.0)
+    listener.unsubscribe(uri)
+
+
+def test_a_parameter_that_was_set_is_told(listener: Listener, events: EventsPeer) -> None:
+    uri = "ros2://node/events_peer/parameters"
+    assert max(delays(listener, uri, lambda number: events.tune(value=float(number)))) < WITHIN_S
+
+
+def test_a_topic_that_is_not_there_yet_is_told_when_it_speaks(listener: Listener, events: EventsPeer) -> None:
+    listener.subscribe(FAST)
+    moment = events.flood(rate_hz=10, size=10)
+    listener.update(FAST, moment)
+    listener.unsubscribe(FAST)
+    events.flood(rate_hz=0, size=0)
+
+
+def test_a_fast_topic_is_told_at_most_five_times_a_second(listener: Listener, events: EventsPeer) -> None:
+    events.flood(rate_hz=100, size=1000)
+    listener.subscribe(FAST)
+    listener.drain(0.5)
+    assert 6 <= len(listener.drain(2.0)) <= 11
+    listener.unsubscribe(FAST)
+    events.flood(rate_hz=0, size=0)
+
+
+def test_a_lost_bridge_is_survived(listener: Listener, events: EventsPeer) -> None:
+    listener.subscribe(SAID)
+    pid = bridge_of(listener)
+    moment = time.monotonic()
+    os.kill(pid, signal.SIGKILL)
+    listener.update(SAID, moment, within_s=10.0)
+    assert bridge_of(listener) != pid
+    listener.update(SAID, events.say(text="after the fall"))
+    assert listener.read(SAID)["sample"]["message"] == {"data": "after the fall"}
+    listener.unsubscribe(SAID)
+
+
+def bridge_of(listener: Listener) -> int:
+    """The process of the server's bridge."""
+    return children(listener.process.pid)[-1]
+
+
+def test_a_hundred_subscriptions_leave_nothing_behind(listener: Listener, events: EventsPeer) -> None:
+    def subscriptions() -> int:
+        return events.subscribers(topic="/events/said")
+
+    for _ in range(100):
+        listener.subscribe(SAID)
+        listener.unsubscribe(SAID)
+    assert eventually(lambda: subscriptions() == 0)
+    listener.subscribe(SAID)
+    assert eventually(lambda: subscriptions() == 1)
+    listener.unsubscribe(SAID)
+    assert eventually(lambda: subscriptions() == 0)
+    events.say(text="unheard")
+    assert listener.drain(0.5) == []
+
+
+def test_what_is_not_ours_is_not_subscribed_to(listener: Listener) -> None:
+    if listener.version != MODERN:
+        error = listener.ask("resources/subscribe", uri="ros2://nothing")["error"]
+        assert (error["code"], error["data"]) == (-32602, {"uri": "ros2://nothing"})
+        return
+    request = listener.send("subscriptions/listen", notifications={"resourceSubscriptions": [SAID, "ros2://nothing"]})
+    acknowledged = listener.wait_for_line("notifications/subscriptions/acknowledged", request)
+    assert acknowledged["params"]["notifications"] == {"resourceSubscriptions": [SAID]}
+    listener.tell("notifications/cancelled", requestId=request)
+
+
+def test_a_client_that_does_not_read_costs_little_and_is_told_once_when_it_reads_again(
+    listener: Listener, events: EventsPeer
+) -> None:
+    events.flood(rate_hz=100, size=100_000)
+    listener.subscribe(FAST)
+    listener.read(FAST)
+    listener.ask("tools/list")
+    listener.drain(1.0)
+    before = memory(listener)
+    unread = [listener.send("tools/list") for _ in range(10)]  # more than a pipe holds
+    most, end = 0.0, time.monotonic() + 10.0
+    while time.monotonic() < end:
+        time.sleep(0.25)
+        most = max(most, memory(listener))
+    told = len(listener.updates)
+    for request in unread:
+        listener.answer(request)
+    print(f"{listener.version}: {most - before:.1f} MB")
+    assert most - before < 20.0
+    assert 1 <= len(listener.updates) - told <= 6, "pushes must not have piled up"
+    listener.unsubscribe(FAST)
+    events.flood(rate_hz=0, size=0)
