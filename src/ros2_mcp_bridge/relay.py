@@ -20,6 +20,7 @@ from .subscriptions import DEPTH_FOR_ALL, DRAIN_AT_MOST_S, DRAIN_PERIOD_S, LAST_
 
 FED_PERIOD_S = 0.25
 DEPTH = 100
+FIRST_ACK_S = 1.0
 
 
 class Source:
@@ -57,6 +58,7 @@ class Relay:
     def __init__(self, node, graph, request):
         # A depth of 1 is acknowledged at once (see `Publisher`), which the final message needs; else a burst must fit.
         self._final = request.body
+        self._is_unheard = bool(self._final)
         self._rhythm = Rhythm(_rate(request)) if request.has("rate_hz") else None
         self._publisher = Publisher(node, graph, request, max_depth=1 if self._final else DEPTH)
         self._open_source = (lambda: Source(node, graph, request)) if request.has("source") else None
@@ -77,20 +79,29 @@ class Relay:
         end = self._started + (duration_s or math.inf)
         while time.monotonic() < end:
             pause = FED_PERIOD_S if self._source is None else self._drain(self._source, has_due)
+            yield from self.wait_heard()
             yield max(0.0, min(pause, end - time.monotonic()))
-        while self._source is not None and self._drain(self._source, has_due) == 0.0:
-            if time.monotonic() > end + LAST_DRAIN_S:
-                break
-            yield 0.0
 
     def publish(self, data):
-        """Pass one message on."""
+        """Pass one message on; afterwards `wait_heard`, before the next replaces it."""
         self._publisher.publish(data)
         self.passed += 1
 
-    def finish(self):
-        """Steps that send the final message and end it when that is acknowledged, or too much time is gone."""
+    def wait_heard(self):
+        """Steps until the first message is acknowledged, where there is no room for a second one beside it.
+
+        A subscriber learns of a new publisher a moment later than the publisher of the subscriber.
+        """
+        if self._is_unheard and self.passed:
+            self._is_unheard = False
+            yield from self._publisher.wait_acknowledged(FIRST_ACK_S)
+
+    def finish(self, has_due):
+        """Steps that pass on what has come and send the final message, and end it when that is acknowledged."""
+        deadline = time.monotonic() + LAST_DRAIN_S
         try:
+            while self._source and self._drain(self._source, has_due) == 0.0 and time.monotonic() < deadline:
+                yield 0.0
             self.final_counts = self.counts()
             self.send_final()
             yield from self._publisher.wait_acknowledged(FINAL_ACK_S)
@@ -136,6 +147,8 @@ class Relay:
                 self.publish(data)
             else:
                 self.dropped += 1
+            if self._is_unheard and self.passed:
+                return 0.0
             if (self.passed + self.dropped) % 16 == 0 and (has_due() or time.monotonic() > started + DRAIN_AT_MOST_S):
                 return 0.0
         source.loss.check_publishers()
@@ -169,7 +182,7 @@ class Relays:
             cancelled = True
         finally:
             self._open.pop(name, None)
-            yield from relay.finish()
+            yield from relay.finish(self._loop.has_due)
         return {**relay.final_counts, "cancelled": cancelled}
 
     def feed(self, request):
@@ -180,6 +193,7 @@ class Relays:
         offset = 0
         for size in request.sizes("sizes"):
             relay.publish(request.body[offset : offset + size])
+            yield from relay.wait_heard()
             offset += size
         return {"passed": relay.passed}
 

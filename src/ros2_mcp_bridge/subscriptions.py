@@ -60,6 +60,7 @@ class Subscription:
         topic, self._interface = request.text("topic"), request.interface
         profile = qos.profile(request.qos(), DEPTH_FOR_ALL if keeps_all else 1)
         max_samples = max(1, request.number("max_samples")) if keeps_all else 1
+        self.drain_s = max(DRAIN_PERIOD_S, request.number("drain_s", DRAIN_PERIOD_S))
         self.queue = SampleQueue(number, max_samples, request.number("max_bytes"))
         with node.handle:
             self._handle = rclpy_implementation.Subscription(
@@ -120,6 +121,7 @@ class Subscriptions:
         self._open[number] = Subscription(number, self._node, self._graph, request)
         if self._draining is None or not self._draining.open:
             self._draining = self._loop.start(self._drain_all(), lambda *_: None)
+        self._draining.wake()  # those that were there may let it sleep for longer
         return {"sub": number}
 
     def unsubscribe(self, request):
@@ -146,4 +148,5 @@ class Subscriptions:
                 return self._loop.has_due() or time.monotonic() > deadline
 
             drained = [subscription.drain(self._outbox, is_enough) for subscription in list(self._open.values())]
-            yield max(0.0, started + DRAIN_PERIOD_S - time.monotonic()) if all(drained) else 0.0
+            period_s = min((subscription.drain_s for subscription in self._open.values()), default=0.0)
+            yield max(0.0, started + period_s - time.monotonic()) if all(drained) else 0.0

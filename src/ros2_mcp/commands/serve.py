@@ -73,6 +73,7 @@ async def _until_told_to_end(robot: Robot, running: Awaitable[None]) -> None:
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(number, told_to_end.set)
     await robot.bridge.attach()
+    robot.log.start()
     serving = asyncio.ensure_future(running)
     ending = asyncio.create_task(told_to_end.wait())
     try:

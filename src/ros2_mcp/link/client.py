@@ -112,8 +112,12 @@ class Bridge:
         keep: str,
         max_samples: int,
         max_bytes: int,
+        drain_s: float = 0.005,
     ) -> Subscription:
-        """A new subscription; keeps `all` or the `latest`, bounded on each side of the stream. Raises as `request`."""
+        """A new subscription; keeps `all` or the `latest`, bounded on each side of the stream. Raises as `request`.
+
+        `drain_s` is how long a sample may wait in the bridge; where no subscription is in a hurry, it sleeps longer.
+        """
         connection = await self._connected()
         subscription = Subscription(keep, max_samples, max_bytes, connection.unsubscribe)
         arguments = {
@@ -123,6 +127,7 @@ class Bridge:
             "keep": keep,
             "max_samples": max_samples,
             "max_bytes": max_bytes,
+            "drain_s": drain_s,
         }
         await connection.subscribe(subscription, _SUBSCRIBE_S, arguments)
         return subscription

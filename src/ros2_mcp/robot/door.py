@@ -7,12 +7,14 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import Policy
+from ros2_mcp.guard.relays import Relays
 from ros2_mcp.guard.running import Driven, SentGoals
 from ros2_mcp.model import names, qos
 from ros2_mcp.model.errors import TypeConflict
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request
 from ros2_mcp.robot.exchange import Answer, Listening, Outgoing, Sent, TopicEndpoints
 from ros2_mcp.robot.graph import REQUEST_S, Graph
+from ros2_mcp.robot.log import LogRing
 from ros2_mcp.robot.values import Values
 from ros2_mcp.robot.wills import Will, Wills
 
@@ -45,6 +47,8 @@ class Robot:
         self.limitations: list[str] = []
         self.goals = SentGoals()
         self.driven = Driven()
+        self.relays = Relays()
+        self.log = LogRing(bridge)
 
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
 

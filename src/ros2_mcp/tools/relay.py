@@ -1,0 +1,73 @@
+"""Tools for relays from topic to topic."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ros2_mcp.ops import relay
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import MessageType, Number
+from ros2_mcp.tools.declare import tool
+
+Tolerances = Annotated[
+    dict[str, Number],
+    Field(
+        description='With on_change: how much a field may differ before it counts, such as {"pose.position.x": 0.05}. '
+        '"*" is for every number. Other fields count when they differ at all; stamps of headers never do.'
+    ),
+]
+Mapping = Annotated[
+    dict[str, str],
+    Field(description='Another type at the destination: {"its field": "field of the source"}; others get defaults.'),
+]
+
+
+@tool(title="Start a relay", risk="actuate", group="relay", by_default=False)
+async def ros2_relay_start(
+    robot: Robot,
+    source_topic: Annotated[str, Field(description="Where the messages come from.")],
+    destination_topic: Annotated[str, Field(description="Where they shall appear.")],
+    message_type: MessageType = "",
+    transform: Annotated[
+        Literal["identity", "rate_limit", "on_change", "filter"],
+        Field(description="All messages, at most target_rate_hz, or only changes (filter means on_change)."),
+    ] = "identity",
+    target_rate_hz: Annotated[Number, Field(gt=0, le=1000, description="For rate_limit.")] = 10.0,
+    duration_sec: Annotated[Number, Field(ge=0, le=86400, description="0 is until it is stopped.")] = 60.0,
+    tolerances: Tolerances | None = None,
+    mapping: Mapping | None = None,
+    destination_type: Annotated[str, Field(description="With a mapping to a topic that has no type yet.")] = "",
+) -> relay.RelayState:
+    """Let the messages of one topic appear on another, in the background. Can move the robot.
+
+    Returns at once with a relay_id. It ends with its duration, with ros2_relay_stop or ros2_stop, and with this
+    server; velocity topics then get a zero command.
+    """
+    wanted = relay.Wanted(
+        source_topic,
+        destination_topic,
+        message_type,
+        transform,
+        target_rate_hz,
+        duration_sec,
+        tolerances or {},
+        mapping or {},
+        destination_type,
+    )
+    return await relay.start(robot, wanted)
+
+
+@tool(title="List relays", risk="read", group="relay", by_default=False)
+async def ros2_relay_list(robot: Robot) -> relay.RelayList:
+    """List the relays of this server with what they passed and dropped so far, and the last that ended."""
+    return await relay.list_relays(robot)
+
+
+@tool(title="Stop a relay", risk="write", group="relay", by_default=False)
+async def ros2_relay_stop(
+    robot: Robot, relay_id: Annotated[str, Field(description="As ros2_relay_start gave it.")]
+) -> relay.RelayState:
+    """Stop a relay; returns its final counts."""
+    return await relay.stop(robot, relay_id)

@@ -1,0 +1,78 @@
+"""The robot's log is kept from the start of the server on, and read by time, node, level and text."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from typing import Any
+
+from agent import Refusal
+
+PATIENCE_S = 10.0
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not holds(condition):
+        assert time.monotonic() < deadline, "it did not come true in time"
+        time.sleep(0.1)
+
+
+def holds(condition: Callable[[], bool]) -> bool:
+    """False also while there is no bridge."""
+    try:
+        return condition()
+    except Refusal:
+        return False
+
+
+def texts(agent: Any, expected: int, **wanted: Any) -> list[str]:
+    """The texts of the lines, as soon as there are so many."""
+    deadline = time.monotonic() + PATIENCE_S
+    while len(lines := agent.call("ros2_log_read", **wanted)["lines"]) < expected and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return [line["text"] for line in lines]
+
+
+def tell(peer: Any, text: str) -> None:
+    peer.process.stdin.write(f"{text}\n".encode())
+    peer.process.stdin.flush()
+
+
+def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
+    peer("complain", "20")
+    node = "/relay_peer_complain"
+    assert texts(agent, 21, node=node)[-2:] == ["number 19", "the arm is stuck"]
+    assert texts(agent, 1, node=node, level="error") == ["the arm is stuck"]
+    assert texts(agent, 1, node=node, pattern="ARM") == ["the arm is stuck"]
+    assert texts(agent, 2, node="relay_peer_*", pattern="number 1?", limit=2) == ["number 18", "number 19"]
+    found = agent.call("ros2_log_read", node=node, level="warning", limit=5)
+    assert (found["matched"], found["lines"][0]["level"]) == (21, "WARN")
+    assert "The newest 5 are shown" in found["note"]
+    assert agent.call("ros2_log_read", node=node, since=found["lines"][-1]["time"])["matched"] == 1
+    time.sleep(1.1)
+    assert agent.call("ros2_log_read", node=node, since=1)["matched"] == 0
+
+
+def test_what_was_said_just_before_the_server_began_is_there(start_agent: Callable[..., Any], peer) -> None:
+    peer("complain", "3")
+    own = start_agent()
+    assert len(own.call("ros2_log_read", node="relay_peer_complain")["lines"]) == 4
+
+
+def test_the_log_survives_a_lost_bridge_without_lines_twice(start_agent: Callable[..., Any], peer) -> None:
+    speaker, own = peer("complain", "3"), start_agent()
+    assert len(texts(own, 4, node="relay_peer_complain")) == 4
+    os.kill(own.call("ros2_status")["bridge_pid"], signal.SIGKILL)
+    wait_for(lambda: own.call("ros2_status")["bridge_starts"] == 2)
+    tell(speaker, "after all")
+    assert texts(own, 5, node="relay_peer_complain")[-2:] == ["the arm is stuck", "after all"]
+    found = own.call("ros2_log_read", node="relay_peer_complain")
+    assert (found["matched"], "The bridge was lost 1 time(s)" in found["note"]) == (5, True)
+
+
+def test_a_level_that_is_not_there_is_refused(agent) -> None:
+    assert "Did you mean error?" in agent.refusal("ros2_log_read", level="eror")
+    assert "neither seconds nor a time" in agent.refusal("ros2_log_read", since="yesterday")

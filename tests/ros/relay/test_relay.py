@@ -1,0 +1,196 @@
+"""Relays pass what they should, in order, count it, and leave nothing behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from agent import FULL, Agent, agent_for
+
+SECONDS = 60 if FULL else 5
+PATIENCE_S = 10.0
+
+
+def wait_for(condition: Callable[[], Any], seconds: float = PATIENCE_S) -> Any:
+    deadline = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < deadline, "it did not come true in time"
+        time.sleep(0.05)
+    return found
+
+
+def begin(agent: Agent, source: str, destination: str, **options: Any) -> dict[str, Any]:
+    options = {"duration_sec": 0, **options}
+    relay = agent.call("ros2_relay_start", source_topic=source, destination_topic=destination, **options)
+    assert relay["state"] == "running", relay
+    return relay
+
+
+def discovered(agent: Agent, *topics: str) -> None:
+    """Wait until the server knows them."""
+    for topic in topics:
+        wait_for(lambda topic=topic: agent.call("ros2_topic_list", pattern=topic)["topics"])
+
+
+def counted(agent: Agent, relay: dict[str, Any]) -> dict[str, Any]:
+    relays = agent.call("ros2_relay_list")["relays"]
+    return next(each for each in relays if each["relay_id"] == relay["relay_id"])
+
+
+def end(agent: Agent, relay: dict[str, Any]) -> dict[str, Any]:
+    return agent.call("ros2_relay_stop", relay_id=relay["relay_id"])
+
+
+@pytest.mark.timeout(SECONDS + 60)
+@pytest.mark.parametrize("kind", ["String", "Twist"])
+def test_every_message_of_200_hz_is_relayed_in_order(agent, peer, kind) -> None:
+    expected = 200 * SECONDS
+    listener = peer("listen", "/all_out", kind, "RELIABLE")
+    discovered(agent, "/all_out")
+    package = {"String": "std_msgs", "Twist": "geometry_msgs"}[kind]
+    relay = begin(agent, "/all_in", "/all_out", message_type=f"{package}/msg/{kind}")
+    talker = peer("talk", "/all_in", kind, "RELIABLE", "200", str(expected))
+    assert talker.line() == expected
+    wait_for(lambda: counted(agent, relay)["passed"] >= expected)
+    numbers = [number for _, number in listener.heard()]
+    ended = end(agent, relay)
+    assert numbers == list(range(expected))
+    assert (ended["state"], ended["passed"], ended["dropped"], ended["lost"]) == ("stopped", expected, 0, 0)
+    assert ended["stopped_with_zero"] == (kind == "Twist")
+
+
+@pytest.mark.timeout(SECONDS + 60)
+@pytest.mark.parametrize("rate_hz", [10, 30, 150])
+def test_a_rate_limit_is_kept_within_two_percent(agent, peer, rate_hz) -> None:
+    listener = peer("listen", "/slow_out", "String", "BEST_EFFORT")
+    talker = peer("talk", "/slow_in", "String", "BEST_EFFORT", "200", str(200 * SECONDS))
+    discovered(agent, "/slow_in", "/slow_out")
+    relay = begin(agent, "/slow_in", "/slow_out", transform="rate_limit", target_rate_hz=rate_hz)
+    assert talker.line() == 200 * SECONDS
+    ended = end(agent, relay)
+    heard = listener.heard()
+    rate = (len(heard) - 1) / (heard[-1][0] - heard[0][0])
+    assert rate == pytest.approx(rate_hz, rel=0.02)
+    assert ended["passed"] + ended["dropped"] == 200 * SECONDS
+    assert [number for _, number in heard] == sorted(number for _, number in heard)
+
+
+def test_on_change_passes_exactly_the_changes(agent, peer) -> None:
+    listener = peer("listen", "/change_out", "JointState", "RELIABLE")
+    talker = peer("talk", "/change_in", "JointState", "RELIABLE", "200", "500")
+    discovered(agent, "/change_in", "/change_out")
+    relay = begin(agent, "/change_in", "/change_out", transform="on_change", tolerances={"position": 0.5})
+    assert talker.line() == 500
+    wait_for(lambda: counted(agent, relay)["passed"] + counted(agent, relay)["dropped"] >= 500)
+    ended = end(agent, relay)
+    assert [number for _, number in listener.heard()] == list(range(0, 500, 10))
+    assert (ended["passed"], ended["dropped"], ended["lost"]) == (50, 450, 0)
+
+
+def test_fields_are_mapped_to_another_type(agent, peer) -> None:
+    listener = peer("listen", "/mapped_out", "Float64", "RELIABLE")
+    talker = peer("talk", "/mapped_in", "Twist", "RELIABLE", "100", "200")
+    discovered(agent, "/mapped_in", "/mapped_out")
+    relay = begin(agent, "/mapped_in", "/mapped_out", mapping={"data": "linear.x"})
+    assert talker.line() == 200
+    wait_for(lambda: counted(agent, relay)["passed"] == 200)
+    assert [number for _, number in listener.heard()] == list(range(200))
+    end(agent, relay)
+
+
+def test_a_relay_goes_on_when_its_source_dies_and_comes_back(agent, peer) -> None:
+    listener = peer("listen", "/again_out", "String", "RELIABLE")
+    first = peer("talk", "/again_in", "String", "RELIABLE", "100", "50")
+    discovered(agent, "/again_in", "/again_out")
+    relay = begin(agent, "/again_in", "/again_out")
+    assert first.line() == 50
+    wait_for(lambda: counted(agent, relay)["passed"] == 50)
+    first.process.kill()
+    assert peer("talk", "/again_in", "String", "RELIABLE", "100", "70").line() == 70
+    wait_for(lambda: counted(agent, relay)["passed"] == 120)
+    assert [number for _, number in listener.heard()] == [*range(50), *range(70)]
+    assert end(agent, relay)["state"] == "stopped"
+
+
+def test_a_relay_ends_with_its_duration(agent, peer) -> None:
+    peer("talk", "/timed_in", "Twist", "RELIABLE", "100", "1000")
+    listener = peer("listen", "/timed_out", "Twist", "RELIABLE")
+    discovered(agent, "/timed_in", "/timed_out")
+    relay = begin(agent, "/timed_in", "/timed_out", duration_sec=1.0)
+    ended = wait_for(lambda: (found := counted(agent, relay))["state"] == "ended" and found)
+    assert ended["elapsed_sec"] == pytest.approx(1.0, abs=0.1)
+    assert ended["stopped_with_zero"]
+    numbers = wait_for(listener.heard)
+    assert numbers[-1][1] == 0.0
+    assert len(numbers) == ended["passed"] + 2
+
+
+def test_relays_never_feed_themselves(agent) -> None:
+    refused = agent.refusal("ros2_relay_start", source_topic="/ring_a", destination_topic="ring_a")
+    assert "would feed itself" in refused
+    one = begin(agent, "/ring_a", "/ring_b", message_type="std_msgs/msg/String")
+    two = begin(agent, "/ring_b", "/ring_c", message_type="std_msgs/msg/String")
+    refused = agent.refusal(
+        "ros2_relay_start", source_topic="/ring_c", destination_topic="/ring_a", message_type="std_msgs/msg/String"
+    )
+    assert "relays lead from /ring_a to /ring_b to /ring_c already" in refused
+    end(agent, one)
+    three = begin(agent, "/ring_c", "/ring_a", message_type="std_msgs/msg/String")
+    for relay in (two, three):
+        assert end(agent, relay)["state"] == "stopped"
+
+
+def test_a_stopped_relay_leaves_no_entity_behind(agent) -> None:
+    before = agent.call("ros2_status")
+    for options in ({}, {"transform": "on_change"}):
+        relay = begin(agent, "/tidy_in", "/tidy_out", message_type="std_msgs/msg/String", **options)
+        end(agent, relay)
+    wait_for(lambda: "/tidy_out" not in str(agent.call("ros2_topic_list", pattern="/tidy_")))
+    after = agent.call("ros2_status")
+    assert [after[name] - before[name] for name in ("subscriptions", "publishers")] == [0, 0]
+
+
+def test_stop_ends_relays_and_leaves_the_robot_at_zero(agent, peer) -> None:
+    peer("talk", "/driving_in", "Twist", "RELIABLE", "50", "5000")
+    listener = peer("listen", "/driving_out", "Twist", "RELIABLE")
+    discovered(agent, "/driving_in", "/driving_out")
+    relays = [
+        begin(agent, "/driving_in", "/driving_out"),
+        begin(agent, "/driving_in", "/driving_out_2", transform="on_change"),
+    ]
+    wait_for(lambda: counted(agent, relays[0])["passed"] > 10)
+    agent.call("ros2_stop")
+    for relay in relays:
+        wait_for(lambda relay=relay: counted(agent, relay)["state"] == "stopped")
+    assert wait_for(listener.heard)[-1][1] == 0.0
+    time.sleep(0.2)
+    assert all(number == 0.0 for _, number in listener.heard())
+
+
+def test_a_server_that_ends_takes_its_relays_with_it(agent, ros_environment, peer) -> None:
+    peer("talk", "/leaving_in", "Twist", "RELIABLE", "50", "5000")
+    listener = peer("listen", "/leaving_out", "Twist", "RELIABLE")
+    with agent_for(ros_environment, "--tools", "all") as other:
+        discovered(other, "/leaving_in", "/leaving_out")
+        relay = begin(other, "/leaving_in", "/leaving_out")
+        wait_for(lambda: counted(other, relay)["passed"] > 10)
+    wait_for(lambda: not agent.call("ros2_topic_info", topic_name="/leaving_out")["publishers"])
+    assert wait_for(listener.heard)[-1][1] == 0.0
+
+
+def test_a_lost_bridge_ends_its_relays_and_says_so(start_agent) -> None:
+    own = start_agent("--tools", "all")
+    relays = [
+        begin(own, "/lost_in", f"/lost_{transform}", message_type="std_msgs/msg/String", transform=transform)
+        for transform in ("identity", "on_change")
+    ]
+    os.kill(own.call("ros2_status")["bridge_pid"], signal.SIGKILL)
+    for relay in relays:
+        failed = wait_for(lambda relay=relay: (found := counted(own, relay))["state"] == "failed" and found)
+        assert "SIGKILL" in failed["note"]
+    again = begin(own, "/lost_in", "/lost_identity", message_type="std_msgs/msg/String")
+    assert end(own, again)["state"] == "stopped"
