@@ -48,7 +48,7 @@ def read_index(file: BinaryIO, size: int) -> Index:
     return found
 
 
-def _from_summary(file: BinaryIO, size: int) -> Index | Index:
+def _from_summary(file: BinaryIO, size: int) -> Index:
     tail = _at(file, max(size - _FOOTER_BYTES, 0), _FOOTER_BYTES)
     if len(tail) < _FOOTER_BYTES or tail[-len(MAGIC) :] != MAGIC or chunks.head(tail) != (chunks.FOOTER, 20):
         raise Damaged("the end of the file is missing")
@@ -160,8 +160,8 @@ class _Search:
             self.index.chunks.append(ChunkPlace(place, HEAD + length, min(times), max(times), channels))
 
     def _take_loose(self, place: int, length: int) -> None:
-        if length < 22:
-            raise Damaged("a message is too short")
+        if length < 22 or self.index.chunks:
+            raise Damaged("a message is too short" if length < 22 else "a message is outside of the chunks")
         channel, at_ns = chunks.message_key(_at(self._file, place + HEAD, 22), 0)
         self._count([(channel, at_ns)])
         self.index.loose.append(ChunkPlace(place, HEAD + length, at_ns, at_ns, frozenset({channel})))
