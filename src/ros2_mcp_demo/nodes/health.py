@@ -46,8 +46,10 @@ class Health(RobotPart):
     def _log_change(self, part, level, text):
         """Say in the log when a part's level changes."""
         if self._levels.get(part.get_name(), DiagnosticStatus.OK) != level:
-            log = part.get_logger()
-            (log.info if level == DiagnosticStatus.OK else log.warning)(text)
+            if level == DiagnosticStatus.OK:  # rclpy: a line of code that logs must always log at the same level
+                part.get_logger().info(text)
+            else:
+                part.get_logger().warning(text)
         self._levels[part.get_name()] = level
 
     def _self_test(self, _, response):
