@@ -1,0 +1,81 @@
+"""The health of the simulated robot: healthy, with a dead sensor, a slow one, a mismatched QoS, a missing topic."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from agent import Agent
+
+
+@contextmanager
+def setting(agent: Agent, name: str, value: object, usual: object) -> Iterator[None]:
+    node, _, parameter = name.partition(".")
+    agent.call("ros2_parameter_set", node_name=node, values={parameter: value})
+    try:
+        yield
+    finally:
+        agent.call("ros2_parameter_set", node_name=node, values={parameter: usual})
+
+
+def subjects(found: dict[str, Any]) -> list[str]:
+    return [finding["subject"] for finding in found["findings"]]
+
+
+def state(found: dict[str, Any], topic: str) -> str:
+    return next(row["state"] for row in found["topics"] if row["topic_name"] == topic)
+
+
+def test_a_healthy_robot_is_healthy(agent: Agent, robot: subprocess.Popen[str]) -> None:
+    expected = {
+        "expected_topics": ["/scan", "/odom", "/map"],
+        "expected_nodes": ["/lidar"],
+        "expected_services": ["/self_test"],
+    }
+    found = agent.call("ros2_health_check", **expected)
+    assert (found["verdict"], found["findings"]) == ("HEALTHY", [])
+    assert state(found, "/scan") == "OK"
+    assert found["diagnostics"]
+
+
+def test_a_dead_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> None:
+    with setting(agent, "lidar.enabled", False, True):
+        found = agent.call("ros2_health_check")
+    assert found["verdict"] == "CRITICAL"
+    assert subjects(found) == ["lidar: status", "/scan"]
+    assert state(found, "/scan") == "SILENT"
+
+
+def test_a_slow_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> None:
+    with setting(agent, "lidar.rate", 0.5, 10.0):
+        found = agent.call("ros2_health_check")
+    assert (found["verdict"], subjects(found), state(found, "/scan")) == ("DEGRADED", ["/scan"], "SLOW")
+
+
+def test_a_mismatch_of_qos_is_found(
+    agent: Agent, robot: subprocess.Popen[str], stranger: subprocess.Popen[str]
+) -> None:
+    deadline = time.monotonic() + 10
+    while not agent.call("ros2_topic_info", topic_name="/scan")["subscribers"]:
+        assert time.monotonic() < deadline, "the stranger was never seen"
+    found = agent.call("ros2_health_check", check_rates=False)
+    assert (found["verdict"], subjects(found)) == ("DEGRADED", ["/scan"])
+    assert "/lidar → /stranger: the publisher offers best_effort" in found["findings"][0]["problem"]
+
+
+def test_what_is_missing_is_critical_with_the_nearest_name(agent: Agent, robot: subprocess.Popen[str]) -> None:
+    found = agent.call("ros2_health_check", expected_topics=["/scann"], check_rates=False)
+    assert (found["verdict"], found["findings"][0]["recommendation"]) == ("CRITICAL", "Did you mean /scan?")
+
+
+def test_a_condition_on_the_moving_robot_is_met(agent: Agent, robot: subprocess.Popen[str]) -> None:
+    waiting = agent.begin(
+        "ros2_wait_until", topic_name="/odom", condition="hypot(pose.pose.position.x, pose.pose.position.y) > 0.1"
+    )
+    command = {"linear": {"x": 0.3}}
+    agent.call("ros2_topic_publish", topic_name="/cmd_vel", data=command, frequency=10, duration=1.5)
+    found = waiting.result(30)
+    assert found["met"] and found["values"]["pose.pose.position.x"] > 0

@@ -1,0 +1,88 @@
+"""What the tools measure of real messages, against what was published and against NumPy."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from typing import Any
+
+import numpy as np
+import pytest
+from agent import Agent
+
+
+def published(signals: subprocess.Popen[str]) -> dict[str, Any]:
+    assert signals.stdin
+    assert signals.stdout
+    signals.stdin.write("dump\n")
+    signals.stdin.flush()
+    return {name: np.array(sent) for name, sent in json.loads(signals.stdout.readline()).items()}
+
+
+def statistics(agent: Agent, topic: str, duration: float, **more: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    (topic_result,) = agent.call("ros2_topic_statistics", topic_names=[topic], duration=duration, **more)["topics"]
+    return topic_result, {field["field"]: field for field in topic_result["fields"]}
+
+
+def test_the_numbers_are_those_of_the_published_messages(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    topic, fields = statistics(agent, "/signal_steady", 3.0)
+    first, last = int(fields["point.z"]["first"]), int(fields["point.z"]["last"])
+    assert topic["count"] == last - first + 1 == pytest.approx(150, abs=5)
+    assert topic["dropped"] == 0
+    x, y, _ = published(signals)["signal_steady"][first : last + 1].T
+    for name, truth in (("point.x", x), ("point.y", y)):
+        field = fields[name]
+        assert [field["min"], field["max"]] == [truth.min(), truth.max()]
+        assert [field["first"], field["last"]] == [truth[0], truth[-1]]
+        assert field["mean"] == pytest.approx(truth.mean(), rel=1e-12)
+        assert field["std"] == pytest.approx(truth.std(), rel=1e-9)
+    assert fields["point.x"]["slope"] == pytest.approx(0.4, rel=0.02)
+    assert topic["rate_hz"] == pytest.approx(50.0, rel=0.03)
+    assert topic["gaps"] == []
+
+
+def test_injected_gaps_are_found(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    topic, _ = statistics(agent, "/signal", 4.5)
+    inner = [float(gap.split()[2]) for gap in topic["gaps"] if float(gap.split()[2]) > 0.3]
+    assert 2 <= len(inner) <= 3
+    assert max(inner) == pytest.approx(0.42, abs=0.06)
+    assert topic["period_median_s"] == pytest.approx(0.02, rel=0.1)
+
+
+def test_a_stuck_and_faulty_sensor_is_told(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    _, fields = statistics(agent, "/sensor", 4.0, fields=["range"])
+    assert any(line.startswith("stuck at") for line in fields["range"]["anomalies"])
+    assert fields["range"]["not_finite"] == pytest.approx(4, abs=1)
+
+
+def test_a_known_delay_and_offset_are_found(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    found = agent.call("ros2_topic_compare", topic1_name="/signal_wave", topic2_name="/signal_late", duration_sec=4)
+    assert found["delay_s"] == pytest.approx(0.2, abs=0.02)
+    assert found["fields"][0]["mean_difference"] == pytest.approx(1.0, abs=0.3)
+    assert found["verdict"] in ("DIFFERENT", "VERY DIFFERENT")
+    assert found["paired_by"] == "nearest time of receipt: not both have a header"
+
+
+def test_a_copy_is_identical(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    found = agent.call("ros2_topic_compare", topic1_name="/signal_steady", topic2_name="/signal_copy", duration_sec=2)
+    assert (found["verdict"], found["paired_by"]) == ("IDENTICAL", "stamp")
+    assert found["equal_messages"] == found["pairs"] >= 90
+
+
+def test_a_short_pulse_is_not_missed(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    for _ in range(3):
+        found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data > 5", timeout=5)
+        assert found["met"] and found["message"] == {"data": 7.0}
+        assert found["waited"] < 1.5
+
+
+def test_what_never_comes_ends_with_the_last_seen(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data < 0", timeout=1)
+    assert not found["met"] and found["message"] is not None
+    assert found["looked_at"] == pytest.approx(200, abs=60)
+    assert found["waited"] == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_bad_field_is_refused_at_once(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    refusal = agent.refusal("ros2_wait_until", topic_name="/signal", condition="piont.x > 1", timeout=50)
+    assert "Did you mean point?" in refusal
