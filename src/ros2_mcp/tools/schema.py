@@ -2,68 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, cast
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any, cast, get_args, get_origin, get_type_hints
 
 Schema = dict[str, Any]
 _REFERENCE = "#/$defs/"
 _BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
+_SCALARS: Mapping[Any, str] = {str: "string", bool: "boolean", int: "integer", float: "number"}
 _ANY_VALUE: Schema = {
     "type": ["boolean", "number", "string", "array", "null"],
     "items": {"type": ["boolean", "number", "string"]},
 }
 
 
-def plain_input(schema: Mapping[str, Any]) -> Schema:
+def argument_schema(schema: Mapping[str, Any]) -> Schema:
     """A schema of arguments: optional values are shown as plain ones, unknown arguments are errors."""
-    result = _plain(schema, schema.get("$defs", {}), nullable=False)
+    result = _plain(schema, schema.get("$defs", {}))
     result["additionalProperties"] = False
     result.setdefault("properties", {})
     return result
 
 
-def plain_output(schema: Mapping[str, Any]) -> Schema:
-    """A schema of a result: what may be null says so, because clients validate it."""
-    return _plain(schema, schema.get("$defs", {}), nullable=True)
+def result_schema(kind: Any) -> Schema:
+    """The schema of a result: dataclasses of plain values. Every field is always there; what may be null says so."""
+    options = get_args(kind)
+    if type(None) in options:
+        (present,) = (option for option in options if option is not type(None))
+        inner = result_schema(present)
+        return {**inner, "type": [inner["type"], "null"]}
+    if is_dataclass(kind):
+        return _dataclass_schema(kind)
+    origin = get_origin(kind) or kind
+    if origin in (list, tuple, Sequence):
+        return {"type": "array", "items": result_schema(options[0])}
+    if origin in (dict, Mapping):
+        return {"type": "object", "additionalProperties": True}
+    return {"type": _SCALARS[origin]} if origin in _SCALARS else dict(_ANY_VALUE)
 
 
-def _plain(node: Mapping[str, Any], definitions: Mapping[str, Any], *, nullable: bool) -> Schema:
+def _dataclass_schema(kind: Any) -> Schema:
+    hints = get_type_hints(kind)
+    shown = [field.name for field in fields(kind) if not field.metadata.get("hidden")]
+    return {
+        "type": "object",
+        "properties": {name: result_schema(hints[name]) for name in shown},
+        "required": shown,
+    }
+
+
+def _plain(node: Mapping[str, Any], definitions: Mapping[str, Any]) -> Schema:
     if "$ref" in node:
         target = definitions[str(node["$ref"]).removeprefix(_REFERENCE)]
-        return _plain({**target, **_without(node, "$ref")}, definitions, nullable=nullable)
-    if not node.keys() - {"title", "default", "description"}:
-        return {**_ANY_VALUE, **_without(node, "title")}
+        return _plain({**target, **_without(node, "$ref")}, definitions)
     if "anyOf" in node:
-        return _optional(node, definitions, nullable=nullable)
+        return _optional(node, definitions)
     result: Schema = {}
     for key, value in node.items():
         if key == "properties":
-            result[key] = {name: _plain(part, definitions, nullable=nullable) for name, part in value.items()}
+            result[key] = {name: _plain(part, definitions) for name, part in value.items()}
         elif key == "items":
-            result[key] = _plain(value, definitions, nullable=nullable)
-        elif not _is_noise(key, value, node, nullable=nullable):
+            result[key] = _plain(value, definitions)
+        elif not _is_noise(key, value):
             result[_BOUNDS.get(key, key)] = value
     if result.get("type") == "object" and "properties" not in result:
         result.setdefault("additionalProperties", True)
     return result
 
 
-def _is_noise(key: str, value: Any, node: Mapping[str, Any], *, nullable: bool) -> bool:
-    """What clients do not need: titles, null defaults, and docstrings of the classes that results are made of."""
-    is_docstring = key == "description" and nullable and "properties" in node
-    return key in ("$defs", "title") or (key == "default" and value is None) or is_docstring
+def _is_noise(key: str, value: Any) -> bool:
+    """What clients do not need: titles and null defaults."""
+    return key in ("$defs", "title") or (key == "default" and value is None)
 
 
-def _optional(node: Mapping[str, Any], definitions: Mapping[str, Any], *, nullable: bool) -> Schema:
-    """`X | None`: plain X in inputs, a nullable X in outputs. No other union is ever declared."""
+def _optional(node: Mapping[str, Any], definitions: Mapping[str, Any]) -> Schema:
+    """`X | None` is shown as plain X. No other union is ever declared."""
     options = cast("list[Schema]", node["anyOf"])
     present = [option for option in options if option.get("type") != "null"]
     if len(present) != 1 or len(options) != 2:
         raise TypeError(f"a tool's schema has a union that not every client accepts: {node}")
-    inner = _plain({**present[0], **_without(node, "anyOf")}, definitions, nullable=nullable)
-    if nullable and isinstance(inner.get("type"), str):
-        inner["type"] = [inner["type"], "null"]
-    return inner
+    return _plain({**present[0], **_without(node, "anyOf")}, definitions)
 
 
 def _without(node: Mapping[str, Any], key: str) -> Schema:

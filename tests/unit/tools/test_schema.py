@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import pytest
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import BaseModel, ConfigDict, Field
 
-from ros2_mcp.tools.schema import plain_input, plain_output
+from ros2_mcp.tools.schema import argument_schema, result_schema
 
 
 class Item(BaseModel):
@@ -40,11 +40,11 @@ class Outer:
 
 
 def inputs() -> dict[str, Any]:
-    return plain_input(Arguments.model_json_schema())
+    return argument_schema(Arguments.model_json_schema())
 
 
 def outputs() -> dict[str, Any]:
-    return plain_output(TypeAdapter(Outer).json_schema(mode="serialization"))
+    return result_schema(Outer)
 
 
 def test_references_are_replaced_by_what_they_refer_to() -> None:
@@ -84,9 +84,9 @@ def test_a_property_may_be_called_title() -> None:
     class Titled(BaseModel):
         title: str
 
-    assert plain_input(Titled.model_json_schema())["properties"] == {"title": {"type": "string"}}
+    assert argument_schema(Titled.model_json_schema())["properties"] == {"title": {"type": "string"}}
 
 
 def test_a_union_that_not_every_client_accepts_is_refused_at_once() -> None:
     with pytest.raises(TypeError, match="union"):
-        plain_input(Union.model_json_schema())
+        argument_schema(Union.model_json_schema())
