@@ -41,6 +41,7 @@ class Stopped:
     """What was stopped. `confirmed` is true if every zero command reached a subscriber and every goal ended."""
 
     repeats_stopped: int
+    relays_stopped: int
     topics: Sequence[StoppedTopic]
     goals: Sequence[StoppedGoal]
     confirmed: bool
@@ -49,30 +50,31 @@ class Stopped:
     def summary(self) -> str:
         """One line."""
         return (
-            f"{'Stopped' if self.confirmed else 'NOT confirmed'}: {self.repeats_stopped} repeated publication(s), zero "
-            f"on {len(self.topics)} topic(s), {len(self.goals)} goal(s) cancelled. {self.note}"
+            f"{'Stopped' if self.confirmed else 'NOT confirmed'}: {self.repeats_stopped} repeated publication(s) and "
+            f"{self.relays_stopped} relay(s) ended, zero on {len(self.topics)} topic(s), {len(self.goals)} goal(s) "
+            f"cancelled. {self.note}"
         ).rstrip()
 
 
 async def stop(robot: Robot) -> Stopped:
-    """Ends every repeated publication, sends zero on every velocity topic driven, cancels every goal sent.
+    """Ends all repeated publishing and all relays, sends zero on every velocity topic driven, cancels every goal sent.
 
     Raises:
         LinkError: if the bridge cannot be reached at all.
     """
-    repeats = (await robot.graph.ask("stop")).ok["repeats"]
+    answer = (await robot.graph.ask("stop")).ok
+    repeats, relays = int(answer["repeats"]), int(answer["relays"])
     topics, ended = await asyncio.gather(
         asyncio.gather(*(_zero(robot, topic, kind) for topic, kind in robot.driven.zeros)),
         asyncio.gather(*(_cancel(robot, goal) for goal in robot.goals.open.values())),
     )
     confirmed = all(topic.subscribers and topic.acknowledged is not False for topic in topics)
-    return Stopped(
-        repeats, topics, ended, confirmed and all(goal.confirmed for goal in ended), _note(repeats, topics, ended)
-    )
+    confirmed = confirmed and all(goal.confirmed for goal in ended)
+    return Stopped(repeats, relays, topics, ended, confirmed, _note(repeats + relays, topics, ended))
 
 
-def _note(repeats: int, topics: Sequence[StoppedTopic], ended: Sequence[StoppedGoal]) -> str:
-    if not (repeats or topics or ended):
+def _note(streams: int, topics: Sequence[StoppedTopic], ended: Sequence[StoppedGoal]) -> str:
+    if not (streams or topics or ended):
         return "This server had nothing in motion."
     unheard = [topic.topic_name for topic in topics if not topic.subscribers and not topic.error]
     errors = [entry.error for entry in (*topics, *ended) if entry.error]

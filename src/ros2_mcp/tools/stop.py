@@ -10,6 +10,6 @@ from ros2_mcp.tools.declare import tool
 @tool(title="Stop the robot", risk="actuate")
 async def ros2_stop(robot: Robot) -> stopping.Stopped:
     """Stop at once everything that this server has set in motion: zero on velocity topics, goals cancelled, repeated
-    publishing ended. Says what was confirmed.
+    publishing and relays ended. Says what was confirmed.
     """
     return await stopping.stop(robot)

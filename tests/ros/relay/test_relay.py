@@ -163,7 +163,7 @@ def test_stop_ends_relays_and_leaves_the_robot_at_zero(agent, peer) -> None:
         begin(agent, "/driving_in", "/driving_out_2", transform="on_change"),
     ]
     wait_for(lambda: counted(agent, relays[0])["passed"] > 10)
-    agent.call("ros2_stop")
+    assert agent.call("ros2_stop")["relays_stopped"] == 2
     for relay in relays:
         wait_for(lambda relay=relay: counted(agent, relay)["state"] == "stopped")
     assert wait_for(listener.heard)[-1][1] == 0.0
