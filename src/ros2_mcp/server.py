@@ -94,8 +94,8 @@ def _offer_guidance(server: MCPServer[None], robot: Robot, events: SubscriptionB
 
 def _why_missing(tool: ToolDeclaration, robot: Robot, groups: Sequence[str]) -> str:
     if robot.policy.read_only and tool.risk != "read":
-        return "it is read-only"
-    return f"it does with --tools {','.join([*(groups or ['default']), tool.group])}"
+        return "this server is read-only"
+    return f"needs the option --tools {','.join([*(groups or ['default']), tool.group])}"
 
 
 def build_tools(robot: Robot, groups: Sequence[str] = ()) -> list[RobotTool]:

@@ -173,7 +173,7 @@ def _value(argument: Argument, text: str) -> Any:
         return argument.value(text)
     if argument.required and argument.default is None:
         raise BadInput(
-            f"This prompt needs the argument {argument.name}: {argument.description}", f"Give {argument.allowed()}."
+            f"This prompt needs the argument {argument.name}: {argument.description}.", f"Give {argument.allowed()}."
         )
     return argument.default
 

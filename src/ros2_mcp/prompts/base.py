@@ -13,6 +13,7 @@ from ros2_mcp.robot import Robot
 MAX_WINDOW_S = 45.0
 """A call stays below the time that clients wait for one."""
 _MOST_TOPICS = 20
+_DISCOVERY_S = 4.0
 _TRUTH = "Report only what the results say; where a value is missing, say so."
 
 
@@ -68,12 +69,11 @@ def _echo_and_analyze(robot: Robot) -> Prompt:
         "Listen to a topic; report measured count, rate, statistics of every numeric field, gaps and anomalies.",
         _ECHO_ARGUMENTS,
         write,
-        ("ros2_topic_statistics", "ros2_topic_stats"),
     )
 
 
 async def _robot_topics(robot: Robot) -> list[str]:
-    return [topic for topic in await live_names(robot, "topic") if not is_of_every_node(topic)]
+    return [topic for topic in await live_names(robot, "topic", _DISCOVERY_S) if not is_of_every_node(topic)]
 
 
 def _analyze(topic: str, duration_s: float, analysis: str) -> Sequence[Message]:
@@ -116,7 +116,7 @@ _CHECK_S = 3.0
 async def _write_relay(values: Mapping[str, Any]) -> Sequence[Message]:
     source, destination, duration_s = values["source_topic"], values["destination_topic"], values["duration_sec"]
     is_limited = values["transform"] == "rate_limit"
-    end = f"It ends by itself after {shown(duration_s)} s" if duration_s else "It runs until it is stopped"
+    sooner = f"It ends by itself after {shown(duration_s)} s, or sooner" if duration_s else "It ends"
     passed = _RELAYED[values["transform"]].format(target_rate_hz=shown(values["target_rate_hz"]))
     start = step(
         1,
@@ -134,7 +134,7 @@ async def _write_relay(values: Mapping[str, Any]) -> Sequence[Message]:
         step(2, "ros2_topic_stats", topic_names=[source, destination], duration=_check_s(duration_s)),
         step(3, "ros2_relay_list"),
         "Then report: both rates, how many messages were passed and dropped, and any error. "
-        f"{end}; ros2_relay_stop ends it sooner. Leave it running unless asked to stop it.",
+        f"{sooner} with ros2_relay_stop; stop it only if asked to.",
         _TRUTH,
     )
 
@@ -168,7 +168,6 @@ _RELAY = Prompt(
         Argument("duration_sec", "Seconds; 0: until stopped", "number", default=60.0, minimum=0, maximum=86_400),
     ),
     _write_relay,
-    ("ros2_relay_start", "ros2_relay_list", "ros2_relay_stop", "ros2_topic_stats"),
 )
 
 
@@ -197,7 +196,6 @@ _HEALTH = Prompt(
         Argument("min_expected_rate_hz", "A slower topic is a problem", "number", default=1.0, minimum=0, maximum=1000),
     ),
     _write_health,
-    ("ros2_health_check",),
 )
 
 
@@ -234,5 +232,4 @@ _COMPARE = Prompt(
         Argument("sync_by_timestamp", "Pair by header stamp, not by time of arrival", "boolean", default=True),
     ),
     _write_compare,
-    ("ros2_topic_compare",),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from ros2_mcp.prompts.prompt import Message, Prompt
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
 
+_TOOL = re.compile(r"\bros2_\w+")
 Load = Callable[[Tell], Sequence[Prompt]]
 
 
@@ -80,13 +82,15 @@ class Catalog:
             NotFound: if there is no such prompt.
             BadInput: naming the argument, what was given and what is allowed.
         """
-        prompt = await self.prompt(name)
-        messages = await prompt.messages(given)
-        absent = [f"{tool} ({self._missing[tool]})" for tool in prompt.tools if tool in self._missing]
-        if not absent:
+        messages = await (await self.prompt(name)).messages(given)
+        named = {tool for message in messages for tool in _TOOL.findall(message.text)} & self._missing.keys()
+        if not named:
             return messages
-        note = f"This server does not offer {', '.join(absent)}. Say so if the task cannot be done without."
-        return [*messages, Message(note)]
+        absent = ", ".join(f"{tool} ({self._missing[tool]})" for tool in sorted(named))
+        return [
+            *messages,
+            Message(f"Not offered by this server: {absent}. Tell the user if it cannot be done without."),
+        ]
 
     def has_news(self) -> bool:
         """Whether the user's folder has changed since the prompts were asked for; each change is news once."""

@@ -66,8 +66,7 @@ def _prompt(front: Entry, name: str, body: str) -> Prompt:
     async def write(values: Mapping[str, Any]) -> Sequence[Message]:
         return [Message(template.fill(body, values).strip())]
 
-    tools = tuple(dict.fromkeys(_CALL.findall(body)))
-    return Prompt(name, _text(front, "title") or name, _text(front, "description"), arguments, write, tools)
+    return Prompt(name, _text(front, "title") or name, _text(front, "description"), arguments, write)
 
 
 def _argument(entry: Entry) -> Argument:

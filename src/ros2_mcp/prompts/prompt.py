@@ -26,14 +26,13 @@ Write = Callable[[Mapping[str, Any]], Awaitable[Sequence[Message]]]
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """One prompt; `tools` are those that its messages name."""
+    """One prompt."""
 
     name: str
     title: str
     description: str
     arguments: Sequence[Argument]
     write: Write
-    tools: Sequence[str] = ()
 
     async def messages(self, given: Mapping[str, str]) -> Sequence[Message]:
         """The messages for the arguments of a client.

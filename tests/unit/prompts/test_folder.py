@@ -42,7 +42,6 @@ def test_a_file_is_a_prompt(make_folder: Callable) -> None:
     folder, told = make_folder({"any.md": PATROL, "README.md": "# no prompt", "notes.txt": "no prompt"})
     [prompt] = folder.prompts()
     assert (prompt.name, prompt.title, prompt.description) == ("patrol", "Patrol", "Drive around")
-    assert prompt.tools == ("ros2_topic_list",)
     assert text_of(prompt, topic="scan", mode="fast").splitlines() == [
         "Drive 3 rounds, fast.",
         '1. Call ros2_topic_list with {"pattern": "/scan"}',

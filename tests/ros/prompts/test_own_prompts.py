@@ -1,0 +1,126 @@
+"""The user's own prompts, and completions, over real stdio."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from prompting import PromptAgent
+from raw_server import MODERN, RawServer
+
+HOW_TO = Path(__file__).parents[3] / "docs/how-to/prompts.md"
+HELLO = "---\nname: hello\n---\nHello.\n"
+
+
+def test_the_example_of_the_how_to_works_as_written(
+    start_agent: Callable[..., PromptAgent], demo_robot: object, tmp_path: Path
+) -> None:
+    example = re.search(r"^```markdown\n(.*?)^```", HOW_TO.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    assert example
+    (tmp_path / "battery-check.md").write_text(example[1], encoding="utf-8")
+    agent = start_agent("--prompts", str(tmp_path))
+    assert agent.prompts()["battery-check"].arguments[0].name == "topic"
+    battery, rate = agent.take("battery-check", seconds="1.5")
+    assert 0 < battery["message"]["percentage"] <= 1
+    assert rate["topics"][0]["count"] > 0
+    assert "seconds is '90'. Give a number from 1 to 30" in agent.refusal("battery-check", seconds="90")
+    assert agent.complete("battery-check", "caution", "h") == ["high"]
+    assert agent.complete("battery-check", "topic", "batt") == ["/battery_state"]
+
+
+@pytest.mark.parametrize("version", [MODERN, "2025-06-18"])
+def test_a_changed_folder_is_read_again_and_the_client_is_told(
+    start_raw: Callable[..., RawServer], tmp_path: Path, version: str
+) -> None:
+    (tmp_path / "hello.md").write_text(HELLO)
+    (tmp_path / "bad.md").write_text("---\nname: x\nargs: []\n---\nHi.\n")
+    server = start_raw("--prompts", str(tmp_path))
+    capabilities = server.begin(version)["capabilities"]
+    assert capabilities["prompts"]["listChanged"] is True
+    if version == MODERN:
+        server.send("subscriptions/listen", notifications={"promptsListChanged": True})
+    assert "hello" in _names(server)
+    (tmp_path / "bye.md").write_text(HELLO.replace("hello", "bye"))
+    assert server.ask("prompts/get", name="bye")["result"]["messages"][0]["content"]["text"] == "Hello."
+    _wait_for(server, "notifications/prompts/list_changed")
+    assert {"hello", "bye"} <= set(_names(server))
+    server.errors.seek(0)
+    assert f"{tmp_path / 'bad.md'}:3: 'args' means nothing here." in server.errors.read().decode()
+
+
+def test_prompts_of_a_users_module_are_offered_and_its_prints_stay_off_the_protocol(
+    start_raw: Callable[..., RawServer], tmp_path: Path
+) -> None:
+    module = "print('hello from user code')\ndef patrol(area: str): return f'Patrol {area}.'\nALL_PROMPTS = [patrol]\n"
+    (tmp_path / "extension_prompts.py").write_text(module)
+    options = ("--prompts-local", "--prompts-path", str(tmp_path))
+    server = start_raw("--custom-prompts", *options)
+    server.begin(MODERN)
+    assert _names(server)[-1] == "patrol"
+    got = server.ask("prompts/get", name="patrol", arguments={"area": "the yard"})
+    assert got["result"]["messages"][0]["content"]["text"] == "Patrol the yard."
+    assert b"hello from user code" not in server.said
+    off = start_raw(*options)
+    off.begin(MODERN)
+    assert "patrol" not in _names(off)
+
+
+def test_completions_are_the_live_names_and_quick(agent: PromptAgent) -> None:
+    relay, health = "base.ros2-topic-relay", "base.ros2-node-health-check"
+    agent.agent.call("ros2_topic_list")  # waits until discovery has settled
+    started = time.perf_counter()
+    assert agent.complete(relay, "source_topic", "/od") == ["/odom"]
+    elapsed = time.perf_counter() - started
+    assert elapsed < 0.25  # 50 ms on an idle machine
+    print(f"completion took {elapsed * 1000:.1f} ms")
+    assert agent.complete(relay, "message_type", source_topic="scan")[0] == "sensor_msgs/msg/LaserScan"
+    assert agent.complete(relay, "message_type", "geometry_msgs/msg/Twist")[0] == "geometry_msgs/msg/Twist"
+    assert len(agent.complete(relay, "message_type")) == 100
+    assert "/scan, /odom" in agent.complete(health, "expected_topics", "/scan, od")
+    assert "/scan, /scan" not in agent.complete(health, "expected_topics", "/scan, sc")
+    assert agent.complete(health, "check_rates", "t") == ["true"]
+    assert agent.complete("no-such-prompt", "x") == []
+
+
+@pytest.mark.parametrize(
+    ("template", "variable", "typed", "first"),
+    [
+        ("ros2://topic/{+name}", "name", "sca", "/scan"),
+        ("ros2://node/{+name}/parameters", "name", "lid", "/lidar"),
+        ("ros2://interface/{+type}", "type", "std_msgs/msg/Str", "std_msgs/msg/String"),
+    ],
+)
+def test_variables_of_resource_templates_are_completed(
+    agent: PromptAgent, template: str, variable: str, typed: str, first: str
+) -> None:
+    assert agent.complete_uri(template, variable, typed)[0] == first
+
+
+def test_without_ros_prompts_are_there_and_completions_are_empty_within_a_second(
+    start_raw: Callable[..., RawServer],
+) -> None:
+    server = start_raw("--distro", "none-such")
+    server.begin(MODERN)
+    assert len(_names(server)) == 4
+    started = time.perf_counter()
+    ref, argument = {"type": "ref/prompt", "name": "base.ros2-topic-relay"}, {"name": "source_topic", "value": ""}
+    assert server.ask("completion/complete", ref=ref, argument=argument)["result"]["completion"]["values"] == []
+    assert time.perf_counter() - started < 2
+
+
+def _names(server: RawServer) -> list[str]:
+    return [prompt["name"] for prompt in server.ask("prompts/list")["result"]["prompts"]]
+
+
+def _wait_for(server: RawServer, method: str) -> dict[str, Any]:
+    deadline = time.monotonic() + 5
+    while time.monotonic() < deadline:
+        for line in server.lines():
+            if line.get("method") == method:
+                return line
+        server.ask("prompts/list")
+    raise AssertionError(f"no {method} in {server.said[-500:]!r}")
