@@ -43,6 +43,10 @@ class Clients:
         elapsed_s = round(time.monotonic() - sent_at, 6)
         return {"waited_s": round(sent_at - started, 6), "elapsed_s": elapsed_s}, body
 
+    def unserved(self):
+        """The services that we have a client of and nobody serves."""
+        return {client.srv_name for client in self.pool.values() if not client.service_is_ready()}
+
     @contextmanager
     def use(self, request):
         """The pooled client of the service that a request names, and the message to send."""
@@ -78,5 +82,5 @@ def _wait_response(client, service, future, timeout_s):
         if now - last_ready > GONE_AFTER_S:
             raise OperationError("server_gone", f"The server of {service} disappeared before it answered.")
         if now >= deadline:
-            raise OperationError("timeout", f"{service} did not answer within {timeout_s:.3g} s.")
+            raise OperationError("timeout", f"{service} did not answer within {round(timeout_s, 2):g} s.")
         yield min(POLL_S, deadline - now)

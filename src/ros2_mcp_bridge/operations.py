@@ -40,7 +40,7 @@ class Operations:
         self._table = {
             "cancel": self._cancel,
             "topics": self._graph.topics,
-            "services": self._graph.services,
+            "services": self._services,
             "nodes": self._graph.nodes,
             "node": self._graph.node,
             "endpoints": self._graph.endpoints,
@@ -120,6 +120,11 @@ class Operations:
             traceback.print_exception(type(error), error, error.__traceback__, file=sys.stderr)
             error = OperationError("ros_error", f"{type(error).__name__}: {error}")
         self._outbox.reply_error(request.id, error)
+
+    def _services(self, request):
+        """Without those that are in the graph only because we have called them."""
+        found, unserved = (yield from self._graph.services(request)), self._clients.unserved()
+        return {**found, "services": [entry for entry in found["services"] if entry[0] not in unserved]}
 
     def _cancel(self, request):
         target = self._requests.get(request.number("request"))

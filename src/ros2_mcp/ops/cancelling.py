@@ -65,14 +65,14 @@ async def cancel(
     response = robot.values.render(f"{CANCEL_TYPE}_Response", answer.body).value
     code = int(response["return_code"])
     goals = [CancelledGoal(goal_id_hex(goal["goal_id"]["uuid"]), goal["stamp"]) for goal in response["goals_canceling"]]
-    return Cancellation(service, code, CANCEL_CODES.get(code, str(code)), goals, _note(code, goals))
+    return Cancellation(service, code, CANCEL_CODES.get(code, str(code)), goals, _note(code, goals, cancel_all))
 
 
-def _note(code: int, goals: Sequence[CancelledGoal]) -> str:
+def _note(code: int, goals: Sequence[CancelledGoal], cancel_all: bool) -> str:
     if code == 0 and goals:
         return "A goal ends when the server has stopped it: ros2_action_request_result tells."
     notes: Mapping[int, str] = {
-        0: "There was nothing to cancel.",
+        0: "Nothing was running, or the server refuses." if cancel_all else "The server refuses to cancel this goal.",
         1: "The server refuses to cancel.",
         UNKNOWN_GOAL: "The server does not know such a goal.",
         ENDED_ALREADY: "The goal had ended already.",

@@ -146,7 +146,7 @@ class _Goal:
         """Whether the server accepts the goal, and when it did."""
         service = f"{self._type}_SendGoal"
         request = {"goal_id": {"uuid": goal_id_bytes(self._id)}, "goal": dict(goal)}
-        await self._robot.values.encode(f"{service}_Request", request)
+        await self._robot.values.encode(f"{self._type}_Goal", goal)
         await self._robot.values.learn(CANCEL_TYPE)
         self._robot.goal_sent(self._id, self._action, self._type)
         name = f"{self._action}/_action/send_goal"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadInput, NotFound, RobotError
+from ros2_mcp.model.errors import BadInput, NotFound, RobotError, TimedOut
 from ros2_mcp.robot import Robot
 
 TIMEOUT_S = 5.0
@@ -119,4 +119,6 @@ async def _call(
         known = await _lifecycle_nodes(robot)
         hint = names.did_you_mean(node, known, f"Lifecycle nodes: {', '.join(known) or 'none'}.")
         raise NotFound(f"{node} is not a lifecycle node that is running.", hint) from error
+    except TimedOut as error:
+        raise TimedOut(f"{node} did not answer within {timeout_s:g} s: it is busy or hangs.") from error
     return robot.values.render(f"{kind}_Response", answer.body).value

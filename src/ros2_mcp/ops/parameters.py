@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names, parameters
-from ros2_mcp.model.errors import BadInput, BadValue, NotFound, RobotError
+from ros2_mcp.model.errors import BadInput, BadValue, NotFound, RobotError, TimedOut
 from ros2_mcp.ops.nodes import list_nodes
 from ros2_mcp.robot import Robot
 
@@ -242,4 +242,6 @@ async def _call(robot: Robot, node: str, service: str, request: Mapping[str, Any
         if node in known:
             raise NotFound(f"{node} offers no parameters.", "It was built without parameter services.") from error
         raise NotFound(f"There is no node {node}.", names.did_you_mean(node, known)) from error
+    except TimedOut as error:
+        raise TimedOut(f"{node} did not answer within {TIMEOUT_S:g} s: it is busy or hangs.") from error
     return robot.values.render(f"{kind}_Response", answer.body, RenderOptions(exact=True)).value

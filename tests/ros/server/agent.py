@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from anyio.from_thread import BlockingPortal, start_blocking_portal
@@ -46,9 +47,10 @@ class Agent:
             return str(refusal)
         raise AssertionError(f"{tool} was not refused: {result}")
 
-    def whole(self, tool: str, arguments: dict[str, Any]) -> CallToolResult:
-        """The result with its text and pictures."""
-        return self._portal.call(self.client.call_tool, tool, arguments)
+    def whole(self, tool: str, arguments: dict[str, Any], progress: Any = None) -> CallToolResult:
+        """The result with its text and pictures; `progress` is called with each report."""
+        call = partial(self.client.call_tool, tool, arguments, progress_callback=progress)
+        return self._portal.call(call)
 
     def tools(self) -> dict[str, Any]:
         """Every tool by name."""

@@ -1,0 +1,325 @@
+"""Independent rclpy nodes that the tests command: one JSON object per line in, one per line out.
+
+    commands_peer.py NAMESPACE ROLE…
+
+Roles are the functions below: what a process offers under its namespace. ROS runs on threads beside the commands.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import threading
+import time
+from collections import Counter
+from typing import Any
+
+import rclpy
+from action_msgs.srv import CancelGoal
+from geometry_msgs.msg import Twist
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.node import Node
+from std_srvs.srv import SetBool
+from test_msgs.action import Fibonacci, NestedMessage
+from test_msgs.srv import BasicTypes
+
+STEP_S = 0.05
+
+
+class Peer:
+    """One process; its public methods are the commands."""
+
+    def __init__(self, namespace: str) -> None:
+        self.node = Node("peer", namespace=namespace)
+        self.nodes = [self.node]
+        self.group = ReentrantCallbackGroup()
+        self.counts: Counter[str] = Counter()
+        self.velocities: list[tuple[float, float]] = []
+        self._clients: dict[str, Any] = {}
+        self._handles: dict[str, Any] = {}
+        self._kept: list[Any] = []
+        self.unspun: list[Node] = []
+
+    def keep(self, *entities: Any) -> None:
+        self._kept += entities
+
+    # ── commands ───────────────────────────────────────────────────────────────────────────────────────────────
+
+    def count(self, name: str) -> int:
+        """How many requests or goals have come."""
+        return self.counts[name]
+
+    def driven(self) -> list[tuple[float, float]]:
+        """The velocities that came, with the steady time of receipt."""
+        return list(self.velocities)
+
+    def send_goal(self, action: str, order: int) -> str:
+        """Send a goal as any other client does; returns its id."""
+        client = self._clients.setdefault(action, ActionClient(self.node, Fibonacci, action))
+        assert client.wait_for_server(timeout_sec=5.0)
+        handle = _wait(client.send_goal_async(Fibonacci.Goal(order=order)))
+        assert handle.accepted
+        goal_id = bytes(handle.goal_id.uuid).hex()
+        self._handles[goal_id] = handle
+        return goal_id
+
+    def result(self, goal_id: str) -> list[Any]:
+        """The status and the sequence of a goal sent from here."""
+        answer = _wait(self._handles[goal_id].get_result_async())
+        return [answer.status, list(answer.result.sequence)]
+
+    def cancel(self, goal_id: str) -> int:
+        """Cancel a goal sent from here; returns the code."""
+        return _wait(self._handles[goal_id].cancel_goal_async()).return_code
+
+    def call(self, service: str, data: bool) -> str:
+        """Call a SetBool service of somebody else."""
+        client = self.node.create_client(SetBool, service)
+        assert client.wait_for_service(timeout_sec=5.0)
+        return _wait(client.call_async(SetBool.Request(data=data))).message
+
+
+def _wait(future: Any, within_s: float = 10.0) -> Any:
+    done = threading.Event()
+    future.add_done_callback(lambda _: done.set())
+    assert done.wait(within_s), "no answer"
+    return future.result()
+
+
+# ── roles ──────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def services(peer: Peer) -> None:
+    """`switch` answers at once, `slow` after `float64_value` seconds, `fatal` never: the process dies of it."""
+
+    def switch(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        peer.counts["switch"] += 1
+        response.success, response.message = request.data, f"asked {request.data}"
+        return response
+
+    def slow(request: BasicTypes.Request, response: BasicTypes.Response) -> BasicTypes.Response:
+        peer.counts["slow"] += 1
+        time.sleep(request.float64_value)
+        response.string_value, response.int64_value = request.string_value, request.int64_value
+        return response
+
+    def fatal(_request: SetBool.Request, _response: SetBool.Response) -> Any:
+        os._exit(1)
+
+    for kind, name, callback in ((SetBool, "switch", switch), (BasicTypes, "slow", slow), (SetBool, "fatal", fatal)):
+        peer.keep(peer.node.create_service(kind, name, callback, callback_group=peer.group))
+
+
+def actions(peer: Peer) -> None:
+    """`count` counts to its order, one feedback a step; the others each do one thing that goes wrong."""
+    _action(peer, "count", _count)
+    _action(peer, "reject", _count, goal=GoalResponse.REJECT)
+    _action(peer, "abort", _abort)
+    _action(peer, "refuse_cancel", _count, cancel=CancelResponse.REJECT)
+    _action(peer, "ignore_cancel", _ignore_cancel)
+    _action(peer, "burst", _burst)
+    _action(peer, "forget", _burst, result_timeout=1)
+    _action(peer, "fatal", lambda _peer, _goal: os._exit(1))
+
+
+def raw(peer: Peer) -> None:
+    """An action made by hand: it accepts goals, never tells a result, and refuses to cancel with a code of its own."""
+
+    def refuse(_request: Any, response: Any) -> Any:
+        response.return_code = CancelGoal.Response.ERROR_REJECTED
+        return response
+
+    def accept(_request: Any, response: Any) -> Any:
+        peer.counts["raw"] += 1
+        response.accepted = True
+        return response
+
+    impl, node = Fibonacci.Impl, Node("raw_results", namespace=peer.node.get_namespace())
+    peer.unspun.append(node)
+    peer.keep(
+        node.create_service(impl.GetResultService, "raw/_action/get_result", lambda _, response: response),
+        peer.node.create_publisher(impl.FeedbackMessage, "raw/_action/feedback", 10),
+        peer.node.create_service(impl.SendGoalService, "raw/_action/send_goal", accept),
+        peer.node.create_service(CancelGoal, "raw/_action/cancel_goal", refuse),
+    )
+
+
+def counting(peer: Peer) -> None:
+    """Only the action `count`: starts quickly."""
+    _action(peer, "count", _count)
+
+
+def nested(peer: Peer) -> None:
+    """An action whose goal has messages inside."""
+
+    def accept(_goal: Any) -> GoalResponse:
+        peer.counts["nested"] += 1
+        return GoalResponse.ACCEPT
+
+    def execute(goal: Any) -> Any:
+        goal.succeed()
+        return NestedMessage.Result()
+
+    peer.keep(ActionServer(peer.node, NestedMessage, "nested", execute, goal_callback=accept))
+
+
+def _action(peer: Peer, name: str, execute: Any, *, goal: Any = None, cancel: Any = None, **options: Any) -> None:
+    def judge(_request: Any) -> Any:
+        peer.counts[name] += 1
+        return goal or GoalResponse.ACCEPT
+
+    def judge_cancel(_request: Any) -> Any:
+        peer.counts[f"{name} cancel"] += 1
+        return cancel or CancelResponse.ACCEPT
+
+    server = ActionServer(
+        peer.node,
+        Fibonacci,
+        name,
+        lambda handle: execute(peer, handle),
+        goal_callback=judge,
+        cancel_callback=judge_cancel,
+        callback_group=peer.group,
+        **options,
+    )
+    peer.keep(server)
+
+
+def _count(peer: Peer, goal: Any) -> Fibonacci.Result:
+    done: list[int] = []
+    for number in range(goal.request.order):
+        if goal.is_cancel_requested:
+            goal.canceled()
+            peer.counts["canceled"] += 1
+            return Fibonacci.Result(sequence=done)
+        done.append(number)
+        goal.publish_feedback(Fibonacci.Feedback(sequence=done))
+        time.sleep(STEP_S)
+    goal.succeed()
+    return Fibonacci.Result(sequence=done)
+
+
+def _abort(_peer: Peer, goal: Any) -> Fibonacci.Result:
+    goal.abort()
+    return Fibonacci.Result(sequence=[6])
+
+
+def _ignore_cancel(_peer: Peer, goal: Any) -> Fibonacci.Result:
+    time.sleep(goal.request.order * STEP_S)
+    goal.succeed()
+    return Fibonacci.Result(sequence=[4])
+
+
+def _burst(_peer: Peer, goal: Any) -> Fibonacci.Result:
+    for number in range(goal.request.order):
+        goal.publish_feedback(Fibonacci.Feedback(sequence=[number]))
+    goal.succeed()
+    return Fibonacci.Result(sequence=[goal.request.order])
+
+
+def watch(peer: Peer) -> None:
+    """Keep the velocities of `cmd_vel`."""
+
+    def note(message: Twist) -> None:
+        peer.velocities.append((time.monotonic(), message.linear.x))
+
+    peer.keep(peer.node.create_subscription(Twist, "cmd_vel", note, 50))
+
+
+def tuned(peer: Peer) -> None:
+    """A node with parameters of every type, and one that allows undeclared ones."""
+    node = Node("tuned", namespace=peer.node.get_namespace())
+    limited = ParameterDescriptor(
+        description="Fastest speed [m/s]", floating_point_range=[FloatingPointRange(from_value=0.0, to_value=2.0)]
+    )
+    stepped = ParameterDescriptor(integer_range=[IntegerRange(from_value=0, to_value=10, step=5)])
+    node.declare_parameter("speed", 0.5, limited)
+    node.declare_parameter("steps", 5, stepped)
+    node.declare_parameter("serial", "A-1", ParameterDescriptor(read_only=True))
+    node.declare_parameter("enabled", True)
+    node.declare_parameter("label", "3")
+    node.declare_parameter("big", 2**62 + 1)
+    node.declare_parameter("pid.p", 1.5)
+    node.declare_parameter("octets", [b"\x01", b"\xff"])
+    node.declare_parameter("flags", [True, False])
+    node.declare_parameter("counts", [1, 2**60])
+    node.declare_parameter("gains", [0.5, float("inf")])
+    node.declare_parameter("names", ["a", "b"])
+    node.declare_parameter("any", 1, ParameterDescriptor(dynamic_typing=True))
+
+    def judge(parameters: list[Any]) -> SetParametersResult:
+        peer.counts["set"] += 1
+        if any(parameter.name == "label" and parameter.value == "bad" for parameter in parameters):
+            return SetParametersResult(successful=False, reason="the label is bad, says the node")
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(judge)
+    peer.nodes += [node, Node("open", namespace=peer.node.get_namespace(), allow_undeclared_parameters=True)]
+
+
+class Valve(LifecycleNode):
+    """A lifecycle node whose activation fails the first time."""
+
+    tries = 0
+
+    def on_activate(self, state: Any) -> Any:
+        self.tries += 1
+        return TransitionCallbackReturn.FAILURE if self.tries == 1 else super().on_activate(state)
+
+
+def valve(peer: Peer) -> None:
+    """The lifecycle node."""
+    peer.nodes.append(Valve("valve", namespace=peer.node.get_namespace()))
+
+
+def dumb(peer: Peer) -> None:
+    """A node without parameter services, and one that never answers, its service `mute` included."""
+    namespace = peer.node.get_namespace()
+    peer.nodes.append(Node("dumb", namespace=namespace, start_parameter_services=False))
+    deaf = Node("deaf", namespace=namespace)
+    peer.keep(deaf.create_service(SetBool, "mute", lambda _request, response: response))
+    peer.unspun.append(deaf)
+
+
+def main() -> None:
+    namespace, *roles = sys.argv[1:]
+    rclpy.init()
+    peer = Peer(namespace)
+    for role in roles:
+        globals()[role](peer)
+    peer.keep(peer.node.create_service(SetBool, "there", lambda _request, response: response))
+    executor = MultiThreadedExecutor(num_threads=24)
+    for node in peer.nodes:
+        executor.add_node(node)
+    spinning = threading.Thread(target=_spin, args=(executor,), daemon=True)
+    spinning.start()
+    _say("ready")
+    for line in sys.stdin:
+        command, arguments = json.loads(line)
+        _say(getattr(peer, command)(**arguments))
+    executor.shutdown(timeout_sec=0.5)
+    spinning.join(1.0)
+    for node in (*peer.nodes, *peer.unspun):
+        node.destroy_node()
+    rclpy.try_shutdown()
+    os._exit(0)  # whatever a callback is still busy with
+
+
+def _spin(executor: MultiThreadedExecutor) -> None:
+    with contextlib.suppress(ExternalShutdownException):
+        executor.spin()
+
+
+def _say(value: Any) -> None:
+    sys.stdout.write(json.dumps(value) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""A server over real stdio that the tests of this folder share, and peers that each test starts and kills."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+sys.path.insert(0, str(Path(__file__).parent))  # the tests import their neighbours
+sys.path.insert(0, str(Path(__file__).parent.parent / "server"))
+
+from agent import Agent, agent_for
+from peer_process import PeerProcess, discovered
+from raw_server import RawServer
+
+
+@pytest.fixture(scope="session")
+def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
+    """A client of a server that all tests share."""
+    with agent_for(ros_environment, "--tools", "all") as client:
+        yield client
+
+
+@pytest.fixture
+def start_agent(ros_environment: dict[str, str]) -> Iterator[Callable[..., Agent]]:
+    """Start a server of this test's own."""
+    with ExitStack() as running:
+        yield lambda *options, **changed: running.enter_context(
+            agent_for({**ros_environment, **changed}, "--tools", "all", *options)
+        )
+
+
+@pytest.fixture
+def start_raw(ros_environment: dict[str, str]) -> Iterator[Callable[[], RawServer]]:
+    """Start a server whose lines the test writes and reads itself."""
+    servers: list[RawServer] = []
+
+    def begin() -> RawServer:
+        servers.append(RawServer(ros_environment, "--tools", "all"))
+        return servers[-1]
+
+    yield begin
+    for server in servers:
+        server.end()
+
+
+@pytest.fixture
+def start_peer(ros_environment: dict[str, str], agent: Agent) -> Iterator[Callable[..., PeerProcess]]:
+    """Start a peer that the shared server knows: `start_peer("services")`; all are gone after the test."""
+    peers: list[PeerProcess] = []
+
+    def begin(*roles: str, namespace: str = "") -> PeerProcess:
+        peers.append(PeerProcess(ros_environment, *roles, namespace=namespace))
+        return discovered(agent, peers[-1].ready())
+
+    yield begin
+    for peer in peers:
+        peer.leave()
+
+
+@pytest.fixture(scope="session")
+def robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[PeerProcess]:
+    """The peer that all tests share: everything that does not die."""
+    roles = ("services", "actions", "raw", "nested", "tuned", "valve", "dumb")
+    peer = discovered(agent, PeerProcess(ros_environment, *roles).ready())
+    yield peer
+    peer.leave()

@@ -1,0 +1,132 @@
+"""Action servers that die, come back, reject, abort or do not listen: no call is stuck and every message is right."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable
+
+import pytest
+from agent import FULL
+
+ROUNDS = 200 if FULL else 5
+UNKNOWN_ID = "0123456789abcdef" * 2
+
+pytestmark = pytest.mark.timeout(1800 if FULL else 60)
+
+
+def begin_goal(agent, action: str, order: int, timeout_s: float):
+    return agent.begin(
+        "ros2_send_action_goal",
+        action_name=action,
+        goal_fields={"order": order},
+        wait_for_result=True,
+        timeout_sec=timeout_s,
+    )
+
+
+def wait_until(condition: Callable[[], object], within_s: float = 8.0) -> None:
+    deadline = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.01)
+
+
+def test_a_service_server_that_is_killed_during_a_call(agent, start_peer) -> None:
+    """Killed, it cannot say so: the call ends with its time-out."""
+    for _ in range(ROUNDS):
+        peer = start_peer("dumb")
+        call = agent.begin("ros2_service_call", service_name=peer.name("mute"), fields={"data": True}, timeout_sec=0.6)
+        time.sleep(random.uniform(0.1, 0.3))
+        peer.kill()
+        assert str(call.exception(5)) == f"TimedOut: {peer.name('mute')} did not answer within 0.6 s."
+
+
+def test_a_service_server_that_never_answers(agent, robot) -> None:
+    for _ in range(ROUNDS):
+        started = time.monotonic()
+        said = agent.refusal(
+            "ros2_service_call", service_name=robot.name("mute"), fields={"data": True}, timeout_sec=0.2
+        )
+        assert said == f"TimedOut: {robot.name('mute')} did not answer within 0.2 s."
+        assert time.monotonic() - started < 1.0
+
+
+def test_an_action_server_that_is_killed_while_executing_and_started_again(agent, start_peer) -> None:
+    """The waiting ends with its time-out; the next server does not know the goal, and takes new ones."""
+    for _ in range(ROUNDS):
+        peer = start_peer("counting")
+        action = peer.name("count")
+        waiting = begin_goal(agent, action, 500, 1.0)
+        wait_until(lambda peer=peer: peer.count(name="count"))
+        peer.kill()
+        ended = waiting.result(5)
+        assert (ended["status"], ended["accepted"], ended["result"]) == ("TIMEOUT", True, None)
+        again = start_peer("counting", namespace=peer.namespace)
+        wait_until(lambda action=action, ended=ended: status(agent, action, ended["goal_id"]) == "UNKNOWN")
+        assert begin_goal(agent, action, 1, 5.0).result(8)["status"] == "SUCCEEDED"
+        again.leave()
+
+
+def status(agent, action: str, goal_id: str) -> str:
+    """Asked briefly: until the new server is discovered, the killed one is asked, which never answers."""
+    asked = {"action_name": action, "goal_id_hex": goal_id, "timeout_sec": 0.5}
+    return agent.call("ros2_action_request_result", **asked)["status"]
+
+
+def test_an_action_server_that_leaves_while_executing(agent, start_peer) -> None:
+    for _ in range(ROUNDS):
+        peer = start_peer("raw")
+        waiting = begin_goal(agent, peer.name("raw"), 1, 20.0)
+        wait_until(lambda peer=peer: peer.count(name="raw"))
+        peer.leave()
+        said = str(waiting.exception(8))
+        assert said.startswith(f"NotFound: The server of {peer.name('raw')} is not there, or left before the goal")
+        assert said.rstrip(".").endswith("had been accepted")
+
+
+@pytest.mark.parametrize(
+    "action, status, code",
+    [("reject", "NOT_ACCEPTED", -1), ("abort", "ABORTED", 6), ("burst", "SUCCEEDED", 4)],
+)
+def test_goals_that_end_at_once_one_way_or_the_other(agent, robot, action, status, code) -> None:
+    for _ in range(ROUNDS):
+        ended = begin_goal(agent, robot.name(action), 1, 5.0).result(8)
+        assert (ended["status"], ended["status_code"]) == (status, code)
+
+
+def test_a_server_that_ignores_cancelling(agent, robot) -> None:
+    """It takes the request, and then the goal succeeds all the same: that is what is told."""
+    action = robot.name("ignore_cancel")
+    for _ in range(ROUNDS):
+        sent = agent.call("ros2_send_action_goal", action_name=action, goal_fields={"order": 4})
+        cancelled = agent.call("ros2_cancel_action_goal", action_name=action, goal_id_hex=sent["goal_id"])
+        assert [goal["goal_id"] for goal in cancelled["goals_canceling"]] == [sent["goal_id"]]
+        ended = agent.call("ros2_action_request_result", action_name=action, goal_id_hex=sent["goal_id"])
+        assert ended["status"] == "SUCCEEDED"
+
+
+def test_a_server_that_refuses_cancelling(agent, robot) -> None:
+    action = robot.name("refuse_cancel")
+    for _ in range(ROUNDS):
+        sent = agent.call("ros2_send_action_goal", action_name=action, goal_fields={"order": 3})
+        refused = agent.call("ros2_cancel_action_goal", action_name=action, goal_id_hex=sent["goal_id"])
+        assert (refused["goals_canceling"], refused["note"]) == ([], "The server refuses to cancel this goal.")
+        ended = agent.call("ros2_action_request_result", action_name=action, goal_id_hex=sent["goal_id"])
+        assert ended["status"] == "SUCCEEDED"
+
+
+def test_results_asked_for_twice_at_once_of_unknown_goals_and_of_forgotten_ones(agent, robot) -> None:
+    action, sent = robot.name("forget"), []
+
+    def ask(goal_id: str):
+        return agent.begin("ros2_action_request_result", action_name=action, goal_id_hex=goal_id, timeout_sec=5)
+
+    for _ in range(ROUNDS):
+        goal_id = agent.call("ros2_send_action_goal", action_name=action, goal_fields={"order": 2})["goal_id"]
+        sent.append((time.monotonic(), goal_id))
+        twice = [ask(goal_id), ask(goal_id), ask(UNKNOWN_ID)]
+        assert [one.result(8)["status"] for one in twice] == ["SUCCEEDED", "SUCCEEDED", "UNKNOWN"]
+    time.sleep(2.5)  # the server keeps a result for 1 s
+    for _, goal_id in sent:
+        assert ask(goal_id).result(8)["status"] == "UNKNOWN"

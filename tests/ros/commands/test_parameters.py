@@ -1,0 +1,194 @@
+"""Parameters and lifecycle through the real server, against independent rclpy nodes."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+ALL = {
+    "speed": 0.5,
+    "steps": 5,
+    "serial": "A-1",
+    "enabled": True,
+    "label": "3",
+    "big": str(2**62 + 1),
+    "pid.p": 1.5,
+    "octets": [1, 255],
+    "flags": [True, False],
+    "counts": [1, str(2**60)],
+    "gains": [0.5, "inf"],
+    "names": ["a", "b"],
+    "any": 1,
+}
+
+
+def get(agent, robot, *names: str):
+    return agent.call("ros2_parameter_get", node_name=robot.name("tuned"), names=list(names) or None)
+
+
+def put(agent, robot, atomic: bool = False, **values: object):
+    return agent.call("ros2_parameter_set", node_name=robot.name("tuned"), values=values, atomic=atomic)
+
+
+@pytest.fixture(autouse=True)
+def as_it_was(agent, robot):
+    yield
+    values = {name: value for name, value in ALL.items() if name != "serial"}
+    assert put(agent, robot, **values)["successful"]
+
+
+def test_a_whole_node_is_read_in_a_form_that_can_be_set_back(agent, robot) -> None:
+    dump = get(agent, robot)
+    own = {name: value for name, value in dump["parameters"].items() if name in ALL}
+    assert own == ALL
+    assert "serial" in dump["read_only"]
+    put(agent, robot, speed=1.0, big=7, gains=[0.0], names=[], octets=[], label="other")
+    back = {name: value for name, value in dump["parameters"].items() if name not in dump["read_only"]}
+    assert put(agent, robot, **back)["successful"] is True
+    assert get(agent, robot) == dump
+
+
+def test_parameters_of_several_nodes_are_listed_at_once_with_what_their_descriptors_say(agent, robot) -> None:
+    wanted = [robot.name(name) for name in ("tuned", "open", "dumb", "nobody", "deaf")]
+    started = time.monotonic()
+    listed = agent.call("ros2_parameter_list", node_names=wanted, pattern="s*")
+    assert time.monotonic() - started < 7
+    tuned, opened, dumb, nobody, deaf = listed["nodes"]
+    found = {parameter["name"]: parameter for parameter in tuned["parameters"]}
+    assert found["speed"] == {
+        "name": "speed",
+        "type": "double",
+        "value": 0.5,
+        "description": "Fastest speed [m/s]",
+        "read_only": False,
+        "range": {"from": 0.0, "to": 2.0, "step": 0.0},
+        "constraints": "",
+    }
+    assert found["steps"]["range"] == {"from": 0, "to": 10, "step": 5}
+    assert (found["serial"]["read_only"], found["serial"]["range"]) == (True, None)
+    assert opened["error"] == ""
+    assert dumb["error"].startswith(f"{robot.name('dumb')} offers no parameters.")
+    assert nobody["error"].startswith(f"There is no node {robot.name('nobody')}.")
+    assert deaf["error"] == f"{robot.name('deaf')} did not answer within 5 s: it is busy or hangs."
+
+
+@pytest.mark.parametrize(
+    "name, given, taken",
+    [("speed", 1, 1.0), ("steps", 10.0, 10), ("gains", [1, 2.5, "-inf"], [1.0, 2.5, "-inf"]), ("any", "text", "text")],
+)
+def test_values_are_converted_where_nothing_is_lost(agent, robot, name, given, taken) -> None:
+    answer = put(agent, robot, **{name: given})
+    assert answer["parameters"] == [{"name": name, "successful": True, "reason": "", "value": taken}]
+    assert type(answer["parameters"][0]["value"]) is type(taken)
+
+
+@pytest.mark.parametrize(
+    "name, given, said",
+    [
+        ("steps", "5", "steps: '5' is not of type integer."),
+        ("steps", True, "steps: True is not of type integer."),
+        ("steps", 5.5, "steps: 5.5 is not of type integer."),
+        ("steps", 10**19, "steps: 10000000000000000000 does not fit"),
+        ("enabled", 1, "enabled: 1 is not of type bool."),
+        ("enabled", "true", "enabled: 'true' is not of type bool."),
+        ("label", 3, "label: 3 is not of type string."),
+        ("speed", "fast", "speed: 'fast' is not of type double."),
+        ("speed", 2.5, "speed: 2.5 is out of range. It takes 0.0 to 2.0."),
+        ("steps", 11, "steps: 11 is out of range. It takes 0 to 10."),
+        ("gains", [1.0, "x"], "gains[1]: 'x' is not of type double."),
+        ("flags", True, "flags: True is not an array."),
+        ("octets", [256], "octets[0]: 256 is no byte."),
+        ("serial", "B-2", "serial: it is read-only."),
+        ("sped", 1.0, "sped: "),
+    ],
+)
+def test_a_wrong_value_names_the_parameter_and_nothing_is_set(agent, robot, name, given, said) -> None:
+    before = robot.count(name="set")
+    values = {"enabled": False, name: given}
+    refusal = agent.refusal("ros2_parameter_set", node_name=robot.name("tuned"), values=values)
+    assert refusal.startswith(f"BadValue: {said}")
+    assert robot.count(name="set") == before
+    assert get(agent, robot, "enabled")["parameters"] == {"enabled": True}
+
+
+def test_what_the_node_refuses_is_told_in_its_words_and_the_rest_is_set(agent, robot) -> None:
+    answer = put(agent, robot, label="bad", enabled=False)
+    assert answer["successful"] is False
+    assert answer["parameters"] == [
+        {"name": "label", "successful": False, "reason": "the label is bad, says the node", "value": "3"},
+        {"name": "enabled", "successful": True, "reason": "", "value": False},
+    ]
+
+
+def test_a_step_that_the_range_does_not_allow_is_refused_by_the_node(agent, robot) -> None:
+    (one,) = put(agent, robot, steps=4)["parameters"]
+    assert (one["successful"], one["value"]) == (False, 5)
+    assert "step" in one["reason"]
+
+
+def test_atomic_setting_takes_all_or_none(agent, robot) -> None:
+    answer = put(agent, robot, atomic=True, enabled=False, label="bad")
+    assert (answer["successful"], answer["atomic"]) == (False, True)
+    assert {one["reason"] for one in answer["parameters"]} == {"the label is bad, says the node"}
+    assert get(agent, robot, "enabled", "label")["parameters"] == {"enabled": True, "label": "3"}
+    assert put(agent, robot, atomic=True, enabled=False, label="good")["successful"] is True
+    assert get(agent, robot, "enabled", "label")["parameters"] == {"enabled": False, "label": "good"}
+
+
+def test_an_unknown_parameter_is_named_with_the_nearest(agent, robot) -> None:
+    said = agent.refusal("ros2_parameter_get", node_name=robot.name("tuned"), names=["sped"])
+    assert said.startswith(f"NotFound: {robot.name('tuned')} has no parameter sped. Did you mean speed?")
+
+
+def test_a_node_that_allows_undeclared_parameters_takes_new_ones(agent, robot) -> None:
+    node = robot.name("open")
+    answer = agent.call("ros2_parameter_set", node_name=node, values={"fresh": 3, "more": [1, 2.5]})
+    assert [one["value"] for one in answer["parameters"]] == [3, [1.0, 2.5]]
+
+
+def test_node_info_tells_parameters_lifecycle_services_and_actions(agent, robot) -> None:
+    tuned = agent.call("ros2_node_info", node_name=robot.name("tuned"))
+    assert (tuned["parameters"], tuned["lifecycle_state"]) == (len(get(agent, robot)["parameters"]), None)
+    valve = agent.call("ros2_node_info", node_name=robot.name("valve"))
+    assert (valve["is_lifecycle"], valve["lifecycle_state"]) == (True, "unconfigured")
+    peer = agent.call("ros2_node_info", node_name=robot.name("peer"))
+    assert {"name": robot.name("switch"), "type": "std_srvs/srv/SetBool"} in peer["services"]
+    assert {"name": robot.name("count"), "type": "test_msgs/action/Fibonacci"} in peer["actions"]
+
+
+def test_node_info_does_not_wait_long_for_a_node_that_does_not_answer(agent, robot) -> None:
+    started = time.monotonic()
+    deaf = agent.call("ros2_node_info", node_name=robot.name("deaf"))
+    assert time.monotonic() - started < 0.6
+    assert (deaf["has_parameters"], deaf["parameters"]) == (True, None)
+    dumb = agent.call("ros2_node_info", node_name=robot.name("dumb"))
+    assert (dumb["has_parameters"], dumb["parameters"]) == (False, None)
+
+
+def test_a_lifecycle_node_is_moved_by_name_and_says_what_is_possible(agent, robot) -> None:
+    node = robot.name("valve")
+
+    def change(transition: str):
+        return agent.call("ros2_lifecycle_change", node_name=node, transition=transition)
+
+    states = agent.call("ros2_lifecycle_state")["nodes"]
+    expected = {"node": node, "state": "unconfigured", "transitions": ["configure", "shutdown"], "error": ""}
+    assert expected in states
+    done = change("configure")
+    assert (done["successful"], done["state_before"], done["state"]) == (True, "unconfigured", "inactive")
+    assert done["transitions"] == ["activate", "cleanup", "shutdown"]
+    failed = change("activate")
+    assert (failed["successful"], failed["state"]) == (False, "inactive")
+    assert change("activate")["state"] == "active"
+    said = agent.refusal("ros2_lifecycle_change", node_name=node, transition="configure")
+    assert said == f"BadInput: {node} is active: 'configure' is not possible. Possible now: deactivate, shutdown."
+    assert change("deactivate")["state"] == "inactive"
+    assert change("cleanup")["state"] == "unconfigured"
+
+
+def test_a_node_without_a_lifecycle_says_so(agent, robot) -> None:
+    said = agent.refusal("ros2_lifecycle_change", node_name=robot.name("tuned"), transition="configure")
+    assert said.startswith(f"NotFound: {robot.name('tuned')} is not a lifecycle node that is running.")
+    (state,) = agent.call("ros2_lifecycle_state", node_names=[robot.name("tuned")])["nodes"]
+    assert state["error"].startswith(f"{robot.name('tuned')} is not a lifecycle node that is running.")

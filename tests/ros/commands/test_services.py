@@ -1,0 +1,238 @@
+"""Services through the real server, against independent rclpy servers."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Future
+
+import pytest
+from agent import FULL
+
+SWITCH = "std_srvs/srv/SetBool"
+SLOW = "test_msgs/srv/BasicTypes"
+ROUNDS = 200 if FULL else 5
+
+
+def slow_request(text: str, delay_s: float = 0.0) -> dict[str, object]:
+    return {"string_value": text, "float64_value": delay_s}
+
+
+def test_a_service_is_listed_with_its_request_fields_and_the_node_that_serves_it(agent, robot) -> None:
+    listed = agent.call("ros2_service_list", pattern=robot.name("*"))
+    (entry,) = [one for one in listed["services"] if one["service_name"] == robot.name("switch")]
+    assert entry == {
+        "service_name": robot.name("switch"),
+        "service_type": SWITCH,
+        "request_fields": {"data": "bool"},
+        "providers": [robot.name("peer")],
+    }
+    assert not [one for one in listed["services"] if "_action" in one["service_name"]]
+    hidden = agent.call("ros2_service_list", pattern=robot.name("*"), include_hidden=True, limit=200)
+    assert robot.name("count/_action/send_goal") in [one["service_name"] for one in hidden["services"]]
+
+
+def test_the_response_is_an_object(agent, robot) -> None:
+    answer = agent.call(
+        "ros2_service_call", service_name=robot.name("switch"), service_type="std_srvs/SetBool", fields={"data": True}
+    )
+    assert answer["called"] is True
+    assert answer["service_type"] == SWITCH
+    assert answer["result"] == {"success": True, "message": "asked True"}
+
+
+def test_missing_fields_are_named_and_nothing_is_called_unless_forced(agent, robot) -> None:
+    before = robot.count(name="switch")
+    asked = {"service_name": robot.name("switch"), "service_type": SWITCH, "fields": {}}
+    answer = agent.call("ros2_service_call", **asked)
+    assert (answer["called"], answer["result"], answer["missing_fields"]) == (False, None, ["data"])
+    assert "force_call" in answer["note"]
+    assert robot.count(name="switch") == before
+    forced = agent.call("ros2_service_call", force_call=True, **asked)
+    assert forced["result"]["message"] == "asked False"
+    assert robot.count(name="switch") == before + 1
+
+
+@pytest.mark.parametrize(
+    "fields, path",
+    [
+        ({"data": "false"}, "data"),
+        ({"data": 1}, "data"),
+        ({"dato": True}, "dato"),
+        ({"data": True, "extra": 1}, "extra"),
+    ],
+)
+def test_a_wrong_request_names_the_path_and_is_not_sent(agent, robot, fields, path) -> None:
+    before = robot.count(name="switch")
+    said = agent.refusal("ros2_service_call", service_name=robot.name("switch"), fields=fields, force_call=True)
+    assert said.startswith(f"BadValue: {path}: ")
+    assert robot.count(name="switch") == before
+
+
+@pytest.mark.parametrize("fields, path", [({"uint8_value": 300}, "uint8_value"), ({"int32_value": 1.5}, "int32_value")])
+def test_a_number_that_does_not_fit_is_not_sent(agent, robot, fields, path) -> None:
+    before = robot.count(name="slow")
+    said = agent.refusal("ros2_service_call", service_name=robot.name("slow"), fields=fields, force_call=True)
+    assert said.startswith(f"BadValue: {path}: ")
+    assert robot.count(name="slow") == before
+
+
+def test_an_unknown_service_is_said_to_be_unknown_with_the_nearest_name(agent, robot) -> None:
+    said = agent.refusal("ros2_service_call", service_name=robot.name("swich"), fields={"data": True})
+    assert said.startswith(f"NotFound: There is no service {robot.name('swich')}.")
+    assert robot.name("switch") in said
+
+
+def test_a_service_that_does_not_appear_ends_with_the_time_out(agent, robot) -> None:
+    started = time.monotonic()
+    said = agent.refusal(
+        "ros2_service_call",
+        service_name=robot.name("swich"),
+        service_type=SWITCH,
+        fields={"data": True},
+        timeout_sec=0.5,
+    )
+    assert 0.5 <= time.monotonic() - started < 1.5
+    assert said.startswith(f"NotFound: No server of {robot.name('swich')} appeared within 0.5 s.")
+    assert robot.name("switch") in said
+
+
+def test_another_type_than_the_services_own_is_refused_with_the_right_one(agent, robot) -> None:
+    said = agent.refusal(
+        "ros2_service_call", service_name=robot.name("switch"), service_type="std_srvs/srv/Trigger", fields={}
+    )
+    assert said.startswith(f"TypeConflict: {robot.name('switch')} has the type {SWITCH}, not std_srvs/srv/Trigger.")
+
+
+def test_a_server_that_appears_within_the_time_out_is_used(agent, start_peer) -> None:
+    name = f"/late{time.monotonic_ns()}"
+    call = agent.begin(
+        "ros2_service_call",
+        service_name=f"{name}/switch",
+        service_type=SWITCH,
+        fields={"data": True},
+        timeout_sec=15,
+    )
+    start_peer("services", namespace=name)
+    assert call.result(20)["result"]["success"] is True
+
+
+def test_the_time_out_bounds_waiting_for_the_server_and_its_answer_together(agent, start_peer) -> None:
+    name = f"/late{time.monotonic_ns()}"
+    started = time.monotonic()
+    call = agent.begin(
+        "ros2_service_call",
+        service_name=f"{name}/slow",
+        service_type=SLOW,
+        fields=slow_request("x", 6.0),
+        force_call=True,
+        timeout_sec=4,
+    )
+    start_peer("services", namespace=name)
+    assert "did not answer within" in str(call.exception(20))
+    assert time.monotonic() - started < 5.0
+
+
+def test_a_service_that_never_answers_is_reported_as_that_within_the_time_out(agent, robot) -> None:
+    started = time.monotonic()
+    said = agent.refusal(
+        "ros2_service_call",
+        service_name=robot.name("slow"),
+        fields=slow_request("never", 2.0),
+        force_call=True,
+        timeout_sec=0.4,
+    )
+    assert 0.4 <= time.monotonic() - started < 1.4
+    assert said == f"TimedOut: {robot.name('slow')} did not answer within 0.4 s."
+
+
+def test_a_late_answer_is_never_given_to_another_call(agent, robot) -> None:
+    def call(text: str, delay_s: float, timeout_s: float) -> dict[str, object]:
+        return agent.begin(
+            "ros2_service_call",
+            service_name=robot.name("slow"),
+            fields=slow_request(text, delay_s),
+            force_call=True,
+            timeout_sec=timeout_s,
+        )
+
+    for number in range(ROUNDS):
+        late = call(f"late {number}", 0.3, 0.2)
+        assert "did not answer" in str(late.exception(5))
+        waiting = [call(f"{number}-{index}", 0.15, 5.0) for index in range(3)]
+        assert [one.result(5)["result"]["string_value"] for one in waiting] == [f"{number}-{i}" for i in range(3)]
+
+
+def test_a_hundred_calls_in_flight_are_all_answered_each_with_its_own(agent, robot) -> None:
+    calls = [
+        agent.begin(
+            "ros2_service_call",
+            service_name=robot.name("slow"),
+            fields={"int64_value": number, "float64_value": 0.05},
+            force_call=True,
+            timeout_sec=20,
+        )
+        for number in range(100)
+    ]
+    assert [call.result(30)["result"]["int64_value"] for call in calls] == list(range(100))
+
+
+def test_a_slow_call_does_not_delay_others(agent, robot) -> None:
+    slow = agent.begin(
+        "ros2_service_call", service_name=robot.name("slow"), fields=slow_request("x", 1.5), force_call=True
+    )
+    started = time.monotonic()
+    for _ in range(5):
+        agent.call("ros2_service_call", service_name=robot.name("switch"), fields={"data": True})
+    assert time.monotonic() - started < 1.0
+    assert not slow.done()
+    assert slow.result(5)["result"]["string_value"] == "x"
+
+
+def begin_mute_call(agent, peer) -> Future[dict[str, object]]:
+    return agent.begin("ros2_service_call", service_name=peer.name("mute"), fields={"data": True}, timeout_sec=3)
+
+
+def test_a_server_that_leaves_during_a_call_is_reported_at_once(agent, start_peer) -> None:
+    peer = start_peer("dumb")
+    call = begin_mute_call(agent, peer)
+    with pytest.raises(TimeoutError):
+        call.result(0.5)
+    peer.leave()
+    assert str(call.exception(2)).startswith(
+        f"NotFound: The server of {peer.name('mute')} disappeared before it answered."
+    )
+
+
+def test_a_server_that_is_killed_during_a_call_is_one_that_does_not_answer(agent, start_peer) -> None:
+    """Its process cannot say goodbye and stays in the graph for a while."""
+    peer = start_peer("dumb")
+    call = begin_mute_call(agent, peer)
+    with pytest.raises(TimeoutError):
+        call.result(0.5)
+    peer.kill()
+    assert str(call.exception(5)) == f"TimedOut: {peer.name('mute')} did not answer within 3 s."
+
+
+def test_a_service_whose_server_left_is_not_listed_although_we_once_called_it(agent, start_peer) -> None:
+    peer = start_peer("services")
+    agent.call("ros2_service_call", service_name=peer.name("switch"), fields={"data": True})
+    peer.leave()
+    deadline = time.monotonic() + 5
+    while agent.call("ros2_service_list", pattern=peer.name("*"))["services"] and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert agent.call("ros2_service_list", pattern=peer.name("*"))["services"] == []
+    said = agent.refusal("ros2_service_call", service_name=peer.name("switch"), fields={"data": True})
+    assert said.startswith(f"NotFound: There is no service {peer.name('switch')}.")
+
+
+def test_servers_that_die_of_a_call_leave_no_call_stuck(agent, start_peer) -> None:
+    rounds = 200 if FULL else 3
+    for _ in range(rounds):
+        peer = start_peer("services")
+        started = time.monotonic()
+        said = agent.refusal(
+            "ros2_service_call", service_name=peer.name("fatal"), fields={"data": True}, timeout_sec=1.0
+        )
+        assert said == f"TimedOut: {peer.name('fatal')} did not answer within 1 s."
+        assert time.monotonic() - started < 2.5
+        peer.leave()

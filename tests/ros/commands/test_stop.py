@@ -1,0 +1,144 @@
+"""Whatever ends the server, and whatever else it is busy with, what it moves comes to a stop."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+
+import pytest
+from agent import FULL
+from peer_process import PeerProcess, discovered
+from raw_server import MODERN, RawServer, children
+
+ROUNDS = 50 if FULL else 3
+MOVING = {"linear": {"x": 0.5}}
+LIMITS_S = {"stdin closed": 0.3, "SIGTERM": 0.3, "SIGKILL": 1.0}
+
+
+@pytest.fixture(scope="module")
+def field(ros_environment, agent):
+    """The robot that is driven: listens to velocities and counts."""
+    peer = discovered(agent, PeerProcess(ros_environment, "watch", "counting").ready())
+    yield peer
+    peer.leave()
+
+
+def wait_until(condition: Callable[[], object], within_s: float = 10.0) -> None:
+    deadline = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.01)
+
+
+def tool(server: RawServer, name: str, **arguments: object) -> int:
+    return server.send("tools/call", name=name, arguments=arguments)
+
+
+def drive(server: RawServer, field, **repeat: float) -> int:
+    topic, kind = field.name("cmd_vel"), "geometry_msgs/msg/Twist"
+    return tool(server, "ros2_topic_publish", topic_name=topic, message_type=kind, data=MOVING, **repeat)
+
+
+def nonzero(field) -> list[float]:
+    return [at for at, speed in field.driven() if speed]
+
+
+def last_is_zero(field) -> bool:
+    return field.driven()[-1][1] == 0.0
+
+
+def end(server: RawServer, how: str) -> None:
+    if how == "stdin closed":
+        assert server.process.stdin
+        server.process.stdin.close()
+    else:
+        server.process.send_signal(getattr(signal, how))
+
+
+@pytest.mark.timeout(900 if FULL else 60)
+@pytest.mark.parametrize("how", LIMITS_S)
+def test_a_server_that_goes_away_leaves_nothing_moving(how, start_raw, field) -> None:
+    """A velocity at 50 Hz and a goal; the last velocity that is not zero comes within the limit."""
+    latest: list[float] = []
+    for _ in range(ROUNDS):
+        server = start_raw()
+        server.begin(MODERN)
+        goal = tool(server, "ros2_send_action_goal", action_name=field.name("count"), goal_fields={"order": 2000})
+        assert server.answer(goal)["result"]["structuredContent"]["accepted"]
+        cancelled, before = field.count(name="canceled"), len(nonzero(field))
+        drive(server, field, frequency=50, duration=30)
+        wait_until(lambda before=before: len(nonzero(field)) > before + 20)
+        ended_at = time.monotonic()
+        end(server, how)
+        wait_until(lambda: last_is_zero(field))
+        wait_until(lambda cancelled=cancelled: field.count(name="canceled") > cancelled)
+        time.sleep(0.05)
+        assert last_is_zero(field)
+        latest.append(nonzero(field)[-1] - ended_at)
+        assert latest[-1] <= LIMITS_S[how]
+        server.process.wait(5)
+    print(f"{how}: {len(latest)} rounds, last velocity after at most {max(latest) * 1000:.0f} ms")
+
+
+def test_one_velocity_followed_by_sigkill_is_followed_by_zero(start_raw, field) -> None:
+    server = start_raw()
+    server.begin(MODERN)
+    before = len(nonzero(field))
+    server.answer(drive(server, field))
+    wait_until(lambda: len(nonzero(field)) > before)
+    end(server, "SIGKILL")
+    wait_until(lambda: last_is_zero(field), 1.0)
+
+
+def test_a_bridge_that_is_killed_is_replaced_by_one_that_sends_zero(start_raw, field) -> None:
+    server = start_raw()
+    server.begin(MODERN)
+    before = len(nonzero(field))
+    repeat = drive(server, field, frequency=50, duration=30)
+    wait_until(lambda: len(nonzero(field)) > before + 20)
+    assert not last_is_zero(field)
+    for pid in children(server.process.pid):
+        os.kill(pid, signal.SIGKILL)
+    wait_until(lambda: last_is_zero(field))
+    assert "BridgeLost" in server.answer(repeat)["result"]["content"][0]["text"]
+
+
+def test_stop_waits_behind_nothing_and_says_what_was_confirmed(start_raw, field, robot) -> None:
+    server = start_raw()
+    server.begin(MODERN)
+    before = len(nonzero(field))
+    tool(server, "ros2_topic_subscribe", topic_name="/rosout", duration=10, message_limit=1000)
+    slow = {"service_name": robot.name("slow"), "fields": {"float64_value": 8.0}, "force_call": True}
+    tool(server, "ros2_service_call", **slow)
+    goal = {"action_name": field.name("count"), "goal_fields": {"order": 2000}, "wait_for_result": True}
+    waiting = tool(server, "ros2_send_action_goal", **goal)
+    repeat = drive(server, field, frequency=50, duration=30)
+    wait_until(lambda: len(nonzero(field)) > before + 20)
+    started = time.monotonic()
+    result = server.call("ros2_stop")["structuredContent"]
+    assert time.monotonic() - started < 0.5
+    assert nonzero(field)[-1] - started < 0.1
+    assert (result["confirmed"], result["repeats_stopped"]) == (True, 1)
+    topic = {"topic_name": field.name("cmd_vel"), "subscribers": 1, "acknowledged": True, "error": ""}
+    assert result["topics"] == [topic]
+    assert [(g["action_name"], g["status"], g["confirmed"]) for g in result["goals"]] == [
+        (field.name("count"), "CANCELED", True)
+    ]
+    assert server.answer(waiting)["result"]["structuredContent"]["status"] == "CANCELED"
+    assert server.answer(repeat)["result"]["structuredContent"]["stopped_with_zero"] is True
+    assert last_is_zero(field)
+    assert server.call("ros2_stop")["structuredContent"]["goals"] == []
+
+
+def test_stop_does_not_claim_what_it_could_not_do(start_raw, robot) -> None:
+    server = start_raw()
+    server.begin(MODERN)
+    stubborn = robot.name("refuse_cancel")
+    goal = server.call("ros2_send_action_goal", action_name=stubborn, goal_fields={"order": 100})
+    goal_id = goal["structuredContent"]["goal_id"]
+    result = server.call("ros2_stop")
+    assert result["structuredContent"]["confirmed"] is False
+    assert result["content"][0]["text"].startswith("NOT confirmed")
+    assert f"Goal {goal_id} has not ended yet." in result["structuredContent"]["note"]
