@@ -118,9 +118,6 @@ def test_tool_names_are_unique() -> None:
 
 
 def test_a_model_can_choose_among_the_tools_that_are_offered_by_default() -> None:
-    from ros2_mcp.settings import Settings
     from ros2_mcp.tools import TOOLS as declared
 
-    groups = Settings().tools or ("all",)
-    offered = [tool for tool in declared if "all" in groups or tool.group in groups]
-    assert len(offered) <= MOST_TOOLS
+    assert len([tool for tool in declared if tool.by_default]) <= MOST_TOOLS

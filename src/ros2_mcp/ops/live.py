@@ -26,6 +26,8 @@ MAX_BYTES = 192_000_000
 MAX_SAMPLES = 200_000
 _MATCHING_S = 0.5
 _TURN_S = 1.0
+_NAMES_S = 1.0
+_UNNAMED = names.full_node_name("_NODE_NAME_UNKNOWN_", "/")
 _ASKED_AT_ONCE = 32
 
 
@@ -93,7 +95,7 @@ class Live:
 
         async def endpoints(topic: str) -> TopicEndpoints:
             async with limit:
-                return _without(own, await graph.endpoints(topic))
+                return _without(own, await self._named(topic))
 
         found = await asyncio.gather(*(endpoints(str(entry[0])) for entry in topics["topics"]))
         full_names = [names.full_node_name(name, namespace) for name, namespace in nodes["nodes"]]
@@ -103,6 +105,15 @@ class Live:
             sorted(str(name) for name, _ in services["services"]),
             bool(topics["settled"] and nodes["settled"]),
         )
+
+    async def _named(self, topic: str) -> TopicEndpoints:
+        """The endpoints of a topic; the names of nodes that have only just appeared are waited for, at most 1 s."""
+        deadline = monotonic() + _NAMES_S
+        found = await self._robot.graph.endpoints(topic)
+        while monotonic() < deadline and any(each.node == _UNNAMED for each in (*found.publishers, *found.subscribers)):
+            await asyncio.sleep(0.1)
+            found = await self._robot.graph.endpoints(topic)
+        return found
 
     async def _subscribe(self, subscriptions: AsyncExitStack, topic: str) -> Listening | Missing:
         try:
