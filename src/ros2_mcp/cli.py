@@ -19,7 +19,7 @@ CLIENTS = ("claude-desktop", "claude-code", "vscode", "cursor", "codex", "gemini
 
 def run(argv: Sequence[str]) -> int:
     """Runs the command and returns the process's exit code."""
-    arguments = parser().parse_args(argv)
+    arguments = parser().parse_args(_options_first(argv))
     try:
         return _run(arguments)
     except RobotError as error:
@@ -27,6 +27,18 @@ def run(argv: Sequence[str]) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
+    except BrokenPipeError:
+        # Whoever read our output has seen enough; nothing more may be written to it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _options_first(argv: Sequence[str]) -> list[str]:
+    """`call TOOL --json key=value` as argparse takes it: the option before the words."""
+    if "call" not in argv or "--json" not in argv:
+        return list(argv)
+    after = list(argv).index("call") + 1
+    return [*argv[:after], "--json", *(word for word in argv[after:] if word != "--json")]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -71,8 +83,15 @@ def _add_settings(top: argparse.ArgumentParser) -> None:
     serving.add_argument("--port", type=int, help="port for HTTP (default: 8123)")
     serving.add_argument("--read-only", action="store_true", default=None, help="leave out tools that write")
     serving.add_argument("--tools", metavar="GROUPS", help="groups of tools, such as default,lifecycle, or all")
+    serving.add_argument("--result-bytes", type=int, help="bound on the text of one result (default: 32000)")
     serving.add_argument("--log-level", choices=("debug", "info", "warning", "error"), help="default: warning")
     _add_prompts(top.add_argument_group("prompts"))
+    memory = top.add_argument_group("memory")
+    memory.add_argument("--record-dir", type=Path, metavar="DIR", help="for recordings (~/ros2-mcp/recordings)")
+    memory.add_argument("--bag-dir", type=Path, metavar="DIR", help="where bags are read (default: the recordings)")
+    memory.add_argument("--black-box", metavar="TOPICS", nargs="?", const="", help="always keep these (all small ones)")
+    memory.add_argument("--black-box-bytes", type=int, metavar="N", help="at most so much of it (default: 10^9)")
+    memory.add_argument("--black-box-hours", type=float, metavar="H", help="at most so long (default: 24)")
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
 
 
@@ -98,6 +117,10 @@ class _Version(argparse.Action):
         parser.exit(message=f"ros2-mcp {version('ros2-mcp')}\n")
 
 
+def _listed(text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else tuple(name for name in text.split(",") if name)
+
+
 def settings_from(arguments: argparse.Namespace) -> Settings:
     """The settings of the environment, with what the command line says on top."""
     from ros2_mcp.settings import Settings
@@ -113,6 +136,12 @@ def settings_from(arguments: argparse.Namespace) -> Settings:
         "read_only": arguments.read_only,
         "tools": tuple(arguments.tools.split(",")) if arguments.tools else None,
         "log_level": arguments.log_level,
+        "result_bytes": arguments.result_bytes,
+        "record_dir": arguments.record_dir,
+        "bag_dir": arguments.bag_dir,
+        "black_box": _listed(arguments.black_box),
+        "black_box_bytes": arguments.black_box_bytes,
+        "black_box_hours": arguments.black_box_hours,
         "prompts": arguments.prompts,
         "custom_prompts": _is_on(arguments.custom_prompts),
         "prompts_local": _is_on(arguments.prompts_local),

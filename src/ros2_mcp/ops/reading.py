@@ -270,38 +270,43 @@ async def _show(
     note: str,
 ) -> Reading:
     samples = list(collection.samples)
-    shown, messages, truncated = await asyncio.to_thread(_render, robot, listening.type, samples, view)
-    images, problem = await asyncio.to_thread(_pictures, robot, listening.type, shown)
-    omitted = len(samples) - len(shown)
-    if omitted:
-        note = f"{note} {omitted} more are not shown, evenly left out: choose fields or every_n to see more.".strip()
+    shown = await asyncio.to_thread(_render, robot, listening.type, samples, view)
+    images, problem = await asyncio.to_thread(_pictures, robot, listening.type, shown.samples)
+    omitted = len(samples) - len(shown.samples)
+    thinned = f"{omitted} more are not shown, evenly left out: choose fields or every_n to see more." if omitted else ""
     return Reading(
         listening.topic,
         listening.type,
-        messages,
-        [iso_time(sample.received_ns) for sample in shown],
-        count=len(messages),
+        shown.messages,
+        [iso_time(sample.received_ns) for sample in shown.samples],
+        count=len(shown.messages),
         duration=round(elapsed, 6),
         received=collection.seen + counts.dropped,
         dropped=collection.dropped + counts.dropped,
         lost=counts.lost,
         publishers=sorted({publisher.node for publisher in listening.publishers}),
         qos=f"{listening.choice.qos.reliability}, {listening.choice.qos.durability}: {listening.choice.reason}",
-        truncated=truncated,
-        note=f"{note} {problem}".strip(),
+        truncated=shown.truncated,
+        note=" ".join(filter(None, (note, thinned, shown.hint, problem))),
         pictures=facts(images),
         images=images,
     )
 
 
-def _render(
-    robot: Robot, type_name: str, samples: Sequence[Sample], view: View
-) -> tuple[list[Sample], list[dict[str, Any]], list[str]]:
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    samples: Sequence[Sample] = ()
+    messages: Sequence[dict[str, Any]] = ()
+    truncated: Sequence[str] = ()
+    hint: str = ""
+
+
+def _render(robot: Robot, type_name: str, samples: Sequence[Sample], view: View) -> _Shown:
     """As many of the samples as fit, evenly spread, first and last included."""
     from ros2_mcp.codec.render import RenderOptions, render
 
     if not samples:
-        return [], [], []
+        return _Shown()
 
     def rendered(sample: Sample, max_bytes: int):
         options = RenderOptions(max_array=view.max_array, max_bytes=max_bytes, fields=tuple(view.fields) or None)
@@ -311,7 +316,7 @@ def _render(
     shown = spread(samples, max(view.max_bytes // size, 1))
     results = [rendered(sample, max(view.max_bytes // len(shown), 500)) for sample in shown]
     truncated = sorted({path for result in results for path in result.truncated})
-    return shown, [result.value for result in results], truncated
+    return _Shown(shown, [result.value for result in results], truncated, results[-1].hint)
 
 
 def spread(samples: Sequence[Sample], most: int) -> list[Sample]:
