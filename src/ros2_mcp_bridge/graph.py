@@ -95,6 +95,10 @@ class Graph:
         """rclpy's information about every subscriber of a topic."""
         return self._node.get_subscriptions_info_by_topic(topic)
 
+    def publishers(self, topic):
+        """rclpy's information about every publisher of a topic."""
+        return self._node.get_publishers_info_by_topic(topic)
+
     def publisher_gids(self, topic):
         """The global identifiers of a topic's publishers."""
         return {bytes(info.endpoint_gid) for info in self._node.get_publishers_info_by_topic(topic)}

@@ -19,17 +19,18 @@ from .rhythm import Rhythm
 from .subscriptions import DEPTH_FOR_ALL, DRAIN_AT_MOST_S, DRAIN_PERIOD_S, LAST_DRAIN_S, NO_SEQUENCE, LossCount
 
 FED_PERIOD_S = 0.25
+LOOK_EVERY_S = 0.1
 DEPTH = 100
 FIRST_ACK_S = 1.0
 
 
 class Source:
-    """A raw subscription to what is relayed."""
+    """A raw subscription to what is relayed, with the strongest QoS that every publisher offers."""
 
-    def __init__(self, node, graph, request):
-        topic = request.text("source")
-        profile = qos.profile(request.qos("source_qos"), DEPTH_FOR_ALL)
-        self._interface = request.interface
+    def __init__(self, node, graph, topic, interface, chosen):
+        profile = qos.profile(chosen, DEPTH_FOR_ALL)
+        self.chosen = chosen
+        self._interface = interface
         with node.handle:
             self._handle = rclpy_implementation.Subscription(
                 node.handle, self._interface, topic, profile.get_c_qos_profile()
@@ -52,6 +53,42 @@ class Source:
         self._handle.destroy_when_not_in_use()
 
 
+class Following:
+    """The subscription of a relay as publishers come and go: made when the first is there, and made anew for others."""
+
+    def __init__(self, node, graph, request):
+        self._graph = graph
+        self._topic, self._type = request.text("source"), request.text("type")
+        self._open = lambda chosen: Source(node, graph, self._topic, request.interface, chosen)
+        self._look_at = 0.0
+        self.source = None
+
+    def look(self):
+        """Every now and then, where nobody is matched: subscribe in a way that matches those who are there."""
+        if time.monotonic() < self._look_at:
+            return
+        self._look_at = time.monotonic() + LOOK_EVERY_S
+        if self.source is not None and self.source.publisher_count():
+            return
+        profiles = [p.qos_profile for p in self._graph.publishers(self._topic) if p.topic_type == self._type]
+        if not profiles:
+            return
+        reliable = all(profile.reliability.name == "RELIABLE" for profile in profiles)
+        latched = all(profile.durability.name == "TRANSIENT_LOCAL" for profile in profiles)
+        chosen = {
+            "reliability": "reliable" if reliable else "best_effort",
+            "durability": "transient_local" if latched else "volatile",
+        }
+        if self.source is None or self.source.chosen != chosen:
+            self.destroy()
+            self.source = self._open(chosen)
+
+    def destroy(self):
+        """End receiving."""
+        if self.source is not None:
+            self.source.destroy()
+
+
 class Relay:
     """One relay with its entities and counts: `passed` messages were published, `dropped` held back by the rate."""
 
@@ -61,8 +98,7 @@ class Relay:
         self._is_unheard = bool(self._final)
         self._rhythm = Rhythm(_rate(request)) if request.has("rate_hz") else None
         self._publisher = Publisher(node, graph, request, max_depth=1 if self._final else DEPTH)
-        self._open_source = (lambda: Source(node, graph, request)) if request.has("source") else None
-        self._source = None
+        self._following = Following(node, graph, request) if request.has("source") else None
         self.final_counts = {}
         self._started = time.monotonic()
         self.is_running = False
@@ -73,12 +109,10 @@ class Relay:
         """Steps that relay: first wait for those who listen, so that they miss nothing."""
         if wait_match_s:
             yield from self._publisher.wait_match(True, wait_match_s)
-        if self._open_source is not None:
-            self._source = self._open_source()
         self.is_running, self._started = True, time.monotonic()
         end = self._started + (duration_s or math.inf)
         while time.monotonic() < end:
-            pause = FED_PERIOD_S if self._source is None else self._drain(self._source, has_due)
+            pause = self._relay_waiting(has_due)
             yield from self.wait_heard()
             yield max(0.0, min(pause, end - time.monotonic()))
 
@@ -100,7 +134,7 @@ class Relay:
         """Steps that pass on what has come and send the final message, and end it when that is acknowledged."""
         deadline = time.monotonic() + LAST_DRAIN_S
         try:
-            while self._source and self._drain(self._source, has_due) == 0.0 and time.monotonic() < deadline:
+            while self._relay_waiting(has_due) == 0.0 and time.monotonic() < deadline:
                 yield 0.0
             self.final_counts = self.counts()
             self.send_final()
@@ -121,12 +155,14 @@ class Relay:
 
     def counts(self):
         """What became of the messages so far."""
+        source = self._following.source if self._following else None
         return {
             "running": self.is_running,
             "passed": self.passed,
             "dropped": self.dropped,
-            "lost": self._source.loss.lost if self._source else 0,
-            "publishers": self._source.publisher_count() if self._source else 0,
+            "lost": source.loss.lost if source else 0,
+            "publishers": source.publisher_count() if source else 0,
+            "source_qos": source.chosen if source else None,
             "matched": self._publisher.matched(),
             "elapsed_s": round(time.monotonic() - self._started, 6),
             "final_sent": False,
@@ -134,9 +170,17 @@ class Relay:
 
     def destroy(self):
         """End it."""
-        if self._source is not None:
-            self._source.destroy()
+        if self._following is not None:
+            self._following.destroy()
         self._publisher.destroy()
+
+    def _relay_waiting(self, has_due):
+        """Relay what has come, from whoever publishes; returns when to come again, in seconds."""
+        if self._following is None:
+            return FED_PERIOD_S
+        self._following.look()
+        source = self._following.source
+        return DRAIN_PERIOD_S if source is None else self._drain(source, has_due)
 
     def _drain(self, source, has_due):
         """Relay what the middleware holds; returns when to come again, in seconds."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp.model.qos import QoS
 
 _KEPT = 20
 
@@ -20,7 +19,7 @@ class Relay:
 
     `qos` says in words what was chosen at its source and at its destination. `counts` are the bridge's last counts;
     `held_back` and `failed` count what the server itself did not pass on (`last_trouble` says why it failed last), and
-    `dropped_here` what it had no time for, `lost_here` what never reached it. `reading` is the QoS it subscribes with.
+    `dropped_here` what it had no time for, `lost_here` what never reached it.
     `work` is the task that keeps it alive.
     """
 
@@ -35,7 +34,6 @@ class Relay:
     tolerances: Mapping[str, float]
     mapping: Mapping[str, str]
     in_server: bool
-    reading: QoS = field(default_factory=QoS)
     qos: Sequence[str] = ()
     state: str = "starting"
     failure: RobotError | None = None

@@ -13,7 +13,7 @@ from ros2_mcp.guard.policy import MAX_RATE_HZ, bounded
 from ros2_mcp.guard.relays import Relay
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, LinkError, NotFound, TypeConflict
-from ros2_mcp.model.qos import Choice, QoS, for_subscribing, mismatch
+from ros2_mcp.model.qos import Choice, QoS, for_subscribing
 from ros2_mcp.ops import relaying
 from ros2_mcp.robot import Robot, TopicEndpoints
 from ros2_mcp.robot.door import VELOCITY_TYPES
@@ -119,7 +119,7 @@ async def start(robot: Robot, wanted: Wanted) -> RelayState:
     robot.relays.add(relay)
     relay.work = asyncio.create_task(relaying.keep(robot, relay, zero, arguments, transform))
     await _until_started(relay)
-    return await _state(robot, relay)
+    return _state(relay)
 
 
 async def list_relays(robot: Robot) -> RelayList:
@@ -127,7 +127,7 @@ async def list_relays(robot: Robot) -> RelayList:
     if robot.relays.open:
         with suppress(LinkError):  # the bridge is gone: they are about to end, their last counts are what is known
             await relaying.look(robot)
-    states = [await _state(robot, relay) for relay in robot.relays.known.values()]
+    states = [_state(relay) for relay in robot.relays.known.values()]
     return RelayList(states, sum(state.state in ("starting", "running") for state in states))
 
 
@@ -144,7 +144,7 @@ async def stop(robot: Robot, relay_id: str) -> RelayState:
     if relay.is_open and relay.work is not None:
         await robot.graph.ask("relay_stop", name=relay_id)
         await asyncio.wait({relay.work}, timeout=_STOPPED_S)
-    return await _state(robot, relay)
+    return _state(relay)
 
 
 def _check(robot: Robot, wanted: Wanted, source: str, destination: str) -> None:
@@ -211,7 +211,7 @@ def _arguments(relay: Relay, present: TopicEndpoints, there: TopicEndpoints) -> 
         durability="transient_local" if latched or asked else "volatile",
         depth=min(sum(depths) or _LATCHED_DEPTH, 100) if latched or asked else 100,
     )
-    relay.reading, relay.qos = reading.qos, _words(reading, writing)
+    relay.qos = _words(reading, writing)
     arguments: dict[str, Any] = {
         "topic": relay.destination,
         "type": relay.destination_type,
@@ -221,8 +221,7 @@ def _arguments(relay: Relay, present: TopicEndpoints, there: TopicEndpoints) -> 
     if relay.in_server:
         return arguments
     rate = {"rate_hz": relay.rate_hz} if relay.rate_hz else {}
-    source = {"source": relay.source, "source_qos": reading.qos.request(), "duration_s": relay.duration_s}
-    return {**arguments, **source, **rate}
+    return {**arguments, **rate, "source": relay.source, "duration_s": relay.duration_s}
 
 
 def _words(reading: Choice, writing: QoS) -> list[str]:
@@ -251,7 +250,7 @@ async def _until_started(relay: Relay) -> None:
         raise relay.failure
 
 
-async def _state(robot: Robot, relay: Relay) -> RelayState:
+def _state(relay: Relay) -> RelayState:
     counts = relay.counts
     return RelayState(
         relay.relay_id,
@@ -273,7 +272,7 @@ async def _state(robot: Robot, relay: Relay) -> RelayState:
         bool(counts.get("final_sent", False)),
         "server" if relay.in_server else "bridge",
         relay.qos,
-        " ".join(await _notes(robot, relay)),
+        " ".join(_notes(relay)),
     )
 
 
@@ -284,7 +283,7 @@ def _lost(relay: Relay) -> int | None:
     return in_bridge + relay.lost_here + relay.dropped_here
 
 
-async def _notes(robot: Robot, relay: Relay) -> list[str]:
+def _notes(relay: Relay) -> list[str]:
     notes = [str(relay.failure)] if relay.failure else []
     if relay.failed:
         notes.append(f"{relay.failed} message(s) could not be passed on, the last because: {relay.last_trouble}")
@@ -293,11 +292,5 @@ async def _notes(robot: Robot, relay: Relay) -> list[str]:
     if relay.is_open and not relay.counts.get("matched"):
         notes.append("Nobody subscribes to the destination.")
     if relay.is_open and not relay.in_server and not relay.counts.get("publishers"):
-        present = await robot.graph.endpoints(relay.source)
-        unfit = [publisher for publisher in present.publishers if mismatch(publisher.qos, relay.reading)]
-        notes.append(
-            f"{unfit[0].node} now publishes with another QoS: start the relay again."
-            if unfit
-            else "Nobody publishes on the source now; the relay waits."
-        )
+        notes.append("Nobody publishes on the source now; the relay waits.")
     return notes

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.relays import Relay
 from ros2_mcp.model.errors import BadData, BadValue, NotFound, RobotError
+from ros2_mcp.model.qos import mismatch
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.robot import Robot
+from ros2_mcp.robot import Listening, Robot
 from ros2_mcp_bridge.rhythm import Rhythm
 
 if TYPE_CHECKING:
@@ -98,15 +99,30 @@ async def _pump_beside(robot: Robot, relay: Relay, request: asyncio.Future[Reply
 
 
 async def _pump(robot: Robot, relay: Relay, transform: Transform) -> None:
-    async with robot.listen(relay.source, relay.source_type) as listening:
-        relay.state = "running"
-        end = monotonic() + relay.duration_s if relay.duration_s else float("inf")
-        while (left := end - monotonic()) > 0:
-            samples = await listening.take(min(left, 1.0))
-            for start in range(0, len(samples), _BATCH):
-                await _pass_on(robot, relay, transform, samples[start : start + _BATCH])
-            relay.dropped_here = listening.counts.dropped
-            relay.lost_here = listening.counts.lost
+    """Subscribes whenever publishers are there, so that the QoS fits those who come or come back."""
+    relay.state = "running"
+    end = monotonic() + relay.duration_s if relay.duration_s else float("inf")
+    while (left := end - monotonic()) > 0:
+        present = await robot.graph.wait_for(relay.source, publishers=1, timeout_s=min(left, 1.0))
+        if present.publishers:
+            async with robot.listen(relay.source, relay.source_type) as listening:
+                await _pump_from(robot, relay, transform, listening, end)
+
+
+async def _pump_from(robot: Robot, relay: Relay, transform: Transform, listening: Listening, end: float) -> None:
+    """Feeds the bridge until the time is over or publishers are there that the subscription does not match."""
+    dropped_before, lost_before = relay.dropped_here, relay.lost_here
+    while (left := end - monotonic()) > 0:
+        samples = await listening.take(min(left, 1.0))
+        for start in range(0, len(samples), _BATCH):
+            await _pass_on(robot, relay, transform, samples[start : start + _BATCH])
+        counts = listening.counts
+        relay.dropped_here = dropped_before + counts.dropped
+        relay.lost_here = None if counts.lost is None or lost_before is None else lost_before + counts.lost
+        if not samples and left > 1.0:
+            there = (await robot.graph.endpoints(relay.source)).publishers
+            if any(mismatch(publisher.qos, listening.choice.qos) for publisher in there):
+                return
 
 
 async def _pass_on(robot: Robot, relay: Relay, transform: Transform, samples: Sequence[Sample]) -> None:
