@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -22,7 +22,9 @@ from ros2_mcp.robot import TopicEndpoints
 
 MAX_MEASURED = 60
 MAX_LARGE = 4
-MAX_ROWS = 80
+MAX_ROWS = 60
+MAX_FINDINGS = 40
+MAX_STATUSES = 30
 MAX_NAMES = 30
 RATE_TOLERANCE = 0.9
 """A topic is slow below this share of the rate that is expected of it."""
@@ -40,6 +42,7 @@ STREAM_TYPES = LARGE_TYPES | {
     "nav_msgs/msg/Odometry",
 }
 """Types of sensors that stream as long as they live. On any other topic silence may be what is meant."""
+_OPTIONAL_TRANSPORT = "/compressedDepth"  # image_transport offers it for every image, and sends it for depth only
 _DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _OF_EVERY_NODE = frozenset({"/rosout", "/parameter_events"})
 
@@ -89,6 +92,7 @@ class Health:
     `CRITICAL`: something expected is missing or silent, or diagnostics report an error. `DEGRADED`: a sensor is silent
     or slow, endpoints cannot match, nodes share a name, or diagnostics warn. Topics that nobody listens to, or nobody
     publishes on, are told but are no fault by themselves. A `rate_hz` of null: fewer than two messages came.
+    `counts` tells how many there are where a list is cut; the worst come first.
     """
 
     verdict: Verdict
@@ -197,9 +201,9 @@ def _judge(
     visible.sort(key=lambda row: (row.state in ("OK", "QUIET", "NOT MEASURED"), not row.expected))
     return Health(
         "CRITICAL" if "critical" in severities else "DEGRADED" if severities else "HEALTHY",
-        findings,
+        findings[:MAX_FINDINGS],
         visible[:MAX_ROWS],
-        diagnostics[:MAX_ROWS],
+        [_brief(status) for status in diagnostics[:MAX_STATUSES]],
         [row.topic_name for row in visible if row.publishers and not row.subscribers][:MAX_NAMES],
         [row.topic_name for row in visible if row.subscribers and not row.publishers][:MAX_NAMES],
         {
@@ -207,10 +211,17 @@ def _judge(
             "nodes": len(scene.nodes or ()),
             "services": len(scene.services or ()),
             "measured": len(flows),
+            "findings": len(findings),
+            "diagnostics": len(diagnostics),
         },
         source,
         note,
     )
+
+
+def _brief(status: Diagnostic) -> Diagnostic:
+    """Without the values where all is well."""
+    return replace(status, values={}) if status.level == "OK" else status
 
 
 def _row(scene: Scene, name: str, measured: Flow | None, expected: Expectations) -> TopicRow:
@@ -311,7 +322,8 @@ def _is_measured(found: TopicEndpoints) -> bool:
 
 
 def _streams(found: TopicEndpoints) -> bool:
-    return bool(STREAM_TYPES.intersection(found.types)) and not _is_latched(found)
+    is_stream = STREAM_TYPES.intersection(found.types) and not found.topic.endswith(_OPTIONAL_TRANSPORT)
+    return bool(is_stream) and not _is_latched(found)
 
 
 def _is_latched(found: TopicEndpoints) -> bool:

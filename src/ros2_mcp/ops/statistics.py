@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 MAX_TOPICS = 20
 MAX_DURATION_S = 600.0
-_FIELD_BYTES = 400
+_FIELD_BYTES = 350
+_TOPIC_BYTES = 500
 _LISTED = 5
 
 
@@ -111,7 +112,7 @@ async def measure(
     bounded("duration", source.duration_s, 0.1, MAX_DURATION_S, "s")
     await _check_fields(source, topics, fields)
     windows = await source.windows(topics, report)
-    most = max(max_bytes // _FIELD_BYTES // len(topics), 4)
+    most = max((max_bytes // len(topics) - _TOPIC_BYTES) // _FIELD_BYTES, 3)
     return Statistics(source.words, await asyncio.to_thread(_evaluate_all, windows, fields, most))
 
 

@@ -41,6 +41,17 @@ def test_the_numbers_are_those_of_the_published_messages(agent: Agent, signals: 
     assert topic["gaps"] == []
 
 
+def test_several_topics_are_measured_over_the_same_time(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    names = ["/signal_steady", "/signal_copy", "/pulse"]
+    steady, copy, pulse = agent.call("ros2_topic_statistics", topic_names=names, duration=2)["topics"]
+    assert steady["started_at"] == copy["started_at"] == pulse["started_at"]
+    counters = [
+        [(f["first"], f["last"]) for f in topic["fields"] if f["field"] == "point.z"] for topic in (steady, copy)
+    ]
+    assert np.abs(np.subtract(*counters)).max() <= 1
+    assert pulse["count"] == pytest.approx(4 * steady["count"], rel=0.05)
+
+
 def test_injected_gaps_are_found(agent: Agent, signals: subprocess.Popen[str]) -> None:
     topic, _ = statistics(agent, "/signal", 4.5)
     inner = [float(gap.split()[2]) for gap in topic["gaps"] if float(gap.split()[2]) > 0.3]

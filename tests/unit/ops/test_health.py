@@ -67,6 +67,7 @@ def test_a_silent_sensor_degrades_and_an_expected_one_is_critical(window: Make) 
         topic("/cmd_vel", [endpoint("/nav", TWIST)]),
         topic("/map", [endpoint("/maps", "nav_msgs/msg/OccupancyGrid", durability="transient_local")]),
         topic("/scan_once", [endpoint("/lidar", SCAN, durability="transient_local")]),
+        topic("/image/compressedDepth", [endpoint("/camera", "sensor_msgs/msg/CompressedImage")]),
         topic("/goal", (), [endpoint("/nav", "geometry_msgs/msg/PoseStamped")]),
         topic("/rosout", [endpoint("/nav", "rcl_interfaces/msg/Log")]),
         topic("/go/_action/feedback", [endpoint("/nav", SCAN)]),
@@ -134,3 +135,13 @@ def test_costly_topics_are_measured_only_up_to_a_bound_but_always_if_expected() 
     chosen, left_out = to_measure(scene, Expectations(["/camera5"]))
     assert chosen == ["/camera5", "/camera0", "/camera1", "/camera2", "/camera3", "/scan"]
     assert left_out == ["/camera4"]
+
+
+def test_a_very_broken_robot_still_gives_a_short_report(window: Make) -> None:
+    pairs = [
+        topic(f"/scan{i}", [endpoint("/lidar", SCAN, reliability="best_effort")], [endpoint("/nav", SCAN)])
+        for i in range(200)
+    ]
+    found = check(pairs, [window("/x", SCAN, [], 3.0)])
+    assert found.counts["findings"] == 200
+    assert len(found.findings) == 40 and len(found.topics) == 60
