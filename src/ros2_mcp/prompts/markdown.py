@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.prompts import template
 from ros2_mcp.prompts.arguments import KINDS, Argument
-from ros2_mcp.prompts.front_matter import Entry, FrontMatterError, as_text, split
+from ros2_mcp.prompts.front_matter import Entry, FrontMatterError, split
 from ros2_mcp.prompts.mistakes import Mistake
 from ros2_mcp.prompts.prompt import Message, Prompt
 
@@ -55,7 +56,7 @@ def parse(where: str, name: str, text: str, known_tools: Set[str] = frozenset())
 
 def _prompt(front: Entry, name: str, body: str) -> Prompt:
     _only_known_keys(front, _PROMPT_KEYS)
-    name = _text(front, "name") or name
+    name = front.text("name") or name
     if not _NAME.fullmatch(name):
         raise FrontMatterError(front.line_of("name"), f"{name!r} is no name: letters, digits, dots, - and _ only.")
     if not body.strip():
@@ -66,15 +67,15 @@ def _prompt(front: Entry, name: str, body: str) -> Prompt:
     async def write(values: Mapping[str, Any]) -> Sequence[Message]:
         return [Message(template.fill(body, values).strip())]
 
-    return Prompt(name, _text(front, "title") or name, _text(front, "description"), arguments, write)
+    return Prompt(name, front.text("title") or name, front.text("description"), arguments, write)
 
 
 def _argument(entry: Entry) -> Argument:
     _only_known_keys(entry, _ARGUMENT_KEYS)
-    name = _text(entry, "name")
+    name = entry.text("name")
     if not _ARGUMENT_NAME.fullmatch(name):
         raise FrontMatterError(entry.line_of("name"), f"{name!r} is no name for an argument: letters, digits, _ only.")
-    kind = _text(entry, "type") or "string"
+    kind = entry.text("type") or "string"
     if kind not in KINDS:
         known = ", ".join(KINDS)
         raise FrontMatterError(
@@ -82,52 +83,30 @@ def _argument(entry: Entry) -> Argument:
         )
     bare = Argument(
         name,
-        _text(entry, "description"),
+        entry.text("description"),
         kind,
-        required=_switch(entry, "required"),
-        minimum=_bound(entry, "minimum", -math.inf),
-        maximum=_bound(entry, "maximum", math.inf),
+        required=entry.flag("required"),
+        minimum=entry.number("minimum", -math.inf),
+        maximum=entry.number("maximum", math.inf),
     )
-    chosen = replace(bare, choices=_values(bare, entry, "choices"))
-    defaults = _values(chosen, entry, "default")
-    return replace(chosen, default=defaults[0] if defaults else None)
+    chosen = replace(bare, choices=_values(bare, entry, "choices", entry.texts("choices")))
+    if entry.is_list("default"):
+        default = [json.dumps(entry.texts("default"))]
+    else:
+        default = [entry.text("default")] if entry.text("default") else []
+    return replace(chosen, default=next(iter(_values(chosen, entry, "default", default)), None))
 
 
-def _values(argument: Argument, entry: Entry, key: str) -> Sequence[Any]:
+def _values(argument: Argument, entry: Entry, key: str, texts: Sequence[str]) -> Sequence[Any]:
     """The values under a key, each checked like what a client gives."""
-    raw = entry.values.get(key)
-    if key == "choices" and raw is not None and not isinstance(raw, list):
-        raise FrontMatterError(entry.line_of(key), "choices must be a list, such as [fast, slow].")
-    given = cast("list[Any]", raw if key == "choices" else [raw]) if raw is not None else []
     try:
-        return [argument.value(as_text(value)) for value in given]
+        return [argument.value(text) for text in texts]
     except BadInput as error:
         raise FrontMatterError(entry.line_of(key), f"{key}: {error}") from None
 
 
-def _text(entry: Entry, key: str) -> str:
-    value = entry.values.get(key)
-    if isinstance(value, (dict, list)):
-        raise FrontMatterError(entry.line_of(key), f"{key} must be a text; put it in quotes.")
-    return as_text(value).strip()
-
-
-def _switch(entry: Entry, key: str) -> bool:
-    value = entry.values.get(key, False)
-    if not isinstance(value, bool):
-        raise FrontMatterError(entry.line_of(key), f"{key} must be true or false.")
-    return value
-
-
-def _bound(entry: Entry, key: str, otherwise: float) -> float:
-    value = entry.values.get(key, otherwise)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise FrontMatterError(entry.line_of(key), f"{key} must be a number.")
-    return float(value)
-
-
 def _only_known_keys(entry: Entry, known: Sequence[str]) -> None:
-    for key in entry.values:
+    for key in entry.nodes:
         if key not in known:
             hint = did_you_mean(key, known, f"Known are: {', '.join(known)}.")
             raise FrontMatterError(entry.line_of(key), f"{key!r} means nothing here. {hint}")

@@ -62,7 +62,7 @@ def test_the_name_is_the_files_where_none_is_given(make_folder: Callable) -> Non
         ("---\nname: x\n---\n", 2, "no text"),
         ("---\n- x\n---\nHi", 2, "lines like 'name: value'"),
         ("---\nname: x\n  title: [y\n---\nHi", 3, "Not valid YAML"),
-        ("---\nname: x\nname: y\n---\nHi", 3, "duplicate key"),
+        ("---\nname: x\nname: y\n---\nHi", 3, "name is there twice"),
         ("---\nname: no spaces please\n---\nHi", 2, "is no name"),
         ("---\nname: x\ndescripton: y\n---\nHi", 3, "Did you mean description?"),
         ("---\nname: x\narguments: y\n---\nHi", 3, "must be a list"),
@@ -75,6 +75,10 @@ def test_the_name_is_the_files_where_none_is_given(make_folder: Callable) -> Non
         ("---\nname: x\narguments:\n  - name: a\n    minimum: b\n---\nHi", 5, "must be a number"),
         ("---\nname: x\narguments:\n  - name: a\n  - name: a\n---\nHi", 5, "there twice"),
         ("---\nname: x\narguments:\n  - type: number\n---\nHi", 4, "is no name"),
+        ("---\nname: x\narguments: &a\n  - <<: *a\n---\nHi", 4, "means nothing here"),
+        ("---\nname: x\narguments:\n  - ? [a]\n    : b\n---\nHi", 4, "must be a text"),
+        ("---\n" + "[" * 3000 + "\n---\nHi", 2, "Not valid YAML"),
+        ("---\n---\nHi", 2, "lines like 'name: value'"),
     ],
 )
 def test_a_bad_front_matter_is_told_by_file_and_line(
