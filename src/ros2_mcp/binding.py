@@ -18,6 +18,7 @@ from pydantic import ConfigDict, PrivateAttr, ValidationError, create_model
 
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report, as_json, at_most_every
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import ToolDeclaration
@@ -40,6 +41,7 @@ class RobotTool(Tool):
 
     _declaration: ToolDeclaration = PrivateAttr()
     _robot: Robot = PrivateAttr()
+    _memory: Memory = PrivateAttr()
 
     async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:  # noqa: ARG002
         """One call from a client; raises as `perform`."""
@@ -69,11 +71,11 @@ class RobotTool(Tool):
         return {self._declaration.aliases.get(name, name): value for name, value in arguments.items()}
 
     def _injected(self, report: Report) -> dict[str, Any]:
-        offered: Mapping[Any, Any] = {Robot: self._robot, Report: report}
+        offered: Mapping[Any, Any] = {Robot: self._robot, Memory: self._memory, Report: report}
         return {name: offered[kind] for name, kind in self._declaration.injected.items()}
 
 
-def bind(declaration: ToolDeclaration, robot: Robot) -> RobotTool:
+def bind(declaration: ToolDeclaration, robot: Robot, memory: Memory) -> RobotTool:
     """The tool that the SDK registers: plain closed schemas, annotations from the declared risk."""
     signature = declaration.arguments()
     arguments = create_model(declaration.name, __base__=StrictArguments, **_model_fields(signature))
@@ -97,6 +99,7 @@ def bind(declaration: ToolDeclaration, robot: Robot) -> RobotTool:
     )
     tool._declaration = declaration  # pyright: ignore[reportPrivateUsage]
     tool._robot = robot  # pyright: ignore[reportPrivateUsage]
+    tool._memory = memory  # pyright: ignore[reportPrivateUsage]
     return tool
 
 

@@ -17,6 +17,7 @@ from ros2_mcp.binding import RobotTool, bind
 from ros2_mcp.completions import Wanted, offer_completions
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.model.errors import BadInput
+from ros2_mcp.ops.memory import Memory
 from ros2_mcp.prompts.arguments import shown
 from ros2_mcp.prompts.catalog import Catalog, code_of
 from ros2_mcp.prompts.serving import offer_prompts
@@ -40,7 +41,12 @@ _ANNOUNCED = NotificationOptions(prompts_changed=True)
 
 
 def build_server(
-    robot: Robot, *, groups: Sequence[str] = (), log_level: str = "WARNING", settings: Settings | None = None
+    robot: Robot,
+    *,
+    groups: Sequence[str] = (),
+    log_level: str = "WARNING",
+    settings: Settings | None = None,
+    memory: Memory | None = None,
 ) -> MCPServer[None]:
     """The MCP server for one robot. In read-only mode tools that write are absent, not refused.
 
@@ -52,7 +58,7 @@ def build_server(
         title="ROS 2 robot",
         version=version("ros2-mcp"),
         instructions=INSTRUCTIONS,
-        tools=list(build_tools(robot, groups)),
+        tools=list(build_tools(robot, groups, memory)),
         log_level=cast("Any", log_level),
         subscriptions=events,
     )
@@ -98,11 +104,12 @@ def _why_missing(tool: ToolDeclaration, robot: Robot, groups: Sequence[str]) -> 
     return f"needs the option --tools {','.join([*(groups or ['default']), tool.group])}"
 
 
-def build_tools(robot: Robot, groups: Sequence[str] = ()) -> list[RobotTool]:
+def build_tools(robot: Robot, groups: Sequence[str] = (), memory: Memory | None = None) -> list[RobotTool]:
     """Every tool that the chosen groups and the policy leave, in the order of `tools/list`."""
     chosen = chosen_tools(robot, groups)
     robot.limitations = left_out(chosen, allowed_tools(robot.policy))
-    return [bind(declaration, robot) for declaration in chosen]
+    memory = memory or Memory()
+    return [bind(declaration, robot, memory) for declaration in chosen]
 
 
 def chosen_tools(robot: Robot, groups: Sequence[str]) -> list[ToolDeclaration]:

@@ -29,7 +29,9 @@ class Settings:
     installations of ROS 2 stand (`<ros_root>/<distro>/setup.bash`). `interface_prefixes` are built interface
     packages that the bridge shall find besides those of its installation. `prompts` is a folder of prompts in Markdown.
     `custom_prompts` lets prompts in Python code be loaded: of installed packages, or, with `prompts_local`, of the
-    module `prompts_module` in the folder `prompts_path`.
+    module `prompts_module` in the folder `prompts_path`. Recordings are written below `record_dir`; bags are read there
+    and below `bag_dir`. `black_box` names the topics that are always kept (none: all but pictures and clouds), at most
+    so many bytes and hours of them; None keeps nothing.
     """
 
     transport: Transport = "stdio"
@@ -47,6 +49,11 @@ class Settings:
     ros_root: Path = Path("/opt/ros")
     interface_prefixes: tuple[Path, ...] = ()
     cache_dir: Path = Path("~/.cache/ros2-mcp")
+    record_dir: Path = Path("~/ros2-mcp/recordings")
+    bag_dir: Path | None = None
+    black_box: tuple[str, ...] | None = None
+    black_box_bytes: int = 1_000_000_000
+    black_box_hours: float = 24.0
     custom_prompts: bool = False
     prompts: Path | None = None
     prompts_local: bool = False
@@ -97,6 +104,9 @@ def _checked(settings: Settings) -> Settings:
     _require_one_of("--log-level (ROS2_MCP_LOG_LEVEL)", settings.log_level, LOG_LEVELS)
     _require_between("--port (ROS2_MCP_PORT)", settings.port, 1, 65535)
     _require_between("--result-bytes (ROS2_MCP_RESULT_BYTES)", settings.result_bytes, 1000, 10_000_000)
+    _require_between("--black-box-bytes (ROS2_MCP_BLACK_BOX_BYTES)", settings.black_box_bytes, 1_000_000, 10**13)
+    if not 0.01 <= settings.black_box_hours <= 10_000:
+        raise BadInput(f"--black-box-hours is {settings.black_box_hours:g}.", "It must be from 0.01 to 10000.")
     if settings.domain_id is not None:
         _require_between("--domain-id (ROS_DOMAIN_ID)", settings.domain_id, 0, MAX_DOMAIN_ID)
     return settings
@@ -157,6 +167,10 @@ _VARIABLES: Mapping[str, tuple[str, Any]] = {
     "ROS2_MCP_ROS_ROOT": ("ros_root", _path),
     "ROS2_MCP_INTERFACES": ("interface_prefixes", _paths),
     "ROS2_MCP_PROMPTS": ("prompts", _path),
+    "ROS2_MCP_RECORD_DIR": ("record_dir", _path),
+    "ROS2_MCP_BAG_DIR": ("bag_dir", _path),
+    "ROS2_MCP_BLACK_BOX": ("black_box", _names),
+    "ROS2_MCP_BLACK_BOX_BYTES": ("black_box_bytes", _number),
     "MCP_CUSTOM_PROMPTS": ("custom_prompts", _switch),
     "MCP_PROMPTS_LOCAL": ("prompts_local", _switch),
     "MCP_PROMPTS_PATH": ("prompts_path", _path),

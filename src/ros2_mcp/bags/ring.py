@@ -11,12 +11,13 @@ from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
 
 _PARTS = 16
+_LATCHED = "durability: 1"
 
 
 class RingWriter:
     """As a `Sink` of a `Recorder`: keeps at most `max_bytes` and `max_age_s`, also of what former runs left there.
 
-    Each file is a sixteenth of that and stands by itself. Messages of latched topics (`keep`) begin each file anew.
+    Each file is a sixteenth of that and stands by itself: the last message of each latched topic is in all of them.
     """
 
     def __init__(self, folder: Path, max_bytes: int, max_age_s: float) -> None:
@@ -44,13 +45,11 @@ class RingWriter:
     def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
         """A topic that messages may follow for; of a latched one the last message is in every file."""
         self._topics[topic.name] = topic
+        if _LATCHED in topic.qos:
+            self._latched.setdefault(topic.name, None)
         self._hashes[topic.name] = type_hash
         self.counts.setdefault(topic.name, 0)
         self._writer.add_topic(topic, type_hash)
-
-    def keep_last(self, topic_name: str) -> None:
-        """The last message of this topic is repeated at the beginning of each file."""
-        self._latched.setdefault(topic_name, None)
 
     def write(self, topic_name: str, sample: Sample) -> None:
         """One message."""

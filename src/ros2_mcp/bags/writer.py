@@ -137,6 +137,7 @@ class BagWriter:
         self.bytes_before += self._output.size
         count = self._count
         self.files.append(FilePart(self._output.path.name, count.start_ns, count.end_ns, count.messages))
+        self._output.size, self._count = 0, _Count()
 
     def abandon(self) -> None:
         """Ends without writing more than was whole: for a disk that takes no more."""

@@ -27,6 +27,7 @@ def call(settings: Settings, tool: str | None, assignments: Sequence[str], *, as
     arguments = parse_assignments(assignments)
     bridge = launch(settings)
     from ros2_mcp.guard.policy import Policy
+    from ros2_mcp.ops.memory import Memory
     from ros2_mcp.robot import Robot
     from ros2_mcp.server import build_tools
 
@@ -34,7 +35,8 @@ def call(settings: Settings, tool: str | None, assignments: Sequence[str], *, as
         await bridge.attach()
         try:
             robot = Robot(bridge, Policy(settings.read_only), settings.result_bytes)
-            tools = {tool.name: tool for tool in build_tools(robot, settings.tools or ("all",))}
+            memory = Memory(settings.record_dir, settings.bag_dir)
+            tools = {tool.name: tool for tool in build_tools(robot, settings.tools or ("all",), memory)}
             if tool is None:
                 return _print_tools(tools)
             if tool not in tools:

@@ -15,6 +15,7 @@ from ros2_mcp.settings import Settings
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge
+    from ros2_mcp.ops.memory import Memory
     from ros2_mcp.robot import Robot
 
 
@@ -57,28 +58,37 @@ def launch(settings: Settings) -> Bridge:
 async def _serve(bridge: Bridge, settings: Settings, wire: Wire | None) -> None:
     from ros2_mcp.guard.policy import Policy
     from ros2_mcp.http import serve_http
+    from ros2_mcp.ops.memory import Memory
     from ros2_mcp.robot import Robot
     from ros2_mcp.server import build_server, serve_stdio
 
     robot = Robot(bridge, Policy(settings.read_only), settings.result_bytes)
-    server = build_server(robot, groups=settings.tools, log_level=settings.log_level.upper(), settings=settings)
+    memory = Memory(settings.record_dir, settings.bag_dir)
+    server = build_server(
+        robot, groups=settings.tools, log_level=settings.log_level.upper(), settings=settings, memory=memory
+    )
     gc.freeze()
     gc.enable()
     running = serve_stdio(server, wire.read_fd, wire.write_fd) if wire else serve_http(server, settings)
-    await _until_told_to_end(robot, running)
+    await _until_told_to_end(robot, memory, settings, running)
 
 
-async def _until_told_to_end(robot: Robot, running: Awaitable[None]) -> None:
+async def _until_told_to_end(robot: Robot, memory: Memory, settings: Settings, running: Awaitable[None]) -> None:
+    from ros2_mcp.ops.black_box import keep_black_box
+
     told_to_end = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(number, told_to_end.set)
     await robot.bridge.attach()
     robot.log.start()
+    keeping = asyncio.create_task(keep_black_box(robot, memory, settings))
     serving = asyncio.ensure_future(running)
     ending = asyncio.create_task(told_to_end.wait())
     try:
         await asyncio.wait({serving, ending}, return_when=asyncio.FIRST_COMPLETED)
     finally:
+        keeping.cancel()
+        await memory.close()
         await robot.bridge.close()
     if serving.done():
         serving.result()

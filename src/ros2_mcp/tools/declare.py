@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
+from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
 
@@ -38,9 +39,9 @@ class ToolDeclaration:
 
     @cached_property
     def injected(self) -> dict[str, Any]:
-        """Parameters that the model does not see, with what they want: the robot, or a report of progress."""
+        """Parameters that the model does not see, with what they want: robot, memory, or report of progress."""
         parameters = self.signature().parameters.values()
-        return {p.name: p.annotation for p in parameters if p.annotation in (Robot, Report)}
+        return {p.name: p.annotation for p in parameters if p.annotation in (Robot, Memory, Report)}
 
     @property
     def description(self) -> str:

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -164,8 +165,7 @@ def test_a_recording_never_leaves_its_folder(tmp_path: Path, wanted: str, name: 
 def test_a_ring_stays_within_its_bytes_and_keeps_the_newest(tmp_path: Path, open_bag: OpenBag) -> None:
     ring = RingWriter(tmp_path, max_bytes=400_000, max_age_s=3600)
     ring.add_topic(CHATTER)
-    ring.add_topic(SCAN)
-    ring.keep_last("/scan")
+    ring.add_topic(replace(SCAN, qos=qos_text([QoS(durability="transient_local")])))
     ring.write("/scan", said(0))
     for number in range(1, 2000):
         ring.write("/chatter", said(number, 1000))

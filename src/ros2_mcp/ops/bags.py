@@ -1,0 +1,298 @@
+"""Bags: which there are, what is in them, and their messages."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadData, NotFound, UnknownInterface
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.moments import span_of
+from ros2_mcp.ops.reading import View
+from ros2_mcp.ops.results import iso_time
+from ros2_mcp.robot import Robot
+
+if TYPE_CHECKING:
+    from ros2_mcp.bags.bag import Bag
+    from ros2_mcp.bags.stored import Span, StoredTopic
+    from ros2_mcp.codec.cdr import Codec
+
+MAX_MESSAGES = 10_000
+_MAX_BYTES = 64_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class BagEntry:
+    """A bag that can be read; `modified_at` is when its newest file was written."""
+
+    bag: str
+    bytes: int
+    modified_at: str
+
+
+@dataclass(frozen=True, slots=True)
+class BagList:
+    """The bags below the folder that this server may read."""
+
+    bags: Sequence[BagEntry]
+    total: int
+    folder: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{len(self.bags)} of {self.total} bags in {self.folder}."
+
+
+@dataclass(frozen=True, slots=True)
+class BagTopic:
+    """A topic of a bag; `has_definition` tells whether the bag itself says what its bytes mean."""
+
+    topic_name: str
+    topic_type: str
+    messages: int
+    has_definition: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BagInfo:
+    """What is in a bag; `problems` say what is damaged or missing."""
+
+    bag: str
+    start: str
+    end: str
+    duration_s: float
+    messages: int
+    bytes: int
+    topics: Sequence[BagTopic]
+    problems: Sequence[str]
+
+    def summary(self) -> str:
+        """One line, and one for each problem."""
+        line = f"{self.bag}: {self.messages} messages of {len(self.topics)} topics in {self.duration_s:.3f} s."
+        return "\n".join([line, *self.problems])
+
+
+@dataclass(frozen=True, slots=True)
+class BagMessages:
+    """Messages of one topic of a bag. `received_at` are the recorder's times; `truncated` names summarised paths."""
+
+    bag: str
+    topic_name: str
+    topic_type: str
+    messages: Sequence[dict[str, Any]]
+    received_at: Sequence[str]
+    count: int
+    truncated: Sequence[str]
+    problems: Sequence[str]
+    note: str
+
+    def summary(self) -> str:
+        """One line, and one for each problem."""
+        return "\n".join(
+            [f"{self.bag} {self.topic_name}: {self.count} message(s). {self.note}".rstrip(), *self.problems]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Which messages of a bag: the first ones from `start` on where that is given, else the last ones before `end`."""
+
+    bag: str
+    topic: str
+    start: str = ""
+    end: str = ""
+    limit: int = 20
+
+
+async def list_bags(memory: Memory, pattern: str = "", limit: int = 200) -> BagList:
+    """The bags whose names match the pattern, the newest first."""
+    return await asyncio.to_thread(_list, memory, pattern, limit)
+
+
+async def info(memory: Memory, bag: str) -> BagInfo:
+    """What is in a bag.
+
+    Raises:
+        NotFound: if there is no such bag.
+        BadData: if nothing of it can be read.
+    """
+    return await asyncio.to_thread(_info, memory, bag)
+
+
+async def read(robot: Robot, memory: Memory, asked: Asked, view: View) -> BagMessages:
+    """Messages of one topic of a bag.
+
+    Raises:
+        NotFound: if there is no such bag or topic.
+        UnknownInterface: if nobody knows the type's definition.
+        BadValue: if a limit or a moment is out of range, or a field is not in the type.
+    """
+    bounded("limit", asked.limit, 1, MAX_MESSAGES, "messages")
+    bounded("every_n", view.every_n, 1, 1_000_000, "messages")
+    topic = await asyncio.to_thread(_topic, memory, asked.bag, asked.topic)
+    codec = await codec_for(robot, topic)
+    return await asyncio.to_thread(_read, memory, asked, view, topic, codec)
+
+
+async def codec_for(robot: Robot | None, *topics: StoredTopic) -> Codec:
+    """Reads messages of these topics: with the bag's own definitions, else the robot's, else those of ROS itself.
+
+    Raises:
+        UnknownInterface: if nobody knows one.
+    """
+    from ros2_mcp.bags.schema import definitions_in
+    from ros2_mcp.codec.cdr import Codec
+    from ros2_mcp.codec.definitions import Definitions
+
+    definitions = Definitions()
+    for topic in topics:
+        found = definitions_in(topic.type, topic.encoding, topic.definition)
+        found = found or await asyncio.to_thread(_common_definitions, topic.type)
+        if found:
+            definitions.add(found)
+        elif robot is not None and len(topics) == 1:
+            await robot.values.learn(topic.type)
+            return robot.values.codec
+        else:
+            raise UnknownInterface(f"The bag has no definition of {topic.type}.", "It was recorded without.")
+    return Codec(definitions)
+
+
+def find_topic(bag: Bag, name: str) -> StoredTopic:
+    """A topic of a bag; raises `NotFound` with the nearest name."""
+    full = names.absolute(name)
+    if full not in bag.topics:
+        known = list(bag.topics)
+        hint = names.did_you_mean(full, known, f"It has {', '.join(sorted(known)[:20])}.")
+        raise NotFound(f"{bag.path.name} has no topic {full}.", hint)
+    return bag.topics[full]
+
+
+def span_in(bag: Bag, start: str, end: str) -> Span:
+    """The time between two moments of a bag."""
+    first_ns, last_ns = bag.times or (0, 0)
+    return span_of(start, end, first_ns, last_ns)
+
+
+def _common_definitions(type_name: str) -> dict[str, Any]:
+    """Of the packages that every ROS 2 has, as the newest distribution defines them; for bags that have none."""
+    from rosbags.typesys import Stores, TypesysError, get_typestore
+
+    from ros2_mcp.bags.schema import definitions_in
+
+    store = get_typestore(Stores.LATEST)
+    try:
+        return definitions_in(type_name, "ros2msg", store.generate_msgdef(type_name, ros_version=2)[0])
+    except (TypesysError, KeyError):
+        return {}
+
+
+def _list(memory: Memory, pattern: str, limit: int) -> BagList:
+    found = memory.bag_names()
+    chosen = [_entry(name, found[name]) for name in names.matching(found, pattern)]
+    chosen.sort(key=lambda entry: entry.modified_at, reverse=True)
+    return BagList(chosen[:limit], len(found), str(memory.bag_dir))
+
+
+def _entry(name: str, path: Any) -> BagEntry:
+    files = [path] if path.is_file() else [each for each in path.iterdir() if each.is_file()]
+    facts = [each.stat() for each in files]
+    return BagEntry(name, sum(f.st_size for f in facts), iso_time(max(f.st_mtime_ns for f in facts)))
+
+
+def _info(memory: Memory, name: str) -> BagInfo:
+    with memory.reading(name) as bag:
+        counts = bag.counts()
+        first_ns, last_ns = bag.times or (0, 0)
+        topics = [
+            BagTopic(topic.name, topic.type, counts.get(topic.name, 0), bool(topic.definition))
+            for topic in sorted(bag.topics.values(), key=lambda topic: topic.name)
+        ]
+        return BagInfo(
+            name,
+            iso_time(first_ns) if bag.times else "",
+            iso_time(last_ns) if bag.times else "",
+            (last_ns - first_ns) / 1e9,
+            sum(counts.values()),
+            bag.size,
+            topics,
+            bag.problems,
+        )
+
+
+def _topic(memory: Memory, bag_name: str, name: str) -> StoredTopic:
+    with memory.reading(bag_name) as bag:
+        return find_topic(bag, name)
+
+
+def _read(memory: Memory, asked: Asked, view: View, topic: StoredTopic, codec: Codec) -> BagMessages:
+    with memory.reading(asked.bag) as bag:
+        span = replace(span_in(bag, asked.start, asked.end), topics=(topic.name,))
+        backwards = not asked.start.strip()
+        samples = (sample for _, sample in bag.messages(span, newest_first=backwards))
+        taken = list(islice(_within_bytes(samples, view.every_n), asked.limit + 1))
+        problems = bag.problems
+    chosen = taken[: asked.limit][:: -1 if backwards else 1]
+    shown, rendered, bad = _render(topic.type, codec, chosen, view)
+    notes = [f"There are {'earlier' if backwards else 'later'} ones too."] if len(taken) > asked.limit else []
+    if len(shown) + bad < len(chosen):
+        notes.append(f"{len(chosen) - len(shown) - bad} more do not fit: choose fields, or every_n.")
+    if bad:
+        notes.append(f"{bad} message(s) are not what their type says and are left out.")
+    if not chosen:
+        notes.append("None in that time.")
+    return BagMessages(
+        asked.bag,
+        topic.name,
+        topic.type,
+        [each.value for each in rendered],
+        [iso_time(sample.received_ns) for sample in shown],
+        len(shown),
+        sorted({path for each in rendered for path in each.truncated}),
+        problems,
+        " ".join(notes),
+    )
+
+
+def _within_bytes(samples: Iterator[Sample], every_n: int) -> Iterator[Sample]:
+    total = 0
+    for sample in islice(samples, 0, None, every_n):
+        total += len(sample.data)
+        if total > _MAX_BYTES and total > len(sample.data):
+            return
+        yield sample
+
+
+def _render(type_name: str, codec: Codec, samples: Sequence[Sample], view: View) -> tuple[list[Sample], list[Any], int]:
+    """As many messages as fit, evenly spread; how many could not be decoded."""
+    from ros2_mcp.codec.render import RenderOptions, render
+    from ros2_mcp.codec.select import parse_fields
+    from ros2_mcp.ops.reading import spread
+
+    if view.fields:
+        parse_fields(codec.definitions, type_name, view.fields)
+    readable: list[tuple[Sample, Any]] = []
+    for sample in samples:
+        try:
+            readable.append((sample, codec.decode(type_name, sample.data)))
+        except BadData:
+            continue
+    if not readable:
+        return [], [], len(samples)
+
+    def rendered(message: Any, max_bytes: int) -> Any:
+        options = RenderOptions(max_array=view.max_array, max_bytes=max_bytes, fields=tuple(view.fields) or None)
+        return render(codec.definitions, type_name, message, options=options)
+
+    size = rendered(readable[-1][1], view.max_bytes).bytes + 60
+    by_sample = {id(sample): message for sample, message in readable}
+    shown = spread([sample for sample, _ in readable], max(view.max_bytes // size, 1))
+    share = max(view.max_bytes // len(shown), 500)
+    results = [rendered(by_sample[id(sample)], share) for sample in shown]
+    return shown, results, len(samples) - len(readable)

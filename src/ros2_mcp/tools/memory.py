@@ -1,0 +1,120 @@
+"""Tools that record topics, and read and play bags."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from ros2_mcp.ops import bags, playing, recording
+from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.reading import View
+from ros2_mcp.ops.results import Report
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import EveryN, Fields, Flag, Limit, MaxArray, Number, Pattern, TopicName, Whole
+from ros2_mcp.tools.declare import tool
+
+Bytes = Annotated[Whole, Field(ge=0, le=10**13)]
+BagName = Annotated[str, Field(description="Name of the bag, as ros2_bag_list shows it.")]
+Topics = Annotated[list[str] | None, Field(description="Only these topics.")]
+Start = Annotated[
+    str, Field(description='From this moment on: ISO 8601 with zone, or relative: "last 30 s", "first 2 min".')
+]
+End = Annotated[str, Field(description="Up to this moment, written like start. Default: the end of the bag.")]
+RecordingId = Annotated[str, Field(description="The recording's id.")]
+PlaybackId = Annotated[str, Field(description="The playback's id.")]
+
+
+@tool(title="Record topics", risk="write", group="memory", by_default=False)
+async def ros2_record_start(
+    robot: Robot,
+    memory: Memory,
+    topics: Annotated[list[str] | None, Field(description="Topics to record, also if they appear later.")] = None,
+    patterns: Annotated[
+        list[str] | None, Field(description="Globs such as /camera/*, or parts of names. Default without topics: all.")
+    ] = None,
+    max_duration_sec: Annotated[Number, Field(ge=0, le=604_800, description="End after this time; 0: never.")] = 0.0,
+    max_bytes: Annotated[Bytes, Field(description="End at this size; 0: never.")] = 0,
+    split_bytes: Annotated[Bytes, Field(description="Begin a new file at this size; 0: never.")] = 0,
+    name: Annotated[str, Field(max_length=200, description="Name of the recording. Default: the time.")] = "",
+) -> recording.RecordingState:
+    """Begin to record topics to disk (MCAP in a rosbag2 folder). It goes on until a limit or ros2_record_stop.
+
+    Latched messages are included; topics that appear later join within a second.
+    """
+    wanted = recording.Wanted(topics or (), patterns or (), max_duration_sec, max_bytes, split_bytes, name)
+    return await recording.start(robot, memory, wanted)
+
+
+@tool(title="Recordings", risk="read", group="memory", by_default=False)
+async def ros2_record_status(memory: Memory, recording_id: RecordingId = "") -> recording.RecordingStates:
+    """Show how recordings stand: messages, bytes and losses of each topic, and why one ended."""
+    return await recording.status(memory, recording_id)
+
+
+@tool(title="Stop recording", risk="write", group="memory", by_default=False)
+async def ros2_record_stop(memory: Memory, recording_id: RecordingId) -> recording.RecordingState:
+    """End a recording and close its files."""
+    return await recording.stop(memory, recording_id)
+
+
+@tool(title="List bags", risk="read", group="memory", by_default=False)
+async def ros2_bag_list(memory: Memory, pattern: Pattern = "", limit: Limit = 200) -> bags.BagList:
+    """List the bags (recordings) that can be read, the newest first."""
+    return await bags.list_bags(memory, pattern, limit)
+
+
+@tool(title="What is in a bag", risk="read", group="memory", by_default=False)
+async def ros2_bag_info(memory: Memory, bag: BagName) -> bags.BagInfo:
+    """Show the topics, types, counts and times of a bag, and what of it is damaged or missing."""
+    return await bags.info(memory, bag)
+
+
+@tool(title="Read a bag", risk="read", group="memory", by_default=False)
+async def ros2_bag_read(
+    robot: Robot,
+    memory: Memory,
+    bag: BagName,
+    topic_name: TopicName,
+    start: Start = "",
+    end: End = "",
+    limit: Annotated[Whole, Field(ge=1, le=10_000, description="How many messages at most.")] = 20,
+    fields: Fields = None,
+    max_array: MaxArray = 64,
+    every_n: EveryN = 1,
+) -> bags.BagMessages:
+    """Read messages of one topic of a bag: the first ones from start on, or without start the last ones."""
+    view = View(fields or (), max_array, every_n, robot.result_bytes)
+    return await bags.read(robot, memory, bags.Asked(bag, topic_name, start, end, limit), view)
+
+
+@tool(title="Play a bag", risk="actuate", group="memory", by_default=False)
+async def ros2_bag_play(
+    robot: Robot,
+    memory: Memory,
+    report: Report,
+    bag: BagName,
+    rate: Annotated[Number, Field(ge=0.01, le=100, description="Speed; 2 is twice as fast.")] = 1.0,
+    start: Start = "",
+    end: End = "",
+    topics: Topics = None,
+    remaps: Annotated[dict[str, str] | None, Field(description='New names, such as {"/scan": "/old/scan"}.')] = None,
+    loop: Annotated[Flag, Field(description="Begin again at the end, until stopped.")] = False,
+    force: Annotated[Flag, Field(description="Also onto topics that have a live publisher.")] = False,
+    wait_sec: Annotated[Number, Field(ge=0, le=3600, description="Wait this long for its end; it goes on.")] = 40.0,
+) -> playing.PlaybackState:
+    """Publish a bag's messages again in their rhythm. Can move the robot if it holds commands: choose topics."""
+    wanted = playing.Wanted(bag, rate, start, end, topics or (), remaps or {}, loop, force)
+    return await playing.play(robot, memory, wanted, wait_sec, report)
+
+
+@tool(title="Playbacks", risk="read", group="memory", by_default=False)
+async def ros2_bag_play_status(memory: Memory, playback_id: PlaybackId = "") -> playing.PlaybackStates:
+    """Show how playbacks of bags stand."""
+    return await playing.status(memory, playback_id)
+
+
+@tool(title="Stop playing", risk="write", group="memory", by_default=False)
+async def ros2_bag_play_stop(memory: Memory, playback_id: PlaybackId) -> playing.PlaybackState:
+    """Stop playing a bag."""
+    return await playing.stop(memory, playback_id)
