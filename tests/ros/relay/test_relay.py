@@ -6,10 +6,12 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 from agent import FULL, Agent, agent_for
+from raw_server import MODERN, RawServer
 
 SECONDS = 60 if FULL else 5
 PATIENCE_S = 10.0
@@ -194,3 +196,36 @@ def test_a_lost_bridge_ends_its_relays_and_says_so(start_agent) -> None:
         assert "SIGKILL" in failed["note"]
     again = begin(own, "/lost_in", "/lost_identity", message_type="std_msgs/msg/String")
     assert end(own, again)["state"] == "stopped"
+
+
+@pytest.mark.parametrize("transform", ["identity", "on_change"])
+def test_a_source_that_comes_back_with_a_weaker_qos_is_matched_again(agent, peer, transform) -> None:
+    source, destination = f"/weaker_in_{transform}", f"/weaker_out_{transform}"
+    listener = peer("listen", destination, "String", "RELIABLE")
+    discovered(agent, destination)
+    relay = begin(agent, source, destination, message_type="std_msgs/msg/String", transform=transform)
+    first = peer("talk", source, "String", "RELIABLE", "100", "50")
+    assert first.line() == 50
+    wait_for(lambda: counted(agent, relay)["passed"] == 50)
+    first.process.terminate()
+    first.process.wait(5)
+    assert peer("talk", source, "String", "BEST_EFFORT", "100", "70").line() == 70
+    wait_for(lambda: counted(agent, relay)["passed"] == 120)
+    assert [number for _, number in listener.heard()] == [*range(50), *range(70)]
+    end(agent, relay)
+
+
+def test_a_server_that_is_killed_leaves_no_process_and_a_robot_at_zero(agent, ros_environment, peer) -> None:
+    peer("talk", "/killed_in", "Twist", "RELIABLE", "50", "5000")
+    listener = peer("listen", "/killed_out", "Twist", "RELIABLE")
+    server = RawServer(ros_environment, "--tools", "all")
+    server.begin(MODERN)
+    bridge_pid = server.call("ros2_status")["structuredContent"]["bridge_pid"]
+    options = {"message_type": "geometry_msgs/msg/Twist", "duration_sec": 0}
+    server.call("ros2_relay_start", source_topic="/killed_in", destination_topic="/killed_out", **options)
+    wait_for(listener.heard)
+    server.process.kill()
+    server.end()
+    wait_for(lambda: not Path(f"/proc/{bridge_pid}").exists(), 3.0)
+    assert wait_for(listener.heard)[-1][1] == 0.0
+    wait_for(lambda: not agent.call("ros2_topic_info", topic_name="/killed_out")["publishers"])
