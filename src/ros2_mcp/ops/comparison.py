@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -213,7 +214,8 @@ def _compare_field(
     with np.errstate(over="ignore", invalid="ignore"):
         difference = other - one
         scale = float(max(np.abs(one).max(), np.abs(other).max()))
-        largest, rms = float(np.abs(difference).max()), float(np.sqrt(np.mean(difference**2)))
+        shares = difference / (scale or 1.0)
+        largest, rms = float(np.abs(difference).max()), float(np.sqrt(np.mean(shares**2))) * (scale or 1.0)
         return FieldComparison(
             readings[0].path,
             len(one),
@@ -276,15 +278,20 @@ def _judge(
         reasons.append(f"{odd} values are not finite or missing in one of them only.")
     if not reasons:
         return "IDENTICAL", [f"All {len(compared)} fields of {pairs} pairs agree within {tolerance:g} %."]
-    worst = max((each.rms_percent or 0.0 for each in compared), default=0.0)
+    worst = max((_percent(each) for each in compared if each.compared), default=0.0)
     if worst <= max(SIMILAR_PERCENT, tolerance):
         return "SIMILAR", reasons
     return ("DIFFERENT" if worst <= max(DIFFERENT_PERCENT, tolerance) else "VERY DIFFERENT"), reasons
 
 
+def _percent(field: FieldComparison) -> float:
+    """How much it differs; a difference beyond all numbers is infinite."""
+    return math.inf if field.rms_percent is None else field.rms_percent
+
+
 def _differences(compared: Sequence[FieldComparison], tolerance: float) -> list[str]:
     beyond = [each for each in compared if each.max_percent is None or each.max_percent > tolerance]
-    beyond.sort(key=lambda each: -(each.rms_percent or 0.0))
+    beyond.sort(key=_percent, reverse=True)
     lines = [
         f"{each.field} differs by {each.rms_difference or 0.0:.3g} ({each.rms_percent or 0.0:.3g} %) RMS, "
         f"{each.max_difference or 0.0:.3g} at most."

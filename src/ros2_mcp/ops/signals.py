@@ -28,6 +28,7 @@ _MAD_TO_SIGMA = 1.4826
 _MOST_SAMPLES = 3
 _GRID = 2000
 _NEAR_BEST = 0.98
+_ROUNDING = 1e-28
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +153,15 @@ def correlation(first: Numbers, second: Numbers) -> float | None:
     """Pearson's correlation; None where one of them does not vary."""
     if len(first) < 2:
         return None
-    one, other = first - first.mean(), second - second.mean()
+    one, other = _centred(first), _centred(second)
     norm = math.sqrt(float(one @ one) * float(other @ other))
-    noise = 1e-12 * len(first) * float(max(np.abs(first).max(), np.abs(second).max())) ** 2
-    return number(one @ other / norm) if norm > noise else None
+    return number(one @ other / norm) if norm > _ROUNDING * len(first) else None
+
+
+def _centred(values: Numbers) -> Numbers:
+    """The values around their mean, as shares of the largest magnitude."""
+    scaled = values / (float(np.abs(values).max()) or 1.0)
+    return scaled - scaled.mean()
 
 
 def delay(

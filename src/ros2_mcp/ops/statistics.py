@@ -235,16 +235,14 @@ def _field(reading: Reading, messages: Sequence[object], times: Numbers) -> Fiel
 
     from ros2_mcp.ops import signals
 
-    present = [
-        (time, value) for time, message in zip(times, messages, strict=True) for value in _values(reading, message)
-    ]
-    arrays = [signals.flat(value) for _, value in present]
-    numbers = np.concatenate(arrays) if arrays else signals.flat([])
+    found = zip(times, messages, strict=True)
+    present = [(time, value) for time, message in found for value in _values(reading, message)]
+    when, values = signals.flat([time for time, _ in present]), [value for _, value in present]
+    numbers, when, series, constant = _of_lists(when, values) if reading.is_list else _of_numbers(when, values)
     finite = numbers[np.isfinite(numbers)]
     if not len(finite):
         not_finite = len(numbers)
         return FieldStatistics(reading.path, reading.is_list, 0, not_finite=not_finite, anomalies=_strange(numbers))
-    when, series = _series([time for time, _ in present], arrays)
     with np.errstate(over="ignore", invalid="ignore"):
         return FieldStatistics(
             reading.path,
@@ -254,13 +252,39 @@ def _field(reading: Reading, messages: Sequence[object], times: Numbers) -> Fiel
             max=signals.number(finite.max()),
             mean=signals.number(finite.mean()),
             std=signals.number(finite.std()),
-            first=float(series[0]),
-            last=float(series[-1]),
+            first=signals.number(series[0]),
+            last=signals.number(series[-1]),
             slope=signals.slope(when, series),
-            constant=len(arrays) > 1 and all(np.array_equal(each, arrays[0], equal_nan=True) for each in arrays),
+            constant=constant,
             not_finite=len(numbers) - len(finite),
             anomalies=[] if reading.is_list else [*_strange(numbers), *_anomalies(when, series)],
         )
+
+
+def _of_numbers(times: Numbers, values: Sequence[Any]) -> tuple[Numbers, Numbers, Numbers, bool]:
+    """All numbers; the finite ones over time; whether all are the same."""
+    import numpy as np
+
+    from ros2_mcp.ops.signals import flat
+
+    numbers = flat(values)
+    there = np.isfinite(numbers)
+    constant = len(numbers) > 1 and bool((numbers == numbers[0]).all())
+    return numbers, times[there], numbers[there], constant
+
+
+def _of_lists(times: Numbers, values: Sequence[Any]) -> tuple[Numbers, Numbers, Numbers, bool]:
+    """All elements of all lists; the means of the finite ones over time; whether all lists are the same."""
+    import numpy as np
+
+    from ros2_mcp.ops.signals import flat
+
+    arrays = [flat(value) for value in values]
+    finite = [(time, each[np.isfinite(each)]) for time, each in zip(times, arrays, strict=True)]
+    kept = [(time, float(each.mean())) for time, each in finite if len(each)]
+    constant = len(arrays) > 1 and all(np.array_equal(each, arrays[0], equal_nan=True) for each in arrays)
+    numbers = np.concatenate(arrays) if arrays else flat([])
+    return numbers, flat([time for time, _ in kept]), flat([mean for _, mean in kept]), constant
 
 
 def _values(reading: Reading, message: object) -> list[Any]:
@@ -270,17 +294,6 @@ def _values(reading: Reading, message: object) -> list[Any]:
     except BadValue:
         return []
     return [value] if not reading.is_list or len(value) else []
-
-
-def _series(times: Sequence[float], arrays: Sequence[Numbers]) -> tuple[Numbers, Numbers]:
-    """One finite number for each message that has one: the value, or the mean of an array's finite elements."""
-    import numpy as np
-
-    from ros2_mcp.ops.signals import flat
-
-    finite = [(time, values[np.isfinite(values)]) for time, values in zip(times, arrays, strict=True)]
-    kept = [(time, float(values.mean())) for time, values in finite if len(values)]
-    return flat([time for time, _ in kept]), flat([value for _, value in kept])
 
 
 def _strange(numbers: Numbers) -> list[str]:

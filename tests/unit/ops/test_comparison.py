@@ -156,3 +156,10 @@ def test_what_cannot_be_compared_is_refused_before_measuring(window: Make) -> No
     ]:
         with pytest.raises(error):
             asyncio.run(compare(source, topics, fields))
+
+
+def test_numbers_at_the_end_of_their_range_are_compared(window: Make) -> None:
+    huge = np.full(len(TIMES), 1.7e308)
+    a = floats(window, "/a", TIMES, huge)
+    assert evaluate(a, a).verdict == "IDENTICAL"
+    assert evaluate(a, floats(window, "/b", TIMES, -huge)).verdict == "VERY DIFFERENT"

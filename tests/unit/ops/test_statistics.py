@@ -162,3 +162,8 @@ def test_a_silent_topic_says_so(window: Make) -> None:
 def test_a_flood_of_fields_is_bounded_and_says_so(window: Make) -> None:
     found = evaluate(window("/odom", "nav_msgs/msg/Odometry", [(0.0, {})]), (), 4)
     assert len(found.fields) == 4 and "11 more fields" in found.note
+
+
+def test_numbers_at_the_end_of_their_range_are_measured(window: Make) -> None:
+    found = only(floats(window, np.arange(10), [1.7e308, -1.7e308] * 5))
+    assert (found.count, found.max, found.std) == (10, 1.7e308, None)
