@@ -36,7 +36,7 @@ class Clients:
             future = client.call_async(message)
             future.add_done_callback(lambda _: request.wake())
             try:
-                yield from _wait_response(client, service, future, min(timeout_s, latest - sent_at))
+                yield from _wait_response(client, service, future, timeout_s, latest)
             finally:
                 client.remove_pending_request(future)
             body = serialize_message(future.result())
@@ -72,8 +72,8 @@ def _wait_server(client, service, wait_s):
         yield APPEARS_POLL_S
 
 
-def _wait_response(client, service, future, timeout_s):
-    deadline = time.monotonic() + timeout_s
+def _wait_response(client, service, future, timeout_s, latest):
+    deadline = min(time.monotonic() + timeout_s, latest)
     last_ready = time.monotonic()
     while not future.done():
         now = time.monotonic()
@@ -82,5 +82,5 @@ def _wait_response(client, service, future, timeout_s):
         if now - last_ready > GONE_AFTER_S:
             raise OperationError("server_gone", f"The server of {service} disappeared before it answered.")
         if now >= deadline:
-            raise OperationError("timeout", f"{service} did not answer within {round(timeout_s, 2):g} s.")
+            raise OperationError("timeout", f"{service} did not answer within {timeout_s:g} s.")
         yield min(POLL_S, deadline - now)

@@ -57,6 +57,7 @@ def test_no_feedback_is_lost_that_comes_at_once_and_together_with_the_result(age
 
 @pytest.mark.parametrize("wait", [True, False])
 def test_a_rejected_goal_says_so(agent, robot, wait) -> None:
+    agent.call("ros2_stop")
     sent = send(agent, robot.name("reject"), 3, wait_for_result=wait)
     assert (sent["accepted"], sent["status_code"], sent["status"]) == (False, -1, "NOT_ACCEPTED")
     assert sent["note"] == "The action server rejected the goal."
