@@ -136,6 +136,8 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
         source.windows(chosen, report, times_only=True),
         source.windows([DIAGNOSTICS] if _is_published(scene, DIAGNOSTICS) else [], silent),
     )
+    if any(_missing(scene, expected)):  # it may only just have appeared
+        scene = await source.scene()
     diagnostics = await asyncio.to_thread(_reported, [each for each in reported if isinstance(each, Window)])
     flows = {window.topic: flow(window) for window in measured if isinstance(window, Window)}
     failed = [each for each in measured if isinstance(each, Missing)]
@@ -243,10 +245,10 @@ def _state(found: TopicEndpoints, measured: Flow | None, is_expected: bool, min_
         return "MISSING"
     if measured is None:
         return "NOT MEASURED"
-    if not (_streams(found) or (is_expected and not _is_latched(found))):
-        return "OK" if measured.count else "QUIET"
     if not measured.count:
-        return "SILENT"
+        return "SILENT" if is_expected or _streams(found) else "QUIET"
+    if _is_latched(found) or not (is_expected or _streams(found)):
+        return "OK"
     rate_hz = measured.most_hz if measured.rate_hz is None else measured.rate_hz
     return "SLOW" if rate_hz < RATE_TOLERANCE * min_rate_hz else "OK"
 

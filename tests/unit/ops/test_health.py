@@ -145,3 +145,10 @@ def test_a_very_broken_robot_still_gives_a_short_report(window: Make) -> None:
     found = check(pairs, [window("/x", SCAN, [], 3.0)])
     assert found.counts["findings"] == 200
     assert len(found.findings) == 40 and len(found.topics) == 60
+
+
+def test_an_expected_latched_topic_needs_its_one_message_and_no_rate(window: Make) -> None:
+    grid = "nav_msgs/msg/OccupancyGrid"
+    latched = topic("/map", [endpoint("/maps", grid, durability="transient_local")])
+    assert check([latched], [window("/map", grid, [(-60.0, {})], 3.0)], topics=["/map"]).verdict == "HEALTHY"
+    assert check([latched], [window("/map", grid, [], 3.0)], topics=["/map"]).verdict == "CRITICAL"
