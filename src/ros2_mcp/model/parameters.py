@@ -64,8 +64,8 @@ def _kind(path: str, value: Any, declared: str) -> str:
         kinds = {_kind(f"{path}[{index}]", item, "dynamic") for index, item in enumerate(items)}
         if kinds == {"integer", "double"}:
             return "double_array"
-        if len(kinds) != 1:
-            raise BadValue(path, "the elements of an array must have one type, and there must be at least one.")
+        if len(kinds) != 1 or f"{min(kinds)}_array" not in TYPES:
+            raise BadValue(path, "an array needs at least one element, all of one type: bool, number or text.")
         return f"{kinds.pop()}_array"
     kinds_by_type = {bool: "bool", int: "integer", float: "double", str: "string"}
     if type(value) not in kinds_by_type:
