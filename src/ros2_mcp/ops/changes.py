@@ -1,4 +1,4 @@
-"""What can be watched: topics, the graph, goals, diagnostics, parameters."""
+"""What can be watched: topics, the graph, goals, diagnostics, parameters, the log."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.goals import TERMINAL, goal_id_hex
 from ros2_mcp.model.names import is_hidden
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops import log
 from ros2_mcp.ops.actions import action_types
 from ros2_mcp.ops.diagnostics import DIAGNOSTICS, DiagnosticTable
 from ros2_mcp.robot import Listening, Robot, TopicEndpoints
@@ -138,6 +139,33 @@ class ParametersOf:
                 messages: list[Any] = [robot.values.decode(type_name, sample) for sample in samples]
                 if any(message.node == self.node for message in messages):
                     yield None
+
+
+@dataclass(frozen=True, slots=True)
+class LogLines:
+    """The lines of /rosout from a level on, of one node or of all; the names are those of `ops.log.Wanted`."""
+
+    level: str = ""
+    node: str = ""
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
+        """Whenever there is such a line."""
+        least, arrived = log.level_number(self.level), asyncio.Event()
+
+        def look(level: int, sample: Sample) -> None:
+            if level >= least and (not self.node or log.is_node(log.line_of(robot, sample).node, self.node)):
+                arrived.set()
+
+        await log.read(robot, log.Wanted(limit=1))
+        stop = robot.log.on_line(look)
+        try:
+            yield None
+            while True:
+                await arrived.wait()
+                arrived.clear()
+                yield None
+        finally:
+            stop()
 
 
 async def _samples(robot: Robot, topic: str, keep: str) -> AsyncGenerator[tuple[str, list[Sample]], None]:

@@ -16,7 +16,7 @@ from ros2_mcp.robot import Robot
 
 MIN_PERIOD_S = 0.2
 """Between two tellings of one subject; what happens meanwhile is told once."""
-BEGIN_S = 2.0
+BEGIN_S = 5.0
 _PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 _logger = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ class Watcher:
         return leave
 
     async def begun(self, *subjects: Subject) -> None:
-        """Waits (bounded) until nothing that happens to the watched subjects from now on is missed."""
+        """Waits (bounded) until nothing that happens to the watched subjects from now on is missed, or one failed."""
         events = [watch.begun for subject in subjects if (watch := self._watches.get(subject))]
         waiting = [asyncio.ensure_future(event.wait()) for event in events]
         try:
@@ -112,6 +112,7 @@ class _Watch:
             except RobotError as error:
                 level = logging.INFO if isinstance(error, LinkError) else logging.WARNING
                 _logger.log(level, "watching %s: %s", self._subject, error)
+                self.begun.set()
             failures = 1 if self._followed else failures + 1
             await asyncio.sleep(_PAUSES_S[min(failures, len(_PAUSES_S)) - 1])
 

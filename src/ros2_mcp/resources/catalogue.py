@@ -10,7 +10,16 @@ from mcp.shared.uri_template import UriTemplate
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound
-from ros2_mcp.ops.changes import GoalsEnded, GraphParts, ParametersOf, TopicSamples, Unchanging, WorseDiagnostics
+from ros2_mcp.ops.changes import (
+    GoalsEnded,
+    GraphParts,
+    LogLines,
+    ParametersOf,
+    TopicSamples,
+    Unchanging,
+    WorseDiagnostics,
+)
+from ros2_mcp.ops.log import level_number
 from ros2_mcp.ops.watching import Subject
 from ros2_mcp.resources import content
 
@@ -51,6 +60,11 @@ def _definition_of(type: str) -> Subject:  # noqa: A002, ARG001 - the template's
 
 def _parameters_of(name: str) -> Subject:
     return ParametersOf(names.absolute(name, "node"))
+
+
+def _lines_of(level: str = "", node: str = "") -> Subject:
+    level_number(level)
+    return LogLines(level.lower(), node)
 
 
 RESOURCES = (
@@ -97,6 +111,21 @@ RESOURCES = (
         WorseDiagnostics,
     ),
     Declared(
+        "ros2://log",
+        "The log",
+        "The newest lines of /rosout, the newest first. Changes with every line.",
+        content.log,
+        LogLines,
+    ),
+    Declared(
+        "ros2://log{?level,node}",
+        "The log from a level on, or of a node",
+        "The newest lines from a level on (debug, info, warn, error, fatal), or of a node. Changes with such a line.",
+        content.log_lines,
+        _lines_of,
+        {"node": "node"},
+    ),
+    Declared(
         "ros2://topic/{+name}",
         "A topic",
         "Publishers, subscribers, QoS and the newest message of a topic. Changes with every message.",
@@ -128,7 +157,7 @@ def subject_of(uri: str) -> Subject:
 
     Raises:
         NotFound: if it is none of ours.
-        BadName: if it has a name that ROS does not allow.
+        BadInput: if it has a name that ROS does not allow, or a level that is none.
     """
     for declared in RESOURCES:
         variables = declared.template.match(uri)

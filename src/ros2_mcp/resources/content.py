@@ -9,6 +9,7 @@ from typing import Any, cast
 
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.ops import actions, following, interfaces, nodes, parameters, services, topics
+from ros2_mcp.ops import log as ops_log
 from ros2_mcp.ops.changes import Seen, TopicSamples, WorseDiagnostics
 from ros2_mcp.ops.diagnostics import read_diagnostics
 from ros2_mcp.ops.results import as_json, iso_time
@@ -63,6 +64,17 @@ async def diagnostics(robot: Robot, watcher: Watcher) -> Content:
     if table is None or not table.rows:
         table = await read_diagnostics(robot)
     return {"components": as_json(table.rows), "note": "" if table.rows else "Nobody said anything for 1.5 s."}
+
+
+async def log(robot: Robot, watcher: Watcher) -> Content:
+    """The newest lines of /rosout, the newest first."""
+    return await log_lines(robot, watcher)
+
+
+async def log_lines(robot: Robot, _: Watcher, level: str = "", node: str = "") -> Content:
+    """The same, from a level on, or of one node."""
+    found = await ops_log.read(robot, ops_log.Wanted(level=level, node=node, limit=200))
+    return {**as_json(found), "lines": as_json(found.lines[::-1])}
 
 
 async def topic(robot: Robot, watcher: Watcher, name: str) -> Content:

@@ -51,9 +51,14 @@ def _reader(declared: Declared, robot: Robot, watcher: Watcher) -> Any:
         except RobotError as error:
             raise ResourceError(f"{type(error).__name__}: {error}") from error
 
-    variables = declared.template.variable_names
-    read.__annotations__ = dict.fromkeys(variables, str)
+    template = declared.template
+    read.__annotations__ = dict.fromkeys(template.variable_names, str)
     read.__signature__ = Signature(  # pyright: ignore[reportFunctionMemberAccess]
-        [Parameter(name, Parameter.KEYWORD_ONLY, annotation=str) for name in variables]
+        [_parameter(name, may_lack=name in template.query_variable_names) for name in template.variable_names]
     )
     return read
+
+
+def _parameter(name: str, *, may_lack: bool) -> Parameter:
+    default = "" if may_lack else Parameter.empty
+    return Parameter(name, Parameter.KEYWORD_ONLY, annotation=str, default=default)

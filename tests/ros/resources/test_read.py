@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from conftest import EventsPeer
+from events_process import EventsPeer
 from listener import Listener
 
 STATIC = ["graph", "topics", "nodes", "services", "actions", "diagnostics", "log"]
