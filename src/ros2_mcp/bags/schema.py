@@ -87,7 +87,12 @@ def _constant_text(constant: Constant) -> str:
 
 
 def _type_text(written: str) -> str:
-    """`std_msgs/msg/Header` is written `std_msgs/Header` in .msg files; parts of actions keep their full name."""
+    """`std_msgs/msg/Header` is written `std_msgs/Header` in .msg files; parts of actions keep their full name.
+
+    `char` is the `uint8` that it is: the type's hash counts it so, and other readers compare the hash.
+    """
     base = re.match(r"[\w/]+", written)
     assert base
+    if base[0] == "char":
+        return written.replace("char", "uint8", 1)
     return written if is_derived(base[0]) else written.replace("/msg/", "/", 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, NotFound, UnknownInterface
+from ros2_mcp.model.interfaces import DefinitionText
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.moments import span_of
@@ -136,32 +137,26 @@ async def read(robot: Robot, memory: Memory, asked: Asked, view: View) -> BagMes
     bounded("limit", asked.limit, 1, MAX_MESSAGES, "messages")
     bounded("every_n", view.every_n, 1, 1_000_000, "messages")
     topic = await asyncio.to_thread(_topic, memory, asked.bag, asked.topic)
-    codec = await codec_for(robot, topic)
+    codec = _codec(await definitions_of(topic, robot))
     return await asyncio.to_thread(_read, memory, asked, view, topic, codec)
 
 
-async def codec_for(robot: Robot | None, *topics: StoredTopic) -> Codec:
-    """Reads messages of these topics: with the bag's own definitions, else the robot's, else those of ROS itself.
+async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, DefinitionText]:
+    """What a topic's bytes mean: as the bag itself says, else as ROS defines it, else as the robot knows it.
 
     Raises:
-        UnknownInterface: if nobody knows one.
+        UnknownInterface: if nobody knows.
     """
-    from ros2_mcp.bags.schema import definitions_in
-    from ros2_mcp.codec.cdr import Codec
-    from ros2_mcp.codec.definitions import Definitions
+    from ros2_mcp.bags.schema import definitions_in, schema_text
 
-    definitions = Definitions()
-    for topic in topics:
-        found = definitions_in(topic.type, topic.encoding, topic.definition)
-        found = found or await asyncio.to_thread(_common_definitions, topic.type)
-        if found:
-            definitions.add(found)
-        elif robot is not None and len(topics) == 1:
-            await robot.values.learn(topic.type)
-            return robot.values.codec
-        else:
-            raise UnknownInterface(f"The bag has no definition of {topic.type}.", "It was recorded without.")
-    return Codec(definitions)
+    found = definitions_in(topic.type, topic.encoding, topic.definition)
+    found = found or await asyncio.to_thread(_common_definitions, topic.type)
+    if found:
+        return found
+    if robot is None:
+        raise UnknownInterface(f"The bag has no definition of {topic.type}.", "It was recorded without.")
+    await robot.values.learn(topic.type)
+    return definitions_in(topic.type, "ros2msg", schema_text(robot.values.definitions.interface(topic.type)))
 
 
 def find_topic(bag: Bag, name: str) -> StoredTopic:
@@ -180,7 +175,16 @@ def span_in(bag: Bag, start: str, end: str) -> Span:
     return span_of(start, end, first_ns, last_ns)
 
 
-def _common_definitions(type_name: str) -> dict[str, Any]:
+def _codec(definitions: Mapping[str, DefinitionText]) -> Codec:
+    from ros2_mcp.codec.cdr import Codec
+    from ros2_mcp.codec.definitions import Definitions
+
+    known = Definitions()
+    known.add(definitions)
+    return Codec(known)
+
+
+def _common_definitions(type_name: str) -> dict[str, DefinitionText]:
     """Of the packages that every ROS 2 has, as the newest distribution defines them; for bags that have none."""
     from rosbags.typesys import Stores, TypesysError, get_typestore
 

@@ -1,0 +1,169 @@
+"""A bag as a source of samples: what measures the robot measures a recording of it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, AsyncIterator, Iterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from itertools import islice
+from typing import TYPE_CHECKING
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.qos import Endpoint, QoS
+from ros2_mcp.model.samples import Counts, Sample
+from ros2_mcp.ops.bags import definitions_of, find_topic, span_in
+from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.window import Missing, Scene, Stream, Window
+from ros2_mcp.robot import Robot, TopicEndpoints
+
+if TYPE_CHECKING:
+    from ros2_mcp.bags.bag import Bag
+    from ros2_mcp.bags.stored import Span, StoredTopic
+    from ros2_mcp.codec.cdr import Codec
+
+MAX_BYTES = 192_000_000
+MAX_SAMPLES = 200_000
+_BATCH = 256
+_LATCHED = ("durability: 1", "durability: transient_local")
+
+
+class BagSource:
+    """A part of a bag, as a `Source`; get it with `open_source`."""
+
+    def __init__(self, memory: Memory, name: str, span: Span, robot: Robot | None) -> None:
+        from ros2_mcp.codec.cdr import Codec
+        from ros2_mcp.codec.definitions import Definitions
+
+        self._memory = memory
+        self._name = name
+        self._span = span
+        self._robot = robot
+        self._codec = Codec(Definitions())
+
+    @property
+    def words(self) -> str:
+        """What it is, in words."""
+        return f"bag {self._name}, {self.duration_s:g} s"
+
+    @property
+    def duration_s(self) -> float:
+        """How much time it covers."""
+        return (self._span.end_ns - self._span.start_ns) / 1e9
+
+    @property
+    def codec(self) -> Codec:
+        """Reads its samples, with the definitions of the bag."""
+        return self._codec
+
+    async def type_of(self, topic: str) -> str:
+        """The type of a topic; raises as `Source.type_of`."""
+        return (await self._learn(topic)).type
+
+    async def windows(
+        self, topics: Sequence[str], report: Report = silent, *, times_only: bool = False
+    ) -> Sequence[Window | Missing]:
+        """A window for each topic; where there is too much, the newest samples, and the others are counted."""
+        found: list[Window | Missing] = []
+        for number, name in enumerate(topics):
+            await report(float(number), float(len(topics)), f"reading {name}")
+            try:
+                topic = await self._learn(name)
+                found.append(await asyncio.to_thread(self._window, topic, MAX_BYTES // len(topics), times_only))
+            except RobotError as error:
+                found.append(Missing(name, error))
+        return found
+
+    @asynccontextmanager
+    async def follow(self, topic: str) -> AsyncGenerator[Stream, None]:
+        """Every sample of a topic in order."""
+        stored = await self._learn(topic)
+        counts = [0]
+        yield Stream(
+            stored.name, stored.type, self._codec, (), self._batches(stored.name, counts), lambda: Counts(counts[0])
+        )
+
+    async def scene(self) -> Scene:
+        """The topics with what their publishers offered; nodes and services are not in a bag."""
+
+        def read() -> dict[str, TopicEndpoints]:
+            with self._memory.reading(self._name) as bag:
+                return {topic.name: TopicEndpoints(topic.name, _publishers(topic), ()) for topic in bag.topics.values()}
+
+        return Scene(await asyncio.to_thread(read), None, None)
+
+    async def _learn(self, name: str) -> StoredTopic:
+        topic = await asyncio.to_thread(self._topic, name)
+        if not self._codec.definitions.knows(topic.type):
+            self._codec.definitions.add(await definitions_of(topic, self._robot))
+        return topic
+
+    def _topic(self, name: str) -> StoredTopic:
+        with self._memory.reading(self._name) as bag:
+            return find_topic(bag, names.absolute(name))
+
+    def _window(self, topic: StoredTopic, max_bytes: int, times_only: bool) -> Window:
+        span = replace(self._span, topics=(topic.name,))
+        kept: list[Sample] = []
+        size = received = 0
+        with self._memory.reading(self._name) as bag:
+            for _, sample in bag.messages(span, newest_first=True):
+                received += 1
+                size += 0 if times_only else len(sample.data)
+                if len(kept) < MAX_SAMPLES and (size <= max_bytes or not kept):
+                    kept.append(replace(sample, data=b"") if times_only else sample)
+            kept += _latched_before(bag, topic, span)
+        start_ns, end_ns = self._span.start_ns, self._span.end_ns
+        dropped = max(received - len(kept), 0)
+        return Window(
+            topic.name, topic.type, self._codec, kept[::-1], start_ns, end_ns, received, dropped, source=self.words
+        )
+
+    async def _batches(self, topic: str, counts: list[int]) -> AsyncIterator[Sequence[Sample]]:
+        after = replace(self._span, topics=(topic,))
+        messages: Iterator[tuple[str, Sample]] | None = None
+
+        def following() -> list[Sample]:
+            nonlocal messages
+            with self._memory.reading(self._name) as bag:
+                messages = messages or bag.messages(after)
+                return [sample for _, sample in islice(messages, _BATCH)]
+
+        while batch := await asyncio.to_thread(following):
+            counts[0] += len(batch)
+            yield batch
+
+
+async def open_source(
+    memory: Memory, bag: str, start: str = "", end: str = "", robot: Robot | None = None
+) -> BagSource:
+    """A bag, or the part of it between two moments (as `moments.span_of` reads them), as a `Source`.
+
+    Raises:
+        NotFound: if there is no such bag.
+        BadData: if nothing of it can be read.
+        BadValue: if a moment cannot be understood.
+    """
+    return BagSource(memory, bag, await asyncio.to_thread(_bounds, memory, bag, start, end), robot)
+
+
+def _bounds(memory: Memory, name: str, start: str, end: str) -> Span:
+    """The part as times that the bag really has."""
+    with memory.reading(name) as bag:
+        span = span_in(bag, start, end)
+        first_ns, last_ns = bag.times or (0, 0)
+        return replace(span, start_ns=max(span.start_ns, first_ns), end_ns=min(span.end_ns, last_ns + 1))
+
+
+def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
+    if not any(word in topic.qos for word in _LATCHED):
+        return []
+    return bag.last(topic.name, 1, replace(span, start_ns=0, end_ns=span.start_ns))
+
+
+def _publishers(topic: StoredTopic) -> list[Endpoint]:
+    durability = "transient_local" if any(word in topic.qos for word in _LATCHED) else "volatile"
+    profiles = max(topic.qos.count("history:"), 1)
+    return [Endpoint("(recorded)", topic.type, "", "", QoS("unknown", durability, depth=None))] * profiles

@@ -1,0 +1,52 @@
+"""The real server with a folder of its own for recordings, and an independent node that publishes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent / "server"))  # the tests import their neighbours
+
+from agent import Agent, agent_for  # noqa: E402
+
+StartAgent = Callable[..., Agent]
+StartPeer = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def start_agent(ros_environment: dict[str, str], tmp_path: Path) -> Iterator[StartAgent]:
+    """Start a server of this test's own, which records below `tmp_path`."""
+    with ExitStack() as running:
+
+        def begin(*options: str) -> Agent:
+            given = ("--tools", "all", "--record-dir", str(tmp_path), *options)
+            return running.enter_context(agent_for(ros_environment, *given))
+
+        yield begin
+
+
+@pytest.fixture
+def start_peer(ros_environment: dict[str, str]) -> Iterator[StartPeer]:
+    """Start `memory_peer.py`; it is ready when this returns."""
+    peers: list[subprocess.Popen[str]] = []
+
+    def begin(*arguments: str) -> subprocess.Popen[str]:
+        command = [sys.executable, str(HERE / "memory_peer.py"), *arguments]
+        peer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ros_environment)
+        peers.append(peer)
+        assert peer.stdout
+        assert peer.stdout.readline() == "ready\n"
+        return peer
+
+    yield begin
+    for peer in peers:
+        peer.kill()
+        peer.communicate(timeout=5)

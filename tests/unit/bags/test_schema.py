@@ -1,0 +1,62 @@
+"""The definitions in a bag say the same as those they were made from."""
+
+from __future__ import annotations
+
+from ros2_mcp.bags.schema import definitions_in, schema_text
+from ros2_mcp.codec.definitions import Definitions, DefinitionText
+
+TEXTS = {
+    "demo/msg/All": DefinitionText(
+        "msg",
+        'char LETTER=65\nstring NAME="it\'s"\nbool YES=true\nfloat64 PI=3.14\n'
+        "std_msgs/Header header\nPoint[<=3] points  # where\nstring<=10[2] names ['a', 'b']\n"
+        "char c\nwstring w\nfloat32 x 1.5\n",
+    ),
+    "demo/msg/Point": DefinitionText("msg", "float64 x\nfloat64 y\n"),
+    "std_msgs/msg/Header": DefinitionText("msg", "builtin_interfaces/Time stamp\nstring frame_id\n"),
+    "demo/action/Go": DefinitionText("action", "int32 goal\n---\nbool done\n---\ndemo/Point where\n"),
+}
+
+
+def known() -> Definitions:
+    definitions = Definitions()
+    definitions.add(TEXTS)
+    return definitions
+
+
+def again(type_name: str) -> Definitions:
+    """Definitions that know only what the schema's text says."""
+    fresh = Definitions()
+    fresh.add(definitions_in(type_name, "ros2msg", schema_text(known().interface(type_name))))
+    return fresh
+
+
+def fields(definitions: Definitions, type_name: str) -> list[tuple[str, str]]:
+    named = [(field.name, field.type.replace("char", "uint8")) for field in definitions.structure(type_name).fields]
+    constants = [(constant.name, str(constant.value)) for constant in definitions.structure(type_name).constants]
+    return named + constants
+
+
+def test_a_message_keeps_fields_bounds_and_constants() -> None:
+    fresh = again("demo/msg/All")
+    for name in ("demo/msg/All", "demo/msg/Point", "std_msgs/msg/Header"):
+        assert fields(fresh, name) == fields(known(), name)
+
+
+def test_feedback_of_an_action_can_be_read_from_the_bag_alone() -> None:
+    name = "demo/action/Go_FeedbackMessage"
+    fresh = again(name)
+    assert fields(fresh, name) == fields(known(), name)
+    assert fields(fresh, "demo/action/Go_Feedback") == [("where", "demo/msg/Point")]
+
+
+def test_texts_of_rosbag2_with_idl_parts_are_split() -> None:
+    line = "=" * 80
+    idl = "module demo { module msg { struct A { double x; }; }; };\n"
+    text = f"{line}\nIDL: demo/msg/A\n{idl}{line}\nMSG: demo/B\nfloat64 y\n"
+    found = definitions_in("demo/msg/A", "ros2idl", text)
+    assert {name: each.format for name, each in found.items()} == {"demo/msg/A": "idl", "demo/msg/B": "msg"}
+
+
+def test_what_is_not_known_gives_nothing() -> None:
+    assert definitions_in("demo/msg/A", "protobuf", "message A {}") == {}
