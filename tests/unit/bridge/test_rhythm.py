@@ -31,6 +31,11 @@ def test_a_source_of_just_the_rate_passes_whole() -> None:
     assert passed(10.0, times) == times
 
 
+def test_what_a_short_stall_of_the_source_missed_is_made_up_for() -> None:
+    times = [number / 200 for number in range(4000) if number % 40 >= 8]  # 40 ms of silence, five times a second
+    assert len(passed(140.0, times)) == pytest.approx(2800, rel=0.01)
+
+
 def test_a_silence_is_not_made_up_for() -> None:
     burst = [100 + number / 1000 for number in range(1000)]
     assert len(passed(10.0, [0.0, *burst])) <= 13
