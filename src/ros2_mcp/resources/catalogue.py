@@ -42,7 +42,7 @@ class Declared:
     @property
     def name(self) -> str:
         """A short name."""
-        return self.read.__name__.replace("_", "-")
+        return self.read.__name__.removeprefix("all_").replace("_", "-")
 
     @cached_property
     def template(self) -> UriTemplate:
