@@ -113,6 +113,25 @@ def test_a_killed_server_has_lost_at_most_one_second(
     assert max(worst.values()) <= 1.0
 
 
+def test_a_recording_goes_on_with_the_next_bridge(
+    start_agent: StartAgent, start_peer: StartPeer, tmp_path: Path
+) -> None:
+    start_peer("stream", "/some:50:100")
+    agent = start_agent()
+    agent.call("ros2_record_start", topics=["/some"], name="run")
+    until(lambda: written(agent, "run") > 20)
+    server = server_pid()
+    bridges = Path(f"/proc/{server}/task/{server}/children").read_text().split()
+    for pid in bridges:
+        os.kill(int(pid), signal.SIGKILL)
+    before = written(agent, "run")
+    until(lambda: written(agent, "run") > before + 20, 20.0)
+    state = agent.call("ros2_record_stop", recording_id="run")
+    assert state["notes"]
+    with Bag(tmp_path / "run") as bag:
+        assert bag.problems == []
+
+
 def test_a_server_that_is_told_to_end_closes_its_recording(
     start_agent: StartAgent, start_peer: StartPeer, tmp_path: Path
 ) -> None:
