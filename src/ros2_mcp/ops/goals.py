@@ -190,7 +190,7 @@ class _Goal:
     async def _ending(self, feedback: _Feedback, timeout_s: float) -> GoalResult:
         following = asyncio.create_task(feedback.follow())
         try:
-            return await request_result(self._robot, self._action, self._type, self._id, timeout_s=timeout_s)
+            return await _result(self._robot, self._action, self._type, self._id, timeout_s, SERVER_S)
         finally:
             following.cancel()
             await feedback.drain()
@@ -256,20 +256,28 @@ async def request_result(
     """
     action = names.absolute(action, "action")
     wait_s = MAX_WAIT_S if timeout_s is None else bounded("timeout_sec", timeout_s, 0.0, MAX_WAIT_S, "s")
-    raw_id = goal_id_bytes(goal_id)
-    goal_id = goal_id_hex(raw_id)
-    if not (action_type and action not in await action_types(robot)):
+    goal_id = goal_id_hex(goal_id_bytes(goal_id))
+    if action_type and action not in await action_types(robot):
+        action_type = names.interface_type(action_type, "action")  # its server may still have to appear
+    else:
         action_type = await resolve_type(robot, action, action_type)
-    service, service_type = f"{action}/_action/get_result", f"{names.interface_type(action_type, 'action')}_GetResult"
+    async with reporting(report, wait_s, f"waiting for the result of {action}"):
+        return await _result(robot, action, action_type, goal_id, timeout_s, wait_for_service_s)
+
+
+async def _result(
+    robot: Robot, action: str, action_type: str, goal_id: str, timeout_s: float | None, wait_for_service_s: float
+) -> GoalResult:
+    service, service_type = f"{action}/_action/get_result", f"{action_type}_GetResult"
+    wait_s = MAX_WAIT_S if timeout_s is None else timeout_s
     try:
-        async with reporting(report, wait_s, f"waiting for the result of {action}"):
-            answer = await robot.inquire(
-                service,
-                service_type,
-                {"goal_id": {"uuid": raw_id}},
-                timeout_s=max(wait_s, _AT_LEAST_S),
-                wait_s=wait_for_service_s,
-            )
+        answer = await robot.inquire(
+            service,
+            service_type,
+            {"goal_id": {"uuid": goal_id_bytes(goal_id)}},
+            timeout_s=max(wait_s, _AT_LEAST_S),
+            wait_s=wait_for_service_s,
+        )
     except NotFound as error:
         raise NotFound(f"The server of {action} is not there, or left before the goal ended.") from error
     except TimedOut:
