@@ -36,7 +36,8 @@ class Cancellation:
 
     def summary(self) -> str:
         """One line."""
-        return f"{self.return_code_text}: {len(self.goals_canceling)} goal(s) are being cancelled. {self.note}".rstrip()
+        refused = f"{self.return_code_text}: " if self.return_code else ""
+        return f"{refused}{len(self.goals_canceling)} goal(s) are being cancelled. {self.note}".rstrip()
 
 
 async def cancel(

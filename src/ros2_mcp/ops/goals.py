@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from ros2_mcp.model.goals import (
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.actions import action_types, resolve_type
 from ros2_mcp.ops.cancelling import cancel
-from ros2_mcp.ops.results import Report, reporting, silent
+from ros2_mcp.ops.results import Report, in_words, reporting, silent
 from ros2_mcp.robot import Listening, Robot
 
 MAX_WAIT_S = 3600.0
@@ -32,7 +31,6 @@ SERVER_S = 3.0
 ACCEPT_S = 10.0
 _AT_LEAST_S = 0.1
 _LAST_FEEDBACK_S = 0.02
-_LINE_PART = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +115,7 @@ class _Goal:
 
     def __init__(self, robot: Robot, action: str, action_type: str, goal_id: str) -> None:
         self._robot, self._action, self._type, self._id = robot, action, action_type, goal_id
+        self._left_out = ""
 
     async def send_and_wait(self, goal: Mapping[str, Any], timeout_s: float, report: Report) -> GoalOutcome:
         topic, kind = f"{self._action}/_action/feedback", f"{self._type}_FeedbackMessage"
@@ -139,7 +138,7 @@ class _Goal:
             result=ended.result,
             feedback_count=feedback.count,
             last_feedback=feedback.last,
-            note=ended.note,
+            note=f"{self._left_out} {ended.note}".strip(),
         )
 
     async def submit(self, goal: Mapping[str, Any]) -> tuple[bool, dict[str, Any]]:
@@ -147,6 +146,8 @@ class _Goal:
         service = f"{self._type}_SendGoal"
         request = {"goal_id": {"uuid": goal_id_bytes(self._id)}, "goal": dict(goal)}
         await self._robot.values.encode(f"{self._type}_Goal", goal)
+        missing = self._robot.values.missing_fields(f"{self._type}_Goal", goal)
+        self._left_out = f"Sent with their default values: {', '.join(missing)}." if missing else ""
         await self._robot.values.learn(CANCEL_TYPE)
         self._robot.goal_sent(self._id, self._action, self._type)
         name = f"{self._action}/_action/send_goal"
@@ -182,7 +183,7 @@ class _Goal:
             "result": None,
             "feedback_count": 0,
             "last_feedback": None,
-            "note": "" if accepted else "The action server rejected the goal.",
+            "note": self._left_out if accepted else "The action server rejected the goal; ros2_log_read may tell why.",
         }
         since = stamp if accepted else None
         return GoalOutcome(self._action, self._type, accepted, self._id, since, **{**defaults, **known})
@@ -210,7 +211,7 @@ class _Feedback:
         started = monotonic()
         while True:
             self._take(await self._heard.take(1.0))
-            line = "no feedback yet" if self.last is None else _line(self.last)
+            line = "no feedback yet" if self.last is None else in_words(self.last)
             await self._report(monotonic() - started, self._timeout_s, line)
 
     async def drain(self) -> None:
@@ -224,18 +225,6 @@ class _Feedback:
             if goal_id_hex(message["goal_id"]["uuid"]) == self._goal_id:
                 self.count += 1
                 self.last = message["feedback"]
-
-
-def _line(feedback: Mapping[str, Any]) -> str:
-    """Feedback as a readable line of its values; long ones are cut."""
-    return ", ".join(f"{name} {_brief(value)}" for name, value in feedback.items())
-
-
-def _brief(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.3g}"
-    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= _LINE_PART else f"{text[:_LINE_PART]}…"
 
 
 async def request_result(

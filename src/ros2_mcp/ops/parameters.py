@@ -13,6 +13,7 @@ from ros2_mcp.ops.nodes import list_nodes
 from ros2_mcp.robot import Robot
 
 TIMEOUT_S = 5.0
+_DISCOVERY_S = 6.0
 _APPEAR_S = 1.0
 
 
@@ -229,18 +230,26 @@ def _range(descriptor: Mapping[str, Any]) -> dict[str, Any] | None:
     return None
 
 
+async def _time_to_appear(robot: Robot) -> float:
+    """How long a service may take to be seen: the younger the bridge, the longer. Services come after their nodes."""
+    uptime_s = float((await robot.graph.ask("stats")).ok["uptime_s"])
+    return max(_APPEAR_S, _DISCOVERY_S - uptime_s)
+
+
 async def _call(robot: Robot, node: str, service: str, request: Mapping[str, Any]) -> dict[str, Any]:
     """One of a node's parameter services; the response in full."""
     from ros2_mcp.codec.render import RenderOptions
 
     kind = "rcl_interfaces/srv/" + "".join(word.capitalize() for word in service.split("_"))
     ask = robot.call if service.startswith("set_") else robot.inquire
+    wait_s = await _time_to_appear(robot)
     try:
-        answer = await ask(f"{node}/{service}", kind, request, timeout_s=TIMEOUT_S, wait_s=_APPEAR_S)
+        answer = await ask(f"{node}/{service}", kind, request, timeout_s=TIMEOUT_S, wait_s=wait_s)
     except NotFound as error:
         known = (await list_nodes(robot, include_hidden=True)).nodes
         if node in known:
-            raise NotFound(f"{node} offers no parameters.", "It was built without parameter services.") from error
+            hint = "It was started without them, or has only just come up: then try again."
+            raise NotFound(f"{node} shows no parameter services.", hint) from error
         raise NotFound(f"There is no node {node}.", names.did_you_mean(node, known)) from error
     except TimedOut as error:
         raise TimedOut(f"{node} did not answer within {TIMEOUT_S:g} s: it is busy or hangs.") from error

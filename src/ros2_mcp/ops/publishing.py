@@ -9,10 +9,11 @@ from time import monotonic
 from typing import Any
 
 from ros2_mcp.guard.policy import MAX_DURATION_S, MAX_RATE_HZ, bounded
+from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.topics import mismatches
-from ros2_mcp.robot import Robot, Sent
+from ros2_mcp.robot import VELOCITY_TYPES, Robot, Sent
 
 MATCH_S = 1.0
 
@@ -140,6 +141,8 @@ async def _note(robot: Robot, sent: Sent) -> str:
         ours = [publisher for publisher in there.publishers if publisher.node == own]
         reasons = mismatches(ours, there.subscribers)
         notes.append("Nobody received it." if not reasons else f"Nobody received it: {' '.join(reasons)}")
+        if not there.subscribers:
+            notes.append(await _likely_typo(robot, sent.topic))
     if sent.acked is False:
         notes.append("Not every subscriber has acknowledged it in time.")
     if sent.late:
@@ -148,4 +151,16 @@ async def _note(robot: Robot, sent: Sent) -> str:
         notes.append("It was ended before its time.")
     if sent.stopped_with_zero:
         notes.append("A zero command was sent at the end.")
-    return " ".join(notes)
+    elif sent.type in VELOCITY_TYPES and sent.matched:
+        notes.append(
+            "No zero command follows: unless this was one, the robot moves until its own time-out. For a bounded move "
+            "give frequency and duration."
+        )
+    return " ".join(filter(None, notes))
+
+
+async def _likely_typo(robot: Robot, topic: str) -> str:
+    """The topic with subscribers that was most likely meant; nothing if none is near."""
+    listened_to = [name for name, _, _, subscribers in (await robot.graph.query("topics"))["topics"] if subscribers]
+    near = names.nearest(topic, [name for name in listened_to if name != topic])
+    return f"Did you mean {near}?" if near else ""

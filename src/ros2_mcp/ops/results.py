@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+import json
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import datetime, timezone
@@ -15,6 +16,8 @@ from ros2_mcp.model.pictures import Picture
 
 Report = Callable[[float, float, str], Awaitable[None]]
 """Told of progress: done so far, the whole, and a readable line."""
+
+_LINE_PART = 60
 
 HIDDEN = {"hidden": True}
 """Metadata of a result's field that is not part of its JSON, such as a picture."""
@@ -95,3 +98,15 @@ def iso_time(unix_ns: int) -> str:
     """A Unix time in nanoseconds as ISO 8601 in UTC with microseconds."""
     moment = datetime.fromtimestamp(unix_ns // 1000 / 1e6, tz=timezone.utc)
     return moment.isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+def in_words(values: Mapping[str, Any]) -> str:
+    """An object's values as one readable line; long ones are cut."""
+    return ", ".join(f"{name} {_brief(value)}" for name, value in values.items())
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _LINE_PART else f"{text[:_LINE_PART]}…"

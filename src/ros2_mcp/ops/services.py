@@ -10,7 +10,7 @@ from typing import Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound, TypeConflict, UnknownInterface
-from ros2_mcp.ops.results import Report, reporting, silent
+from ros2_mcp.ops.results import Report, in_words, reporting, silent
 from ros2_mcp.robot import Robot
 
 _INFRASTRUCTURE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
@@ -58,7 +58,7 @@ class ServiceAnswer:
         """One line."""
         if not self.called:
             return f"{self.service_name} was not called. {self.note}"
-        return f"{self.service_name} answered in {self.elapsed * 1000:.1f} ms. {self.note}".rstrip()
+        return f"{self.service_name} answered: {in_words(self.result or {}) or 'nothing'}. {self.note}".rstrip()
 
 
 async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> ServiceList:

@@ -17,28 +17,41 @@ ENDED_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class StoppedTopic:
-    """A topic that got a zero command; `acknowledged` is null where that is not known."""
+    """A topic that got a zero command.
+
+    `acknowledged` is null where that is not known. `others` are nodes that publish on it too: what they send still
+    moves the robot.
+    """
 
     topic_name: str
     subscribers: int
     acknowledged: bool | None
+    others: Sequence[str] = ()
     error: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class StoppedGoal:
-    """A goal that was asked to be cancelled, and its status when the waiting ended; `confirmed` once it has ended."""
+    """A goal that was asked to be cancelled, and its status when the waiting ended; `confirmed` once it has ended.
+
+    `cancelled` is false for one that had ended already.
+    """
 
     action_name: str
     goal_id: str
     status: str
     confirmed: bool
+    cancelled: bool = False
     error: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """What was stopped. `confirmed` is true if every zero command reached a subscriber and every goal ended."""
+    """What was stopped.
+
+    `confirmed` is true if every zero command reached those who listen, nobody else publishes on those topics, and
+    every goal has ended.
+    """
 
     repeats_stopped: int
     relays_stopped: int
@@ -49,10 +62,11 @@ class Stopped:
 
     def summary(self) -> str:
         """One line."""
+        cancelled = sum(goal.cancelled for goal in self.goals)
         return (
             f"{'Stopped' if self.confirmed else 'NOT confirmed'}: {self.repeats_stopped} repeated publication(s) and "
-            f"{self.relays_stopped} relay(s) ended, zero on {len(self.topics)} topic(s), {len(self.goals)} goal(s) "
-            f"cancelled. {self.note}"
+            f"{self.relays_stopped} relay(s) ended, zero on {len(self.topics)} topic(s), {cancelled} goal(s) "
+            f"cancelled, {len(self.goals) - cancelled} had ended already. {self.note}"
         ).rstrip()
 
 
@@ -68,9 +82,14 @@ async def stop(robot: Robot) -> Stopped:
         asyncio.gather(*(_zero(robot, topic, kind) for topic, kind in robot.driven.zeros)),
         asyncio.gather(*(_cancel(robot, goal) for goal in robot.goals.open.values())),
     )
-    confirmed = all(topic.subscribers and topic.acknowledged is not False for topic in topics)
-    confirmed = confirmed and all(goal.confirmed for goal in ended)
+    confirmed = all(_is_still(topic) for topic in topics) and all(goal.confirmed for goal in ended)
     return Stopped(repeats, relays, topics, ended, confirmed, _note(repeats + relays, topics, ended))
+
+
+def _is_still(topic: StoppedTopic) -> bool:
+    """Whether nothing can come on it any more; where nobody listens, nothing had to arrive."""
+    arrived = not topic.subscribers or topic.acknowledged is not False
+    return arrived and not topic.others and not topic.error
 
 
 def _note(streams: int, topics: Sequence[StoppedTopic], ended: Sequence[StoppedGoal]) -> str:
@@ -79,15 +98,23 @@ def _note(streams: int, topics: Sequence[StoppedTopic], ended: Sequence[StoppedG
     unheard = [topic.topic_name for topic in topics if not topic.subscribers and not topic.error]
     errors = [entry.error for entry in (*topics, *ended) if entry.error]
     running = [f"Goal {goal.goal_id} has not ended yet." for goal in ended if not goal.confirmed and not goal.error]
-    return " ".join([*(f"Nobody subscribes to {topic} now." for topic in unheard), *errors, *running])
+    others = [
+        f"{', '.join(topic.others)} also publishes on {topic.topic_name}: the robot may still move."
+        for topic in topics
+        if topic.others
+    ]
+    return " ".join([*others, *(f"Nobody subscribes to {topic} now." for topic in unheard), *errors, *running])
 
 
 async def _zero(robot: Robot, topic: str, kind: str) -> StoppedTopic:
     try:
         sent = await robot.publish(topic, kind, {}, wait_match_s=0.2, wait_ack_s=0.5)
+        there = await robot.graph.endpoints(topic)
     except RobotError as error:
-        return StoppedTopic(topic, 0, False, str(error))
-    return StoppedTopic(topic, sent.matched, sent.acked)
+        return StoppedTopic(topic, 0, False, error=str(error))
+    own = robot.bridge.hello.node if robot.bridge.hello else ""
+    others = sorted({publisher.node for publisher in there.publishers if publisher.node != own})
+    return StoppedTopic(topic, sent.matched, sent.acked, others)
 
 
 async def _cancel(robot: Robot, goal: SentGoal) -> StoppedGoal:
@@ -97,9 +124,9 @@ async def _cancel(robot: Robot, goal: SentGoal) -> StoppedGoal:
         ended = await goals.request_result(robot, goal.action, goal.action_type, goal.goal_id, timeout_s=ENDED_S)
     except NotFound as error:
         robot.goal_ended(goal.goal_id)
-        return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, str(error))
+        return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, error=str(error))
     except RobotError as error:
-        return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, str(error))
+        return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, error=str(error))
     is_unknown = answer.return_code == cancelling.UNKNOWN_GOAL and ended.status == STATUS[0]
     confirmed = is_unknown or ended.status_code in TERMINAL
-    return StoppedGoal(goal.action, goal.goal_id, ended.status, confirmed)
+    return StoppedGoal(goal.action, goal.goal_id, ended.status, confirmed, bool(answer.goals_canceling))

@@ -3,7 +3,7 @@
 Everything above speaks names and JSON values; everything below speaks bytes.
 """
 
-from ros2_mcp.robot.door import Robot
+from ros2_mcp.robot.door import VELOCITY_TYPES, Robot
 from ros2_mcp.robot.exchange import Answer, Listening, Sent, TopicEndpoints
 
-__all__ = ["Answer", "Listening", "Robot", "Sent", "TopicEndpoints"]
+__all__ = ["VELOCITY_TYPES", "Answer", "Listening", "Robot", "Sent", "TopicEndpoints"]

@@ -60,7 +60,11 @@ async def ros2_health_check(
     return await health.check_health(Live(robot, rate_check_duration_sec), expected, report)
 
 
-@tool(title="Statistics of numeric fields", risk="read", group="measure", by_default=False)
+@tool(
+    title="Statistics of numeric fields",
+    risk="read",
+    group="measure",
+)
 async def ros2_topic_statistics(
     robot: Robot,
     report: Report,

@@ -21,7 +21,7 @@ from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
@@ -109,11 +109,16 @@ def services(peer: Peer) -> None:
         response.string_value, response.int64_value = request.string_value, request.int64_value
         return response
 
+    def serial(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        time.sleep(0.03)
+        return switch(request, response)
+
     def fatal(_request: SetBool.Request, _response: SetBool.Response) -> Any:
         os._exit(1)
 
     for kind, name, callback in ((SetBool, "switch", switch), (BasicTypes, "slow", slow), (SetBool, "fatal", fatal)):
         peer.keep(peer.node.create_service(kind, name, callback, callback_group=peer.group))
+    peer.keep(peer.node.create_service(SetBool, "serial", serial, callback_group=MutuallyExclusiveCallbackGroup()))
 
 
 def actions(peer: Peer) -> None:

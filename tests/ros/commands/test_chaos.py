@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 import pytest
-from agent import FULL
+from agent import FULL, Refusal
 
 ROUNDS = 200 if FULL else 5
 UNKNOWN_ID = "0123456789abcdef" * 2
@@ -36,10 +36,10 @@ def test_a_service_server_that_is_killed_during_a_call(agent, start_peer) -> Non
     """Killed, it cannot say so: the call ends with its time-out."""
     for _ in range(ROUNDS):
         peer = start_peer("dumb")
-        call = agent.begin("ros2_service_call", service_name=peer.name("mute"), fields={"data": True}, timeout_sec=0.6)
-        time.sleep(random.uniform(0.1, 0.3))
+        call = agent.begin("ros2_service_call", service_name=peer.name("mute"), fields={"data": True}, timeout_sec=1.0)
+        time.sleep(random.uniform(0.3, 0.5))
         peer.kill()
-        assert str(call.exception(5)) == f"TimedOut: {peer.name('mute')} did not answer within 0.6 s."
+        assert str(call.exception(5)) == f"TimedOut: {peer.name('mute')} did not answer within 1 s."
 
 
 def test_a_service_server_that_never_answers(agent, robot) -> None:
@@ -71,7 +71,11 @@ def test_an_action_server_that_is_killed_while_executing_and_started_again(agent
 def status(agent, action: str, goal_id: str) -> str:
     """Asked briefly: until the new server is discovered, the killed one is asked, which never answers."""
     asked = {"action_name": action, "goal_id_hex": goal_id, "timeout_sec": 0.5}
-    return agent.call("ros2_action_request_result", **asked)["status"]
+    try:
+        return agent.call("ros2_action_request_result", **asked)["status"]
+    except Refusal as refusal:
+        assert str(refusal).startswith("NotFound: ")
+        return "NOT THERE"
 
 
 def test_an_action_server_that_leaves_while_executing(agent, start_peer) -> None:
@@ -79,6 +83,7 @@ def test_an_action_server_that_leaves_while_executing(agent, start_peer) -> None
         peer = start_peer("raw")
         waiting = begin_goal(agent, peer.name("raw"), 1, 20.0)
         wait_until(lambda peer=peer: peer.count(name="raw"))
+        time.sleep(0.2)  # that it accepts takes its way
         peer.leave()
         said = str(waiting.exception(8))
         assert said.startswith(f"NotFound: The server of {peer.name('raw')} is not there, or left before the goal")

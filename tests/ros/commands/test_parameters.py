@@ -68,7 +68,7 @@ def test_parameters_of_several_nodes_are_listed_at_once_with_what_their_descript
     assert found["steps"]["range"] == {"from": 0, "to": 10, "step": 5}
     assert (found["serial"]["read_only"], found["serial"]["range"]) == (True, None)
     assert opened["error"] == ""
-    assert dumb["error"].startswith(f"{robot.name('dumb')} offers no parameters.")
+    assert dumb["error"].startswith(f"{robot.name('dumb')} shows no parameter services.")
     assert nobody["error"].startswith(f"There is no node {robot.name('nobody')}.")
     assert deaf["error"] == f"{robot.name('deaf')} did not answer within 5 s: it is busy or hangs."
 

@@ -176,6 +176,15 @@ def test_a_hundred_calls_in_flight_are_all_answered_each_with_its_own(agent, rob
     assert [call.result(30)["result"]["int64_value"] for call in calls] == list(range(100))
 
 
+def test_more_calls_than_the_queue_of_a_slow_server_holds_are_all_answered(agent, robot) -> None:
+    """A server that takes one request after the other loses what does not fit its queue of ten."""
+    calls = [
+        agent.begin("ros2_service_call", service_name=robot.name("serial"), fields={"data": True}, timeout_sec=20)
+        for _ in range(40)
+    ]
+    assert all(call.result(30)["result"]["success"] for call in calls)
+
+
 def test_a_slow_call_does_not_delay_others(agent, robot) -> None:
     slow = agent.begin(
         "ros2_service_call", service_name=robot.name("slow"), fields=slow_request("x", 1.5), force_call=True

@@ -121,7 +121,7 @@ def test_stop_waits_behind_nothing_and_says_what_was_confirmed(start_raw, field,
     assert time.monotonic() - started < 0.5
     assert nonzero(field)[-1] - started < 0.1
     assert (result["confirmed"], result["repeats_stopped"]) == (True, 1)
-    topic = {"topic_name": field.name("cmd_vel"), "subscribers": 1, "acknowledged": True, "error": ""}
+    topic = {"topic_name": field.name("cmd_vel"), "subscribers": 1, "acknowledged": True, "others": [], "error": ""}
     assert result["topics"] == [topic]
     assert [(g["action_name"], g["status"], g["confirmed"]) for g in result["goals"]] == [
         (field.name("count"), "CANCELED", True)
