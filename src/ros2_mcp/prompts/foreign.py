@@ -69,8 +69,9 @@ class BasePromptHandler:
 @contextlib.contextmanager
 def stand_in() -> Generator[None]:
     """Offers `server.prompthandler` for the time of an import, where no package `server` is installed."""
-    if "server" in sys.modules or importlib.util.find_spec("server") is not None:
-        yield
+    installed = importlib.util.find_spec("server") if "server" not in sys.modules else None
+    if "server" in sys.modules or (installed is not None and installed.origin is not None):
+        yield  # a mere folder of that name, which Python takes for a package without an origin, does not count
         return
     package, module = ModuleType("server"), ModuleType("server.prompthandler")
     package.__path__ = []
