@@ -6,15 +6,23 @@ from __future__ import annotations
 import time
 from contextlib import contextmanager
 from functools import partial
+from weakref import WeakKeyDictionary
 
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
 
+from .pace import Pace
 from .pool import Pool
 from .request import OperationError
 
 POLL_S = 0.1
 APPEARS_POLL_S = 0.005
+# A server that has just come up throws its answer away if it has not discovered our client yet.
+JUST_STARTED_S = 0.3
+KNOWS_US_S = 0.2
 GONE_AFTER_S = 0.3
+# The default depth of 10 loses responses where more are on their way at the same moment.
+MANY_AT_ONCE = QoSProfile(depth=500, reliability=QoSReliabilityPolicy.RELIABLE)
 
 
 class Clients:
@@ -23,6 +31,7 @@ class Clients:
     def __init__(self, node):
         self._node = node
         self.pool = Pool(node.destroy_client)
+        self._paces = WeakKeyDictionary()
 
     def call(self, request):
         """Send a request and wait for its response."""
@@ -32,9 +41,11 @@ class Clients:
         latest = started + request.number("within_s", wait_s + timeout_s)
         with self.use(request) as (client, message):
             yield from _wait_server(client, service, wait_s)
+            pace = self._paces.setdefault(client, Pace())
+            yield from pace.wait_turn(request, latest)
             sent_at = time.monotonic()
             future = client.call_async(message)
-            future.add_done_callback(lambda _: request.wake())
+            future.add_done_callback(lambda _: (pace.answered(request), request.wake()))
             try:
                 yield from _wait_response(client, service, future, timeout_s, latest)
             finally:
@@ -51,7 +62,7 @@ class Clients:
     def use(self, request):
         """The pooled client of the service that a request names, and the message to send."""
         message, interface, service = _deserialize(request), request.interface, request.text("service")
-        create = partial(self._node.create_client, interface, service)
+        create = partial(self._node.create_client, interface, service, qos_profile=MANY_AT_ONCE)
         with self.pool.use((service, interface), create) as (client, _):
             yield client, message
 
@@ -65,11 +76,14 @@ def _deserialize(request):
 
 
 def _wait_server(client, service, wait_s):
-    deadline = time.monotonic() + wait_s
+    started = time.monotonic()
+    deadline = started + wait_s
     while not client.service_is_ready():
         if time.monotonic() >= deadline:
             raise OperationError("not_found", f"No server of {service} appeared within {wait_s:g} s.")
         yield APPEARS_POLL_S
+    if time.monotonic() - started > JUST_STARTED_S:
+        yield KNOWS_US_S
 
 
 def _wait_response(client, service, future, timeout_s, latest):

@@ -1,0 +1,56 @@
+# pyright: basic
+"""How fast requests go to one service: its server loses those for which its queue, usually of 10, has no room."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+from .request import OperationError
+
+ROOM = 8
+TAKEN_EVERY_S = 0.05
+
+
+class Pace:
+    """Presumes that a server takes a request every 50 ms, and has taken those that it has answered.
+
+    So the first requests go out at once, the others as fast as they are answered, and at least 20 a second.
+    """
+
+    def __init__(self):
+        self._queue = deque()
+        self._untaken = deque()
+        self._taken_at = time.monotonic()
+
+    def wait_turn(self, request, latest):
+        """Steps that end when the request may be sent; `latest` is the time to give up, on the steady clock."""
+        self._queue.append(request)
+        try:
+            while self._queue[0] is not request or not self._has_room():
+                if time.monotonic() >= latest:
+                    raise OperationError("timeout", "It was not sent in time: too many others wait for their answers.")
+                yield TAKEN_EVERY_S
+            self._untaken.append(request)
+        finally:
+            self._queue.remove(request)
+            self._wake_next()
+
+    def answered(self, request):
+        """Its answer has come."""
+        if request in self._untaken:
+            self._untaken.remove(request)
+        self._wake_next()
+
+    def _has_room(self):
+        now = time.monotonic()
+        if not self._untaken:
+            self._taken_at = now
+        while self._untaken and now - self._taken_at >= TAKEN_EVERY_S:
+            self._untaken.popleft()
+            self._taken_at += TAKEN_EVERY_S
+        return len(self._untaken) < ROOM
+
+    def _wake_next(self):
+        if self._queue:
+            self._queue[0].wake()
