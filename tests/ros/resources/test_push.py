@@ -18,7 +18,7 @@ from raw_server import children
 
 WITHIN_S = 0.5
 FULL = bool(os.environ.get("ROS2_MCP_FULL"))
-TIMES = 20 if FULL else 6
+TIMES = 20 if FULL else 3
 UNREAD_S = 10.0 if FULL else 4.0
 SAID = "ros2://topic/events/said"
 FAST = "ros2://topic/events/fast"
