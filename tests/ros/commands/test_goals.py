@@ -60,7 +60,7 @@ def test_a_rejected_goal_says_so(agent, robot, wait) -> None:
     agent.call("ros2_stop")
     sent = send(agent, robot.name("reject"), 3, wait_for_result=wait)
     assert (sent["accepted"], sent["status_code"], sent["status"]) == (False, -1, "NOT_ACCEPTED")
-    assert sent["note"] .startswith("The action server rejected the goal")
+    assert sent["note"].startswith("The action server rejected the goal")
     assert agent.call("ros2_stop")["goals"] == []
 
 
