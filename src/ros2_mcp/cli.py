@@ -89,6 +89,7 @@ def _add_settings(top: argparse.ArgumentParser) -> None:
     memory = top.add_argument_group("memory")
     memory.add_argument("--record-dir", type=Path, metavar="DIR", help="for recordings (~/ros2-mcp/recordings)")
     memory.add_argument("--bag-dir", type=Path, metavar="DIR", help="where bags are read (default: the recordings)")
+    memory.add_argument("--bag", type=Path, metavar="FILE", help="a recording in the place of the robot; needs no ROS")
     memory.add_argument("--black-box", metavar="TOPICS", nargs="?", const="", help="always keep these (all small ones)")
     memory.add_argument("--black-box-bytes", type=int, metavar="N", help="at most so much of it (default: 10^9)")
     memory.add_argument("--black-box-hours", type=float, metavar="H", help="at most so long (default: 24)")
@@ -139,6 +140,7 @@ def settings_from(arguments: argparse.Namespace) -> Settings:
         "result_bytes": arguments.result_bytes,
         "record_dir": arguments.record_dir,
         "bag_dir": arguments.bag_dir,
+        "bag": arguments.bag,
         "black_box": _listed(arguments.black_box),
         "black_box_bytes": arguments.black_box_bytes,
         "black_box_hours": arguments.black_box_hours,

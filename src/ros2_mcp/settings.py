@@ -30,8 +30,8 @@ class Settings:
     packages that the bridge shall find besides those of its installation. `prompts` is a folder of prompts in Markdown.
     `custom_prompts` lets prompts in Python code be loaded: of installed packages, or, with `prompts_local`, of the
     module `prompts_module` in the folder `prompts_path`. Recordings are written below `record_dir`; bags are read there
-    and below `bag_dir`. `black_box` names the topics that are always kept (none: all but pictures and clouds), at most
-    so many bytes and hours of them; None keeps nothing.
+    and below `bag_dir`. `bag` is a recording that stands for the robot. `black_box` names the topics that are always
+    kept (none: all but pictures and clouds), at most so many bytes and hours of them; None keeps nothing.
     """
 
     transport: Transport = "stdio"
@@ -51,6 +51,7 @@ class Settings:
     cache_dir: Path = Path("~/.cache/ros2-mcp")
     record_dir: Path = Path("~/ros2-mcp/recordings")
     bag_dir: Path | None = None
+    bag: Path | None = None
     black_box: tuple[str, ...] | None = None
     black_box_bytes: int = 1_000_000_000
     black_box_hours: float = 24.0
@@ -107,6 +108,8 @@ def _checked(settings: Settings) -> Settings:
     _require_between("--black-box-bytes (ROS2_MCP_BLACK_BOX_BYTES)", settings.black_box_bytes, 1_000_000, 10**13)
     if not 0.01 <= settings.black_box_hours <= 10_000:
         raise BadInput(f"--black-box-hours is {settings.black_box_hours:g}.", "It must be from 0.01 to 10000.")
+    if settings.bag is not None and not settings.bag.expanduser().exists():
+        raise BadInput(f"--bag (ROS2_MCP_BAG): there is no {settings.bag}.", "Give a bag's file or folder.")
     if settings.domain_id is not None:
         _require_between("--domain-id (ROS_DOMAIN_ID)", settings.domain_id, 0, MAX_DOMAIN_ID)
     return settings
@@ -169,6 +172,7 @@ _VARIABLES: Mapping[str, tuple[str, Any]] = {
     "ROS2_MCP_PROMPTS": ("prompts", _path),
     "ROS2_MCP_RECORD_DIR": ("record_dir", _path),
     "ROS2_MCP_BAG_DIR": ("bag_dir", _path),
+    "ROS2_MCP_BAG": ("bag", _path),
     "ROS2_MCP_BLACK_BOX": ("black_box", _names),
     "ROS2_MCP_BLACK_BOX_BYTES": ("black_box_bytes", _number),
     "MCP_CUSTOM_PROMPTS": ("custom_prompts", _switch),

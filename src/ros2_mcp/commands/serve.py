@@ -40,7 +40,7 @@ def serve(settings: Settings) -> int:
     """Serves until the client goes away or the process is told to end."""
     gc.disable()  # looking for garbage among what is imported, where there is none, is a fifth of the start
     wire = claim_wire() if settings.transport == "stdio" else None
-    bridge = launch(settings)
+    bridge = None if settings.bag else launch(settings)
     asyncio.run(_serve(bridge, settings, wire))
     return 0
 
@@ -55,15 +55,19 @@ def launch(settings: Settings) -> Bridge:
     return bridge
 
 
-async def _serve(bridge: Bridge, settings: Settings, wire: Wire | None) -> None:
+async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None) -> None:
     from ros2_mcp.guard.policy import Policy
     from ros2_mcp.http import serve_http
     from ros2_mcp.ops.memory import Memory
+    from ros2_mcp.ops.recorded_robot import recorded_robot
     from ros2_mcp.robot import Robot
     from ros2_mcp.server import build_server, serve_stdio
 
-    robot = Robot(bridge, Policy(settings.read_only), settings.result_bytes)
-    memory = Memory(settings.record_dir, settings.bag_dir)
+    memory = Memory(settings.record_dir, settings.bag_dir, settings.bag)
+    if bridge is None:
+        robot = recorded_robot(memory, settings.result_bytes)
+    else:
+        robot = Robot(bridge, Policy(settings.read_only), settings.result_bytes)
     server = build_server(
         robot, groups=settings.tools, log_level=settings.log_level.upper(), settings=settings, memory=memory
     )
@@ -77,17 +81,20 @@ async def _until_told_to_end(robot: Robot, memory: Memory, settings: Settings, r
     from ros2_mcp.ops.black_box import keep_black_box
 
     told_to_end = asyncio.Event()
+    background: list[asyncio.Task[None]] = []
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(number, told_to_end.set)
-    await robot.bridge.attach()
-    robot.log.start()
-    keeping = asyncio.create_task(keep_black_box(robot, memory, settings))
+    if not memory.subject:
+        await robot.bridge.attach()
+        robot.log.start()
+        background.append(asyncio.create_task(keep_black_box(robot, memory, settings)))
     serving = asyncio.ensure_future(running)
     ending = asyncio.create_task(told_to_end.wait())
     try:
         await asyncio.wait({serving, ending}, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        keeping.cancel()
+        for task in background:
+            task.cancel()
         await memory.close()
         await robot.bridge.close()
     if serving.done():

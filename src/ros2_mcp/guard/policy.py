@@ -12,9 +12,10 @@ MAX_DURATION_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """The rules that hold for every command."""
+    """The rules that hold for every command. `recorded`: a recording stands for the robot."""
 
     read_only: bool = False
+    recorded: bool = False
 
     def require_write(self, what: str) -> None:
         """Raises `Refused` when this server may only read."""

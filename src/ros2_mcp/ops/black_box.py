@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.memory import BLACK_BOX, Memory
 from ros2_mcp.ops.recording import Recording, Wanted
 from ros2_mcp.robot import Robot
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from ros2_mcp.bags.recorder import Recorder
     from ros2_mcp.settings import Settings
 
-BLACK_BOX = "black-box"
-"""The recording's id and the bag's name."""
 LARGE_TYPES = frozenset(
     {
         "sensor_msgs/msg/Image",

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.ops.results import Report, silent
-from ros2_mcp.ops.statistics import MAX_DURATION_S, seconds
+from ros2_mcp.ops.statistics import seconds
 from ros2_mcp.ops.window import Missing, Source, Window
 
 if TYPE_CHECKING:
@@ -98,7 +98,6 @@ async def compare(
         BadValue: for a field that one of them does not have, or a number out of range.
         NotFound: if a topic is not there.
     """
-    bounded("duration_sec", source.duration_s, 0.1, MAX_DURATION_S, "s")
     bounded("tolerance_percent", tolerance_percent, 0.0, 100.0, "%")
     if topics[0].strip("/") == topics[1].strip("/"):
         raise BadInput(f"{topics[0]} is given twice.", "Give two topics.")

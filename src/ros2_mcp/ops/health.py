@@ -127,7 +127,6 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
         BadName: for an expected name that ROS does not allow.
         BadValue: if a number is out of range.
     """
-    bounded("rate_check_duration_sec", source.duration_s, 0.5, 60.0, "s")
     bounded("min_expected_rate_hz", expected.min_rate_hz, 0.0, 1000.0, "Hz")
     expected = _normalized(expected)
     scene = await source.scene()

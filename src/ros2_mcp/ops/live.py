@@ -11,6 +11,7 @@ from dataclasses import replace
 from time import monotonic
 from typing import TYPE_CHECKING
 
+from ros2_mcp.guard.policy import MAX_DURATION_S, bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.qos import Endpoint
@@ -35,6 +36,7 @@ class Live:
     """What the robot does from the moment of asking on, for `duration_s`."""
 
     def __init__(self, robot: Robot, duration_s: float) -> None:
+        bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
         self._robot = robot
         self._duration_s = duration_s
 

@@ -13,7 +13,8 @@ from typing import Any
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.results import iso_time, silent
+from ros2_mcp.ops.window import Missing, Source
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.log import LOG_TYPE, TOPIC, level_of
 
@@ -52,6 +53,7 @@ class Log:
     dropped: int
     listening_since: str
     note: str
+    source: str = "live"
 
     def summary(self) -> str:
         """One line."""
@@ -98,9 +100,31 @@ async def read(robot: Robot, wanted: Wanted) -> Log:
     )
 
 
+async def read_recorded(source: Source, wanted: Wanted, max_bytes: int) -> Log:
+    """Lines of /rosout that a recording has in the source's time; `since` has no meaning there.
+
+    Raises:
+        BadInput: for a level that cannot be.
+        NotFound: if /rosout was not recorded.
+    """
+    least = level_number(wanted.level)
+    (window,) = await source.windows([TOPIC], silent)
+    if isinstance(window, Missing):
+        raise window.error
+    messages = [window.decode(sample) for sample in window.samples if level_of(sample.data) >= least]
+    lines = [_line(message) for message in messages if _fits(message, wanted, 0)]
+    shown = _within(lines[-wanted.limit :], max_bytes)
+    note = f"The newest {len(shown)} are shown." if len(shown) < len(lines) else ""
+    begin = iso_time(window.start_ns)
+    return Log(shown, len(lines), len(window.samples), window.dropped, begin, note, source.words)
+
+
 def line_of(robot: Robot, sample: Sample) -> LogLine:
     """A line of /rosout whose type has been learnt."""
-    message: Any = robot.values.decode(LOG_TYPE, sample)
+    return _line(robot.values.decode(LOG_TYPE, sample))
+
+
+def _line(message: Any) -> LogLine:
     stamp_ns = message.stamp.sec * 1_000_000_000 + message.stamp.nanosec
     text = message.msg if len(message.msg) <= MAX_TEXT else f"{message.msg[:MAX_TEXT]}… ({len(message.msg)} characters)"
     return LogLine(
@@ -177,9 +201,12 @@ async def _listening(robot: Robot) -> None:
 
 def _matching(robot: Robot, sample: Sample, wanted: Wanted, since_ns: int) -> LogLine | None:
     message: Any = robot.values.decode(LOG_TYPE, sample)
+    return _line(message) if _fits(message, wanted, since_ns) else None
+
+
+def _fits(message: Any, wanted: Wanted, since_ns: int) -> bool:
     stamp_ns = message.stamp.sec * 1_000_000_000 + message.stamp.nanosec
-    fits = stamp_ns >= since_ns and is_node(message.name, wanted.node) and has_text(message.msg, wanted.pattern)
-    return line_of(robot, sample) if fits else None
+    return stamp_ns >= since_ns and is_node(message.name, wanted.node) and has_text(message.msg, wanted.pattern)
 
 
 def _within(lines: Sequence[LogLine], max_bytes: int) -> list[LogLine]:

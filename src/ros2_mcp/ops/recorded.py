@@ -10,12 +10,12 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.errors import BadValue, RobotError
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.ops.bags import definitions_of, find_topic, span_in
 from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.window import Missing, Scene, Stream, Window
 from ros2_mcp.robot import Robot, TopicEndpoints
 
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 MAX_BYTES = 192_000_000
 MAX_SAMPLES = 200_000
 _BATCH = 256
+_RECORDED = ("(recorded)",)
 _LATCHED = ("durability: 1", "durability: transient_local")
 
 
@@ -81,9 +82,8 @@ class BagSource:
         """Every sample of a topic in order."""
         stored = await self._learn(topic)
         counts = [0]
-        yield Stream(
-            stored.name, stored.type, self._codec, (), self._batches(stored.name, counts), lambda: Counts(counts[0])
-        )
+        batches = self._batches(stored.name, counts)
+        yield Stream(stored.name, stored.type, self._codec, _RECORDED, batches, lambda: Counts(counts[0]))
 
     async def scene(self) -> Scene:
         """The topics with what their publishers offered; nodes and services are not in a bag."""
@@ -109,7 +109,7 @@ class BagSource:
         kept: list[Sample] = []
         size = received = 0
         with self._memory.reading(self._name) as bag:
-            for _, sample in bag.messages(span, newest_first=True):
+            for sample in _once(bag.messages(span, newest_first=True)):
                 received += 1
                 size += 0 if times_only else len(sample.data)
                 if len(kept) < MAX_SAMPLES and (size <= max_bytes or not kept):
@@ -123,13 +123,13 @@ class BagSource:
 
     async def _batches(self, topic: str, counts: list[int]) -> AsyncIterator[Sequence[Sample]]:
         after = replace(self._span, topics=(topic,))
-        messages: Iterator[tuple[str, Sample]] | None = None
+        messages: Iterator[Sample] | None = None
 
         def following() -> list[Sample]:
             nonlocal messages
             with self._memory.reading(self._name) as bag:
-                messages = messages or bag.messages(after)
-                return [sample for _, sample in islice(messages, _BATCH)]
+                messages = messages or _once(bag.messages(after))
+                return list(islice(messages, _BATCH))
 
         while batch := await asyncio.to_thread(following):
             counts[0] += len(batch)
@@ -144,7 +144,7 @@ async def open_source(
     Raises:
         NotFound: if there is no such bag.
         BadData: if nothing of it can be read.
-        BadValue: if a moment cannot be understood.
+        BadValue: if a moment cannot be understood, or nothing was recorded in that time.
     """
     return BagSource(memory, bag, await asyncio.to_thread(_bounds, memory, bag, start, end), robot)
 
@@ -154,7 +154,23 @@ def _bounds(memory: Memory, name: str, start: str, end: str) -> Span:
     with memory.reading(name) as bag:
         span = span_in(bag, start, end)
         first_ns, last_ns = bag.times or (0, 0)
-        return replace(span, start_ns=max(span.start_ns, first_ns), end_ns=min(span.end_ns, last_ns + 1))
+        start_ns, end_ns = max(span.start_ns, first_ns), min(span.end_ns, last_ns + 1)
+        if end_ns <= start_ns:
+            raise BadValue("start" if start else "end", f"{name} has nothing in that time.", _covers(first_ns, last_ns))
+        return replace(span, start_ns=start_ns, end_ns=end_ns)
+
+
+def _covers(first_ns: int, last_ns: int) -> str:
+    return f"It goes from {iso_time(first_ns)} to {iso_time(last_ns)}."
+
+
+def _once(messages: Iterator[tuple[str, Sample]]) -> Iterator[Sample]:
+    """The samples of one topic; those that stand in several files of a ring, because they are latched, only once."""
+    last: Sample | None = None
+    for _, sample in messages:
+        if last is None or (sample.received_ns, sample.data) != (last.received_ns, last.data):
+            yield sample
+        last = sample
 
 
 def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
@@ -166,4 +182,4 @@ def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
 def _publishers(topic: StoredTopic) -> list[Endpoint]:
     durability = "transient_local" if any(word in topic.qos for word in _LATCHED) else "volatile"
     profiles = max(topic.qos.count("history:"), 1)
-    return [Endpoint("(recorded)", topic.type, "", "", QoS("unknown", durability, depth=None))] * profiles
+    return [Endpoint(_RECORDED[0], topic.type, "", "", QoS("unknown", durability, depth=None))] * profiles

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from ros2_mcp.guard.policy import MAX_DURATION_S, bounded
 from ros2_mcp.model.errors import BadValue, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import Report, iso_time, silent
@@ -46,8 +45,9 @@ class Wait:
     def summary(self) -> str:
         """One line."""
         outcome = "is met" if self.met else "was not met"
+        when = f"after {self.waited:.3f} s" if self.source.startswith("live") else f"in {self.source}, {self.at}"
         values = ", ".join(f"{path} = {_brief(value)}" for path, value in self.values.items())
-        line = f"{self.topic_name}: {self.condition} {outcome} after {self.waited:.3f} s ({values or 'no message'})."
+        line = f"{self.topic_name}: {self.condition} {outcome} {when} ({values or 'no message'})."
         return f"{line} {self.note}".rstrip()
 
 
@@ -93,7 +93,6 @@ async def wait_until(
     """
     from ros2_mcp.ops.expression import condition
 
-    bounded("timeout", source.duration_s, 0.0, MAX_DURATION_S, "s")
     started = monotonic()
     with contextlib.suppress(NotFound):  # it may appear in time
         condition(source.codec.definitions, await source.type_of(topic), text)

@@ -40,4 +40,7 @@ MaxArray = Annotated[
     Field(ge=0, le=10_000, description="Show arrays up to this length in full; longer ones are summarised."),
 ]
 EveryN = Annotated[Whole, Field(ge=1, le=1_000_000, description="Keep only every n-th message.")]
+FromBag = Annotated[str, Field(description='Ask this recording instead of the robot now; "black box": our own.')]
+FromStart = Annotated[str, Field(description='Of the recording: ISO 8601 with zone, or "last 30 s".')]
+UpToEnd = Annotated[str, Field(description="Written like start.")]
 Seconds = Annotated[Number, Field(ge=0, le=3600)]

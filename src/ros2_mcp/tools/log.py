@@ -7,8 +7,10 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from ros2_mcp.ops import log
+from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.sources import Part, recorded_part
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import Whole
+from ros2_mcp.tools.arguments import FromBag, UpToEnd, Whole
 from ros2_mcp.tools.declare import tool
 
 
@@ -23,17 +25,29 @@ Since = Annotated[
 ]
 
 
-@tool(title="Read the log", risk="read")
+@tool(title="Read the log", risk="read", recorded=True)
 async def ros2_log_read(
     robot: Robot,
+    memory: Memory,
     since: Since = "",
     node: Annotated[str, Field(description="Only of this node, such as /planner; also a part or a glob.")] = "",
     level: Annotated[str, Field(description="From this level on: debug, info, warn, error or fatal.")] = "",
     pattern: Annotated[str, Field(description="Only lines with this text, or a glob for the whole line.")] = "",
     limit: Annotated[Whole, Field(ge=1, le=5000, description="The newest so many.")] = 100,
+    bag: FromBag = "",
+    end: UpToEnd = "",
 ) -> log.Log:
     """Read what the robot's nodes have logged on /rosout: problems show here first.
 
-    Lines are kept from the start of this server on (the newest 5000), and from a few seconds before.
+    Lines are kept from the start of this server on (the newest 5000), and from a few seconds before. In a
+    recording, since counts back from its end.
     """
-    return await log.read(robot, log.Wanted(since, node, level, pattern, limit))
+    wanted = log.Wanted(since, node, level, pattern, limit)
+    start = since if not _is_number(since) else f"{since} s ago"
+    about_recording = bag or end or memory.subject_name
+    recorded = await recorded_part(robot, memory, Part(bag, start, end)) if about_recording else None
+    return await (log.read_recorded(recorded, wanted, robot.result_bytes) if recorded else log.read(robot, wanted))
+
+
+def _is_number(text: str) -> bool:
+    return text.strip().replace(".", "", 1).isdigit()

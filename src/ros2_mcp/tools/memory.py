@@ -58,19 +58,19 @@ async def ros2_record_stop(memory: Memory, recording_id: RecordingId) -> recordi
     return await recording.stop(memory, recording_id)
 
 
-@tool(title="List bags", risk="read", group="memory", by_default=False)
+@tool(title="List bags", risk="read", group="memory", by_default=False, recorded=True)
 async def ros2_bag_list(memory: Memory, pattern: Pattern = "", limit: Limit = 200) -> bags.BagList:
     """List the bags (recordings) that can be read, the newest first."""
     return await bags.list_bags(memory, pattern, limit)
 
 
-@tool(title="What is in a bag", risk="read", group="memory", by_default=False)
+@tool(title="What is in a bag", risk="read", group="memory", by_default=False, recorded=True)
 async def ros2_bag_info(memory: Memory, bag: BagName) -> bags.BagInfo:
     """Show the topics, types, counts and times of a bag, and what of it is damaged or missing."""
     return await bags.info(memory, bag)
 
 
-@tool(title="Read a bag", risk="read", group="memory", by_default=False)
+@tool(title="Read a bag", risk="read", group="memory", by_default=False, recorded=True)
 async def ros2_bag_read(
     robot: Robot,
     memory: Memory,

@@ -41,7 +41,7 @@ class TopicToRead(BaseModel):
     message_limit: MessageLimit = None
 
 
-@tool(title="List topics", risk="read")
+@tool(title="List topics", risk="read", recorded=True)
 async def ros2_topic_list(
     robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 200
 ) -> topics.TopicList:
@@ -49,7 +49,7 @@ async def ros2_topic_list(
     return await topics.list_topics(robot, pattern, include_hidden, limit)
 
 
-@tool(title="Topic details", risk="read")
+@tool(title="Topic details", risk="read", recorded=True)
 async def ros2_topic_info(robot: Robot, topic_name: TopicName) -> topics.TopicInfo:
     """Show who publishes and subscribes on a topic, with type, type hash and QoS, and why pairs do not match."""
     return await topics.topic_info(robot, topic_name)

@@ -50,3 +50,19 @@ def start_peer(ros_environment: dict[str, str]) -> Iterator[StartPeer]:
     for peer in peers:
         peer.kill()
         peer.communicate(timeout=5)
+
+
+@pytest.fixture
+def robot(ros_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    """The simulated robot; it is there when this returns."""
+    command = [sys.executable, "-m", "ros2_mcp_demo"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ros_environment)
+    assert process.stdout
+    assert process.stdout.readline()
+    yield process
+    process.terminate()
+    try:
+        process.communicate(timeout=5)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()

@@ -1,0 +1,108 @@
+"""The same questions to the robot and to the recording of that time; and a recording in the place of the robot."""
+
+from __future__ import annotations
+
+import sys
+import time
+import venv
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from agent import Agent
+from raw_server import RawServer
+
+from ros2_mcp.bags.bag import Bag
+
+StartAgent = Callable[..., Agent]
+SAME = ("count", "min", "max", "mean", "std", "first", "last", "zeros", "not_finite")
+TOPICS = ["/odom", "/scan", "/imu"]
+SITE_PACKAGES = Path(next(entry for entry in sys.path if entry.endswith("site-packages")))
+
+
+def numbers(statistics: dict[str, Any]) -> dict[tuple[str, str], list[Any]]:
+    """What must be the same, by topic and field."""
+    found: dict[tuple[str, str], list[Any]] = {}
+    for topic in statistics["topics"]:
+        found[topic["topic_name"], ""] = [topic["count"], topic["topic_type"], topic["dropped"]]
+        for field in topic["fields"]:
+            found[topic["topic_name"], field["field"]] = [field[name] for name in SAME if name in field]
+    return found
+
+
+def window_of(statistics: dict[str, Any]) -> dict[str, str]:
+    topic = statistics["topics"][0]
+    start = datetime.fromisoformat(topic["started_at"].replace("Z", "+00:00"))
+    return {"start": start.isoformat(), "end": (start + timedelta(seconds=topic["duration"])).isoformat()}
+
+
+@pytest.fixture
+def recorded(start_agent: StartAgent, robot: object) -> tuple[Agent, dict[str, Any]]:
+    """What was measured live, while `run` was being recorded; the lidar was switched off afterwards."""
+    agent = start_agent()
+    agent.call("ros2_record_start", topics=[*TOPICS, "/rosout"], name="run")
+    live = agent.call("ros2_topic_statistics", topic_names=TOPICS, duration=2.0)
+    time.sleep(0.5)
+    agent.call("ros2_record_stop", recording_id="run")
+    return agent, live
+
+
+def test_the_recording_of_a_time_gives_the_numbers_that_were_measured_live(
+    recorded: tuple[Agent, dict[str, Any]],
+) -> None:
+    agent, live = recorded
+    again = agent.call("ros2_topic_statistics", topic_names=TOPICS, bag="run", **window_of(live))
+    assert live["source"].startswith("live") and again["source"].startswith("bag run")
+    assert sum(topic["count"] for topic in live["topics"]) > 100
+    assert numbers(again) == numbers(live)
+
+
+def bare_python(root: Path) -> str:
+    """A Python environment with what the server needs, and without ROS 2."""
+    venv.create(root, symlinks=True)
+    site_packages = next(root.glob("lib/python3*/site-packages"))
+    for entry in SITE_PACKAGES.iterdir():
+        if "ros_jazzy" not in entry.name and "rclpy" not in entry.name and entry.suffix != ".pth":
+            (site_packages / entry.name).symlink_to(entry)
+    return str(root / "bin" / "python")
+
+
+def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
+    recorded: tuple[Agent, dict[str, Any]], ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    _, live = recorded
+    environment = {**ros_environment, "ROS2_MCP_ROS_ROOT": str(tmp_path / "none")}
+    command = [bare_python(tmp_path / "bare"), "-m", "ros2_mcp", "--bag", str(tmp_path / "run")]
+    server = RawServer(environment, command=command)
+    try:
+        introduction = server.begin("2025-11-25")
+        assert "recording" in introduction["instructions"] and "'run'" in introduction["instructions"]
+        tools = {tool["name"] for tool in server.ask("tools/list")["result"]["tools"]}
+        assert tools >= {"ros2_topic_list", "ros2_topic_info", "ros2_bag_read", "ros2_log_read", "ros2_wait_until"}
+        assert not tools & {"ros2_topic_publish", "ros2_service_call", "ros2_bag_play", "ros2_record_start"}
+
+        def call(tool: str, **arguments: Any) -> dict[str, Any]:
+            result = server.call(tool, **arguments)
+            assert not result.get("isError"), result
+            return result["structuredContent"]
+
+        with Bag(tmp_path / "run") as bag:
+            counts = bag.counts()
+        assert {topic["topic_name"] for topic in call("ros2_topic_list")["topics"]} == set(bag.topics)
+        assert call("ros2_topic_info", topic_name="/scan")["topic_types"] == ["sensor_msgs/msg/LaserScan"]
+        asked = call("ros2_topic_statistics", topic_names=TOPICS, **window_of(live))
+        assert numbers(asked) == numbers(live)
+        met = call("ros2_wait_until", topic_name="/odom", condition="pose.pose.orientation.w > -2")
+        assert met["met"] and met["looked_at"] == 1
+        assert (
+            call("ros2_wait_until", topic_name="/odom", condition="pose.pose.position.x > 1e6")["looked_at"]
+            == (counts["/odom"])
+        )
+        health = call("ros2_health_check", expected_topics=["/scan", "/nowhere"])
+        assert health["verdict"] == "CRITICAL"
+        assert [each["subject"] for each in health["findings"] if each["severity"] == "critical"] == ["/nowhere"]
+        assert call("ros2_log_read")["source"].startswith("bag run")
+    finally:
+        server.end()
