@@ -137,7 +137,7 @@ async def read(robot: Robot, memory: Memory, asked: Asked, view: View) -> BagMes
     bounded("limit", asked.limit, 1, MAX_MESSAGES, "messages")
     bounded("every_n", view.every_n, 1, 1_000_000, "messages")
     topic = await asyncio.to_thread(_topic, memory, asked.bag, asked.topic)
-    codec = _codec(await definitions_of(topic, robot))
+    codec = codec_of(await definitions_of(topic, robot))
     return await asyncio.to_thread(_read, memory, asked, view, topic, codec)
 
 
@@ -175,7 +175,8 @@ def span_in(bag: Bag, start: str, end: str) -> Span:
     return span_of(start, end, first_ns, last_ns)
 
 
-def _codec(definitions: Mapping[str, DefinitionText]) -> Codec:
+def codec_of(definitions: Mapping[str, DefinitionText]) -> Codec:
+    """Reads messages of these definitions."""
     from ros2_mcp.codec.cdr import Codec
     from ros2_mcp.codec.definitions import Definitions
 
@@ -243,7 +244,7 @@ def _read(memory: Memory, asked: Asked, view: View, topic: StoredTopic, codec: C
         taken = list(islice(_within_bytes(samples, view.every_n), asked.limit + 1))
         problems = bag.problems
     chosen = taken[: asked.limit][:: -1 if backwards else 1]
-    shown, rendered, bad = _render(topic.type, codec, chosen, view)
+    shown, rendered, bad = rendered_within(topic.type, codec, chosen, view)
     notes = [f"There are {'earlier' if backwards else 'later'} ones too."] if len(taken) > asked.limit else []
     if len(shown) + bad < len(chosen):
         notes.append(f"{len(chosen) - len(shown) - bad} more do not fit: choose fields, or every_n.")
@@ -273,7 +274,9 @@ def _within_bytes(samples: Iterator[Sample], every_n: int) -> Iterator[Sample]:
         yield sample
 
 
-def _render(type_name: str, codec: Codec, samples: Sequence[Sample], view: View) -> tuple[list[Sample], list[Any], int]:
+def rendered_within(
+    type_name: str, codec: Codec, samples: Sequence[Sample], view: View
+) -> tuple[list[Sample], list[Any], int]:
     """As many messages as fit, evenly spread; how many could not be decoded."""
     from ros2_mcp.codec.render import RenderOptions, render
     from ros2_mcp.codec.select import parse_fields

@@ -1,11 +1,24 @@
 """What the model sees: one module per family of tools."""
 
-from ros2_mcp.tools import actions, graph, log, measure, memory, parameters, publishing, relay, services, stop, topics
+from ros2_mcp.tools import (
+    actions,
+    graph,
+    history,
+    log,
+    measure,
+    memory,
+    parameters,
+    publishing,
+    relay,
+    services,
+    stop,
+    topics,
+)
 from ros2_mcp.tools.declare import DECLARED, ToolDeclaration
 
 __all__ = ["GROUPS", "TOOLS", "ToolDeclaration"]
 
-_FAMILIES = (graph, topics, measure, log, publishing, stop, services, actions, parameters, relay, memory)
+_FAMILIES = (graph, topics, measure, log, publishing, stop, services, actions, parameters, relay, history, memory)
 
 TOOLS = [tool for family in _FAMILIES for tool in DECLARED if tool.function.__module__ == family.__name__]
 """Every tool, in the order of `tools/list`."""

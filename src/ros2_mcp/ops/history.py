@@ -1,0 +1,250 @@
+"""What was said earlier: messages of a topic from whichever source has them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError, UnknownInterface
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.bags import codec_of, definitions_of, find_topic, rendered_within, span_in
+from ros2_mcp.ops.black_box import BLACK_BOX
+from ros2_mcp.ops.data_black_box import ANY, TIMEOUT_S, DataBlackBox, Question, find_box
+from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.moments import moment_ns
+from ros2_mcp.ops.reading import View
+from ros2_mcp.ops.recording import recordings
+from ros2_mcp.ops.results import Report, iso_time, reporting, silent
+from ros2_mcp.robot import Robot
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.cdr import Codec
+
+MAX_MESSAGES = 100_000
+_MAX_BYTES = 64_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Which messages: the last `number` of the time between two moments; 0 is all of them, and so is no moment."""
+
+    topic: str
+    type: str = ""
+    number: int = 0
+    start: str = ""
+    end: str = ""
+    bucket: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What one source has, the oldest first."""
+
+    source: str
+    type: str
+    samples: Sequence[Sample]
+    codec: Codec
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredMessages:
+    """Messages of the past with the times at which they were stored (empty where the source does not say).
+
+    `count` are shown of `found` ones. `truncated` names paths whose values are summaries.
+    """
+
+    source: str
+    topic_name: str
+    topic_type: str
+    timestamps: Sequence[str]
+    messages: Sequence[dict[str, Any]]
+    count: int
+    found: int
+    truncated: Sequence[str]
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{self.topic_name}: {self.count} of {self.found} message(s) from {self.source}. {self.note}".rstrip()
+
+
+async def get_messages(
+    robot: Robot, memory: Memory, asked: Asked, view: View, report: Report = silent
+) -> StoredMessages:
+    """Messages of the past, from the first source that has some.
+
+    If they do not fit, they are evenly thinned; if a number is asked for, the newest of them are shown.
+
+    Raises:
+        NotFound: if no source knows the topic.
+        BadValue: if a limit or a moment is out of range, or a field is not in the type.
+        BadData: if no message is what the type says.
+        RobotError: with the words of a source that failed, where no other has the messages.
+    """
+    bounded("number_of_messages", asked.number, 0, MAX_MESSAGES, "messages")
+    bounded("every_n", view.every_n, 1, 1_000_000, "messages")
+    kind = "" if asked.type in ("", ANY) else names.interface_type(asked.type, "msg")
+    asked = replace(asked, topic=names.absolute(asked.topic), type=kind)
+    async with reporting(report, TIMEOUT_S, f"looking for earlier messages of {asked.topic}"):
+        found, failed = await _find(robot, memory, asked)
+    if found and (found.samples or not failed):
+        return await asyncio.to_thread(_show, asked, view, found, failed)
+    raise failed[0] if failed else _nobody(asked)
+
+
+async def _find(robot: Robot, memory: Memory, asked: Asked) -> tuple[Found | None, list[RobotError]]:
+    """What the first source has that has messages, else what one without any says; and which sources failed."""
+    empty: Found | None = None
+    failed: list[RobotError] = []
+    for source in SOURCES:
+        try:
+            found = await source(robot, memory, asked)
+        except (BadName, BadValue):
+            raise
+        except RobotError as error:
+            failed.append(error)
+            continue
+        if found and found.samples:
+            return found, failed
+        empty = empty or found
+    return empty, failed
+
+
+async def _ask_data_black_box(robot: Robot, memory: Memory, asked: Asked) -> Found | None:  # noqa: ARG001
+    box = await find_box(robot)
+    if box is None:
+        return None
+    kind = await _known_type(robot, asked)
+    now_ns = time.time_ns()
+    start_ns, end_ns = _moment("time_start", asked.start, now_ns), _moment("time_end", asked.end, now_ns)
+    if start_ns is not None and end_ns is not None and end_ns < start_ns:
+        raise BadValue("time_end", f"{asked.end!r} is before {asked.start!r}.")
+    answered = await box.last(Question(asked.topic, kind, start_ns, end_ns, asked.bucket), asked.number)
+    unconfirmed = "" if answered.type else f"This box does not keep types: right only if they are {kind}."
+    kind = answered.type or kind
+    if answered.samples and not kind:
+        raise UnknownInterface(
+            f"The Data Black Box has {len(answered.samples)} messages of {asked.topic}, but does not say their type.",
+            "Give message_type, such as sensor_msgs/msg/LaserScan.",
+        )
+    if kind:
+        await robot.values.learn(kind)
+    note = " ".join(filter(None, (answered.problem, unconfirmed if answered.samples else "")))
+    return Found(_words(box), kind, answered.samples, robot.values.codec, note)
+
+
+def _words(box: DataBlackBox) -> str:
+    return f"the WiseVision Data Black Box (generation {box.generation}, {box.service})"
+
+
+async def _known_type(robot: Robot, asked: Asked) -> str:
+    """The type that was asked for, else the one that the topic has now, else nothing."""
+    if asked.type:
+        return asked.type
+    present = await robot.graph.endpoints(asked.topic)
+    return present.types[0] if len(present.types) == 1 else ""
+
+
+def _moment(name: str, text: str, now_ns: int) -> int | None:
+    if not text.strip():
+        return None
+    if text.strip().lower().startswith("first"):
+        raise BadValue(name, f"{text!r} counts from a beginning that is not known.", 'Give a time, or "last 30 s".')
+    return moment_ns(name, text, now_ns, now_ns)
+
+
+async def _ask_recordings(robot: Robot, memory: Memory, asked: Asked) -> Found | None:
+    """Our own black box first, then the recordings of this server, the newest first."""
+    own = [*(name for name in recordings(memory) if name != BLACK_BOX)][::-1]
+    return await _first_of(robot, memory, asked, [BLACK_BOX, *own], "this server's recording")
+
+
+async def _ask_bags(robot: Robot, memory: Memory, asked: Asked) -> Found | None:
+    """The bags that were opened, the last one first."""
+    return await _first_of(robot, memory, asked, memory.opened_names(), "the bag")
+
+
+async def _first_of(robot: Robot, memory: Memory, asked: Asked, bags: Iterable[str], words: str) -> Found | None:
+    empty: Found | None = None
+    for bag in bags:
+        try:
+            found = await _in_bag(robot, memory, asked, bag, words)
+        except NotFound:
+            continue
+        if found.samples:
+            return found
+        empty = empty or found
+    return empty
+
+
+async def _in_bag(robot: Robot, memory: Memory, asked: Asked, name: str, words: str) -> Found:
+    def read() -> tuple[Any, list[Sample]]:
+        with memory.reading(name) as bag:
+            topic = find_topic(bag, asked.topic)
+            span = replace(span_in(bag, asked.start, asked.end), topics=(topic.name,))
+            newest = (sample for _, sample in bag.messages(span, newest_first=True))
+            return topic, list(islice(_within_bytes(newest), asked.number or MAX_MESSAGES))[::-1]
+
+    topic, samples = await asyncio.to_thread(read)
+    return Found(f"{words} {name}", topic.type, samples, codec_of(await definitions_of(topic, robot)))
+
+
+def _within_bytes(samples: Iterable[Sample]) -> Iterable[Sample]:
+    total = 0
+    for sample in samples:
+        total += len(sample.data)
+        if total > _MAX_BYTES and total > len(sample.data):
+            return
+        yield sample
+
+
+def _show(asked: Asked, view: View, found: Found, failed: Sequence[RobotError]) -> StoredMessages:
+    samples = found.samples[:: -view.every_n][::-1]
+    shown, rendered, bad = rendered_within(found.type, found.codec, samples, view) if samples else ([], [], 0)
+    if samples and not shown:
+        raise BadData(
+            f"{found.source} has {bad} messages of {asked.topic}, but none is a {found.type}.",
+            "Give the right message_type: the messages were stored with another type, or another version of it.",
+        )
+    notes = [f"Another source failed: {error.message}" for error in failed] + [found.note]
+    if asked.type not in ("", found.type):
+        notes.append(f"They are {found.type}, not {asked.type}.")
+    if len(shown) + bad < len(samples):
+        notes.append(f"{len(samples) - len(shown) - bad} more do not fit, evenly left out: choose fields, or every_n.")
+    if bad:
+        notes.append(f"{bad} message(s) are not what their type says and are left out.")
+    if not samples:
+        notes.append("None in that time." if asked.start or asked.end else "It has none of this topic.")
+    return StoredMessages(
+        found.source,
+        asked.topic,
+        found.type,
+        [iso_time(each.received_ns) if each.received_ns else "" for each in shown],
+        [each.value for each in rendered],
+        len(shown),
+        len(found.samples),
+        sorted({path for each in rendered for path in each.truncated}),
+        " ".join(filter(None, notes)),
+    )
+
+
+def _nobody(asked: Asked) -> NotFound:
+    return NotFound(
+        f"Nobody has kept messages of {asked.topic}: no Data Black Box, no recording and no opened bag has it.",
+        "Start the server with --black-box, record with ros2_record_start, or open a bag with ros2_bag_info.",
+    )
+
+
+SOURCES: Sequence[Callable[[Robot, Memory, Asked], Awaitable[Found | None]]] = (
+    _ask_data_black_box,
+    _ask_recordings,
+    _ask_bags,
+)
+"""Who is asked, in this order."""

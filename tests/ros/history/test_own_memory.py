@@ -1,0 +1,52 @@
+"""Without a Data Black Box, this server's own recordings and opened bags answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from agent import Agent, Refusal
+
+TOOL = "ros2_get_messages"
+
+
+def publish(agent: Agent, *numbers: int) -> None:
+    for number in numbers:
+        agent.call("ros2_topic_publish", topic_name="/said", message_type="std_msgs/msg/Int32", data={"data": number})
+
+
+def test_a_recording_answers_while_it_runs_and_a_bag_once_it_is_opened(start_agent: Callable[..., Agent]) -> None:
+    agent = start_agent()
+    assert "Nobody has kept messages of /said" in agent.refusal(TOOL, topic_name="/said")
+    agent.call("ros2_topic_publish", topic_name="/said", message_type="std_msgs/msg/Int32", data={"data": 0})
+    agent.call("ros2_record_start", topics=["/said"], name="mine")
+    until(lambda: agent.call("ros2_record_status")["recordings"][0]["topics"])
+    publish(agent, 1, 2, 3)
+    answer = until(lambda: kept(agent, 3))
+    assert answer["source"] == "this server's recording mine"
+    assert [each["data"] for each in answer["messages"]] == [1, 2, 3]
+    assert [each["data"] for each in agent.call(TOOL, topic_name="said", number_of_messages=2)["messages"]] == [2, 3]
+    agent.call("ros2_record_stop", recording_id="mine")
+
+    other = start_agent()
+    assert "Nobody has kept" in other.refusal(TOOL, topic_name="/said")
+    other.call("ros2_bag_info", bag="mine")
+    answer = other.call(TOOL, topic_name="/said")
+    assert answer["source"] == "the bag mine" and answer["found"] == 3
+
+
+def kept(agent: Agent, count: int) -> Any:
+    try:
+        answer = agent.call(TOOL, topic_name="/said")
+    except Refusal:
+        return None
+    return answer if answer["found"] >= count else None
+
+
+def until(check: Callable[[], Any], seconds: float = 10.0) -> Any:
+    deadline = time.monotonic() + seconds
+    while not (found := check()):
+        assert time.monotonic() < deadline, "it never came true"
+        time.sleep(0.1)
+    return found
