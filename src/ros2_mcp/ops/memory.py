@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 RECORDINGS = Path("~/ros2-mcp/recordings")
 _MOST_OPEN = 4
+BLACK_BOX = "black-box"
+"""The name of the server's own black box among the bags."""
+_BLACK_BOX_WORDS = ("black box", "black_box", "blackbox")
 
 
 class Ending(Protocol):
@@ -39,15 +42,22 @@ class OpenedBag:
 class Memory:
     """The folders that may be written (`record_dir`) and read (`bag_dir`, and what was recorded).
 
+    `subject` is the recording that stands for the robot, if one does; it may be read wherever it is.
     `running` has the recordings and playbacks of this server by their ids, those that have ended too.
     """
 
-    def __init__(self, record_dir: Path = RECORDINGS, bag_dir: Path | None = None) -> None:
+    def __init__(self, record_dir: Path = RECORDINGS, bag_dir: Path | None = None, subject: Path | None = None) -> None:
+        self.subject = subject.expanduser().resolve() if subject else None
         self.record_dir = record_dir.expanduser()
         self.bag_dir = bag_dir.expanduser() if bag_dir else self.record_dir
         self.running: dict[str, Ending] = {}
         self._opened: dict[Path, OpenedBag] = {}
         self._opening = threading.Lock()
+
+    @property
+    def subject_name(self) -> str:
+        """The name of the recording that stands for the robot; empty where there is none."""
+        return self.subject.name if self.subject else ""
 
     async def close(self) -> None:
         """Ends everything that runs: recordings get their index and their `metadata.yaml`."""
@@ -63,7 +73,7 @@ class Memory:
         """Every bag that may be read, by its name: its path below the folder."""
         from ros2_mcp.bags.bag import is_bag
 
-        found: dict[str, Path] = {}
+        found: dict[str, Path] = {self.subject.name: self.subject} if self.subject else {}
         for root in dict.fromkeys((self.bag_dir, self.record_dir)):
             for path in sorted(_below(root, 4)):
                 if is_bag(path) and (path.is_dir() or not is_bag(path.parent)):
@@ -77,6 +87,9 @@ class Memory:
             NotFound: if there is none of that name below the folders.
             BadInput: if the name leads elsewhere.
         """
+        if self.subject and name == self.subject.name:
+            return self.subject
+        name = BLACK_BOX if name.strip().lower() in _BLACK_BOX_WORDS else name
         for root in dict.fromkeys((self.bag_dir, self.record_dir)):
             path = (root / name).resolve()
             if not path.is_relative_to(root.resolve()):

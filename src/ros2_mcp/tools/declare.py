@@ -27,6 +27,7 @@ class ToolDeclaration:
 
     `aliases` maps other spellings of its arguments to the right ones. Tools that are not offered `by_default` come
     with their group: models choose best among about thirty. A call of `also_named` is answered too; it is not listed.
+    `recorded` tools also work where a recording stands for the robot.
     """
 
     function: ToolFunction
@@ -37,6 +38,7 @@ class ToolDeclaration:
     by_default: bool = True
     aliases: Mapping[str, str] = field(default_factory=dict[str, str])
     also_named: str = ""
+    recorded: bool = False
 
     @cached_property
     def injected(self) -> dict[str, Any]:
@@ -72,12 +74,15 @@ def tool(
     by_default: bool = True,
     aliases: Mapping[str, str] | None = None,
     also_named: str = "",
+    recorded: bool = False,
 ) -> Callable[[ToolFunction], ToolFunction]:
     """Declares the function as a tool of the same name."""
 
     def declare(function: ToolFunction) -> ToolFunction:
         DECLARED.append(
-            ToolDeclaration(function, function.__name__, title, risk, group, by_default, aliases or {}, also_named)
+            ToolDeclaration(
+                function, function.__name__, title, risk, group, by_default, aliases or {}, also_named, recorded
+            )
         )
         return function
 
