@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import json
 import math
@@ -92,11 +93,13 @@ async def take_tour(settings: Settings, graph: Graph, folder: Path) -> int:
     """Starts the server as a client would, over stdio, and walks through what it can do; saves into the folder."""
     prefixes = with_interfaces(settings).interface_prefixes
     variables = {**graph.variables(), "ROS2_MCP_INTERFACES": ":".join(map(str, prefixes))}
-    server = StdioServerParameters(command=sys.executable, args=["-m", "ros2_mcp", *_options(settings)], env=variables)
+    server = StdioServerParameters(
+        command=sys.executable, args=["-m", "ros2_mcp", *_options(settings, folder)], env=variables
+    )
     async with Client(server) as client:
         tour = Tour(client, folder)
         try:
-            for chapter in (look_around, drive_one_metre, use_services, navigate):
+            for chapter in (look_around, drive_one_metre, use_services, navigate, remember):
                 await chapter(tour)
         except StepFailed as error:
             tour.failures.append(str(error))
@@ -174,6 +177,30 @@ async def navigate(tour: Tour) -> None:
     tour.verify(f"the second goal is {ended['status']}", ended["status"] == "CANCELED")
 
 
+async def remember(tour: Tour) -> None:
+    """Record, break something, and ask the recording what happened."""
+    tour.say("6. Record, break the laser scanner, and ask what happened.")
+    topics = ["/scan", "/odom", "/diagnostics", "/rosout"]
+    recording = await tour.call("ros2_record_start", topics=topics, name="incident")
+    await asyncio.sleep(1.0)
+    await tour.call("ros2_parameter_set", node_name="/lidar", values={"enabled": False})
+    await asyncio.sleep(2.5)
+    recorded = await tour.call("ros2_record_stop", recording_id=recording["recording_id"])
+    tour.show(f"{recorded['messages']} messages were recorded")
+    health = await tour.call("ros2_health_check", bag="incident", start="last 1.5 s")
+    for finding in health["findings"]:
+        tour.show(f"{finding['subject']}: {finding['problem']}")
+    silent = [row["topic_name"] for row in health["topics"] if row["state"] == "SILENT"]
+    tour.verify(f"the recording tells what is silent: {', '.join(silent)}", silent == ["/scan"])
+    last = await tour.call("ros2_bag_read", bag="incident", topic_name="/scan", limit=1, fields=["range_max"])
+    tour.show(f"the last scan came at {last['received_at'][-1]}")
+    for line in (await tour.call("ros2_log_read", bag="incident", level="warn"))["lines"]:
+        tour.show(f"{line['time']} {line['level']} {line['node']}: {line['text']}")
+    await tour.call("ros2_parameter_set", node_name="/lidar", values={"enabled": True})
+    back = await tour.call("ros2_wait_until", topic_name="/scan", condition="range_max > 0", timeout=5)
+    tour.verify("the scanner is repaired", back["met"])
+
+
 async def _position(tour: Tour) -> tuple[float, float]:
     odometry = await tour.call("ros2_topic_echo_wait", topic_name="/odom", fields=["pose.pose.position"])
     position = odometry["message"]["pose.pose.position"]
@@ -181,8 +208,9 @@ async def _position(tour: Tour) -> tuple[float, float]:
     return position["x"], position["y"]
 
 
-def _options(settings: Settings) -> list[str]:
-    options = ["--distro", settings.distro] if settings.distro else []
+def _options(settings: Settings, folder: Path) -> list[str]:
+    options = ["--tools", "default,memory,measure", "--record-dir", str(folder / "recordings")]
+    options += ["--distro", settings.distro] if settings.distro else []
     return options + [word for workspace in settings.workspaces for word in ("--workspace", str(workspace))]
 
 

@@ -205,7 +205,9 @@ def _judge(
         findings[:MAX_FINDINGS],
         visible[:MAX_ROWS],
         [_brief(status) for status in diagnostics[:MAX_STATUSES]],
-        [row.topic_name for row in visible if row.publishers and not row.subscribers][:MAX_NAMES],
+        [row.topic_name for row in visible if row.publishers and not row.subscribers][:MAX_NAMES]
+        if scene.nodes
+        else [],
         [row.topic_name for row in visible if row.subscribers and not row.publishers][:MAX_NAMES],
         {
             "topics": len(scene.topics),

@@ -42,9 +42,13 @@ def window_of(statistics: dict[str, Any]) -> dict[str, str]:
 def recorded(start_agent: StartAgent, robot: object) -> tuple[Agent, dict[str, Any]]:
     """What was measured live, while `run` was being recorded; the lidar was switched off afterwards."""
     agent = start_agent()
-    agent.call("ros2_record_start", topics=[*TOPICS, "/rosout"], name="run")
+    agent.call("ros2_record_start", topics=[*TOPICS, "/rosout", "/diagnostics"], name="run")
     live = agent.call("ros2_topic_statistics", topic_names=TOPICS, duration=2.0)
-    time.sleep(0.5)
+    agent.call("ros2_parameter_set", node_name="/lidar", values={"enabled": False})
+    deadline = time.monotonic() + 10
+    while not agent.call("ros2_log_read", node="/lidar", since=5, level="warn")["lines"]:
+        assert time.monotonic() < deadline, "the robot does not say that its lidar is dead"
+    time.sleep(2)  # of silence
     agent.call("ros2_record_stop", recording_id="run")
     return agent, live
 
@@ -57,6 +61,23 @@ def test_the_recording_of_a_time_gives_the_numbers_that_were_measured_live(
     assert live["source"].startswith("live") and again["source"].startswith("bag run")
     assert sum(topic["count"] for topic in live["topics"]) > 100
     assert numbers(again) == numbers(live)
+
+
+def test_the_servers_own_black_box_is_asked_in_the_same_words(start_agent: StartAgent, robot: object) -> None:
+    agent = start_agent("--black-box", "/odom,/scan")
+    live = agent.call("ros2_topic_statistics", topic_names=["/odom", "/scan"], duration=2.0)
+    time.sleep(1.0)  # until it is on the disk
+    again = agent.call("ros2_topic_statistics", topic_names=["/odom", "/scan"], bag="black box", **window_of(live))
+    assert numbers(again) == numbers(live)
+    unnamed = agent.call(
+        "ros2_wait_until", topic_name="/odom", condition="pose.pose.position.x < 1e6", start="last 1 s"
+    )
+    assert unnamed["met"] and unnamed["source"].startswith("bag black-box")
+
+
+def test_moments_without_a_recording_are_refused(start_agent: StartAgent) -> None:
+    refusal = start_agent().refusal("ros2_topic_statistics", topic_names=["/odom"], start="last 1 s")
+    assert "none is named" in refusal and "ros2_bag_list" in refusal
 
 
 def bare_python(root: Path) -> str:
@@ -102,7 +123,19 @@ def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
         )
         health = call("ros2_health_check", expected_topics=["/scan", "/nowhere"])
         assert health["verdict"] == "CRITICAL"
-        assert [each["subject"] for each in health["findings"] if each["severity"] == "critical"] == ["/nowhere"]
-        assert call("ros2_log_read")["source"].startswith("bag run")
+        assert [each["subject"] for each in health["findings"] if each["severity"] == "critical"] == [
+            "/nowhere",
+            "lidar: status",
+        ]
+        assert [each["subject"] for each in health["findings"]].count("/scan") == 0
+        end = call("ros2_health_check", start="last 1.5 s")
+        assert [row["topic_name"] for row in end["topics"] if row["state"] == "SILENT"] == ["/scan"]
+        log = call("ros2_log_read", level="warn")
+        assert log["source"].startswith("bag run")
+        assert [line["node"] for line in log["lines"]] == ["lidar"]
+        nothing = server.call(
+            "ros2_topic_statistics", topic_names=TOPICS, start="2001-01-01T00:00:00Z", end="2001-01-02T00:00:00Z"
+        )
+        assert nothing["isError"] and "has nothing in that time. It goes from" in nothing["content"][0]["text"]
     finally:
         server.end()
