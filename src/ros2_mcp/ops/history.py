@@ -118,7 +118,7 @@ async def _find(robot: Robot, memory: Memory, asked: Asked) -> tuple[Found | Non
 
 
 async def _ask_data_black_box(robot: Robot, memory: Memory, asked: Asked) -> Found | None:  # noqa: ARG001
-    box = await find_box(robot)
+    box = None if robot.policy.recorded else await find_box(robot)
     if box is None:
         return None
     kind = await _known_type(robot, asked)
@@ -167,8 +167,9 @@ async def _ask_recordings(robot: Robot, memory: Memory, asked: Asked) -> Found |
 
 
 async def _ask_bags(robot: Robot, memory: Memory, asked: Asked) -> Found | None:
-    """The bags that were opened, the last one first."""
-    return await _first_of(robot, memory, asked, memory.opened_names(), "the bag")
+    """The bag that stands for the robot, if one does, and those that were opened, the last one first."""
+    subject = [memory.subject_name] if memory.subject else []
+    return await _first_of(robot, memory, asked, [*subject, *memory.opened_names()], "the bag")
 
 
 async def _first_of(robot: Robot, memory: Memory, asked: Asked, bags: Iterable[str], words: str) -> Found | None:

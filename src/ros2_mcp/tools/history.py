@@ -24,6 +24,7 @@ Moment = Annotated[
     risk="read",
     group="memory",
     aliases={"number_of_msg": "number_of_messages", "msg_type": "message_type"},
+    recorded=True,
     also_named="ros2_get_messages_stored_in_influx_data_base",
 )
 async def ros2_get_messages(

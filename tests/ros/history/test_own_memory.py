@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from agent import Agent, Refusal
@@ -16,7 +17,9 @@ def publish(agent: Agent, *numbers: int) -> None:
         agent.call("ros2_topic_publish", topic_name="/said", message_type="std_msgs/msg/Int32", data={"data": number})
 
 
-def test_a_recording_answers_while_it_runs_and_a_bag_once_it_is_opened(start_agent: Callable[..., Agent]) -> None:
+def test_a_recording_answers_while_it_runs_and_a_bag_once_it_is_opened(
+    start_agent: Callable[..., Agent], tmp_path: Path
+) -> None:
     agent = start_agent()
     assert "Nobody has kept messages of /said" in agent.refusal(TOOL, topic_name="/said")
     agent.call("ros2_topic_publish", topic_name="/said", message_type="std_msgs/msg/Int32", data={"data": 0})
@@ -34,6 +37,10 @@ def test_a_recording_answers_while_it_runs_and_a_bag_once_it_is_opened(start_age
     other.call("ros2_bag_info", bag="mine")
     answer = other.call(TOOL, topic_name="/said")
     assert answer["source"] == "the bag mine" and answer["found"] == 3
+
+    recorded = start_agent("--bag", str(tmp_path / "mine"))
+    answer = recorded.call(TOOL, topic_name="/said", number_of_messages=1, time_end="last 0 s")
+    assert answer["source"] == "the bag mine" and answer["messages"][0]["data"] in (2, 3)
 
 
 def kept(agent: Agent, count: int) -> Any:
