@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.link.client import Bridge
-from ros2_mcp.model.errors import RosNotFound
+from ros2_mcp.model.errors import RosNotFound, UnknownInterface
+from ros2_mcp.model.names import defining_type, did_you_mean
+from ros2_mcp.ops.bags import definitions_of
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.recorded import open_source
 from ros2_mcp.robot import Robot, TopicEndpoints
 from ros2_mcp.robot.graph import Graph
+from ros2_mcp.robot.values import Values
 
 if TYPE_CHECKING:
+    from ros2_mcp.bags.stored import StoredTopic
     from ros2_mcp.link.installation import RosInstallation
 
 
@@ -22,6 +27,7 @@ def recorded_robot(memory: Memory, result_bytes: int) -> Robot:
     bridge = Bridge(_no_ros)
     robot = Robot(bridge, Policy(read_only=True, recorded=True), result_bytes)
     robot.graph = RecordedGraph(bridge, memory)
+    robot.values = RecordedValues(robot.graph, memory)
     return robot
 
 
@@ -52,3 +58,27 @@ class RecordedGraph(Graph):
 
     async def _topics(self) -> Mapping[str, TopicEndpoints]:
         return (await (await open_source(self._memory, self._memory.subject_name)).scene()).topics
+
+
+class RecordedValues(Values):
+    """The types of the recorded topics, as the recording itself defines them."""
+
+    def __init__(self, graph: Graph, memory: Memory) -> None:
+        super().__init__(graph)
+        self._memory = memory
+
+    async def learn(self, *types: str) -> None:
+        """Looks for the definitions in the recording; raises `UnknownInterface` for a type that is not in it."""
+        if all(self.definitions.knows(defining_type(name)) for name in types):
+            return
+        recorded = await asyncio.to_thread(self._recorded)
+        for topic in recorded.values():
+            self.definitions.add(await definitions_of(topic, None))
+        for name in types:
+            if not self.definitions.knows(defining_type(name)):
+                hint = did_you_mean(name, list(recorded), f"It has {', '.join(sorted(recorded)[:20])}.")
+                raise UnknownInterface(f"The recording has no definition of {name}.", hint)
+
+    def _recorded(self) -> dict[str, StoredTopic]:
+        with self._memory.reading(self._memory.subject_name) as bag:
+            return {topic.type: topic for topic in bag.topics.values()}

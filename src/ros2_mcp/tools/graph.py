@@ -35,7 +35,7 @@ async def ros2_node_info(
     return await nodes.node_info(robot, node_name)
 
 
-@tool(title="Definition of an interface", risk="read", aliases={"msg_type": "message_type"})
+@tool(title="Definition of an interface", risk="read", recorded=True, aliases={"msg_type": "message_type"})
 async def ros2_get_message_fields(
     robot: Robot,
     message_type: Annotated[

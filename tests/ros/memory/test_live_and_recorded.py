@@ -113,6 +113,7 @@ def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
             counts = bag.counts()
         assert {topic["topic_name"] for topic in call("ros2_topic_list")["topics"]} == set(bag.topics)
         assert call("ros2_topic_info", topic_name="/scan")["topic_types"] == ["sensor_msgs/msg/LaserScan"]
+        assert "float32" in str(call("ros2_get_message_fields", message_type="sensor_msgs/msg/LaserScan"))
         asked = call("ros2_topic_statistics", topic_names=TOPICS, **window_of(live))
         assert numbers(asked) == numbers(live)
         met = call("ros2_wait_until", topic_name="/odom", condition="pose.pose.orientation.w > -2")
