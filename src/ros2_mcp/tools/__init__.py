@@ -8,6 +8,7 @@ from ros2_mcp.tools import (
     measure,
     memory,
     parameters,
+    pictures,
     publishing,
     relay,
     services,
@@ -18,7 +19,21 @@ from ros2_mcp.tools.declare import DECLARED, ToolDeclaration
 
 __all__ = ["GROUPS", "TOOLS", "ToolDeclaration"]
 
-_FAMILIES = (graph, topics, measure, log, publishing, stop, services, actions, parameters, relay, history, memory)
+_FAMILIES = (
+    graph,
+    topics,
+    measure,
+    pictures,
+    log,
+    publishing,
+    stop,
+    services,
+    actions,
+    parameters,
+    relay,
+    history,
+    memory,
+)
 
 TOOLS = [tool for family in _FAMILIES for tool in DECLARED if tool.function.__module__ == family.__name__]
 """Every tool, in the order of `tools/list`."""

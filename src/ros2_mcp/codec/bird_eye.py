@@ -1,0 +1,191 @@
+"""Points seen from above: x to the right, y up, the highest point of each pixel on top."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ros2_mcp.codec.clouds import Cloud
+from ros2_mcp.codec.plot import png
+from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.pictures import Picture
+
+_SMALL_SIDE = 400
+_COARSER = 1.1
+_DARKEST = 0.12
+"""Where the colours begin, so that no point is as dark as the background."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """How to look at a cloud: metres for each pixel, heights shown (None: all), `intensity`, `height` or `rgb` as
+    colour, `jet` or `gray` as the scale of colours, bounds of the picture."""
+
+    resolution_m: float = 0.05
+    z_min_m: float | None = None
+    z_max_m: float | None = None
+    color_mode: str = "intensity"
+    colormap: str = "jet"
+    max_side: int = 1568
+    max_bytes: int = 700_000
+
+
+@dataclass(frozen=True, slots=True)
+class BirdEye:
+    """The picture and what it shows: pixel (column, row) begins at (x_min + column · m, y_max - row · m), where m is
+    `metres_per_pixel`. `low` and `high` are the values at the ends of the colours; None for `rgb`."""
+
+    picture: Picture
+    shown: int
+    resolution_m: float
+    metres_per_pixel: float
+    x_min_m: float
+    x_max_m: float
+    y_min_m: float
+    y_max_m: float
+    z_min_m: float
+    z_max_m: float
+    color_mode: str
+    low: float | None
+    high: float | None
+    note: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Coloured:
+    rgb: NDArray[np.uint8]
+    mode: str
+    low: float | None = None
+    high: float | None = None
+    note: str = ""
+
+
+def bird_eye(cloud: Cloud, wanted: Wanted) -> BirdEye:
+    """The cloud from above. The resolution is made coarser where the picture would be too large.
+
+    Raises:
+        BadData: if no point is left to show.
+    """
+    kept = _within(cloud, wanted)
+    if not kept.any():
+        raise BadData(
+            f"No point to show: of {cloud.points} points, {cloud.not_finite} are not finite and the others are outside "
+            "the heights asked for."
+        )
+    xyz = cloud.xyz[kept]
+    coloured = _coloured(cloud, kept, wanted)
+    resolution = max(wanted.resolution_m, _finest(xyz, wanted.max_side))
+    while True:
+        pixels, left, top = _pixels(xyz, coloured.rgb, resolution)
+        times = max(1, min(_SMALL_SIDE, wanted.max_side) // max(pixels.shape[:2]))
+        image = Image.fromarray(pixels.repeat(times, axis=0).repeat(times, axis=1))
+        data = png(image)
+        if len(data) <= wanted.max_bytes:
+            break
+        resolution *= max(_COARSER, math.sqrt(len(data) / wanted.max_bytes))
+    return _described(xyz, coloured, wanted, image, data, (left, top, resolution, resolution / times))
+
+
+def _described(
+    xyz: NDArray[np.float64],
+    coloured: _Coloured,
+    wanted: Wanted,
+    image: Image.Image,
+    data: bytes,
+    scale: tuple[float, float, float, float],
+) -> BirdEye:
+    left, top, resolution, pixel_m = scale
+    coarser = (
+        f"The resolution is {resolution:.4g} m instead of {wanted.resolution_m:.4g} m, to fit the picture."
+        if resolution > wanted.resolution_m
+        else ""
+    )
+    colours = "" if coloured.low is None else f", {coloured.low:.4g} ({_names(wanted)[0]}) to {coloured.high:.4g} "
+    colours += f"({_names(wanted)[1]})" if colours else ""
+    note = (
+        f"From above, x to the right, y up, {pixel_m:.4g} m per pixel; "
+        f"{image.width * pixel_m:.4g} m × {image.height * pixel_m:.4g} m. Colour: {coloured.mode}{colours}."
+    )
+    low, high = xyz[:, 2].min(), xyz[:, 2].max()
+    return BirdEye(
+        Picture(data, "image/png", image.width, image.height, note),
+        len(xyz),
+        resolution,
+        pixel_m,
+        left,
+        left + image.width * pixel_m,
+        top - image.height * pixel_m,
+        top,
+        float(low),
+        float(high),
+        coloured.mode,
+        coloured.low,
+        coloured.high,
+        f"{coarser} {coloured.note}".strip(),
+    )
+
+
+def _names(wanted: Wanted) -> tuple[str, str]:
+    return ("blue", "red") if wanted.colormap == "jet" else ("dark", "white")
+
+
+def _within(cloud: Cloud, wanted: Wanted) -> NDArray[np.bool_]:
+    z = cloud.xyz[:, 2]
+    low = -math.inf if wanted.z_min_m is None else wanted.z_min_m
+    high = math.inf if wanted.z_max_m is None else wanted.z_max_m
+    return (z >= low) & (z <= high)
+
+
+def _finest(xyz: NDArray[np.float64], max_side: int) -> float:
+    """The resolution at which the cloud just fits, two significant digits rounded up."""
+    needed = float(np.ptp(xyz[:, :2], axis=0).max()) / (max_side - 2)
+    if not needed:
+        return 0.0
+    digit = 10.0 ** (math.floor(math.log10(needed)) - 1)
+    return math.ceil(needed / digit) * digit
+
+
+def _pixels(
+    xyz: NDArray[np.float64], rgb: NDArray[np.uint8], resolution: float
+) -> tuple[NDArray[np.uint8], float, float]:
+    """The picture, and x and y of its upper left corner, which are whole multiples of the resolution."""
+    cells = np.floor(xyz[:, :2] / resolution).astype(np.int64)
+    left, lowest = cells.min(axis=0)
+    right, highest = cells.max(axis=0)
+    pixels = np.zeros((highest - lowest + 1, right - left + 1, 3), np.uint8)
+    upwards = np.argsort(xyz[:, 2], kind="stable")
+    pixels[highest - cells[upwards, 1], cells[upwards, 0] - left] = rgb[upwards]
+    return pixels, float(left * resolution), float((highest + 1) * resolution)
+
+
+# ── colours ──────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _coloured(cloud: Cloud, kept: NDArray[np.bool_], wanted: Wanted) -> _Coloured:
+    """The colour of each point; by height where the cloud has not what was asked for."""
+    if wanted.color_mode == "rgb" and cloud.rgb is not None:
+        return _Coloured(np.maximum(cloud.rgb[kept], 24), "rgb")
+    values, mode = cloud.xyz[kept, 2], "height"
+    if wanted.color_mode == "intensity" and cloud.intensity is not None:
+        values, mode = cloud.intensity[kept], "intensity"
+    note = "" if mode == wanted.color_mode else f"The cloud has no {wanted.color_mode}; colours show the height."
+    finite = values[np.isfinite(values)]
+    low, high = (float(bound) for bound in np.percentile(finite, (2, 98))) if len(finite) else (0.0, 0.0)
+    share = np.nan_to_num((values - low) / (high - low), nan=0.0) if high > low else np.full(len(values), 0.5)
+    scaled = _DARKEST + (1 - _DARKEST) * np.minimum(np.maximum(share, 0.0), 1.0)
+    return _Coloured(_jet(scaled) if wanted.colormap == "jet" else _gray(scaled), mode, low, high, note)
+
+
+def _jet(share: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Blue, cyan, green, yellow, red."""
+    parts = [1.5 - np.abs(4 * share - centre) for centre in (3, 2, 1)]
+    return np.rint(255 * np.minimum(np.maximum(np.stack(parts, axis=1), 0), 1)).astype(np.uint8)
+
+
+def _gray(share: NDArray[np.float64]) -> NDArray[np.uint8]:
+    shades = np.rint(255 * (0.1 + 0.9 * share)).astype(np.uint8)
+    return np.stack([shades] * 3, axis=1)

@@ -1,0 +1,99 @@
+"""sensor_msgs/msg/PointCloud2 of any layout as arrays of its points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ros2_mcp.model.errors import BadData
+
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+_INTENSITIES = ("intensity", "intensities", "i", "reflectivity")
+_FARTHEST_M = 1e9
+_PACKED = ("rgb", "rgba")
+
+
+@dataclass(frozen=True, slots=True)
+class Cloud:
+    """The points whose place is finite (within a million kilometres), in metres; `points` counts all, `not_finite`
+    those left out.
+
+    `intensity` has one number for each point, `rgb` is n × 3; None where the cloud has none.
+    """
+
+    xyz: NDArray[np.float64]
+    intensity: NDArray[np.float64] | None
+    rgb: NDArray[np.uint8] | None
+    points: int
+    not_finite: int
+
+
+def cloud_of(message: Any) -> Cloud:
+    """The points of a cloud.
+
+    Raises:
+        BadData: if its data does not fit the layout that it tells, or it has no x, y and z.
+    """
+    names = [field.name for field in message.fields]
+    if not {"x", "y", "z"} <= set(names):
+        raise BadData(f"The cloud has no x, y and z; its fields are {', '.join(names)[:200] or 'none'}.")
+    rows = _rows(message)
+    xyz = np.stack([rows[name].astype(np.float64).ravel() for name in "xyz"], axis=1)
+    finite = (np.abs(xyz) < _FARTHEST_M).all(axis=1)
+    intensity = next((rows[name].astype(np.float64).ravel() for name in _INTENSITIES if name in names), None)
+    rgb = _rgb(rows, names)
+    return Cloud(
+        xyz[finite],
+        None if intensity is None else intensity[finite],
+        None if rgb is None else rgb[finite],
+        len(xyz),
+        int(len(xyz) - finite.sum()),
+    )
+
+
+def _rows(message: Any) -> NDArray[Any]:
+    """The points as height × width structured elements, without padding."""
+    point, height, width = message.point_step, message.height, message.width
+    row = message.row_step if height > 1 else width * point
+    order = ">" if message.is_bigendian else "<"
+    formats = {field.name: order + _kind(field) for field in message.fields}
+    offsets = {field.name: field.offset for field in message.fields}
+    beyond = [name for name in formats if offsets[name] + np.dtype(formats[name]).itemsize > point]
+    if beyond:
+        raise BadData(f"The field {beyond[0][:60]!r} of the cloud ends beyond point_step, which is {point}.")
+    if row < width * point:
+        raise BadData(f"A row of {width} points of {point} bytes takes {width * point} bytes, but row_step is {row}.")
+    needed = row * (height - 1) + width * point if height and width else 0
+    if len(message.data) < needed:
+        raise BadData(f"data has {len(message.data)} bytes, but {height} × {width} points take {needed}.")
+    if not needed:
+        height = width = 0
+    layout: Any = {
+        "names": list(formats),
+        "formats": list(formats.values()),
+        "offsets": list(offsets.values()),
+        "itemsize": point,
+    }
+    return np.ndarray((height, width), np.dtype(layout), np.ascontiguousarray(message.data), 0, (row, point))
+
+
+def _kind(field: Any) -> str:
+    """The kind of a field's (first) number; packed colours are read as the integers that they are."""
+    if field.datatype not in _KINDS:
+        raise BadData(f"The field {field.name[:60]!r} of the cloud has the unknown datatype {field.datatype}.")
+    kind = _KINDS[field.datatype]
+    return "u4" if field.name in _PACKED and kind.endswith("4") else kind
+
+
+def _rgb(rows: NDArray[Any], names: list[str]) -> NDArray[np.uint8] | None:
+    for name in _PACKED:
+        if name in names and rows.dtype[name].itemsize == 4:
+            packed = rows[name].ravel()
+            return np.stack([(packed >> shift) & 0xFF for shift in (16, 8, 0)], axis=1).astype(np.uint8)
+    if {"r", "g", "b"} <= set(names) and all(rows.dtype[name] == np.uint8 for name in "rgb"):
+        return np.stack([rows[name].ravel() for name in "rgb"], axis=1)
+    return None

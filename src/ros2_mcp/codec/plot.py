@@ -1,0 +1,327 @@
+"""Curves as a picture: panels one below the other over one x axis, with ticks, grid and legend."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from ros2_mcp.codec.ticks import Span, labels, span_of, ticks
+from ros2_mcp.model.errors import BadData
+
+Numbers = NDArray[np.float64]
+
+COLOURS = (
+    *("#1f6fc4", "#d95f02", "#1b9e4b", "#c2185b", "#7a4fc9", "#8c5a2b"),
+    *("#00949e", "#b8860b", "#e377c2", "#5c6b7a", "#6b8e00", "#20304f"),
+)
+"""One for each curve, in this order; there are no more curves than colours."""
+NOT_FINITE = "#e00000"
+_TEXT, _GREY, _GRID, _FRAME, _PAPER = "#222222", "#666666", "#e4e4e4", "#888888", "#ffffff"
+_SIZE, _SMALL, _ROW = 15, 14, 21
+_EDGE, _GAP = 14, 12
+_FINE = 2
+"""Lines are drawn this many times larger and scaled down, so that they are smooth."""
+_DOTS = 60
+_MARK = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """Points in their order. `apart[i]` is true where point i is not joined to the one before it.
+
+    A point whose y (or x) is not finite is not drawn but marked at the panel's edge.
+    """
+
+    name: str
+    x: Numbers
+    y: Numbers
+    apart: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """Curves over one y axis."""
+
+    curves: Sequence[Curve]
+    y_label: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """What to draw.
+
+    With `equal`, a unit of x is as long as one of y; with `ends`, a ring marks where a curve begins, a disc its end.
+    """
+
+    panels: Sequence[Panel]
+    title: str
+    x_label: str
+    x_span: Span | None = None
+    equal: bool = False
+    ends: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Where a panel lies in the picture, in pixels, and what it shows."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+    x: Span
+    y: Span
+
+    def pixels(self, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
+        """The places of points in the picture, y downwards."""
+        across = self.left + (x - self.x.low) / self.x.length * (self.right - self.left)
+        return across, self.bottom - (y - self.y.low) / self.y.length * (self.bottom - self.top)
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """The picture (RGB) with the frame of each panel."""
+
+    image: Image.Image
+    frames: Sequence[Frame]
+
+
+def draw(figure: Figure, width: int, height: int) -> Drawn:
+    """The figure as a picture of that size in pixels."""
+    frames = _frames(figure, width, height)
+    fine = Image.new("RGB", (width * _FINE, height * _FINE), _PAPER)
+    colours = iter(COLOURS)
+    coloured = [[(curve, next(colours)) for curve in panel.curves] for panel in figure.panels]
+    for frame, curves in zip(frames, coloured, strict=True):
+        _draw_lines(ImageDraw.Draw(fine), frame, curves, figure.ends)
+    image = fine.reduce(_FINE)
+    pen = ImageDraw.Draw(image)
+    pen.text((_EDGE, _EDGE), _fitted(figure.title, width - 2 * _EDGE), _TEXT, _font(_SIZE))
+    for panel, frame, curves in zip(figure.panels, frames, coloured, strict=True):
+        _write_panel(pen, panel, frame, curves, width)
+    _write_x_axis(pen, frames[-1], figure.x_label)
+    return Drawn(image, frames)
+
+
+def png_within(image: Image.Image, max_bytes: int) -> bytes:
+    """The picture as PNG, with fewer colours if it would be too large.
+
+    Raises:
+        BadData: if it does not fit even then.
+    """
+    for colours in (0, 128, 16):
+        data = png(image.quantize(colours) if colours else image)
+        if len(data) <= max_bytes:
+            return data
+    raise BadData(f"A picture of {image.width} × {image.height} pixels does not fit into {max_bytes} bytes.")
+
+
+def png(image: Image.Image) -> bytes:
+    """The picture as PNG."""
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+# ── where things are ─────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _frames(figure: Figure, width: int, height: int) -> list[Frame]:
+    x = figure.x_span or span_of([curve.x for panel in figure.panels for curve in panel.curves])
+    spans = [span_of([curve.y for curve in panel.curves]) for panel in figure.panels]
+    legends = [len(_legend_rows(panel, width)) * _ROW + 6 for panel in figure.panels]
+    top = _EDGE + _ROW + 4
+    room = height - top - 2 * _ROW - _EDGE - sum(legends) - _GAP * (len(spans) - 1)
+    each = room / len(spans)
+    left = _EDGE + max(_width(label) for span in spans for label in labels(ticks(span, _most(each)))) + 10
+    right = width - _EDGE - 16
+    frames: list[Frame] = []
+    for span, legend in zip(spans, legends, strict=True):
+        top += legend
+        frames.append(Frame(round(left), round(top), right, round(top + each), x, span))
+        top += each + _GAP
+    return [_equal(frame) for frame in frames] if figure.equal else frames
+
+
+def _equal(frame: Frame) -> Frame:
+    """The frame with one of its spans widened, so that both axes have the same scale."""
+    scale = max(frame.x.length / (frame.right - frame.left), frame.y.length / (frame.bottom - frame.top))
+    x, y = _widened(frame.x, scale * (frame.right - frame.left)), _widened(frame.y, scale * (frame.bottom - frame.top))
+    return Frame(frame.left, frame.top, frame.right, frame.bottom, x, y)
+
+
+def _widened(span: Span, length: float) -> Span:
+    more = (length - span.length) / 2
+    return Span(span.low - more, span.high + more)
+
+
+def _most(pixels: float) -> int:
+    """How many ticks the height of a panel has room for."""
+    return max(3, int(pixels / 36))
+
+
+def _x_ticks(frame: Frame) -> list[float]:
+    return ticks(frame.x, max(3, int((frame.right - frame.left) / 90)))
+
+
+# ── lines ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _draw_lines(pen: ImageDraw.ImageDraw, frame: Frame, curves: Sequence[tuple[Curve, str]], ends: bool) -> None:
+    box = [frame.left * _FINE, frame.top * _FINE, frame.right * _FINE, frame.bottom * _FINE]
+    for across, _ in _places(frame, _x_ticks(frame), vertical=False):
+        pen.line([across * _FINE, box[1], across * _FINE, box[3]], _GRID, _FINE)
+    for down, _ in _places(frame, ticks(frame.y, _most(frame.bottom - frame.top)), vertical=True):
+        pen.line([box[0], down * _FINE, box[2], down * _FINE], _GRID, _FINE)
+    pen.rectangle(box, outline=_FRAME, width=_FINE)
+    for curve, colour in curves:
+        _draw_curve(pen, frame, curve, colour)
+    for curve, colour in curves if ends else ():
+        _draw_ends(pen, frame, curve, colour)
+    for curve, colour in curves:
+        _draw_marks(pen, frame, curve, colour)
+
+
+def _places(frame: Frame, values: Sequence[float], *, vertical: bool) -> list[tuple[float, str]]:
+    """Where each tick of an axis is, and its label."""
+    at = np.asarray(values, np.float64)
+    across, down = frame.pixels(at, at)
+    return list(zip((down if vertical else across).tolist(), labels(values), strict=True))
+
+
+def _draw_curve(pen: ImageDraw.ImageDraw, frame: Frame, curve: Curve, colour: str) -> None:
+    with_dots = np.count_nonzero(_finite(curve)) <= _DOTS
+    for x, y in _strokes(curve):
+        across, down = (np.rint(each * _FINE) for each in frame.pixels(x, y))
+        points = _thinned(across, down)
+        if len(points) > 1:
+            pen.line(points, colour, 2 * _FINE, joint="curve" if len(points) < 5000 else None)
+        for point in points if with_dots or len(points) == 1 else ():
+            _dot(pen, point, 3 * _FINE, colour)
+
+
+def _finite(curve: Curve) -> NDArray[np.bool_]:
+    return np.isfinite(curve.x) & np.isfinite(curve.y)
+
+
+def _strokes(curve: Curve) -> Iterator[tuple[Numbers, Numbers]]:
+    """The parts of a curve that are drawn without lifting the pen."""
+    there = _finite(curve)
+    begins = curve.apart | ~there | np.concatenate(([False], ~there[:-1]))
+    edges = [0, *np.flatnonzero(begins).tolist(), len(there)]
+    for start, end in pairwise(edges):
+        kept = there[start:end]
+        if kept.any():
+            yield curve.x[start:end][kept], curve.y[start:end][kept]
+
+
+def _thinned(across: Numbers, down: Numbers) -> list[tuple[float, float]]:
+    """Of each run of points in one column of pixels: the first, the highest, the lowest and the last."""
+    starts = np.flatnonzero(np.concatenate(([True], np.diff(across) != 0)))
+    lasts = np.append(starts[1:], len(across)) - 1
+    rows = (down[starts], np.minimum.reduceat(down, starts), np.maximum.reduceat(down, starts), down[lasts])
+    points = list(zip(np.repeat(across[starts], 4).tolist(), np.stack(rows, axis=1).ravel().tolist(), strict=True))
+    return [point for index, point in enumerate(points) if not index or point != points[index - 1]]
+
+
+def _draw_ends(pen: ImageDraw.ImageDraw, frame: Frame, curve: Curve, colour: str) -> None:
+    """A ring where the curve begins, a disc where it ends."""
+    there = np.flatnonzero(_finite(curve))
+    if len(there):
+        ends = there[[0, -1]]
+        across, down = frame.pixels(curve.x[ends], curve.y[ends])
+        _dot(pen, (across[1] * _FINE, down[1] * _FINE), 6 * _FINE, colour)
+        _dot(pen, (across[0] * _FINE, down[0] * _FINE), 7 * _FINE, colour)
+        _dot(pen, (across[0] * _FINE, down[0] * _FINE), 4 * _FINE, _PAPER)
+
+
+def _dot(pen: ImageDraw.ImageDraw, at: tuple[float, float], radius: float, colour: str) -> None:
+    pen.ellipse([at[0] - radius, at[1] - radius, at[0] + radius, at[1] + radius], fill=colour)
+
+
+def _draw_marks(pen: ImageDraw.ImageDraw, frame: Frame, curve: Curve, colour: str) -> None:
+    """NaN as a cross at the bottom, infinities as a wedge at the top or bottom that they lie beyond."""
+    odd = np.isfinite(curve.x) & ~np.isfinite(curve.y)
+    across, _ = frame.pixels(curve.x[odd], np.zeros(int(odd.sum())))
+    for column, value in dict.fromkeys(zip(np.rint(across).tolist(), map(str, curve.y[odd]), strict=True)):
+        x, size = column * _FINE, _MARK * _FINE
+        y = (frame.top + _MARK + 3 if value == "inf" else frame.bottom - _MARK - 3) * _FINE
+        if value == "nan":
+            pen.line([x - size, y - size, x + size, y + size], NOT_FINITE, _FINE)
+            pen.line([x - size, y + size, x + size, y - size], NOT_FINITE, _FINE)
+        else:
+            tip = -size if value == "inf" else size
+            pen.polygon([(x, y + tip), (x - size, y - tip), (x + size, y - tip)], fill=colour)
+
+
+# ── words ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _write_panel(
+    pen: ImageDraw.ImageDraw, panel: Panel, frame: Frame, curves: Sequence[tuple[Curve, str]], width: int
+) -> None:
+    for down, label in _places(frame, ticks(frame.y, _most(frame.bottom - frame.top)), vertical=True):
+        pen.text((frame.left - 8, down), label, _TEXT, _font(_SMALL), anchor="rm")
+    colours = {curve.name: colour for curve, colour in curves}
+    rows = _legend_rows(panel, width)
+    top = frame.top - 6 - len(rows) * _ROW
+    if panel.y_label:
+        pen.text((_EDGE, top + _ROW / 2), f"[{panel.y_label}]", _GREY, _font(_SMALL), anchor="lm")
+    for number, row in enumerate(rows):
+        for at, name in row:
+            middle = top + number * _ROW + _ROW / 2
+            pen.line([at, middle, at + 20, middle], colours[name], 4)
+            pen.text((at + 26, middle), _fitted(name, width - at - 26 - _EDGE), _TEXT, _font(_SMALL), anchor="lm")
+    if not any(_finite(curve).any() for curve, _ in curves):
+        centre = ((frame.left + frame.right) / 2, (frame.top + frame.bottom) / 2)
+        pen.text(centre, "no values", _GREY, _font(_SIZE), anchor="mm")
+
+
+def _write_x_axis(pen: ImageDraw.ImageDraw, frame: Frame, label: str) -> None:
+    for across, text in _places(frame, _x_ticks(frame), vertical=False):
+        pen.text((across, frame.bottom + 6), text, _TEXT, _font(_SMALL), anchor="ma")
+    centre = ((frame.left + frame.right) / 2, frame.bottom + 6 + _ROW)
+    pen.text(centre, label, _GREY, _font(_SMALL), anchor="ma")
+
+
+def _legend_rows(panel: Panel, width: int) -> list[list[tuple[float, str]]]:
+    """The names of the curves in rows, each with its distance from the left."""
+    left = _EDGE + (_width(f"[{panel.y_label}]") + 16 if panel.y_label else 0)
+    rows: list[list[tuple[float, str]]] = [[]]
+    at = left
+    for curve in panel.curves:
+        needed = 26 + _width(curve.name)
+        if rows[-1] and at + needed > width - _EDGE:
+            rows.append([])
+            at = left
+        rows[-1].append((at, curve.name))
+        at += needed + 22
+    return rows
+
+
+def _fitted(text: str, width: float) -> str:
+    """The text, cut where there is no room for it."""
+    if _width(text) <= width:
+        return text
+    while text and _width(text + "…") > width:
+        text = text[:-1]
+    return text + "…"
+
+
+def _width(text: str) -> float:
+    return _font(_SMALL).getlength(text)
+
+
+def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    if size not in _FONTS:
+        _FONTS[size] = ImageFont.load_default(size)
+    return _FONTS[size]
+
+
+_FONTS: dict[int, ImageFont.FreeTypeFont | ImageFont.ImageFont] = {}

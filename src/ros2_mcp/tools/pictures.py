@@ -1,0 +1,75 @@
+"""Tools that show: plots, maps, point clouds."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ros2_mcp.ops import picturing, plotting
+from ros2_mcp.ops.live import Live
+from ros2_mcp.ops.results import Report
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import Number, TopicName, Whole
+from ros2_mcp.tools.declare import tool
+
+Timeout = Annotated[Number, Field(gt=0, le=600, description="Wait at most this long, in seconds.")]
+Pixels = Annotated[Whole, Field(ge=300, le=plotting.MAX_SIDE, description="Size of the picture in pixels.")]
+Height = Annotated[Number | None, Field(description="Only points within these heights, in metres. Default: all.")]
+
+
+@tool(title="Plot", risk="read", group="pictures", by_default=False, aliases={"topic_names": "series"})
+async def ros2_plot(
+    robot: Robot,
+    report: Report,
+    series: Annotated[
+        list[str],
+        Field(
+            min_length=1,
+            max_length=24,
+            description='Topic:field, such as ["/odom:twist.twist.linear.x"]. A topic or message: all numbers in it.',
+        ),
+    ],
+    duration: Annotated[Number, Field(ge=0.1, le=600, description="Listen for this long, in seconds.")] = 5.0,
+    kind: Annotated[
+        Literal["time", "xy"],
+        Field(description='"time", or "xy": pairs of series against each other; a position alone is a trajectory.'),
+    ] = "time",
+    width: Pixels = 1000,
+    height: Pixels = 640,
+) -> plotting.Plot:
+    """Draw numeric fields over time, or trajectories, as a picture; with minimum, maximum and mean of each."""
+    return await plotting.plot(Live(robot, duration), series, plotting.Look(kind, width, height), report)
+
+
+@tool(title="Map as a picture", risk="read", group="pictures")
+async def ros2_get_map_as_image(
+    robot: Robot, report: Report, topic_name: TopicName, timeout: Timeout = 5.0
+) -> picturing.MapPicture:
+    """Show an occupancy grid as a picture, with resolution, origin, size and shares of free, occupied and unknown."""
+    return await picturing.map_picture(Live(robot, timeout), topic_name, report)
+
+
+@tool(title="Point cloud from above", risk="read", group="pictures", by_default=False)
+async def ros2_get_pointcloud_as_bev(
+    robot: Robot,
+    report: Report,
+    topic_name: TopicName,
+    resolution: Annotated[Number, Field(ge=0.001, le=100, description="Metres per pixel.")] = 0.05,
+    zmin: Height = None,
+    zmax: Height = None,
+    timeout: Timeout = 5.0,
+    max_pixels: Annotated[Whole, Field(ge=64, le=16_384, description="Longest side; at most 1568 is drawn.")] = 2048,
+    color_mode: Annotated[
+        Literal["intensity", "height", "rgb"],
+        Field(description="What colours show; the height where the cloud lacks it."),
+    ] = "intensity",
+    colormap: Annotated[
+        Literal["jet", "gray"], Field(description="Scale of colours, for intensity and height.")
+    ] = "jet",
+) -> picturing.CloudPicture:
+    """Show a point cloud from above (bird's-eye view), with its extent and scale in metres."""
+    from ros2_mcp.codec.bird_eye import Wanted
+
+    wanted = Wanted(resolution, zmin, zmax, color_mode, colormap, min(max_pixels, plotting.MAX_SIDE))
+    return await picturing.cloud_picture(Live(robot, timeout), topic_name, wanted, report)

@@ -1,0 +1,47 @@
+"""A real server with all tools, the simulated robot, and a node that publishes a point cloud."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "server"))  # the tests import their neighbours
+
+from agent import Agent, agent_for
+
+
+@pytest.fixture(scope="module")
+def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
+    """A client of a server with all tools."""
+    with agent_for(ros_environment, "--tools", "all") as client:
+        yield client
+
+
+@pytest.fixture(scope="module", autouse=True)
+def nodes(ros_environment: dict[str, str]) -> Iterator[None]:
+    """The simulated robot and the node of `cloud_peer.py`, both ready."""
+    commands = (["-m", "ros2_mcp_demo"], [str(Path(__file__).parent / "cloud_peer.py")])
+    pipe = subprocess.PIPE
+    processes = [
+        subprocess.Popen([sys.executable, *command], stdin=pipe, stdout=pipe, text=True, env=ros_environment)
+        for command in commands
+    ]
+    try:
+        for process in processes:
+            assert process.stdout and process.stdout.readline(), f"{process.args} died"
+        yield
+    finally:
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            try:
+                process.communicate(timeout=10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.communicate()

@@ -1,0 +1,105 @@
+"""What an agent sees of the simulated robot while it drives, of its map, and of a room in a point cloud."""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from agent import Agent
+from PIL import Image
+
+
+def seen(agent: Agent, tool: str, **arguments: Any) -> tuple[dict[str, Any], np.ndarray]:
+    """The result with its picture's pixels; kept in a folder to look at where ROS2_MCP_PICTURES names one."""
+    result = agent.whole(tool, arguments)
+    assert not result.is_error, result.content[0]
+    assert result.structured_content is not None
+    (data,) = (base64.b64decode(part.data) for part in result.content if part.type == "image")
+    assert len(data) <= 700_000
+    folder = os.environ.get("ROS2_MCP_PICTURES")
+    if folder:
+        Path(folder, f"{tool}_{arguments.get('kind') or arguments.get('color_mode') or ''}.png").write_bytes(data)
+    image = Image.open(io.BytesIO(data))
+    assert image.format == "PNG" and max(image.size) <= 1568
+    return result.structured_content, np.asarray(image.convert("RGB")).astype(int)
+
+
+def drive(agent: Agent, duration: float) -> Any:
+    command = {"linear": {"x": 0.3}, "angular": {"z": 0.8}}
+    return agent.begin("ros2_topic_publish", topic_name="/cmd_vel", data=command, frequency=10, duration=duration)
+
+
+def blue(pixels: np.ndarray) -> np.ndarray:
+    """Rows and columns of the first curve's pixels, the legend aside."""
+    return np.argwhere(np.abs(pixels - (0x1F, 0x6F, 0xC4)).sum(axis=2) < 12)[:, :]
+
+
+def test_the_speed_is_seen_to_rise_while_the_robot_drives(agent: Agent) -> None:
+    driving = drive(agent, 3.0)
+    found, pixels = seen(
+        agent, "ros2_plot", series=["/odom:twist.twist.linear.x", "/odom:twist.twist.angular.z"], duration=3
+    )
+    driving.result(30)
+    speed, turning = found["series"]
+    assert (speed["unit"], turning["unit"]) == ("m/s", "rad/s")
+    assert speed["max"] == pytest.approx(0.3, abs=0.1)
+    assert speed["count"] > 20
+    places = blue(pixels)
+    assert np.ptp(places[:, 0]) > 60  # it changes
+    assert np.ptp(places[:, 1]) > 600  # and fills the time
+
+
+def test_a_trajectory_is_as_large_as_the_way_driven(agent: Agent) -> None:
+    driving = drive(agent, 4.0)
+    found, pixels = seen(agent, "ros2_plot", series=["/odom:pose.pose.position"], duration=4, kind="xy")
+    driving.result(30)
+    x, y = found["series"]
+    assert (x["name"], y["name"]) == ("/odom:pose.pose.position.x", "/odom:pose.pose.position.y")
+    assert max(x["max"] - x["min"], y["max"] - y["min"]) > 0.2
+    assert len(blue(pixels)) > 500
+
+
+def test_the_map_is_shown_with_its_facts(agent: Agent) -> None:
+    found, pixels = seen(agent, "ros2_get_map_as_image", topic_name="/map")
+    message = agent.call("ros2_topic_subscribe", topic_name="/map", fields=["info"])["messages"][0]
+    info = message["info"]
+    assert (found["width"], found["height"]) == (info["width"], info["height"])
+    assert found["resolution_m"] == pytest.approx(info["resolution"])
+    assert found["origin_x_m"] == pytest.approx(info["origin"]["position"]["x"])
+    assert found["free"] + found["occupied"] + found["unknown"] == pytest.approx(1)
+    assert (pixels == 0).all(axis=2).mean() == pytest.approx(found["occupied"], abs=0.05)
+
+
+def test_a_room_is_seen_from_above(agent: Agent) -> None:
+    found, pixels = seen(
+        agent, "ros2_get_pointcloud_as_bev", topic_name="/cloud", resolution=0.1, color_mode="rgb", zmax=1.8
+    )
+    assert (found["frame_id"], found["not_finite"], found["color_mode"]) == ("room", 2, "rgb")
+    assert [found[key] for key in ("x_min_m", "x_max_m", "y_min_m", "y_max_m")] == pytest.approx([-4, 4, -2, 2])
+    assert found["z_max_m"] == pytest.approx(1.5)
+    red = np.argwhere((pixels[:, :, 0] > 200) & (pixels[:, :, 1] < 60))
+    row, column = red.mean(axis=0)
+    scale = found["metres_per_pixel"]
+    assert (found["x_min_m"] + column * scale, found["y_max_m"] - row * scale) == pytest.approx((2.0, 0.5), abs=0.1)
+    assert pixels[0, 0].tolist() == [0xE0] * 3
+
+
+def test_intensity_is_shown_as_colours_with_their_scale(agent: Agent) -> None:
+    found, pixels = seen(
+        agent, "ros2_get_pointcloud_as_bev", topic_name="/cloud", resolution=0.1, color_mode="intensity"
+    )
+    assert (found["color_low"], found["color_high"]) == (10.0, 90.0)
+    corner, floor = pixels[0, 0], pixels[pixels.shape[0] // 2, pixels.shape[1] // 4]
+    assert corner[0] > corner[2] and floor[2] > floor[0]
+
+
+def test_other_topics_are_refused_by_name(agent: Agent) -> None:
+    assert "/scan is a sensor_msgs/msg/LaserScan" in agent.refusal("ros2_get_map_as_image", topic_name="/scan")
+    assert "/map is a nav_msgs" in agent.refusal("ros2_get_pointcloud_as_bev", topic_name="/map")
+    refusal = agent.refusal("ros2_plot", series=["/odom:twist.twist.lineer.x"])
+    assert "Did you mean linear?" in refusal

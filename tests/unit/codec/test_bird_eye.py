@@ -1,0 +1,166 @@
+"""Point clouds of every layout, and known points at known pixels."""
+
+from __future__ import annotations
+
+import io
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ros2_mcp.codec.bird_eye import BirdEye, Wanted, bird_eye
+from ros2_mcp.codec.check import check
+from ros2_mcp.codec.clouds import POINT_CLOUD, cloud_of
+from ros2_mcp.codec.definitions import Definitions
+from ros2_mcp.model.errors import BadData
+
+KINDS = {"b": 1, "B": 2, "h": 3, "H": 4, "i": 5, "I": 6, "f": 7, "d": 8}
+
+
+def cloud(definitions: Definitions, layout: dict[str, tuple[int, str]], points: list[dict[str, float]], **more) -> Any:
+    """A message whose fields have these offsets and kinds; `more` overrides the rest."""
+    order = ">" if more.get("is_bigendian") else "<"
+    step = more.get("point_step") or max(at + struct.calcsize(kind) for at, kind in layout.values())
+    height = more.get("height", 1)
+    width = len(points) // height
+    row_step = more.get("row_step") or width * step
+    data = bytearray(b"\xaa" * (row_step * height))
+    for index, point in enumerate(points):
+        start = index // width * row_step + index % width * step
+        for name, value in point.items():
+            at, kind = layout[name]
+            struct.pack_into(order + kind, data, start + at, value)
+    fields = [{"name": n, "offset": at, "datatype": KINDS[kind], "count": 1} for n, (at, kind) in layout.items()]
+    value = {"fields": fields, "point_step": step, "row_step": row_step, "width": width, "height": height}
+    return check(definitions, POINT_CLOUD, {**value, "data": list(data), **more})
+
+
+XYZ = {"x": (0, "f"), "y": (4, "f"), "z": (8, "f")}
+
+
+def pixels(seen: BirdEye) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(seen.picture.data)).convert("RGB"))
+
+
+def places(points: list[tuple[float, float, float]]) -> list[dict[str, float]]:
+    return [dict(zip("xyz", point, strict=True)) for point in points]
+
+
+@pytest.mark.parametrize(
+    ("layout", "more"),
+    [
+        (XYZ, {}),
+        ({"x": (3, "d"), "z": (13, "d"), "y": (21, "d")}, {"point_step": 32}),
+        ({"z": (0, "h"), "y": (2, "h"), "x": (4, "i")}, {"is_bigendian": True}),
+        (XYZ, {"height": 2, "row_step": 64, "is_bigendian": True}),
+        (XYZ, {"height": 2, "row_step": 64, "point_step": 20}),
+    ],
+)
+def test_points_of_any_layout_are_read(definitions: Definitions, layout: Any, more: Any) -> None:
+    points = [(1, 2, 3), (-4, 5, -6), (7, -8, 9), (0, 0, 0)]
+    assert cloud_of(cloud(definitions, layout, places(points), **more)).xyz.tolist() == [list(p) for p in points]
+
+
+def test_points_that_are_not_finite_are_dropped_with_their_colours_and_counted(definitions: Definitions) -> None:
+    layout = {**XYZ, "intensity": (12, "B")}
+    points = [{"x": 1, "y": 1, "z": 1, "intensity": 10}, {"x": float("nan"), "y": 1, "z": 1, "intensity": 20}]
+    points += [{"x": 2, "y": 1, "z": float("inf"), "intensity": 30}, {"x": 3, "y": 1, "z": 1, "intensity": 40}]
+    found = cloud_of(cloud(definitions, layout, points))
+    assert (found.points, found.not_finite) == (4, 2)
+    assert found.intensity is not None and found.intensity.tolist() == [10, 40]
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("kind", ["I", "f"])
+def test_packed_colours_are_unpacked(definitions: Definitions, kind: str, big: bool) -> None:
+    packed = 0x00C81E90
+    value = packed if kind == "I" else struct.unpack("<f", struct.pack("<I", packed))[0]
+    point = {"x": 1, "y": 2, "z": 3, "rgb": value}
+    found = cloud_of(cloud(definitions, {**XYZ, "rgb": (16, kind)}, [point], is_bigendian=big))
+    assert found.rgb is not None and found.rgb.tolist() == [[0xC8, 0x1E, 0x90]]
+
+
+def test_known_points_are_at_known_pixels(definitions: Definitions) -> None:
+    """x to the right, y up: the corners of 40 m × 20 m, and one point inside."""
+    points = [(-20.05, -10.05, 0), (19.95, 9.95, 10), (5.05, 3.05, 10)]
+    seen = bird_eye(cloud_of(cloud(definitions, XYZ, places(points))), Wanted(0.1, color_mode="height"))
+    image = pixels(seen)
+    assert image.shape == (201, 401, 3)
+    assert seen.metres_per_pixel == pytest.approx(0.1)
+    lit = {(int(column), int(row)) for row, column in np.argwhere(image.any(axis=2))}
+    assert lit == {(0, 200), (400, 0), (251, 69)}
+    for x, y, _ in points:
+        assert ((x - seen.x_min_m) // 0.1, (seen.y_max_m - y) // 0.1) in lit
+    assert image[200, 0, 2] > image[200, 0, 0] and image[0, 400, 0] > image[0, 400, 2]  # low is blue, high is red
+
+
+def test_the_highest_point_of_a_pixel_is_seen(definitions: Definitions) -> None:
+    layout = {**XYZ, "rgb": (12, "I")}
+    colours = {0.0: 0x00FF00, 2.0: 0xFF0000, 1.0: 0x0000FF}
+    points = [{"x": 0.01, "y": 0.01, "z": z, "rgb": rgb} for z, rgb in colours.items()]
+    points.append({"x": 10.0, "y": 0, "z": 0, "rgb": 0x00FF00})
+    seen = bird_eye(cloud_of(cloud(definitions, layout, points)), Wanted(0.02, color_mode="rgb"))
+    assert pixels(seen)[0, 0].tolist() == [255, 24, 24]
+
+
+def test_only_the_heights_asked_for_are_shown(definitions: Definitions) -> None:
+    points = cloud_of(cloud(definitions, XYZ, places([(0, 0, -1), (1, 1, 0.5), (2, 2, 3)])))
+    seen = bird_eye(points, Wanted(z_min_m=0.0, z_max_m=1.0))
+    assert (seen.shown, seen.z_min_m, seen.z_max_m) == (1, 0.5, 0.5)
+    with pytest.raises(BadData, match="No point to show"):
+        bird_eye(points, Wanted(z_min_m=5.0))
+
+
+def test_a_wide_cloud_is_shown_coarser_and_says_so(definitions: Definitions) -> None:
+    points = cloud_of(cloud(definitions, XYZ, places([(0, 0, 0), (1000, 10, 1)])))
+    seen = bird_eye(points, Wanted(0.05, color_mode="height"))
+    assert max(seen.picture.width, seen.picture.height) <= 1568
+    assert 1000 / 1568 < seen.resolution_m < 1.05 * 1000 / 1568
+    assert seen.note.startswith(f"The resolution is {seen.resolution_m:.4g} m instead of 0.05 m")
+
+
+def test_a_picture_of_noise_stays_within_its_bytes() -> None:
+    from ros2_mcp.codec.clouds import Cloud
+
+    random = np.random.default_rng(1)
+    xyz = random.uniform(0, 70, (600_000, 3))
+    seen = bird_eye(Cloud(xyz, random.uniform(0, 1, 600_000), None, 600_000, 0), Wanted(max_bytes=300_000))
+    assert len(seen.picture.data) <= 300_000
+    assert seen.metres_per_pixel * seen.picture.width == pytest.approx(70, abs=2 * seen.resolution_m)
+
+
+def test_a_cloud_without_the_colour_asked_for_is_shown_by_height(definitions: Definitions) -> None:
+    points = cloud_of(cloud(definitions, XYZ, places([(0, 0, 0), (1, 1, 1)])))
+    for mode in ("intensity", "rgb"):
+        seen = bird_eye(points, Wanted(color_mode=mode))
+        assert (seen.color_mode, seen.note) == ("height", f"The cloud has no {mode}; colours show the height.")
+
+
+@pytest.mark.parametrize(
+    ("layout", "more", "words"),
+    [
+        ({"x": (0, "f"), "y": (4, "f")}, {}, "no x, y and z"),
+        (XYZ, {"data": [0] * 10}, "data has 10 bytes"),
+        (XYZ, {"width": 2**31}, "data has 12 bytes"),
+        (XYZ, {"fields": [{"name": n, "offset": 4_000_000_000, "datatype": 7} for n in "xyz"]}, "beyond point_step"),
+        (XYZ, {"fields": [{"name": n, "offset": 0, "datatype": 99} for n in "xyz"]}, "unknown datatype 99"),
+    ],
+)
+def test_a_cloud_that_does_not_fit_its_layout_is_refused(definitions: Definitions, layout, more, words: str) -> None:
+    with pytest.raises(BadData, match=words):
+        cloud_of(cloud(definitions, layout, [dict.fromkeys(layout, 1.0)], **more))
+
+
+def test_rows_that_overlap_are_refused(definitions: Definitions) -> None:
+    message = cloud(definitions, XYZ, places([(0, 0, 0), (1, 1, 1)]), height=2)
+    message.row_step = 4
+    with pytest.raises(BadData, match="takes 12 bytes, but row_step is 4"):
+        cloud_of(message)
+
+
+def test_an_empty_cloud_says_so(definitions: Definitions) -> None:
+    message = cloud(definitions, XYZ, [], data=[], point_step=12, row_step=0, width=0, height=1)
+    with pytest.raises(BadData, match="of 0 points"):
+        bird_eye(cloud_of(message), Wanted())
