@@ -155,7 +155,8 @@ class _Goal:
             answer = await self._robot.call(name, service, request, timeout_s=ACCEPT_S, wait_s=SERVER_S)
         except NotFound as error:
             self._robot.goal_ended(self._id)
-            raise NotFound(f"The server of {self._action} is not there: the goal was not accepted.") from error
+            gone = f"The server of {self._action} is not there, or left before it said that it accepts the goal."
+            raise NotFound(gone) from error
         except TimedOut as error:
             raise TimedOut(
                 f"The server of {self._action} did not say within {ACCEPT_S:g} s whether it accepts goal {self._id}.",

