@@ -146,7 +146,7 @@ def _explain_one(tool: str, problem: Mapping[str, Any], schema: Mapping[str, Any
     if problem["type"] == "missing":
         return f"{tool} needs the argument {path!r}."
     message = _PLAIN_WORDS.get(problem["type"], str(problem["msg"]).removeprefix("Value error, "))
-    return f"{path}: {message}, not {json.dumps(problem['input'], default=str)[:100]}."
+    return f"BadInput: {path}: {message}, not {json.dumps(problem['input'], default=str)[:100]}."
 
 
 def _names_beside(schema: Mapping[str, Any], path: Sequence[str | int]) -> list[str]:

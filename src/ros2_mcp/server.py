@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any, cast
 
 import anyio
 from mcp.server.lowlevel import NotificationOptions
 from mcp.server.mcpserver import Context, MCPServer
+from mcp.server.mcpserver.exceptions import ToolError
 from mcp.server.stdio import stdio_server
 from mcp.server.subscriptions import InMemorySubscriptionBus, SubscriptionBus
 
@@ -49,9 +50,13 @@ _ANNOUNCED = NotificationOptions(prompts_changed=True)
 
 
 class _Server(MCPServer[None]):
-    """Answers to the names that tools had in other servers, without listing them."""
+    """Answers to the names that tools had in other servers, without listing them; says how to have a tool left out."""
+
+    not_offered: Mapping[str, str]
 
     async def call_tool(self, name: str, arguments: dict[str, Any], context: Context[None, Any] | None = None) -> Any:
+        if name in self.not_offered:
+            raise ToolError(f"{name} is not offered: {self.not_offered[name]}.")
         return await super().call_tool(_OTHER_NAMES.get(name, name), arguments, context)
 
 
@@ -77,6 +82,7 @@ def build_server(
         log_level=cast("Any", log_level),
         subscriptions=events,
     )
+    server.not_offered = _not_offered(robot, groups)
     if not robot.policy.recorded:
         resources.offer(server, robot, events)
     _offer_guidance(server, robot, events, _catalog(robot, groups, settings or Settings()))
@@ -84,12 +90,11 @@ def build_server(
 
 
 def _catalog(robot: Robot, groups: Sequence[str], settings: Settings) -> Catalog:
-    offered = {tool.name for tool in chosen_tools(robot, groups)}
     return Catalog(
         robot,
         folder=settings.prompts,
         load_code=code_of(settings),
-        missing={tool.name: _why_missing(tool, robot, groups) for tool in TOOLS if tool.name not in offered},
+        missing=_not_offered(robot, groups),
         tools=[tool.name for tool in TOOLS],
     )
 
@@ -112,6 +117,12 @@ def _offer_guidance(server: MCPServer[None], robot: Robot, events: SubscriptionB
 
     offer_prompts(server, catalog, events)
     offer_completions(server, robot, of_prompt=of_prompt, of_template=of_template)
+
+
+def _not_offered(robot: Robot, groups: Sequence[str]) -> dict[str, str]:
+    """The tools that are left out, each with the reason."""
+    offered = {tool.name for tool in chosen_tools(robot, groups)}
+    return {tool.name: _why_missing(tool, robot, groups) for tool in TOOLS if tool.name not in offered}
 
 
 def _why_missing(tool: ToolDeclaration, robot: Robot, groups: Sequence[str]) -> str:

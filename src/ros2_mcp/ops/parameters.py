@@ -104,6 +104,8 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
     shown: list[NodeParameters] = []
     left = limit
     for node in found:
+        if pattern and not (nodes or node.parameters or node.error):
+            continue
         shown.append(NodeParameters(node.node, node.parameters[:left], node.error))
         left = max(left - len(node.parameters), 0)
     note = f"{total} parameters match, the first {limit} are shown." if total > limit else ""
