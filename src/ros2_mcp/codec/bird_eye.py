@@ -16,8 +16,6 @@ from ros2_mcp.model.pictures import Picture
 
 _SMALL_SIDE = 400
 _COARSER = 1.1
-_DARKEST = 0.12
-"""Where the colours begin, so that no point is as dark as the background."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,16 +174,16 @@ def _coloured(cloud: Cloud, kept: NDArray[np.bool_], wanted: Wanted) -> _Coloure
     finite = values[np.isfinite(values)]
     low, high = (float(bound) for bound in np.percentile(finite, (2, 98))) if len(finite) else (0.0, 0.0)
     share = np.nan_to_num((values - low) / (high - low), nan=0.0) if high > low else np.full(len(values), 0.5)
-    scaled = _DARKEST + (1 - _DARKEST) * np.minimum(np.maximum(share, 0.0), 1.0)
+    scaled = np.minimum(np.maximum(share, 0.0), 1.0)
     return _Coloured(_jet(scaled) if wanted.colormap == "jet" else _gray(scaled), mode, low, high, note)
 
 
 def _jet(share: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Blue, cyan, green, yellow, red."""
-    parts = [1.5 - np.abs(4 * share - centre) for centre in (3, 2, 1)]
+    """Blue, cyan, green, yellow, red; without the dark ends, which would be hard to see."""
+    parts = [1.5 - np.abs(0.5 + 3 * share - centre) for centre in (3, 2, 1)]
     return np.rint(255 * np.minimum(np.maximum(np.stack(parts, axis=1), 0), 1)).astype(np.uint8)
 
 
 def _gray(share: NDArray[np.float64]) -> NDArray[np.uint8]:
-    shades = np.rint(255 * (0.1 + 0.9 * share)).astype(np.uint8)
+    shades = np.rint(255 * (0.2 + 0.8 * share)).astype(np.uint8)
     return np.stack([shades] * 3, axis=1)

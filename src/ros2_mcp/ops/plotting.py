@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.signals import Numbers
 
 MAX_CURVES = 12
-MAX_DURATION_S = 600.0
 MAX_SIDE = 1568
 MAX_BYTES = 700_000
 _PANEL_PIXELS = 140
@@ -88,13 +87,12 @@ async def plot(source: Source, wanted: Sequence[str], look: Look | None = None, 
 
     Raises:
         BadInput: if nothing is wanted, or the series are not pairs.
-        BadValue: if a size or the time is out of range, or a field does not exist or is no number.
+        BadValue: if a size is out of range, or a field does not exist or is no number.
         NotFound: if none of the topics is there.
     """
     look = look or Look()
     bounded("width", look.width, 300, MAX_SIDE, "px")
     bounded("height", look.height, 200, MAX_SIDE, "px")
-    bounded("duration", source.duration_s, 0.1, MAX_DURATION_S, "s")
     parts = [_parted(each) for each in wanted]
     if not parts:
         raise BadInput("Nothing to plot is given.", 'Give series such as ["/odom:twist.twist.linear.x"].')
@@ -264,7 +262,7 @@ def _over_time(values: Sequence[_Values], window: Window, words: str) -> Figure:
     for unit, group in groupby(ordered, key=lambda each: each.unit):
         panels.append(Panel([Curve(v.name, v.times, v.values, _breaks(v.times)) for v in group], unit))
     since = iso_time(window.start_ns)[:-5].replace("T", " ")
-    return Figure(panels or [Panel([])], words, f"seconds since {since} UTC", Span(0.0, window.duration_s))
+    return Figure(panels or [Panel([])], words, f"seconds since {since} UTC", Span(0.0, max(window.duration_s, 1e-3)))
 
 
 def _against_each_other(values: Sequence[_Values], words: str) -> Figure:

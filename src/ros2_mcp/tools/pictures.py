@@ -7,10 +7,11 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from ros2_mcp.ops import picturing, plotting
-from ros2_mcp.ops.live import Live
+from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.sources import Part, source_of
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import Number, TopicName, Whole
+from ros2_mcp.tools.arguments import FromBag, FromStart, Number, TopicName, UpToEnd, Whole
 from ros2_mcp.tools.declare import tool
 
 Timeout = Annotated[Number, Field(gt=0, le=600, description="Wait at most this long, in seconds.")]
@@ -18,9 +19,10 @@ Pixels = Annotated[Whole, Field(ge=300, le=plotting.MAX_SIDE, description="Size 
 Height = Annotated[Number | None, Field(description="Only points within these heights, in metres. Default: all.")]
 
 
-@tool(title="Plot", risk="read", group="pictures", by_default=False, aliases={"topic_names": "series"})
+@tool(title="Plot", risk="read", group="pictures", recorded=True, by_default=False, aliases={"topic_names": "series"})
 async def ros2_plot(
     robot: Robot,
+    memory: Memory,
     report: Report,
     series: Annotated[
         list[str],
@@ -37,22 +39,35 @@ async def ros2_plot(
     ] = "time",
     width: Pixels = 1000,
     height: Pixels = 640,
+    bag: FromBag = "",
+    start: FromStart = "",
+    end: UpToEnd = "",
 ) -> plotting.Plot:
     """Draw numeric fields over time, or trajectories, as a picture; with minimum, maximum and mean of each."""
-    return await plotting.plot(Live(robot, duration), series, plotting.Look(kind, width, height), report)
+    source = await source_of(robot, memory, Part(bag, start, end), duration)
+    return await plotting.plot(source, series, plotting.Look(kind, width, height), report)
 
 
-@tool(title="Map as a picture", risk="read", group="pictures")
+@tool(title="Map as a picture", risk="read", group="pictures", recorded=True)
 async def ros2_get_map_as_image(
-    robot: Robot, report: Report, topic_name: TopicName, timeout: Timeout = 5.0
+    robot: Robot,
+    memory: Memory,
+    report: Report,
+    topic_name: TopicName,
+    timeout: Timeout = 5.0,
+    bag: FromBag = "",
+    start: FromStart = "",
+    end: UpToEnd = "",
 ) -> picturing.MapPicture:
     """Show an occupancy grid as a picture, with resolution, origin, size and shares of free, occupied and unknown."""
-    return await picturing.map_picture(Live(robot, timeout), topic_name, report)
+    source = await source_of(robot, memory, Part(bag, start, end), timeout)
+    return await picturing.map_picture(source, topic_name, report)
 
 
-@tool(title="Point cloud from above", risk="read", group="pictures", by_default=False)
+@tool(title="Point cloud from above", risk="read", group="pictures", recorded=True, by_default=False)
 async def ros2_get_pointcloud_as_bev(
     robot: Robot,
+    memory: Memory,
     report: Report,
     topic_name: TopicName,
     resolution: Annotated[Number, Field(ge=0.001, le=100, description="Metres per pixel.")] = 0.05,
@@ -67,9 +82,13 @@ async def ros2_get_pointcloud_as_bev(
     colormap: Annotated[
         Literal["jet", "gray"], Field(description="Scale of colours, for intensity and height.")
     ] = "jet",
+    bag: FromBag = "",
+    start: FromStart = "",
+    end: UpToEnd = "",
 ) -> picturing.CloudPicture:
     """Show a point cloud from above (bird's-eye view), with its extent and scale in metres."""
     from ros2_mcp.codec.bird_eye import Wanted
 
     wanted = Wanted(resolution, zmin, zmax, color_mode, colormap, min(max_pixels, plotting.MAX_SIDE))
-    return await picturing.cloud_picture(Live(robot, timeout), topic_name, wanted, report)
+    source = await source_of(robot, memory, Part(bag, start, end), timeout)
+    return await picturing.cloud_picture(source, topic_name, wanted, report)

@@ -17,9 +17,10 @@ from agent import Agent, agent_for
 
 
 @pytest.fixture(scope="module")
-def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
+def agent(ros_environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Agent]:
     """A client of a server with all tools."""
-    with agent_for(ros_environment, "--tools", "all") as client:
+    bags = tmp_path_factory.mktemp("bags")
+    with agent_for(ros_environment, "--tools", "all", "--record-dir", str(bags)) as client:
         yield client
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import os
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +36,8 @@ def drive(agent: Agent, duration: float) -> Any:
 
 
 def blue(pixels: np.ndarray) -> np.ndarray:
-    """Rows and columns of the first curve's pixels, the legend aside."""
-    return np.argwhere(np.abs(pixels - (0x1F, 0x6F, 0xC4)).sum(axis=2) < 12)[:, :]
+    """Rows and columns of the first curve's pixels and of its sample in the legend."""
+    return np.argwhere(np.abs(pixels - (0x1F, 0x6F, 0xC4)).sum(axis=2) < 12)
 
 
 def test_the_speed_is_seen_to_rise_while_the_robot_drives(agent: Agent) -> None:
@@ -62,6 +63,21 @@ def test_a_trajectory_is_as_large_as_the_way_driven(agent: Agent) -> None:
     assert (x["name"], y["name"]) == ("/odom:pose.pose.position.x", "/odom:pose.pose.position.y")
     assert max(x["max"] - x["min"], y["max"] - y["min"]) > 0.2
     assert len(blue(pixels)) > 500
+
+
+def test_a_recording_shows_what_was_seen_live(agent: Agent) -> None:
+    agent.call("ros2_record_start", topics=["/odom", "/map", "/cloud"], name="run")
+    live, _ = seen(agent, "ros2_plot", series=["/odom:pose.pose.position.x"], duration=1.5)
+    agent.call("ros2_record_stop", recording_id="run")
+    begin = datetime.fromisoformat(live["started_at"].replace("Z", "+00:00"))
+    time_of_it = {"start": begin.isoformat(), "end": (begin + timedelta(seconds=live["duration"])).isoformat()}
+    again, _ = seen(agent, "ros2_plot", series=["/odom:pose.pose.position.x"], bag="run", **time_of_it)
+    assert again["source"].startswith("bag run")
+    assert live["series"][0]["count"] > 10 and again["series"] == live["series"]
+    shown_now, pixels = seen(agent, "ros2_get_map_as_image", topic_name="/map")
+    shown_then, recorded_pixels = seen(agent, "ros2_get_map_as_image", topic_name="/map", bag="run")
+    assert (pixels == recorded_pixels).all() and shown_then["free"] == shown_now["free"]
+    assert seen(agent, "ros2_get_pointcloud_as_bev", topic_name="/cloud", bag="run")[0]["frame_id"] == "room"
 
 
 def test_the_map_is_shown_with_its_facts(agent: Agent) -> None:
