@@ -194,6 +194,7 @@ async def remember(tour: Tour) -> None:
     tour.verify(f"the recording tells what is silent: {', '.join(silent)}", silent == ["/scan"])
     last = await tour.call("ros2_bag_read", bag="incident", topic_name="/scan", limit=1, fields=["range_max"])
     tour.show(f"the last scan came at {last['received_at'][-1]}")
+    await tour.call("ros2_plot", series=["/scan:ranges[180]", "/odom:twist.twist.linear.x"], bag="incident")
     for line in (await tour.call("ros2_log_read", bag="incident", level="warn"))["lines"]:
         tour.show(f"{line['time']} {line['level']} {line['node']}: {line['text']}")
     await tour.call("ros2_parameter_set", node_name="/lidar", values={"enabled": True})
@@ -209,7 +210,7 @@ async def _position(tour: Tour) -> tuple[float, float]:
 
 
 def _options(settings: Settings, folder: Path) -> list[str]:
-    options = ["--tools", "default,memory,measure", "--record-dir", str(folder / "recordings")]
+    options = ["--tools", "default,memory,measure,pictures", "--record-dir", str(folder / "recordings")]
     options += ["--distro", settings.distro] if settings.distro else []
     return options + [word for workspace in settings.workspaces for word in ("--workspace", str(workspace))]
 
