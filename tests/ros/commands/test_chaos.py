@@ -10,6 +10,8 @@ import pytest
 from agent import FULL, Refusal
 
 ROUNDS = 200 if FULL else 5
+PROCESSES = 200 if FULL else 2
+"""Rounds that start processes."""
 UNKNOWN_ID = "0123456789abcdef" * 2
 
 pytestmark = pytest.mark.timeout(1800 if FULL else 60)
@@ -34,7 +36,7 @@ def wait_until(condition: Callable[[], object], within_s: float = 8.0) -> None:
 
 def test_a_service_server_that_is_killed_during_a_call(agent, start_peer) -> None:
     """Killed, it cannot say so: the call ends with its time-out."""
-    for _ in range(ROUNDS):
+    for _ in range(PROCESSES):
         peer = start_peer("dumb")
         call = agent.begin("ros2_service_call", service_name=peer.name("mute"), fields={"data": True}, timeout_sec=1.0)
         time.sleep(random.uniform(0.3, 0.5))
@@ -56,7 +58,7 @@ def test_a_service_server_that_never_answers(agent, robot) -> None:
 
 def test_an_action_server_that_is_killed_while_executing_and_started_again(agent, start_peer) -> None:
     """The waiting ends with its time-out; the next server does not know the goal, and takes new ones."""
-    for _ in range(ROUNDS):
+    for _ in range(PROCESSES):
         peer = start_peer("counting")
         action = peer.name("count")
         waiting = begin_goal(agent, action, 500, 1.0)
@@ -81,7 +83,7 @@ def status(agent, action: str, goal_id: str) -> str:
 
 
 def test_an_action_server_that_leaves_while_executing(agent, start_peer) -> None:
-    for _ in range(ROUNDS):
+    for _ in range(PROCESSES):
         peer = start_peer("raw")
         waiting = begin_goal(agent, peer.name("raw"), 1, 20.0)
         wait_until(lambda peer=peer: peer.count(name="raw"))
