@@ -9,7 +9,7 @@ from collections.abc import Callable
 from ros2_mcp.link.process import thread_states
 
 PING_S = 0.25
-SILENCE_S = 0.9
+SILENCE_S = 2.5
 STOPPED_S = 0.5
 STARVED_S = 3.0
 ROS_IDLE_S = 3.0
