@@ -166,15 +166,15 @@ def test_a_peer_that_dies_fails_everything_under_way_and_says_how(play: Play) ->
     play(scenario())
 
 
-def test_a_peer_that_falls_silent_is_given_up_within_a_second(play: Play) -> None:
+def test_a_peer_that_falls_silent_is_given_up_after_two_and_a_half_seconds(play: Play) -> None:
     async def scenario() -> None:
         connection, _ = await connected()
         life = asyncio.ensure_future(connection.run())
         ask = asyncio.ensure_future(connection.request("call", b"", 30, {}))
         begun = asyncio.get_running_loop().time()
-        with pytest.raises(BridgeLost, match=r"stopped answering for 0\.9 s"):
+        with pytest.raises(BridgeLost, match=r"stopped answering for 2\.5 s"):
             await ask
-        assert asyncio.get_running_loop().time() - begun < 1.0
+        assert 2.4 < asyncio.get_running_loop().time() - begun < 3.0
         await life
 
     play(scenario())
