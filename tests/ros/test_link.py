@@ -290,6 +290,7 @@ def test_the_bridge_leaves_when_its_server_dies(number: signal.Signals) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.full
 def test_twenty_lost_bridges_leave_no_open_files_behind() -> None:
     async def scenario(bridge: Bridge) -> None:
         await bridge.ready()

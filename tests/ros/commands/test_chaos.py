@@ -14,7 +14,7 @@ PROCESSES = 200 if FULL else 2
 """Rounds that start processes."""
 UNKNOWN_ID = "0123456789abcdef" * 2
 
-pytestmark = pytest.mark.timeout(1800 if FULL else 60)
+pytestmark = [pytest.mark.full, pytest.mark.timeout(1800 if FULL else 60)]
 
 
 def begin_goal(agent, action: str, order: int, timeout_s: float):

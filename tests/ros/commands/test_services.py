@@ -162,6 +162,7 @@ def test_a_late_answer_is_never_given_to_another_call(agent, robot) -> None:
         assert [one.result(5)["result"]["string_value"] for one in waiting] == [f"{number}-{i}" for i in range(3)]
 
 
+@pytest.mark.full
 def test_a_hundred_calls_in_flight_are_all_answered_each_with_its_own(agent, robot) -> None:
     calls = [
         agent.begin(

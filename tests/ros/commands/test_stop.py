@@ -12,7 +12,7 @@ from agent import FULL
 from peer_process import PeerProcess, discovered
 from raw_server import MODERN, RawServer, children
 
-ROUNDS = 50 if FULL else 2
+ROUNDS = 50 if FULL else 1
 MOVING = {"linear": {"x": 0.5}}
 LIMITS_S = {"stdin closed": 0.3, "SIGTERM": 0.3, "SIGKILL": 1.0}
 

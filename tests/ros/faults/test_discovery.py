@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import time
 
+import pytest
 from trouble import FULL, Agent
 
 PROCESSES = 4
+
+
+pytestmark = pytest.mark.full
 
 
 def test_a_first_listing_that_is_called_settled_holds_the_topics_of_every_process(play, peer) -> None:

@@ -42,6 +42,7 @@ def _number(message: dict[str, Any]) -> int:
     return int.from_bytes(base64.b64decode(data) if isinstance(data, str) else bytes(data), "big")
 
 
+@pytest.mark.full
 @pytest.mark.timeout(1800 if FULL else 60)
 def test_reading_again_and_again_leaves_no_entities_threads_or_files(play, peer) -> None:
     peer("repeat", "/steady", "std_msgs/msg/String", 500)

@@ -24,6 +24,7 @@ def statistics(agent: Agent, topic: str, duration: float, **more: Any) -> tuple[
     return topic_result, {field["field"]: field for field in topic_result["fields"]}
 
 
+@pytest.mark.full
 def test_the_numbers_are_those_of_the_published_messages(agent: Agent, signals: subprocess.Popen[str]) -> None:
     topic, fields = statistics(agent, "/signal_steady", 3.0)
     first, last = int(fields["point.z"]["first"]), int(fields["point.z"]["last"])

@@ -47,6 +47,7 @@ def end(agent: Agent, relay: dict[str, Any]) -> dict[str, Any]:
     return agent.call("ros2_relay_stop", relay_id=relay["relay_id"])
 
 
+@pytest.mark.full
 @pytest.mark.timeout(SECONDS + 60)
 @pytest.mark.parametrize("kind", ["String", "Twist"])
 def test_every_message_of_200_hz_is_relayed_in_order(agent, peer, kind) -> None:
@@ -65,6 +66,7 @@ def test_every_message_of_200_hz_is_relayed_in_order(agent, peer, kind) -> None:
     assert ended["stopped_with_zero"] == (kind == "Twist")
 
 
+@pytest.mark.full
 @pytest.mark.timeout(SECONDS + 60)
 @pytest.mark.parametrize("rate_hz", [10, 30, 150])
 def test_a_rate_limit_is_kept_within_two_percent(agent, peer, rate_hz) -> None:
@@ -118,6 +120,7 @@ def test_a_relay_goes_on_when_its_source_dies_and_comes_back(agent, peer) -> Non
     assert end(agent, relay)["state"] == "stopped"
 
 
+@pytest.mark.full
 def test_a_relay_ends_with_its_duration(agent, peer) -> None:
     peer("talk", "/timed_in", "Twist", "RELIABLE", "100", "1000")
     listener = peer("listen", "/timed_out", "Twist", "RELIABLE")

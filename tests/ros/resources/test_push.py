@@ -147,6 +147,7 @@ def bridge_of(listener: Listener) -> int:
     return children(listener.process.pid)[-1]
 
 
+@pytest.mark.full
 def test_a_hundred_subscriptions_leave_nothing_behind(listener: Listener, events: EventsPeer) -> None:
     def subscriptions() -> int:
         return events.subscribers(topic="/events/said")
