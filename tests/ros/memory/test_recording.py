@@ -76,12 +76,10 @@ def test_record_read_play_and_record_again_give_the_same_bytes(
     assert read["topic_type"] == "test_msgs/msg/Arrays" and read["messages"][0]["alignment_check"] is not None
 
 
-def server_pid() -> int:
-    known = {int(pid) for task in Path("/proc/self/task").iterdir() for pid in (task / "children").read_text().split()}
-    for pid in known:
-        if b"ros2_mcp\0" in Path(f"/proc/{pid}/cmdline").read_bytes():
-            return pid
-    raise AssertionError("there is no server")
+def server_of(agent: Agent) -> int:
+    """The process of this agent's own server: the parent of its bridge. Other tests keep servers of theirs."""
+    bridge = agent.call("ros2_status")["bridge_pid"]
+    return int(Path(f"/proc/{bridge}/stat").read_text().rpartition(")")[2].split()[1])
 
 
 @pytest.mark.timeout(KILLS * 15 + 60)
@@ -97,8 +95,9 @@ def test_a_killed_server_has_lost_at_most_one_second(
         with agent_for(ros_environment, "--tools", "all", "--record-dir", str(folder)) as agent:
             agent.call("ros2_record_start", topics=[topic], name="run")
             until(lambda agent=agent: written(agent, "run"))
+            server = server_of(agent)
             time.sleep(chance.uniform(0.5, 2.5))
-            os.kill(server_pid(), signal.SIGKILL)
+            os.kill(server, signal.SIGKILL)
             killed_at = time.time()
         with Bag(folder / "run") as bag:
             samples = [sample for _, sample in bag.messages()]
@@ -120,7 +119,7 @@ def test_a_recording_goes_on_with_the_next_bridge(
     agent = start_agent()
     agent.call("ros2_record_start", topics=["/some"], name="run")
     until(lambda: written(agent, "run") > 20)
-    server = server_pid()
+    server = server_of(agent)
     bridges = Path(f"/proc/{server}/task/{server}/children").read_text().split()
     for pid in bridges:
         os.kill(int(pid), signal.SIGKILL)
@@ -139,7 +138,7 @@ def test_a_server_that_is_told_to_end_closes_its_recording(
     agent = start_agent()
     agent.call("ros2_record_start", name="run")
     until(lambda: written(agent, "run") > 20)
-    os.kill(server_pid(), signal.SIGTERM)
+    os.kill(server_of(agent), signal.SIGTERM)
     until((tmp_path / "run" / "metadata.yaml").exists)
     with Bag(tmp_path / "run") as bag:
         assert bag.problems == []
