@@ -250,6 +250,7 @@ def test_a_cancelled_call_ends_at_once(bridge: Client, peer) -> None:
     assert bridge.answer(request)[0]["error"]["kind"] == "cancelled"
 
 
+@pytest.mark.full
 def test_an_action_is_called_through_its_hidden_services(bridge: Client, peer) -> None:
     peer("act", "/count")
     feedback = {"topic": "/count/_action/feedback", "type": "test_msgs/action/Fibonacci_FeedbackMessage"}

@@ -275,6 +275,7 @@ asyncio.run(main())
 """
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_the_bridge_leaves_when_its_server_dies(number: signal.Signals) -> None:
     with subprocess.Popen(
