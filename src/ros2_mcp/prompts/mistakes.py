@@ -25,4 +25,5 @@ Tell = Callable[[Mistake], None]
 
 def tell_on_stderr(mistake: Mistake) -> None:
     """One line for the person who reads the server's log."""
-    print(f"ros2-mcp: {mistake}", file=sys.stderr, flush=True)  # noqa: T201
+    sys.stderr.write(f"ros2-mcp: {mistake}\n")
+    sys.stderr.flush()
