@@ -129,6 +129,6 @@ def _diagnosed(step: str) -> Generator[None]:
     try:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
             yield
-    except Exception as error:
+    except Exception as error:  # the generators raise errors of many kinds
         output = "\n".join(said.getvalue().splitlines()[-5:])
         raise BuildError(f"{step} failed: {type(error).__name__}: {error}", output) from error

@@ -54,11 +54,12 @@ def flood(node: Node, topic: str, reliability: str, rate_hz: str, count: str) ->
 
 
 def serve(node: Node, service: str, delay_s: str) -> object:
-    """Answer SetBool after a delay; the message tells what was asked."""
+    """Print what is asked of a SetBool, and answer with it after a delay."""
 
     def answer(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        time.sleep(float(delay_s))
         response.success, response.message = request.data, f"asked {request.data}"
+        say(response.message)
+        time.sleep(float(delay_s))
         return response
 
     return node.create_service(SetBool, service, answer)

@@ -42,7 +42,7 @@ def received(bridge: Client) -> int:
 
 
 def publish(bridge: Client, text: str, **changed: Any) -> dict[str, Any]:
-    arguments = {"topic": "/said", "type": STRING, "qos": RELIABLE, "wait_match_s": 3, "wait_ack_s": 2, **changed}
+    arguments = {"topic": "/said", "type": STRING, "qos": RELIABLE, "wait_match_s": 10, "wait_ack_s": 2, **changed}
     return bridge.ok("publish", cdr_string(text), **arguments)
 
 
@@ -51,7 +51,7 @@ def wait_subscribers(bridge: Client, count: int) -> list[dict[str, Any]]:
 
 
 def call(bridge: Client, body: bytes = TRUE, **changed: Any) -> int:
-    arguments = {"service": "/asked", "type": SET_BOOL, "wait_s": 3, "timeout_s": 3, **changed}
+    arguments = {"service": "/asked", "type": SET_BOOL, "wait_s": 10, "timeout_s": 3, **changed}
     return bridge.send("call", body, **arguments)
 
 
@@ -234,8 +234,8 @@ def test_a_call_to_nobody_a_slow_server_or_of_an_unknown_type_has_its_own_error(
 
 def test_a_server_that_leaves_ends_the_call_at_once(bridge: Client, peer) -> None:
     server = peer("serve", "/asked", "30")
-    request = call(bridge, timeout_s=30)
-    time.sleep(0.5)
+    request = call(bridge, wait_s=10, timeout_s=30)
+    assert line(server) == "asked True"
     server.terminate()
     server.wait(5)
     started = time.monotonic()
@@ -250,14 +250,13 @@ def test_a_cancelled_call_ends_at_once(bridge: Client, peer) -> None:
     assert bridge.answer(request)[0]["error"]["kind"] == "cancelled"
 
 
-@pytest.mark.full
 def test_an_action_is_called_through_its_hidden_services(bridge: Client, peer) -> None:
     peer("act", "/count")
     feedback = {"topic": "/count/_action/feedback", "type": "test_msgs/action/Fibonacci_FeedbackMessage"}
     bridge.ok("subscribe", qos=RELIABLE, **feedback, **ALL)
-    bridge.ok("wait_endpoints", topic=feedback["topic"], publishers=1, subscribers=1, timeout_s=5)
+    bridge.ok("wait_endpoints", topic=feedback["topic"], publishers=1, subscribers=1, timeout_s=10)
     goal_id = bytes(range(16))
-    arguments = {"wait_s": 3, "timeout_s": 3}
+    arguments = {"wait_s": 10, "timeout_s": 3}
     request = b"\0\1\0\0" + goal_id + b"\5\0\0\0"
     action = {"service": "/count/_action/send_goal", "type": "test_msgs/action/Fibonacci_SendGoal"}
     assert bridge.answer(bridge.send("call", request, **action, **arguments))[1][4] == 1

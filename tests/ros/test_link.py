@@ -262,11 +262,13 @@ def test_the_bridge_runs_under_the_python_of_an_unsourced_ros_whatever_ours_is(o
 
 _SERVER = """
 import asyncio
+import signal
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.link.environment import find_ros
 from ros2_mcp.settings import Settings
 
 async def main():
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # even where the tests run in the background
     bridge = Bridge(lambda: find_ros(Settings(domain_id=113)))
     print((await bridge.ready()).pid, flush=True)
     await asyncio.sleep(60)
@@ -275,7 +277,6 @@ asyncio.run(main())
 """
 
 
-@pytest.mark.full
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_the_bridge_leaves_when_its_server_dies(number: signal.Signals) -> None:
     with subprocess.Popen(
@@ -284,7 +285,10 @@ def test_the_bridge_leaves_when_its_server_dies(number: signal.Signals) -> None:
         assert server.stdout
         pid = int(server.stdout.readline())
         server.send_signal(number)
-        server.wait(10)
+        try:
+            server.wait(10)
+        finally:
+            server.kill()
     deadline = time.monotonic() + 3
     while _lives(pid):
         assert time.monotonic() < deadline, "the bridge outlived its server"

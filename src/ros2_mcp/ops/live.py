@@ -72,10 +72,11 @@ class Live:
             start_ns = time.time_ns()
             kept = await asyncio.gather(*(self._collect(each, len(heard), times_only, report) for each in heard))
             end_ns = time.time_ns()
-            by_topic = {
-                each.topic: self._window(each, samples, start_ns, end_ns)
-                for each, samples in zip(heard, kept, strict=True)
-            }
+        for each, samples in zip(heard, kept, strict=True):
+            samples.add(await each.take(0.0))  # what was received before the end and sent to us after it
+        by_topic = {
+            each.topic: self._window(each, samples, start_ns, end_ns) for each, samples in zip(heard, kept, strict=True)
+        }
         return [by_topic[each.topic] if isinstance(each, Listening) else each for each in listenings]
 
     @asynccontextmanager
@@ -131,7 +132,6 @@ class Live:
             elapsed = monotonic() - started
             if elapsed > _TURN_S:
                 await report(elapsed, self._duration_s, f"{heard.topic}: {len(kept.samples)} messages")
-        kept.add(await heard.take(0.0))
         return kept
 
     def _window(self, heard: Listening, kept: _Kept, start_ns: int, end_ns: int) -> Window:

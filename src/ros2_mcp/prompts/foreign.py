@@ -127,7 +127,7 @@ async def rendered(name: str, render: Any) -> Sequence[Message]:
         result = await asyncio.to_thread(render)
         result = await result if inspect.isawaitable(result) else result
         return [_message(message) for message in getattr(result, "messages", result)]
-    except Exception as error:
+    except Exception as error:  # code of the user can raise anything
         raise RobotError(f"The prompt {name} failed: {type(error).__name__}: {error}") from error
 
 

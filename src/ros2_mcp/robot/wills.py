@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 MOST = 64
 _FOREVER_S = 1e9
+_DISCOVERED_S = 10.0
 _logger = logging.getLogger(__name__)
 
 
@@ -38,9 +39,12 @@ class Wills:
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
         self._held: dict[str, tuple[str, asyncio.Task[None]]] = {}
+        self._being_done: dict[str, asyncio.Task[None]] = {}
 
     def leave(self, key: str, will: Will) -> None:
-        """Puts a will in force, unless one of that key is."""
+        """Puts a will in force, unless one of that key is. The robot is moved anew, so that an old one is past."""
+        if key in self._being_done:
+            self._being_done.pop(key).cancel()
         if key in self._held:
             return
         of_this_kind = [other for other, (op, _) in self._held.items() if op == will.op]
@@ -55,19 +59,29 @@ class Wills:
 
     async def _hold(self, key: str, will: Will) -> None:
         try:
-            await self._keep_in_force(will)
+            await self._keep_in_force(key, will)
         except RobotError as error:
             self._held.pop(key, None)
             if not self._graph.is_closed:
                 _logger.warning("a last will is not in force: %s", error)
 
-    async def _keep_in_force(self, will: Will) -> None:
+    async def _keep_in_force(self, key: str, will: Will) -> None:
         """A bridge that was killed could not stop what it kept moving: its successor does it at once."""
-        was_lost = False
         while True:
             try:
-                if was_lost and will.op == "will_publish":
-                    await self._graph.ask("publish", will.body, wait_match_s=1.0, wait_ack_s=0.5, **will.arguments)
                 await self._graph.ask(will.op, will.body, timeout_s=_FOREVER_S, **will.arguments)
             except BridgeLost:
-                was_lost = True
+                if will.op == "will_publish":
+                    self._being_done[key] = asyncio.create_task(self._publish(key, will))
+
+    async def _publish(self, key: str, will: Will) -> None:
+        """The new bridge has yet to discover the robot: the message waits for it."""
+        patience = {"wait_match_s": _DISCOVERED_S, "wait_ack_s": 0.5, "timeout_s": 2 * _DISCOVERED_S}
+        try:
+            await self._graph.ask("publish", will.body, **patience, **will.arguments)
+        except RobotError as error:
+            if not self._graph.is_closed:
+                _logger.warning("%s could not be stopped after the bridge was lost: %s", key, error)
+        finally:
+            if self._being_done.get(key) is asyncio.current_task():
+                del self._being_done[key]
