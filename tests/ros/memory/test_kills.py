@@ -100,4 +100,3 @@ def test_a_killed_bridge_or_server_has_lost_at_most_one_second(
         shutil.rmtree(folder)
         print(2 * run + 2, "kills; missing at most", {key: round(value, 3) for key, value in worst.items()}, flush=True)
     assert all(missing_s <= MOST_MISSING_S for key, missing_s in worst.items() if not key.startswith("outage")), worst
-

@@ -11,8 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
-from agent import FULL, Agent, agent_for
+from agent import Agent
 from rosbags.rosbag2 import Reader
 
 from ros2_mcp.bags.bag import Bag
