@@ -16,7 +16,15 @@ from . import qos
 from .publishers import FINAL_ACK_S, MAX_RATE_HZ, Publisher
 from .request import Cancelled, OperationError
 from .rhythm import Rhythm
-from .subscriptions import DEPTH_FOR_ALL, DRAIN_AT_MOST_S, DRAIN_PERIOD_S, LAST_DRAIN_S, NO_SEQUENCE, LossCount
+from .subscriptions import (
+    DEPTH_FOR_ALL,
+    DRAIN_AT_MOST_S,
+    DRAIN_PERIOD_S,
+    LAST_DRAIN_S,
+    NO_SEQUENCE,
+    LossCount,
+    take_raw,
+)
 
 FED_PERIOD_S = 0.25
 LOOK_EVERY_S = 0.1
@@ -40,7 +48,7 @@ class Source:
 
     def take(self):
         """The next message and the time when it came, in nanoseconds; None if there is none."""
-        taken = self._handle.take_message(self._interface, True)
+        taken = take_raw(self._handle, self._interface)
         if taken is None:
             return None
         data, info = taken

@@ -17,6 +17,17 @@ DRAIN_AT_MOST_S = 0.01
 LAST_DRAIN_S = 0.1
 DEPTH_FOR_ALL = 1000
 NO_SEQUENCE = (None, 0, 2**64 - 1)
+CDR_HEAD_BYTES = 4
+
+
+def take_raw(handle, interface):
+    """The next message as bytes and info; None if there is none.
+
+    While Fast DDS puts a large message together, it can hand out an empty one, again and again, with a time of 1970
+    (seen after another subscriber was killed). No message is shorter than the head of its CDR: that is none yet.
+    """
+    taken = handle.take_message(interface, True)
+    return None if taken is None or len(taken[0]) < CDR_HEAD_BYTES else taken
 
 
 class LossCount:
@@ -75,7 +86,7 @@ class Subscription:
         """Move what the middleware holds to the outbox; returns False if `is_enough` ended it before all was taken."""
         samples, is_empty = [], False
         while not is_empty and not (len(samples) % 16 == 15 and is_enough()):
-            taken = self._handle.take_message(self._interface, True)
+            taken = take_raw(self._handle, self._interface)
             is_empty = taken is None
             if taken is not None:
                 samples.append(self._sample(*taken))
