@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
-sys.path.insert(0, str(Path(__file__).parent))  # the tests import their neighbours
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parent / "server")]  # the tests import their neighbours
 
+from agent import FULL
 from events_process import EventsPeer
-from listener import HANDSHAKE, MODERN, Listener
+from listener import HANDSHAKE, MODERN, PATIENCE_S, Listener
 
 
 @pytest.fixture(scope="session")
@@ -23,10 +28,36 @@ def events(ros_environment: dict[str, str]) -> Iterator[EventsPeer]:
     peer.end()
 
 
-@pytest.fixture(scope="session", params=[HANDSHAKE, MODERN])
-def listener(request: pytest.FixtureRequest, ros_environment: dict[str, str], events: EventsPeer) -> Iterator[Listener]:
-    """A raw client of each era."""
-    server = Listener(ros_environment, "--tools", "all")
-    server.begin(request.param)
-    yield server
-    server.end()
+@pytest.fixture(scope="session")
+def listener_of(ros_environment: dict[str, str], events: EventsPeer) -> Iterator[Callable[[str], Listener]]:
+    """A raw client of an era; all tests share the one of each era."""
+    with ExitStack() as running:
+
+        @cache
+        def begin(era: str) -> Listener:
+            server = Listener(ros_environment, "--tools", "all")
+            running.callback(server.end)
+            server.begin(era)
+            wait_until_known(server)
+            return server
+
+        yield begin
+
+
+def wait_until_known(server: Listener) -> None:
+    """Returns when the server has discovered all of the robot."""
+    end = time.monotonic() + PATIENCE_S
+    while not all(name in str(server.read("ros2://graph")) for name in ("/events/said", "/events/count")):
+        assert time.monotonic() < end, "the robot was not discovered"
+
+
+@pytest.fixture(params=[HANDSHAKE, MODERN] if FULL else [MODERN])
+def listener(request: pytest.FixtureRequest, listener_of: Callable[[str], Listener]) -> Listener:
+    """A raw client of the newer era: what is told and when is the same in both."""
+    return listener_of(request.param)
+
+
+@pytest.fixture(params=[HANDSHAKE, MODERN])
+def listener_of_each_era(request: pytest.FixtureRequest, listener_of: Callable[[str], Listener]) -> Listener:
+    """A raw client of each era: the way of asking differs."""
+    return listener_of(request.param)

@@ -43,17 +43,10 @@ class Peer:
         """Publish a text."""
         return _at(lambda: self._said.publish(String(data=text)))
 
-    def enter(self, name: str) -> float:
-        """A node comes."""
-
-        def come() -> None:
-            self._guests[name] = Node(name)
-
-        return _at(come)
-
-    def leave(self, name: str) -> float:
-        """A node goes."""
-        return _at(self._guests.pop(name).destroy_node)
+    def come_or_go(self, name: str) -> float:
+        """A node comes, or goes where it is there."""
+        guest = self._guests.pop(name, None)
+        return _at(guest.destroy_node if guest else lambda: self._guests.update({name: Node(name)}))
 
     def log(self, level: str, text: str) -> float:
         """Write a line to the log."""

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).parent.parent / "server"))
 
 from raw_server import MODERN, RawServer
 
 HANDSHAKE = "2025-11-25"
 UPDATED = "notifications/resources/updated"
+PATIENCE_S = 20.0
 
 
 class Listener(RawServer):
@@ -48,14 +46,22 @@ class Listener(RawServer):
         assert "result" in answer, answer
         return json.loads(answer["result"]["contents"][0]["text"])
 
-    def update(self, uri: str, after: float, within_s: float = 5.0) -> float:
+    def update(self, uri: str, after: float) -> float:
         """The moment of the first push of the URI that came after a moment."""
-        while True:
-            for told, moment in self.updates:
-                if told == uri and moment >= after:
-                    return moment
-            left = after + within_s - time.monotonic()
-            assert left > 0 and self._listen(left), f"no push of {uri} within {within_s} s; came: {self.updates}"
+        moment = self._told(uri, after, PATIENCE_S)
+        assert moment, f"no push of {uri} within {PATIENCE_S} s; came: {self.updates}"
+        return moment
+
+    def watch(self, uri: str, event: Callable[[], float]) -> None:
+        """Subscribe, and have it happen until it is told."""
+        self.subscribe(uri)
+        self.until_told(uri, event)
+
+    def until_told(self, uri: str, event: Callable[[], float]) -> None:
+        """Have it happen until it is told: nothing is, as long as the server and the robot have not met."""
+        end = time.monotonic() + PATIENCE_S
+        while not self._told(uri, event(), 1.0):
+            assert time.monotonic() < end, f"no push of {uri} within {PATIENCE_S} s"
 
     def drain(self, seconds: float) -> list[str]:
         """The URIs pushed during a time."""
@@ -64,7 +70,7 @@ class Listener(RawServer):
             self._listen(left)
         return [uri for uri, _ in self.updates[before:]]
 
-    def wait_for_line(self, method: str, request: int, within_s: float = 5.0) -> dict[str, Any]:
+    def wait_for_line(self, method: str, request: int, within_s: float = PATIENCE_S) -> dict[str, Any]:
         """A notification that belongs to a request."""
         end = time.monotonic() + within_s
         while True:
@@ -74,6 +80,15 @@ class Listener(RawServer):
                     return line
             left = end - time.monotonic()
             assert left > 0 and self._listen(left), f"no {method}: {self.said[-500:]!r}"
+
+    def _told(self, uri: str, after: float, within_s: float) -> float | None:
+        while True:
+            for told, moment in self.updates:
+                if told == uri and moment >= after:
+                    return moment
+            left = after + within_s - time.monotonic()
+            if left <= 0 or not self._listen(left):
+                return None
 
     def _listen(self, seconds: float) -> bool:
         heard = super()._listen(seconds)

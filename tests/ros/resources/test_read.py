@@ -8,6 +8,7 @@ import pytest
 from events_process import EventsPeer
 from listener import Listener
 
+SAID = "ros2://topic/events/said"
 STATIC = ["graph", "topics", "nodes", "services", "actions", "diagnostics", "log"]
 TEMPLATES = ["log{?level,node}", "topic/{+name}", "interface/{+type}", "node/{+name}/parameters"]
 
@@ -17,7 +18,8 @@ def refusal(listener: Listener, uri: str) -> dict[str, Any]:
     return listener.ask("resources/read", uri=uri)["error"]
 
 
-def test_every_resource_is_listed_as_json(listener: Listener) -> None:
+def test_every_resource_is_listed_as_json(listener_of_each_era: Listener) -> None:
+    listener = listener_of_each_era
     listed = listener.ask("resources/list")["result"]["resources"]
     templates = listener.ask("resources/templates/list")["result"]["resourceTemplates"]
     assert {entry["uri"] for entry in listed} >= {f"ros2://{path}" for path in STATIC}
@@ -48,26 +50,28 @@ def test_lists_name_what_there_is(listener: Listener, path: str, key: str, expec
 
 
 @pytest.mark.parametrize("name", ["events/said", "/events/said", "%2Fevents%2Fsaid"])
-def test_a_topic_is_read_however_its_name_is_written(listener: Listener, name: str) -> None:
+def test_a_topic_is_read_however_its_name_is_written(listener: Listener, events: EventsPeer, name: str) -> None:
+    listener.watch(SAID, lambda: events.say(text="hello"))
     topic = listener.read(f"ros2://topic/{name}")
+    listener.unsubscribe(SAID)
     assert topic["topic_name"] == "/events/said"
     assert [publisher["node"] for publisher in topic["publishers"]] == ["/events_peer"]
+    assert topic["sample"]["message"] == {"data": "hello"}
 
 
 def test_a_silent_topic_says_so(listener: Listener) -> None:
-    topic = listener.read("ros2://topic/events/said")
+    topic = listener.read(SAID)
     assert topic["sample"] is None
     assert topic["note"] == "No message came within 2 s from /events_peer."
 
 
 def test_a_watched_topic_gives_the_very_message_that_was_told_of(listener: Listener, events: EventsPeer) -> None:
-    uri = "ros2://topic/events/said"
-    listener.subscribe(uri)
+    listener.watch(SAID, lambda: events.say(text="none of these"))
     for text in ("first", "second"):
-        listener.update(uri, events.say(text=text))
-        sample = listener.read(uri)["sample"]
+        listener.update(SAID, events.say(text=text))
+        sample = listener.read(SAID)["sample"]
         assert (sample["type"], sample["message"]) == ("std_msgs/msg/String", {"data": text})
-    listener.unsubscribe(uri)
+    listener.unsubscribe(SAID)
 
 
 def test_a_definition_is_read_by_its_name(listener: Listener) -> None:
@@ -85,8 +89,7 @@ def test_the_log_is_read_from_a_level_on_and_the_newest_line_comes_first(
     listener: Listener, events: EventsPeer
 ) -> None:
     uri = "ros2://log?level=warn&node=/events_peer"
-    listener.subscribe(uri)
-    listener.update(uri, events.log(level="warning", text="getting warm"))
+    listener.watch(uri, lambda: events.log(level="warning", text="getting warm"))
     events.log(level="info", text="all is well")
     listener.update(uri, events.log(level="error", text="too hot"))
     lines = [line["text"] for line in listener.read(uri)["lines"]]
