@@ -10,6 +10,7 @@ from .request import OperationError
 
 ROOM = 8
 TAKEN_EVERY_S = 0.05
+NOT_SENT = "It was not sent in time: too many others wait for their answers."
 
 
 class Pace:
@@ -29,7 +30,7 @@ class Pace:
         try:
             while self._queue[0] is not request or not self._has_room():
                 if time.monotonic() >= latest:
-                    raise OperationError("timeout", "It was not sent in time: too many others wait for their answers.")
+                    raise OperationError("timeout", NOT_SENT, "Make fewer calls at once, or wait for longer.")
                 yield TAKEN_EVERY_S
             self._untaken.append(request)
         finally:

@@ -9,12 +9,13 @@ from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import NotFound, TypeConflict, UnknownInterface
+from ros2_mcp.model.errors import NotFound, TimedOut, TypeConflict, UnknownInterface
 from ros2_mcp.ops.results import Report, in_words, reporting, silent
 from ros2_mcp.robot import Robot
 
 _INFRASTRUCTURE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 MAX_TIMEOUT_S = 3600.0
+_STILL_WORKING = "It may still be working on it; a longer timeout_sec waits for longer."
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +109,8 @@ async def call(
             answer = await robot.call(service, service_type, request, timeout_s=timeout_s)
     except NotFound as error:
         raise NotFound(error.message, error.hint or await _suggest(robot, service)) from error
+    except TimedOut as error:
+        raise TimedOut(error.message, error.hint or _STILL_WORKING) from error
     shown = robot.values.render(f"{service_type}_Response", answer.body)
     return ServiceAnswer(service, service_type, True, shown.value, missing, answer.elapsed_s, shown.truncated, "")
 

@@ -1,8 +1,8 @@
-"""Independent rclpy nodes that the tests command: one JSON object per line in, one per line out.
+"""Independent rclpy nodes that the tests command: one JSON list per line in, one value per line out.
 
-    commands_peer.py NAMESPACE ROLE…
-
-Roles are the functions below: what a process offers under its namespace. ROS runs on threads beside the commands.
+This process only imports ROS and forks; each message on its stdin, a socket, starts one peer: `[namespace, role, …]`
+with the socket of its commands. Roles are the functions below: what a peer offers under its namespace. ROS runs on
+threads beside the commands. A peer leaves as a ROS node should when its socket is closed, and on SIGTERM.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import sys
+import signal
+import socket
 import threading
 import time
 from collections import Counter
@@ -25,6 +26,8 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallb
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.service import Service
+from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
 from test_msgs.action import Fibonacci, NestedMessage
 from test_msgs.srv import BasicTypes
@@ -45,6 +48,7 @@ class Peer:
         self._handles: dict[str, Any] = {}
         self._kept: list[Any] = []
         self.unspun: list[Node] = []
+        self.untaken: dict[str, Service] = {}
 
     def keep(self, *entities: Any) -> None:
         self._kept += entities
@@ -55,6 +59,16 @@ class Peer:
         """How many requests or goals have come."""
         return self.counts[name]
 
+    def take(self, name: str) -> bool:
+        """Whether a request has come to a service that never answers; the request is taken from its queue."""
+        service = self.untaken[name]
+        with service.handle:
+            return service.handle.service_take_request(service.srv_type.Request)[1] is not None
+
+    def offer(self, role: str) -> None:
+        """Offer one more role."""
+        globals()[role](self)
+
     def driven(self) -> list[tuple[float, float]]:
         """The velocities that came, with the steady time of receipt."""
         return list(self.velocities)
@@ -62,7 +76,7 @@ class Peer:
     def send_goal(self, action: str, order: int) -> str:
         """Send a goal as any other client does; returns its id."""
         client = self._clients.setdefault(action, ActionClient(self.node, Fibonacci, action))
-        assert client.wait_for_server(timeout_sec=5.0)
+        assert client.wait_for_server(timeout_sec=15.0)
         handle = _wait(client.send_goal_async(Fibonacci.Goal(order=order)))
         assert handle.accepted
         goal_id = bytes(handle.goal_id.uuid).hex()
@@ -81,7 +95,7 @@ class Peer:
     def call(self, service: str, data: bool) -> str:
         """Call a SetBool service of somebody else."""
         client = self.node.create_client(SetBool, service)
-        assert client.wait_for_service(timeout_sec=5.0)
+        assert client.wait_for_service(timeout_sec=15.0)
         return _wait(client.call_async(SetBool.Request(data=data))).message
 
 
@@ -147,8 +161,8 @@ def raw(peer: Peer) -> None:
 
     impl, node = Fibonacci.Impl, Node("raw_results", namespace=peer.node.get_namespace())
     peer.unspun.append(node)
+    peer.untaken["raw"] = node.create_service(impl.GetResultService, "raw/_action/get_result", _unspun)
     peer.keep(
-        node.create_service(impl.GetResultService, "raw/_action/get_result", lambda _, response: response),
         peer.node.create_publisher(impl.FeedbackMessage, "raw/_action/feedback", 10),
         peer.node.create_service(impl.SendGoalService, "raw/_action/send_goal", accept),
         peer.node.create_service(CancelGoal, "raw/_action/cancel_goal", refuse),
@@ -198,6 +212,7 @@ def _action(peer: Peer, name: str, execute: Any, *, goal: Any = None, cancel: An
 
 def _count(peer: Peer, goal: Any) -> Fibonacci.Result:
     done: list[int] = []
+    peer.counts["count executing"] += 1
     for number in range(goal.request.order):
         if goal.is_cancel_requested:
             goal.canceled()
@@ -288,26 +303,43 @@ def dumb(peer: Peer) -> None:
     namespace = peer.node.get_namespace()
     peer.nodes.append(Node("dumb", namespace=namespace, start_parameter_services=False))
     deaf = Node("deaf", namespace=namespace)
-    peer.keep(deaf.create_service(SetBool, "mute", lambda _request, response: response))
+    peer.untaken["mute"] = deaf.create_service(SetBool, "mute", _unspun)
     peer.unspun.append(deaf)
 
 
+def _unspun(_request: Any, _response: Any) -> Any:
+    raise AssertionError("nobody spins this node")
+
+
+# ── processes ──────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
 def main() -> None:
-    namespace, *roles = sys.argv[1:]
-    rclpy.init()
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for them here
+    with socket.socket(fileno=0) as requests:
+        while True:
+            wanted, (*descriptors,), _, _ = socket.recv_fds(requests, 4096, 1)
+            if not wanted:
+                return
+            if os.fork() == 0:
+                break
+            os.close(descriptors[0])
+    be_peer(socket.socket(fileno=descriptors[0]), *json.loads(wanted))
+
+
+def be_peer(commands: socket.socket, namespace: str, *roles: str) -> None:
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGTERM, lambda *_: commands.shutdown(socket.SHUT_RD))
     peer = Peer(namespace)
     for role in roles:
-        globals()[role](peer)
+        peer.offer(role)
     peer.keep(peer.node.create_service(SetBool, "there", lambda _request, response: response))
     executor = MultiThreadedExecutor(num_threads=24)
     for node in peer.nodes:
         executor.add_node(node)
     spinning = threading.Thread(target=_spin, args=(executor,), daemon=True)
     spinning.start()
-    _say("ready")
-    for line in sys.stdin:
-        command, arguments = json.loads(line)
-        _say(getattr(peer, command)(**arguments))
+    _obey(peer, commands)
     executor.shutdown(timeout_sec=0.5)
     spinning.join(1.0)
     for node in (*peer.nodes, *peer.unspun):
@@ -316,14 +348,17 @@ def main() -> None:
     os._exit(0)  # whatever a callback is still busy with
 
 
+def _obey(peer: Peer, commands: socket.socket) -> None:
+    with commands.makefile("rw") as lines:
+        print(json.dumps(os.getpid()), file=lines, flush=True)
+        for line in lines:
+            command, arguments = json.loads(line)
+            print(json.dumps(getattr(peer, command)(**arguments)), file=lines, flush=True)
+
+
 def _spin(executor: MultiThreadedExecutor) -> None:
     with contextlib.suppress(ExternalShutdownException):
         executor.spin()
-
-
-def _say(value: Any) -> None:
-    sys.stdout.write(json.dumps(value) + "\n")
-    sys.stdout.flush()
 
 
 if __name__ == "__main__":

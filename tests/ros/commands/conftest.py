@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # the tests import their neighbo
 sys.path.insert(0, str(Path(__file__).parent.parent / "server"))
 
 from agent import Agent, agent_for
-from peer_process import PeerProcess, discovered
+from peer_process import Nursery, PeerProcess, discovered
 from raw_server import RawServer
 
 
@@ -49,14 +49,22 @@ def start_raw(ros_environment: dict[str, str]) -> Iterator[Callable[[], RawServe
         server.end()
 
 
+@pytest.fixture(scope="session")
+def nursery(ros_environment: dict[str, str]) -> Iterator[Nursery]:
+    """Where all peers come from."""
+    nursery = Nursery(ros_environment)
+    yield nursery
+    nursery.close()
+
+
 @pytest.fixture
-def start_peer(ros_environment: dict[str, str], agent: Agent) -> Iterator[Callable[..., PeerProcess]]:
+def start_peer(nursery: Nursery, agent: Agent) -> Iterator[Callable[..., PeerProcess]]:
     """Start a peer that the shared server knows: `start_peer("services")`; all are gone after the test."""
     peers: list[PeerProcess] = []
 
     def begin(*roles: str, namespace: str = "") -> PeerProcess:
-        peers.append(PeerProcess(ros_environment, *roles, namespace=namespace))
-        return discovered(agent, peers[-1].ready())
+        peers.append(nursery.start(*roles, namespace=namespace))
+        return discovered(agent, peers[-1])
 
     yield begin
     for peer in peers:
@@ -64,9 +72,8 @@ def start_peer(ros_environment: dict[str, str], agent: Agent) -> Iterator[Callab
 
 
 @pytest.fixture(scope="session")
-def robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[PeerProcess]:
+def robot(nursery: Nursery, agent: Agent) -> Iterator[PeerProcess]:
     """The peer that all tests share: everything that does not die."""
-    roles = ("services", "actions", "raw", "nested", "tuned", "valve", "dumb")
-    peer = discovered(agent, PeerProcess(ros_environment, *roles).ready())
+    peer = discovered(agent, nursery.start("services", "actions", "raw", "nested", "tuned", "valve", "dumb"))
     yield peer
     peer.leave()

@@ -1,41 +1,60 @@
-"""The peers of the tests: processes of `commands_peer.py`."""
+"""The peers of the tests: processes forked by `commands_peer.py`."""
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import json
+import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from agent import Agent
+from agent import Agent, Refusal
 
 HERE = Path(__file__).parent
+KNOWN_S = 30.0
+"""How long the middleware may take until two processes know each other, on a busy machine."""
 _NUMBERS = itertools.count(1)
 
 
+class Nursery:
+    """A process that has imported ROS and forks peers, each ready in a tenth of a second."""
+
+    def __init__(self, environment: dict[str, str]) -> None:
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            command = [sys.executable, str(HERE / "commands_peer.py")]
+            self._process = subprocess.Popen(command, stdin=theirs, env=environment)
+
+    def start(self, *roles: str, namespace: str = "") -> PeerProcess:
+        """A new peer; it may not have discovered anybody yet."""
+        namespace = namespace or f"/peer{next(_NUMBERS)}"
+        ours, theirs = socket.socketpair()
+        with theirs:
+            socket.send_fds(self._socket, [json.dumps([namespace, *roles]).encode()], [theirs.fileno()])
+        return PeerProcess(namespace, ours)
+
+    def close(self) -> None:
+        """End it; peers that are left end too, since nobody commands them any more."""
+        self._socket.close()
+        self._process.wait(10)
+
+
 class PeerProcess:
-    """`commands_peer.py` under a namespace of its own; its commands are methods: `peer.count(name="switch")`."""
+    """One peer under a namespace of its own; its commands are methods: `peer.count(name="switch")`."""
 
-    def __init__(self, environment: dict[str, str], *roles: str, namespace: str = "") -> None:
-        self.namespace = namespace or f"/peer{next(_NUMBERS)}"
-        self.process = subprocess.Popen(
-            [sys.executable, str(HERE / "commands_peer.py"), self.namespace, *roles],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=environment,
-        )
-
-    def ready(self) -> PeerProcess:
-        """Wait until it offers what it has to offer."""
-        assert self._answer() == "ready"
-        return self
+    def __init__(self, namespace: str, commands: socket.socket) -> None:
+        self.namespace = namespace
+        self._commands = commands
+        self._commands.settimeout(KNOWN_S)
+        self._lines = commands.makefile("rw")
+        self._pid = self._answer()
 
     def name(self, relative: str) -> str:
         """The full name of something that it offers."""
@@ -43,44 +62,50 @@ class PeerProcess:
 
     def __getattr__(self, command: str) -> Callable[..., Any]:
         def ask(**arguments: Any) -> Any:
-            assert self.process.stdin
-            self.process.stdin.write(json.dumps([command, arguments]) + "\n")
-            self.process.stdin.flush()
+            print(json.dumps([command, arguments]), file=self._lines, flush=True)
             return self._answer()
 
         return ask
 
     def leave(self) -> None:
-        """Let it end as a ROS node should."""
-        if self.process.poll() is None:
-            assert self.process.stdin
-            self.process.stdin.close()
-            self.process.wait(10)
-        self._close()
+        """Let it end as a ROS node should; nothing happens if it has ended already."""
+        if not self._lines.closed:
+            self._commands.shutdown(socket.SHUT_WR)
+            self._has_ended()
+
+    def terminate(self) -> None:
+        """End it with SIGTERM: it leaves as a ROS node should."""
+        os.kill(self._pid, signal.SIGTERM)
+        self._has_ended()
 
     def kill(self) -> None:
         """End it without its saying goodbye to ROS."""
-        self.process.send_signal(signal.SIGKILL)
-        self.process.wait(5)
-        self._close()
+        os.kill(self._pid, signal.SIGKILL)
+        self._has_ended()
 
-    def _close(self) -> None:
-        for pipe in (self.process.stdin, self.process.stdout):
-            assert pipe
-            with contextlib.suppress(OSError):
-                pipe.close()
+    def _has_ended(self) -> None:
+        with suppress(ConnectionError):
+            assert self._lines.readline() == "", "it goes on"
+        self._lines.close()
+        self._commands.close()
 
     def _answer(self) -> Any:
-        assert self.process.stdout
-        line = self.process.stdout.readline()
+        line = self._lines.readline()
         assert line, "the peer died"
         return json.loads(line)
 
 
 def discovered(agent: Agent, peer: PeerProcess) -> PeerProcess:
-    """The peer, as soon as the server under test knows all that it offers."""
-    deadline = time.monotonic() + 10
-    while not agent.call("ros2_service_list", pattern=peer.name("there"))["services"]:
+    """The peer, as soon as it and the server under test know each other: a call has been answered."""
+    deadline = time.monotonic() + KNOWN_S
+    while not _answers(agent, peer):
         assert time.monotonic() < deadline, "not discovered"
-        time.sleep(0.05)
     return peer
+
+
+def _answers(agent: Agent, peer: PeerProcess) -> bool:
+    there = {"service_name": peer.name("there"), "service_type": "std_srvs/srv/SetBool", "fields": {"data": True}}
+    try:
+        return agent.call("ros2_service_call", timeout_sec=1.0, **there)["called"]
+    except Refusal:
+        return False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import Future
 
 import pytest
 from agent import FULL
@@ -11,6 +10,7 @@ from agent import FULL
 SWITCH = "std_srvs/srv/SetBool"
 SLOW = "test_msgs/srv/BasicTypes"
 ROUNDS = 200 if FULL else 5
+HINT = "It may still be working on it; a longer timeout_sec waits for longer."
 
 
 def slow_request(text: str, delay_s: float = 0.0) -> dict[str, object]:
@@ -117,19 +117,21 @@ def test_a_server_that_appears_within_the_time_out_is_used(agent, start_peer) ->
 
 
 def test_the_time_out_bounds_waiting_for_the_server_and_its_answer_together(agent, start_peer) -> None:
-    name = f"/late{time.monotonic_ns()}"
+    peer = start_peer()
     started = time.monotonic()
     call = agent.begin(
         "ros2_service_call",
-        service_name=f"{name}/slow",
+        service_name=peer.name("slow"),
         service_type=SLOW,
-        fields=slow_request("x", 6.0),
+        fields=slow_request("x", 3.0),
         force_call=True,
-        timeout_sec=4,
+        timeout_sec=2,
     )
-    start_peer("services", namespace=name)
+    with pytest.raises(TimeoutError):
+        call.result(0.5)
+    peer.offer(role="services")
     assert "did not answer within" in str(call.exception(20))
-    assert time.monotonic() - started < 5.0
+    assert 2.0 <= time.monotonic() - started < 3.0
 
 
 def test_a_service_that_never_answers_is_reported_as_that_within_the_time_out(agent, robot) -> None:
@@ -142,7 +144,7 @@ def test_a_service_that_never_answers_is_reported_as_that_within_the_time_out(ag
         timeout_sec=0.4,
     )
     assert 0.4 <= time.monotonic() - started < 1.4
-    assert said == f"TimedOut: {robot.name('slow')} did not answer within 0.4 s."
+    assert said == f"TimedOut: {robot.name('slow')} did not answer within 0.4 s. {HINT}"
 
 
 def test_a_late_answer_is_never_given_to_another_call(agent, robot) -> None:
@@ -198,31 +200,6 @@ def test_a_slow_call_does_not_delay_others(agent, robot) -> None:
     assert slow.result(5)["result"]["string_value"] == "x"
 
 
-def begin_mute_call(agent, peer) -> Future[dict[str, object]]:
-    return agent.begin("ros2_service_call", service_name=peer.name("mute"), fields={"data": True}, timeout_sec=3)
-
-
-def test_a_server_that_leaves_during_a_call_is_reported_at_once(agent, start_peer) -> None:
-    peer = start_peer("dumb")
-    call = begin_mute_call(agent, peer)
-    with pytest.raises(TimeoutError):
-        call.result(0.5)
-    peer.leave()
-    assert str(call.exception(2)).startswith(
-        f"NotFound: The server of {peer.name('mute')} disappeared before it answered."
-    )
-
-
-def test_a_server_that_is_killed_during_a_call_is_one_that_does_not_answer(agent, start_peer) -> None:
-    """Its process cannot say goodbye and stays in the graph for a while."""
-    peer = start_peer("dumb")
-    call = begin_mute_call(agent, peer)
-    with pytest.raises(TimeoutError):
-        call.result(0.5)
-    peer.kill()
-    assert str(call.exception(5)) == f"TimedOut: {peer.name('mute')} did not answer within 3 s."
-
-
 def test_a_service_whose_server_left_is_not_listed_although_we_once_called_it(agent, start_peer) -> None:
     peer = start_peer("services")
     agent.call("ros2_service_call", service_name=peer.name("switch"), fields={"data": True})
@@ -233,16 +210,3 @@ def test_a_service_whose_server_left_is_not_listed_although_we_once_called_it(ag
     assert agent.call("ros2_service_list", pattern=peer.name("*"))["services"] == []
     said = agent.refusal("ros2_service_call", service_name=peer.name("switch"), fields={"data": True})
     assert said.startswith(f"NotFound: There is no service {peer.name('switch')}.")
-
-
-def test_servers_that_die_of_a_call_leave_no_call_stuck(agent, start_peer) -> None:
-    rounds = 20 if FULL else 1
-    for _ in range(rounds):
-        peer = start_peer("services")
-        started = time.monotonic()
-        said = agent.refusal(
-            "ros2_service_call", service_name=peer.name("fatal"), fields={"data": True}, timeout_sec=1.0
-        )
-        assert said == f"TimedOut: {peer.name('fatal')} did not answer within 1 s."
-        assert time.monotonic() - started < 2.5
-        peer.leave()
