@@ -1,4 +1,4 @@
-"""Nodes that a robot would rather not have: `faulty_peer.py ROLE ARGUMENT...` prints a line when it is ready."""
+"""Nodes that a robot would rather not have: `faulty_peer.py ROLE ARGUMENT...`."""
 
 from __future__ import annotations
 
@@ -27,23 +27,26 @@ def repeat(node: Node, topic: str, kind: str, rate_hz: str) -> None:
     node.create_timer(1 / float(rate_hz), lambda: publisher.publish(message))
 
 
-def endpoint(node: Node, side: str, topic: str, qos: str) -> None:
-    """A publisher or subscription of UInt64 with the policies given as JSON."""
-    given = json.loads(qos)
-    profile = QoSProfile(
-        depth=10,
-        reliability=QoSReliabilityPolicy[given.get("reliability", "RELIABLE")],
-        durability=QoSDurabilityPolicy[given.get("durability", "VOLATILE")],
-        deadline=Duration(nanoseconds=given.get("deadline_ns", 0)),
-    )
-    if side == "publisher":
-        node.create_publisher(UInt64, topic, profile)
-    else:
-        node.create_subscription(UInt64, topic, lambda _: None, profile)
+def endpoints(node: Node, side: str, topics: str) -> None:
+    """Publishers or subscriptions of UInt64: JSON, topic → policies."""
+    for topic, given in json.loads(topics).items():
+        profile = QoSProfile(
+            depth=10,
+            reliability=QoSReliabilityPolicy[given.get("reliability", "RELIABLE")],
+            durability=QoSDurabilityPolicy[given.get("durability", "VOLATILE")],
+            deadline=Duration(nanoseconds=given.get("deadline_ns", 0)),
+        )
+        if side == "publishers":
+            node.create_publisher(UInt64, topic, profile)
+        else:
+            node.create_subscription(UInt64, topic, lambda _: None, profile)
 
 
 def flood(node: Node, topic: str, rate_hz: str, count: str, size: str) -> None:
-    """As soon as there is a subscriber: messages numbered in their first four bytes, then a line with their count."""
+    """As soon as there is a subscriber: messages numbered in their first four bytes, then a line with their count.
+
+    Whoever subscribes must have discovered the topic before, for then the publisher is the last to learn of the match.
+    """
     publisher = node.create_publisher(UInt8MultiArray, topic, QoSProfile(depth=1000))
     threading.Thread(target=_flood, args=(publisher, float(rate_hz), int(count), int(size)), daemon=True).start()
 
@@ -51,7 +54,6 @@ def flood(node: Node, topic: str, rate_hz: str, count: str, size: str) -> None:
 def _flood(publisher: object, rate_hz: float, count: int, size: int) -> None:
     while not publisher.get_subscription_count():  # type: ignore[attr-defined]
         time.sleep(0.01)
-    time.sleep(0.3)  # the other side learns of the match a moment later
     empty = bytearray(serialize_message(UInt8MultiArray(data=array("B", bytes(size)))))
     begin = empty.index(size.to_bytes(4, "little")) + 4
     started, sent = time.monotonic(), 0
@@ -62,11 +64,7 @@ def _flood(publisher: object, rate_hz: float, count: int, size: int) -> None:
             publisher.publish(bytes(empty))  # type: ignore[attr-defined]
         sent = due
         time.sleep(0.001)
-    _say(count)
-
-
-def _say(text: object) -> None:
-    sys.stdout.write(f"{text}\n")
+    sys.stdout.write(f"{count}\n")
     sys.stdout.flush()
 
 
@@ -77,7 +75,6 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: told_to_end.set())
     node = Node(f"{role}_{os.getpid()}")
     globals()[role](node, *arguments)
-    _say("ready")
     while not told_to_end.is_set():
         rclpy.spin_once(node, timeout_sec=0.1)
     node.destroy_node()

@@ -13,7 +13,7 @@ PROCESSES = 4
 pytestmark = pytest.mark.full
 
 
-def test_a_first_listing_that_is_called_settled_holds_the_topics_of_every_process(play, peer) -> None:
+def test_a_first_listing_that_is_called_settled_holds_the_topics_of_every_process(play_anew, peer) -> None:
     topics = {f"/part{number}" for number in range(PROCESSES)}
     for topic in topics:
         peer("repeat", topic, "std_msgs/msg/String", 5)
@@ -23,17 +23,17 @@ def test_a_first_listing_that_is_called_settled_holds_the_topics_of_every_proces
         listings.append(await agent.call("ros2_topic_list", pattern="/part*"))
 
     for _ in range(20 if FULL else 2):
-        play(scenario)
+        play_anew(scenario)
     found = [{topic["topic_name"] for topic in listing["topics"]} for listing in listings if listing["settled"]]
     assert found
     assert all(names == topics for names in found)
 
 
-def test_where_there_is_nobody_the_first_listing_says_so_without_waiting_for_announcements(play) -> None:
+def test_where_there_is_nobody_the_first_listing_says_so_without_waiting_for_announcements(play_anew) -> None:
     async def scenario(agent: Agent) -> None:
         begun = time.monotonic()
         listing = await agent.call("ros2_topic_list")
         assert listing["settled"]
         assert time.monotonic() - begun < 2.5
 
-    play(scenario)
+    play_anew(scenario)

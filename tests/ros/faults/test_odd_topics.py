@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
 import subprocess
@@ -48,7 +49,7 @@ def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(play, peer,
         with pytest.raises(ToolFailed, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
             await agent.call("ros2_topic_publish", topic_name="/thing", data={"number": 1})
         assert time.monotonic() - begun < 1.0
-        assert (await agent.call("ros2_topic_stats", topic_names=["/thing"]))["topics"][0]["error"]
+        assert (await agent.call("ros2_topic_stats", topic_names=["/thing"], duration=0.5))["topics"][0]["error"]
         await agent.call("ros2_status")
 
     play(scenario)
@@ -74,13 +75,12 @@ def test_a_topic_with_two_types_names_both_and_each_can_be_read(play, peer) -> N
 
 def test_policies_that_keep_third_parties_apart_are_told_in_words(play, peer) -> None:
     pairs = {
-        "/reliability": ('{"reliability": "BEST_EFFORT"}', "{}", "best_effort"),
-        "/durability": ("{}", '{"durability": "TRANSIENT_LOCAL"}', "transient_local"),
-        "/deadline": ("{}", '{"deadline_ns": 100000000}', "deadline"),
+        "/reliability": ({"reliability": "BEST_EFFORT"}, {}, "best_effort"),
+        "/durability": ({}, {"durability": "TRANSIENT_LOCAL"}, "transient_local"),
+        "/deadline": ({}, {"deadline_ns": 100_000_000}, "deadline"),
     }
-    for topic, (offered, asked, _) in pairs.items():
-        peer("endpoint", "publisher", topic, offered)
-        peer("endpoint", "subscription", topic, asked)
+    peer("endpoints", "publishers", json.dumps({topic: offered for topic, (offered, _, _) in pairs.items()}))
+    peer("endpoints", "subscriptions", json.dumps({topic: asked for topic, (_, asked, _) in pairs.items()}))
 
     async def scenario(agent: Agent) -> None:
         for topic, (_, _, word) in pairs.items():
@@ -92,7 +92,7 @@ def test_policies_that_keep_third_parties_apart_are_told_in_words(play, peer) ->
 
 
 def test_a_publish_that_a_policy_keeps_from_its_subscriber_says_which(play, peer) -> None:
-    peer("endpoint", "subscription", "/strict", '{"deadline_ns": 100000000}')
+    peer("endpoints", "subscriptions", json.dumps({"/strict": {"deadline_ns": 100_000_000}}))
 
     async def scenario(agent: Agent) -> None:
         await agent.knows("/strict", publishers=0, subscribers=1)
@@ -109,13 +109,14 @@ def test_a_publish_that_a_policy_keeps_from_its_subscriber_says_which(play, peer
 def test_a_publisher_that_dies_during_a_read_is_told_with_what_had_come(
     play, peer, number: signal.Signals, limit_s: float
 ) -> None:
-    publisher = peer("repeat", "/brief", "std_msgs/msg/String", 100)
+    topic = f"/brief_{number:d}"
+    publisher = peer("repeat", topic, "std_msgs/msg/String", 100)
 
     async def scenario(agent: Agent) -> None:
-        await agent.knows("/brief")
+        await agent.knows(topic)
         begun = time.monotonic()
         reading = asyncio.ensure_future(
-            agent.call("ros2_topic_subscribe", topic_name="/brief", duration=2, message_limit=100_000)
+            agent.call("ros2_topic_subscribe", topic_name=topic, duration=2, message_limit=100_000)
         )
         await asyncio.sleep(1)
         publisher.process.send_signal(number)

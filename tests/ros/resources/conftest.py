@@ -15,9 +15,9 @@ pytest.importorskip("rclpy")
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "server")]  # the tests import their neighbours
 
-from agent import FULL
-from events_process import EventsPeer
-from listener import HANDSHAKE, MODERN, PATIENCE_S, Listener
+from agent import FULL  # noqa: E402
+from events_process import EventsPeer  # noqa: E402
+from listener import HANDSHAKE, MODERN, PATIENCE_S, Listener  # noqa: E402
 
 
 @pytest.fixture(scope="session")
