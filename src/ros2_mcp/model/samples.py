@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 
 
@@ -31,3 +32,9 @@ class Counts:
     received: int = 0
     dropped: int = 0
     lost: int | None = 0
+
+
+def header_stamp_ns(data: bytes) -> int:
+    """The stamp of a message that starts with a std_msgs/msg/Header, from its CDR bytes."""
+    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
+    return seconds * 1_000_000_000 + nanoseconds

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
@@ -241,7 +241,7 @@ def _read(memory: Memory, asked: Asked, view: View, topic: StoredTopic, codec: C
         span = replace(span_in(bag, asked.start, asked.end), topics=(topic.name,))
         backwards = not asked.start.strip()
         samples = (sample for _, sample in bag.messages(span, newest_first=backwards))
-        taken = list(islice(_within_bytes(samples, view.every_n), asked.limit + 1))
+        taken = list(islice(within_bytes(islice(samples, 0, None, view.every_n)), asked.limit + 1))
         problems = bag.problems
     chosen = taken[: asked.limit][:: -1 if backwards else 1]
     shown, rendered, bad = rendered_within(topic.type, codec, chosen, view)
@@ -265,11 +265,12 @@ def _read(memory: Memory, asked: Asked, view: View, topic: StoredTopic, codec: C
     )
 
 
-def _within_bytes(samples: Iterator[Sample], every_n: int) -> Iterator[Sample]:
+def within_bytes(samples: Iterable[Sample], most: int = _MAX_BYTES) -> Iterator[Sample]:
+    """As many of the samples as fit, at least one."""
     total = 0
-    for sample in islice(samples, 0, None, every_n):
+    for sample in samples:
         total += len(sample.data)
-        if total > _MAX_BYTES and total > len(sample.data):
+        if total > most and total > len(sample.data):
             return
         yield sample
 

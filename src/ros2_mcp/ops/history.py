@@ -13,7 +13,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError, UnknownInterface
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.bags import codec_of, definitions_of, find_topic, rendered_within, span_in
+from ros2_mcp.ops.bags import codec_of, definitions_of, find_topic, rendered_within, span_in, within_bytes
 from ros2_mcp.ops.black_box import BLACK_BOX
 from ros2_mcp.ops.data_black_box import ANY, TIMEOUT_S, DataBlackBox, Question, find_box
 from ros2_mcp.ops.memory import Memory
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from ros2_mcp.codec.cdr import Codec
 
 MAX_MESSAGES = 100_000
-_MAX_BYTES = 64_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,19 +190,10 @@ async def _in_bag(robot: Robot, memory: Memory, asked: Asked, name: str, words: 
             topic = find_topic(bag, asked.topic)
             span = replace(span_in(bag, asked.start, asked.end), topics=(topic.name,))
             newest = (sample for _, sample in bag.messages(span, newest_first=True))
-            return topic, list(islice(_within_bytes(newest), asked.number or MAX_MESSAGES))[::-1]
+            return topic, list(islice(within_bytes(newest), asked.number or MAX_MESSAGES))[::-1]
 
     topic, samples = await asyncio.to_thread(read)
     return Found(f"{words} {name}", topic.type, samples, codec_of(await definitions_of(topic, robot)))
-
-
-def _within_bytes(samples: Iterable[Sample]) -> Iterable[Sample]:
-    total = 0
-    for sample in samples:
-        total += len(sample.data)
-        if total > _MAX_BYTES and total > len(sample.data):
-            return
-        yield sample
 
 
 def _show(asked: Asked, view: View, found: Found, failed: Sequence[RobotError]) -> StoredMessages:

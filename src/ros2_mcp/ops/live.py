@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import AsyncGenerator, AsyncIterator, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from dataclasses import replace
 from time import monotonic
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.window import Missing, Scene, Stream, Window
 from ros2_mcp.robot import Listening, Robot, TopicEndpoints
 
@@ -33,12 +33,16 @@ _ASKED_AT_ONCE = 32
 
 
 class Live:
-    """What the robot does from the moment of asking on, for `duration_s`."""
+    """What the robot does from the moment of asking on, for `duration_s`.
 
-    def __init__(self, robot: Robot, duration_s: float) -> None:
+    `whole` time is followed once a topic is there, however long that took; else the waiting counts too.
+    """
+
+    def __init__(self, robot: Robot, duration_s: float, *, whole: bool = False) -> None:
         bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
         self._robot = robot
         self._duration_s = duration_s
+        self._whole = whole
 
     @property
     def words(self) -> str:
@@ -80,12 +84,30 @@ class Live:
         return [by_topic[each.topic] if isinstance(each, Listening) else each for each in listenings]
 
     @asynccontextmanager
-    async def follow(self, topic: str) -> AsyncGenerator[Stream, None]:
+    async def follow(
+        self,
+        topic: str,
+        type_name: str = "",
+        *,
+        most: int | None = None,  # noqa: ARG002 - those who follow stop by themselves
+    ) -> AsyncGenerator[Stream, None]:
         """Every sample from now on; waits for the topic to appear."""
-        deadline = monotonic() + self._duration_s
-        async with self._robot.listen(topic, wait_s=self._duration_s) as heard:
-            batches = _batches(heard, deadline)
-            yield Stream(heard.topic, heard.type, self.codec, _nodes(heard.publishers), batches, lambda: heard.counts)
+        asked_at = monotonic()
+        async with self._robot.listen(topic, type_name, wait_s=self._duration_s) as heard:
+            deadline = (monotonic() if self._whole else asked_at) + self._duration_s
+            qos = heard.choice.qos
+            async with aclosing(_batches(heard, deadline)) as batches:
+                yield Stream(
+                    heard.topic,
+                    heard.type,
+                    self.codec,
+                    heard.publishers,
+                    batches,
+                    lambda: heard.counts,
+                    lambda last: self._why_no_more(heard, last),
+                    lambda: monotonic() - asked_at,
+                    f"{qos.reliability}, {qos.durability}: {heard.choice.reason}",
+                )
 
     async def scene(self) -> Scene:
         """The graph now, without ourselves."""
@@ -117,6 +139,20 @@ class Live:
             await asyncio.sleep(0.1)
             found = await self._robot.graph.endpoints(topic)
         return found
+
+    async def _why_no_more(self, heard: Listening, last: Sample | None) -> str:
+        now = await self._robot.graph.endpoints(heard.topic)
+        if last is not None:
+            left = len(heard.publishers) - len(now.publishers)
+            gone = f" {left} publisher(s) left during the read." if left > 0 else ""
+            at = iso_time(last.received_ns)
+            return f"The time ended before all the messages came; the last came at {at}.{gone}"
+        if not now.publishers:
+            return "Nobody publishes on it now." if not heard.publishers else "Its publisher left during the read."
+        if heard.type not in {publisher.type for publisher in now.publishers}:
+            return f"It is published with the type {', '.join(now.types)}."
+        there = ", ".join(_nodes(now.publishers))
+        return f"{len(now.publishers)} publisher(s) there, but no message came while this listened: {there}."
 
     async def _subscribe(self, subscriptions: AsyncExitStack, topic: str) -> Listening | Missing:
         try:
@@ -182,7 +218,7 @@ async def _matched(listenings: Sequence[Listening]) -> None:
         await asyncio.sleep(0.01)
 
 
-async def _batches(heard: Listening, deadline: float) -> AsyncIterator[Sequence[Sample]]:
+async def _batches(heard: Listening, deadline: float) -> AsyncGenerator[Sequence[Sample], None]:
     while (left := deadline - monotonic()) > 0:
         yield await heard.take(min(left, _TURN_S))
     yield await heard.take(0.0)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from contextlib import aclosing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import TimedOut, TypeConflict
-from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, reporting, silent
+from ros2_mcp.ops.results import Report, WithPictures, facts, is_recorded, iso_time, reporting, silent
 from ros2_mcp.ops.window import Source, Stream
 
 if TYPE_CHECKING:
@@ -160,23 +159,23 @@ async def _first(source: Source, topic: str, wanted: str, report: Report) -> tup
     topic = names.absolute(topic)
     async with (
         reporting(report, source.duration_s, f"waiting for {topic}"),
-        source.follow(topic) as stream,
+        source.follow(topic, most=1) as stream,
     ):
         if stream.type != wanted:
             raise TypeConflict(f"{topic} is a {stream.type}, not a {wanted}.", "ros2_topic_list shows types.")
-        sample = await _next(stream)
+        sample = await _next(source, stream)
         if sample is None:
             raise TimedOut(f"No message on {topic} ({source.words}).", _reason(stream))
         return await asyncio.to_thread(stream.codec.decode, stream.type, sample.data), sample, topic
 
 
-async def _next(stream: Stream) -> Sample | None:
-    async with aclosing(cast("Any", stream.batches)) as batches:
-        async for batch in batches:
-            if batch:
-                return batch[-1]
+async def _next(source: Source, stream: Stream) -> Sample | None:
+    """The next message of a recording; live the newest one that waits."""
+    async for batch in stream.batches:
+        if batch:
+            return batch[0] if is_recorded(source.words) else batch[-1]
     return None
 
 
 def _reason(stream: Stream) -> str:
-    return f"It is published by {', '.join(stream.publishers)}." if stream.publishers else "Nobody publishes on it."
+    return f"It is published by {', '.join(stream.nodes)}." if stream.publishers else "Nobody publishes on it."

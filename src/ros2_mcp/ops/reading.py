@@ -8,16 +8,20 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ros2_mcp.guard.policy import MAX_DURATION_S, bounded
+from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.pictures import Picture
-from ros2_mcp.model.samples import Counts, Sample
-from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
-from ros2_mcp.robot import Listening, Robot, TopicEndpoints
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.results import Report, WithPictures, facts, is_recorded, iso_time, silent
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.cdr import Codec
+    from ros2_mcp.codec.definitions import Definitions
+    from ros2_mcp.ops.window import Source, Stream
 
 FIRST_MESSAGE_S = 5.0
 LIMITED_S = 20.0
@@ -66,7 +70,8 @@ class Reading(WithPictures):
     """The messages of one topic.
 
     `count` messages are shown, of `received` ones; `dropped` were discarded by this server's memory bounds, `lost`
-    never arrived (null where that cannot be known). `truncated` names paths whose values are summaries.
+    never arrived (null where that cannot be known). `truncated` names paths whose values are summaries. `source` says
+    whether they are live, or of which part of which recording; `duration` is its length.
     """
 
     topic_name: str
@@ -83,13 +88,15 @@ class Reading(WithPictures):
     truncated: Sequence[str] = ()
     note: str = ""
     error: str = ""
+    source: str = ""
 
     def summary(self) -> str:
         """One line."""
         if self.error:
             return f"{self.topic_name}: {self.error}"
         shown = "" if self.count == self.received else f", {self.count} shown"
-        return f"{self.topic_name}: {self.received} message(s) in {self.duration:.2f} s{shown}. {self.note}".rstrip()
+        where = self.source if is_recorded(self.source) else f"{self.duration:.2f} s"
+        return f"{self.topic_name}: {self.received} message(s) in {where}{shown}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +113,7 @@ class Readings(WithPictures):
 
 @dataclass(frozen=True, slots=True)
 class Echo(WithPictures):
-    """The next message of a topic, or `received` false and the reason."""
+    """The next message of a topic, or `received` false and the reason; `waited` is how long this took, in seconds."""
 
     topic_name: str
     topic_type: str
@@ -117,11 +124,13 @@ class Echo(WithPictures):
     publishers: Sequence[str]
     truncated: Sequence[str]
     note: str
+    source: str
 
     def summary(self) -> str:
         """One line."""
         what = "a message" if self.received else "no message"
-        return f"{self.topic_name}: {what} after {self.waited:.2f} s. {self.note}".rstrip()
+        where = f"in {self.source}" if is_recorded(self.source) else f"after {self.waited:.2f} s"
+        return f"{self.topic_name}: {what} {where}. {self.note}".rstrip()
 
 
 @dataclass(slots=True)
@@ -152,8 +161,8 @@ class Collection:
             self.dropped += 1
 
 
-async def read(robot: Robot, request: Request, view: View, report: Report = silent) -> Reading:
-    """Messages of one topic.
+async def read(source: Source, request: Request, view: View, report: Report = silent) -> Reading:
+    """Messages of one topic, over the source's time.
 
     Raises:
         NotFound: if the topic is not there and its type is not given.
@@ -161,131 +170,103 @@ async def read(robot: Robot, request: Request, view: View, report: Report = sile
         BadValue: if a limit is out of range, or a field is not in the type.
     """
     _check_request(request, view)
-    started = monotonic()
-    wait_s = request.longest_s
-    async with robot.listen(request.topic_name, request.topic_type, wait_s=wait_s) as listening:
-        _check_fields(robot, listening.type, view)
+    most = request.enough and request.enough * view.every_n
+    async with source.follow(request.topic_name, request.topic_type, most=most) as stream:
+        _check_fields(stream.codec.definitions, stream.type, view)
         collection = Collection(view.every_n)
-        await _collect(listening, collection, request, started, report)
-        counts = listening.counts
-        elapsed = monotonic() - started
-        note = "" if collection.seen else await _why_nothing(robot, listening)
-        if collection.seen and request.enough and len(collection.samples) < request.enough:
-            note = await _why_few(robot, listening, collection)
-    return await _show(robot, listening, collection, counts, elapsed, view, note)
+        is_enough = await _collect(stream, collection, request, report)
+        counts, covered_s = stream.counts(), stream.covered_s()
+        last = collection.samples[-1] if collection.samples else None
+        fewer = last is None or (request.enough is not None and not is_enough)
+        note = await stream.why_no_more(last) if fewer else ""
+    reading = await _show(stream, collection, view, note)
+    return replace(
+        reading,
+        duration=round(covered_s, 6),
+        received=collection.seen + counts.dropped,
+        dropped=collection.dropped + counts.dropped,
+        lost=counts.lost,
+        source=source.words,
+    )
 
 
-async def read_several(robot: Robot, requests: Sequence[Request], view: View, report: Report = silent) -> Readings:
+async def read_several(sources: Sequence[tuple[Source, Request]], view: View, report: Report = silent) -> Readings:
     """Messages of several topics, truly at the same time."""
-    if not requests:
+    if not sources:
         raise BadInput("No topics are given.", 'Give a list such as [{"name": "/odom", "duration": 2}].')
     started = monotonic()
-    share = View(view.fields, view.max_array, view.every_n, max(view.max_bytes // len(requests), 1000))
-    readings = await asyncio.gather(*(_read_or_error(robot, request, share, report) for request in requests))
+    share = replace(view, max_bytes=max(view.max_bytes // len(sources), 1000))
+    readings = await asyncio.gather(*(_read_or_error(source, request, share, report) for source, request in sources))
     images = [image for reading in readings for image in reading.images]
     return Readings(readings, monotonic() - started, pictures=facts(images), images=images)
 
 
-async def _read_or_error(robot: Robot, request: Request, view: View, report: Report) -> Reading:
+async def _read_or_error(source: Source, request: Request, view: View, report: Report) -> Reading:
     try:
-        return await read(robot, request, view, report)
+        return await read(source, request, view, report)
     except RobotError as error:
         return Reading(request.topic_name, error=str(error))
 
 
-async def echo(robot: Robot, topic: str, topic_type: str, timeout_s: float, view: View) -> Echo:
-    """The next message of a topic, waiting for the topic and for the message."""
-    reading = await read(robot, Request(topic, topic_type, timeout_s, 1), view)
+async def echo(source: Source, topic: str, topic_type: str, view: View) -> Echo:
+    """The next message of a topic, waiting for the topic and for the message as long as the source lasts."""
+    started = monotonic()
+    reading = await read(source, Request(topic, topic_type, source.duration_s, 1), view)
     return Echo(
         reading.topic_name,
         reading.topic_type,
         received=bool(reading.messages),
         message=reading.messages[0] if reading.messages else None,
         received_at=reading.received_at[0] if reading.received_at else "",
-        waited=reading.duration,
+        waited=round(monotonic() - started, 6),
         publishers=reading.publishers,
         truncated=reading.truncated,
         note=reading.note,
+        source=reading.source,
         pictures=reading.pictures,
         images=reading.images,
     )
 
 
 def _check_request(request: Request, view: View) -> None:
-    bounded("duration", request.longest_s, 0.0, MAX_DURATION_S, "s")
     bounded("every_n", view.every_n, 1, 1_000_000, "messages")
     if request.message_limit is not None:
         bounded("message_limit", request.message_limit, 1, MAX_SAMPLES, "messages")
 
 
-def _check_fields(robot: Robot, type_name: str, view: View) -> None:
+def _check_fields(definitions: Definitions, type_name: str, view: View) -> None:
     if view.fields:
         from ros2_mcp.codec.select import parse_fields
 
-        parse_fields(robot.values.definitions, type_name, view.fields)
+        parse_fields(definitions, type_name, view.fields)
 
 
-async def _collect(
-    listening: Listening, collection: Collection, request: Request, started: float, report: Report
-) -> None:
-    deadline = started + request.longest_s
-    while (left := deadline - monotonic()) > 0:
-        samples = await listening.take(min(left, 1.0))
-        if collection.add(samples, request.enough):
-            return
+async def _collect(stream: Stream, collection: Collection, request: Request, report: Report) -> bool:
+    """Takes samples in until there are enough; false if they ended before."""
+    started = monotonic()
+    async for batch in stream.batches:
+        if collection.add(batch, request.enough):
+            return True
         elapsed = monotonic() - started
         if elapsed > 1.0:
-            await report(elapsed, request.longest_s, f"{listening.topic}: {collection.seen} messages")
-    collection.add(await listening.take(0.0), None)
+            await report(elapsed, max(request.longest_s, elapsed), f"{stream.topic}: {collection.seen} messages")
+    return False
 
 
-async def _why_nothing(robot: Robot, listening: Listening) -> str:
-    now = await robot.graph.endpoints(listening.topic)
-    if not now.publishers:
-        return "Nobody publishes on it now." if not listening.publishers else "Its publisher left during the read."
-    if listening.type not in {publisher.type for publisher in now.publishers}:
-        return f"It is published with the type {', '.join(now.types)}."
-    return f"{len(now.publishers)} publisher(s) there, but no message came while this listened: {_nodes(now)}."
-
-
-async def _why_few(robot: Robot, listening: Listening, collection: Collection) -> str:
-    now = await robot.graph.endpoints(listening.topic)
-    last = iso_time(collection.samples[-1].received_ns) if collection.samples else "unknown"
-    left = len(listening.publishers) - len(now.publishers)
-    gone = f" {left} publisher(s) left during the read." if left > 0 else ""
-    return f"The time ended before all the messages came; the last came at {last}.{gone}"
-
-
-def _nodes(endpoints: TopicEndpoints) -> str:
-    return ", ".join(sorted({publisher.node for publisher in endpoints.publishers}))
-
-
-async def _show(
-    robot: Robot,
-    listening: Listening,
-    collection: Collection,
-    counts: Counts,
-    elapsed: float,
-    view: View,
-    note: str,
-) -> Reading:
+async def _show(stream: Stream, collection: Collection, view: View, note: str) -> Reading:
     samples = list(collection.samples)
-    shown = await asyncio.to_thread(_render, robot, listening.type, samples, view)
-    images, problem = await asyncio.to_thread(_pictures, robot, listening.type, shown.samples)
+    shown = await asyncio.to_thread(_render, stream.codec, stream.type, samples, view)
+    images, problem = await asyncio.to_thread(_pictures, stream.codec, stream.type, shown.samples)
     omitted = len(samples) - len(shown.samples)
     thinned = f"{omitted} more are not shown, evenly left out: choose fields or every_n to see more." if omitted else ""
     return Reading(
-        listening.topic,
-        listening.type,
+        stream.topic,
+        stream.type,
         shown.messages,
         [iso_time(sample.received_ns) for sample in shown.samples],
         count=len(shown.messages),
-        duration=round(elapsed, 6),
-        received=collection.seen + counts.dropped,
-        dropped=collection.dropped + counts.dropped,
-        lost=counts.lost,
-        publishers=sorted({publisher.node for publisher in listening.publishers}),
-        qos=f"{listening.choice.qos.reliability}, {listening.choice.qos.durability}: {listening.choice.reason}",
+        publishers=stream.nodes,
+        qos=stream.qos,
         truncated=shown.truncated,
         note=" ".join(filter(None, (note, thinned, shown.hint, problem))),
         pictures=facts(images),
@@ -301,7 +282,7 @@ class _Shown:
     hint: str = ""
 
 
-def _render(robot: Robot, type_name: str, samples: Sequence[Sample], view: View) -> _Shown:
+def _render(codec: Codec, type_name: str, samples: Sequence[Sample], view: View) -> _Shown:
     """As many of the samples as fit, evenly spread, first and last included."""
     from ros2_mcp.codec.render import RenderOptions, render
 
@@ -310,7 +291,7 @@ def _render(robot: Robot, type_name: str, samples: Sequence[Sample], view: View)
 
     def rendered(sample: Sample, max_bytes: int):
         options = RenderOptions(max_array=view.max_array, max_bytes=max_bytes, fields=tuple(view.fields) or None)
-        return render(robot.values.definitions, type_name, robot.values.decode(type_name, sample), options=options)
+        return render(codec.definitions, type_name, codec.decode(type_name, sample.data), options=options)
 
     size = rendered(samples[-1], view.max_bytes).bytes + 60
     shown = spread(samples, max(view.max_bytes // size, 1))
@@ -329,13 +310,13 @@ def spread(samples: Sequence[Sample], most: int) -> list[Sample]:
     return [samples[round(index * step)] for index in range(most)]
 
 
-def _pictures(robot: Robot, type_name: str, samples: Sequence[Sample]) -> tuple[list[Picture], str]:
+def _pictures(codec: Codec, type_name: str, samples: Sequence[Sample]) -> tuple[list[Picture], str]:
     if type_name not in _PICTURE_TYPES:
         return [], ""
     from ros2_mcp.codec.pictures import picture_of
 
     try:
         chosen = spread(samples, MAX_PICTURES)
-        return [picture_of(type_name, robot.values.decode(type_name, sample)) for sample in chosen], ""
+        return [picture_of(type_name, codec.decode(type_name, sample.data)) for sample in chosen], ""
     except RobotError as error:
         return [], f"No picture: {error}"

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, AsyncIterator, Iterator, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, Iterator, Sequence
+from contextlib import aclosing, asynccontextmanager
 from dataclasses import replace
-from itertools import islice
+from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadValue, RobotError
+from ros2_mcp.model.errors import BadValue, RobotError, TypeConflict
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Counts, Sample
-from ros2_mcp.ops.bags import definitions_of, find_topic, span_in
+from ros2_mcp.ops.bags import definitions_of, find_topic, span_in, within_bytes
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.window import Missing, Scene, Stream, Window
@@ -27,14 +27,17 @@ if TYPE_CHECKING:
 MAX_BYTES = 192_000_000
 MAX_SAMPLES = 200_000
 _BATCH = 256
-_RECORDED = ("(recorded)",)
+_RECORDED = "(recorded)"
 _LATCHED = ("durability: 1", "durability: transient_local")
 
 
 class BagSource:
-    """A part of a bag, as a `Source`; get it with `open_source`."""
+    """A part of a bag, as a `Source`; get it with `open_source`.
 
-    def __init__(self, memory: Memory, name: str, span: Span, robot: Robot | None) -> None:
+    `from_end` tells that who wants only some samples means the last ones.
+    """
+
+    def __init__(self, memory: Memory, name: str, span: Span, robot: Robot | None, *, from_end: bool = False) -> None:
         from ros2_mcp.codec.cdr import Codec
         from ros2_mcp.codec.definitions import Definitions
 
@@ -42,12 +45,13 @@ class BagSource:
         self._name = name
         self._span = span
         self._robot = robot
+        self._from_end = from_end
         self._codec = Codec(Definitions())
 
     @property
     def words(self) -> str:
         """What it is, in words."""
-        return f"bag {self._name}, {self.duration_s:g} s"
+        return f"bag {self._name}, {self.duration_s:g} s from {iso_time(self._span.start_ns)} on"
 
     @property
     def duration_s(self) -> float:
@@ -78,12 +82,30 @@ class BagSource:
         return found
 
     @asynccontextmanager
-    async def follow(self, topic: str) -> AsyncGenerator[Stream, None]:
-        """Every sample of a topic in order."""
+    async def follow(self, topic: str, type_name: str = "", *, most: int | None = None) -> AsyncGenerator[Stream, None]:
+        """Every sample of a topic in order, after a latched one from before; with `most` and no start the last ones."""
         stored = await self._learn(topic)
-        counts = [0]
-        batches = self._batches(stored.name, counts)
-        yield Stream(stored.name, stored.type, self._codec, _RECORDED, batches, lambda: Counts(counts[0]))
+        if type_name and names.interface_type(type_name, "msg") != stored.type:
+            raise TypeConflict(f"{stored.name} has the type {stored.type}, not {type_name}.", "Leave the type out.")
+        taken = [0]
+        last = most if self._from_end else None
+        publishers = _publishers(stored)
+        async with aclosing(self._batches(stored, last, taken)) as batches:
+            yield Stream(
+                stored.name,
+                stored.type,
+                self._codec,
+                publishers,
+                batches,
+                lambda: Counts(taken[0], 0, None),
+                self._why_no_more,
+                lambda: self.duration_s,
+                f"{publishers[0].qos.durability}, as it was recorded",
+                self._span.start_ns,
+            )
+
+    async def _why_no_more(self, last: Sample | None) -> str:
+        return f"The recording has {'no more' if last else 'nothing'} of it in that part."
 
     async def scene(self) -> Scene:
         """The topics with what their publishers offered; nodes and services are not in a bag."""
@@ -121,32 +143,48 @@ class BagSource:
             topic.name, topic.type, self._codec, kept[::-1], start_ns, end_ns, received, dropped, source=self.words
         )
 
-    async def _batches(self, topic: str, counts: list[int]) -> AsyncIterator[Sequence[Sample]]:
-        after = replace(self._span, topics=(topic,))
+    async def _batches(
+        self, topic: StoredTopic, last: int | None, taken: list[int]
+    ) -> AsyncGenerator[Sequence[Sample], None]:
+        span = replace(self._span, topics=(topic.name,))
         messages: Iterator[Sample] | None = None
 
         def following() -> list[Sample]:
             nonlocal messages
             with self._memory.reading(self._name) as bag:
-                messages = messages or _once(bag.messages(after))
+                messages = messages or (_first(bag, topic, span) if last is None else _last(bag, topic, span, last))
                 return list(islice(messages, _BATCH))
 
         while batch := await asyncio.to_thread(following):
-            counts[0] += len(batch)
+            taken[0] += len(batch)
             yield batch
 
 
 async def open_source(
-    memory: Memory, bag: str, start: str = "", end: str = "", robot: Robot | None = None
+    memory: Memory,
+    bag: str,
+    start: str = "",
+    end: str = "",
+    robot: Robot | None = None,
+    *,
+    longest_s: float | None = None,
 ) -> BagSource:
     """A bag, or the part of it between two moments (as `moments.span_of` reads them), as a `Source`.
+
+    Of a part that is longer than `longest_s` it is the beginning if a start is given, else the end.
 
     Raises:
         NotFound: if there is no such bag.
         BadData: if nothing of it can be read.
         BadValue: if a moment cannot be understood, or nothing was recorded in that time.
     """
-    return BagSource(memory, bag, await asyncio.to_thread(_bounds, memory, bag, start, end), robot)
+    span = await asyncio.to_thread(_bounds, memory, bag, start, end)
+    from_end = not start.strip()
+    if longest_s is not None:
+        longest_ns = max(round(longest_s * 1e9), 1)
+        start_ns = max(span.start_ns, span.end_ns - longest_ns) if from_end else span.start_ns
+        span = replace(span, start_ns=start_ns, end_ns=min(span.end_ns, start_ns + longest_ns))
+    return BagSource(memory, bag, span, robot, from_end=from_end)
 
 
 def _bounds(memory: Memory, name: str, start: str, end: str) -> Span:
@@ -173,6 +211,21 @@ def _once(messages: Iterator[tuple[str, Sample]]) -> Iterator[Sample]:
         last = sample
 
 
+def _first(bag: Bag, topic: StoredTopic, span: Span) -> Iterator[Sample]:
+    """All samples, after a latched one that was there before."""
+    return chain(_latched_before(bag, topic, span), _once(bag.messages(span)))
+
+
+def _last(bag: Bag, topic: StoredTopic, span: Span, most: int) -> Iterator[Sample]:
+    """The last samples, as many of them as fit in memory, the oldest first."""
+    found: list[Sample] = []
+    for sample in within_bytes(_once(bag.messages(span, newest_first=True)), MAX_BYTES):
+        found.append(sample)
+        if len(found) == most:
+            return reversed(found)
+    return chain(_latched_before(bag, topic, span), reversed(found))
+
+
 def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
     if not any(word in topic.qos for word in _LATCHED):
         return []
@@ -182,4 +235,4 @@ def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
 def _publishers(topic: StoredTopic) -> list[Endpoint]:
     durability = "transient_local" if any(word in topic.qos for word in _LATCHED) else "volatile"
     profiles = max(topic.qos.count("history:"), 1)
-    return [Endpoint(_RECORDED[0], topic.type, "", "", QoS("unknown", durability, depth=None))] * profiles
+    return [Endpoint(_RECORDED, topic.type, "", "", QoS("unknown", durability, depth=None))] * profiles

@@ -100,6 +100,11 @@ def iso_time(unix_ns: int) -> str:
     return moment.isoformat(timespec="microseconds").replace("+00:00", "Z")
 
 
+def is_recorded(source: str) -> bool:
+    """Whether a source's words are those of a recording."""
+    return source.startswith("bag ")
+
+
 def in_words(values: Mapping[str, Any]) -> str:
     """An object's values as one readable line; long ones are cut."""
     return ", ".join(f"{name} {_brief(value)}" for name, value in values.items())

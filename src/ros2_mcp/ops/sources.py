@@ -14,11 +14,15 @@ from ros2_mcp.robot import Robot
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of a recording; without a name it is of the black box if one is kept, and with nothing given of none."""
+    """A part of a recording; without a name it is of the black box if one is kept, and with nothing given of none.
+
+    Of more than `longest_s` it is the beginning if a start is given, else the end.
+    """
 
     bag: str = ""
     start: str = ""
     end: str = ""
+    longest_s: float | None = None
 
 
 async def source_of(robot: Robot, memory: Memory, part: Part, live_s: float) -> Source:
@@ -39,4 +43,6 @@ async def recorded_part(robot: Robot, memory: Memory, part: Part) -> BagSource |
             hint = "Name it with bag; ros2_bag_list shows which there are."
             raise BadInput("start and end are moments of a recording, and none is named.", hint)
         name = BLACK_BOX
-    return await open_source(memory, name, part.start, part.end, robot) if name else None
+    if not name:
+        return None
+    return await open_source(memory, name, part.start, part.end, robot, longest_s=part.longest_s)

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import statistics
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from time import monotonic
+from typing import TYPE_CHECKING
 
-from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, RobotError
-from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import Report, silent
-from ros2_mcp.robot import Listening, Robot
+from ros2_mcp.model.samples import Sample, header_stamp_ns
+from ros2_mcp.ops.results import Report, is_recorded, silent
+
+if TYPE_CHECKING:
+    from ros2_mcp.ops.window import Source, Stream
 
 MAX_TOPICS = 20
 _GAP_FACTOR = 3.0
 _OTHER_CLOCK_S = 1e6
+_STAMP_END = 12
+_LEAST_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +61,16 @@ class TopicStats:
 
 @dataclass(frozen=True, slots=True)
 class Stats:
-    """The flow of several topics over the same window."""
+    """The flow of several topics over the same window: live, or the part of a recording that `source` names."""
 
     topics: Sequence[TopicStats]
     duration: float
+    source: str
 
     def summary(self) -> str:
-        """A line for each topic."""
-        return "\n".join(topic.summary() for topic in self.topics)
+        """A line for each topic, after one that names the recording."""
+        lines = [topic.summary() for topic in self.topics]
+        return "\n".join([f"In {self.source}:", *lines] if is_recorded(self.source) else lines)
 
 
 @dataclass(slots=True)
@@ -81,56 +86,56 @@ class Flow:
         """Takes one message in."""
         self.received_ns.append(sample.received_ns)
         self.sizes.append(len(sample.data))
-        if self.has_header:
+        if self.has_header and len(sample.data) >= _STAMP_END:
             self.ages_s.append((sample.received_ns - header_stamp_ns(sample.data)) / 1e9)
 
 
-async def measure(robot: Robot, topics: Sequence[str], duration_s: float, report: Report = silent) -> Stats:
+async def measure(source: Source, topics: Sequence[str], report: Report = silent) -> Stats:
     """Measures several topics at once; an `error` of one leaves the others.
 
     Raises:
         BadInput: if there are no topics, or too many.
-        BadValue: if the duration is out of range.
     """
     if not 1 <= len(topics) <= MAX_TOPICS:
         raise BadInput(f"{len(topics)} topics are given.", f"Give 1 to {MAX_TOPICS}.")
-    bounded("duration", duration_s, 0.1, 600.0, "s")
     started = monotonic()
-    results = await asyncio.gather(*(_measure_or_error(robot, topic, duration_s, report) for topic in topics))
-    return Stats(results, round(monotonic() - started, 6))
+    results = await asyncio.gather(*(_measure_or_error(source, topic, report) for topic in topics))
+    duration_s = source.duration_s if is_recorded(source.words) else monotonic() - started
+    return Stats(results, round(duration_s, 6), source.words)
 
 
-async def _measure_or_error(robot: Robot, topic: str, duration_s: float, report: Report) -> TopicStats:
+async def _measure_or_error(source: Source, topic: str, report: Report) -> TopicStats:
     try:
-        return await _measure(robot, topic, duration_s, report)
+        return await _measure(source, topic, report)
     except RobotError as error:
         return TopicStats(topic, error=str(error))
 
 
-async def _measure(robot: Robot, topic: str, duration_s: float, report: Report) -> TopicStats:
-    async with robot.listen(topic, wait_s=duration_s) as listening:
-        flow = Flow(has_header=robot.values.definitions.starts_with_header(listening.type))
+async def _measure(source: Source, topic: str, report: Report) -> TopicStats:
+    async with source.follow(topic) as stream:
+        flow = Flow(has_header=stream.codec.definitions.starts_with_header(stream.type))
         started = monotonic()
-        while (left := started + duration_s - monotonic()) > 0:
-            for sample in await listening.take(min(left, 1.0)):
-                flow.add(sample)
+        async for batch in stream.batches:
+            for sample in batch:
+                if sample.received_ns >= stream.start_ns:
+                    flow.add(sample)
             elapsed = monotonic() - started
             if elapsed > 1.0:
-                await report(elapsed, duration_s, f"{topic}: {len(flow.sizes)} messages")
-        return _evaluate(listening, flow, duration_s)
+                await report(elapsed, max(source.duration_s, elapsed), f"{topic}: {len(flow.sizes)} messages")
+        return _evaluate(stream, flow, source.duration_s)
 
 
-def _evaluate(listening: Listening, flow: Flow, duration_s: float) -> TopicStats:
-    counts = listening.counts
+def _evaluate(stream: Stream, flow: Flow, duration_s: float) -> TopicStats:
+    counts = stream.counts()
     periods = [(later - earlier) / 1e9 for earlier, later in zip(flow.received_ns, flow.received_ns[1:], strict=False)]
     median = statistics.median(periods) if periods else 0.0
     gaps = [period for period in periods if period > _GAP_FACTOR * median] if len(periods) > 2 else []
     span = sum(periods)
     same_clock = bool(flow.ages_s) and abs(statistics.fmean(flow.ages_s)) < _OTHER_CLOCK_S
     return TopicStats(
-        listening.topic,
-        listening.type,
-        publishers=len(listening.publishers),
+        stream.topic,
+        stream.type,
+        publishers=len(stream.publishers),
         count=len(flow.sizes),
         rate_hz=len(periods) / span if span > 0 else None,
         period_mean_s=statistics.fmean(periods) if periods else None,
@@ -139,27 +144,21 @@ def _evaluate(listening: Listening, flow: Flow, duration_s: float) -> TopicStats
         jitter_s=statistics.pstdev(periods) if len(periods) > 1 else None,
         gaps=len(gaps),
         longest_gap_s=max(gaps, default=None),
-        bytes_per_second=sum(flow.sizes) / duration_s,
+        bytes_per_second=sum(flow.sizes) / max(duration_s, _LEAST_S),
         mean_size_bytes=statistics.fmean(flow.sizes) if flow.sizes else None,
         age_mean_s=statistics.fmean(flow.ages_s) if same_clock else None,
         age_max_s=max(flow.ages_s) if same_clock else None,
         lost=counts.lost,
         dropped=counts.dropped,
-        note=_note(listening, flow, duration_s, same_clock),
+        note=_note(stream, flow, duration_s, same_clock),
     )
 
 
-def _note(listening: Listening, flow: Flow, duration_s: float, same_clock: bool) -> str:
-    if not listening.publishers:
+def _note(stream: Stream, flow: Flow, duration_s: float, same_clock: bool) -> str:
+    if not stream.publishers:
         return "Nobody publishes on it."
     if not flow.sizes:
-        return f"Published by {listening.publishers[0].node}, but silent for {duration_s:g} s."
+        return f"Published by {stream.nodes[0]}, but silent for {duration_s:g} s."
     if flow.ages_s and not same_clock:
         return "Its stamps are not from this clock (simulated time?), so ages are left out."
     return ""
-
-
-def header_stamp_ns(data: bytes) -> int:
-    """The stamp of a message that starts with a std_msgs/msg/Header, from its CDR bytes."""
-    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
-    return seconds * 1_000_000_000 + nanoseconds

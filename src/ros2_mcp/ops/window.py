@@ -5,15 +5,15 @@ Operations that measure take a `Source` and never ask whether it is the robot no
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp.model.samples import Counts, Sample
+from ros2_mcp.model.qos import Endpoint
+from ros2_mcp.model.samples import Counts, Sample, header_stamp_ns
 from ros2_mcp.ops.results import Report
-from ros2_mcp.ops.timing import header_stamp_ns
 from ros2_mcp.robot import TopicEndpoints
 
 if TYPE_CHECKING:
@@ -78,15 +78,26 @@ class Missing:
 class Stream:
     """The samples of one topic one after the other, in batches as they come; an empty batch is only a sign of life.
 
-    The batches end with the source's time. `counts` tells what became of the messages so far.
+    The batches end with the source's time. `counts` tells what became of the messages so far, `why_no_more` in words
+    why none came after the given last one, `covered_s` how much of the source's time they are of. `qos` says how it
+    listens, or what was recorded. Samples from before `start_ns` are latched ones.
     """
 
     topic: str
     type: str
     codec: Codec
-    publishers: Sequence[str]
-    batches: AsyncIterator[Sequence[Sample]]
+    publishers: Sequence[Endpoint]
+    batches: AsyncGenerator[Sequence[Sample], None]
     counts: Callable[[], Counts]
+    why_no_more: Callable[[Sample | None], Awaitable[str]]
+    covered_s: Callable[[], float]
+    qos: str = ""
+    start_ns: int = 0
+
+    @property
+    def nodes(self) -> list[str]:
+        """The names of the publishing nodes."""
+        return sorted({publisher.node for publisher in self.publishers})
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,12 +143,19 @@ class Source(Protocol):
         """A window for each topic, all over the same time. With `times_only` the samples have no bytes."""
         ...
 
-    def follow(self, topic: str) -> AbstractAsyncContextManager[Stream]:
+    def follow(
+        self, topic: str, type_name: str = "", *, most: int | None = None
+    ) -> AbstractAsyncContextManager[Stream]:
         """Every sample of a topic in order, from the beginning of the source's time to its end.
+
+        Args:
+            topic: its name; live it need not be there yet.
+            type_name: needed only if the topic has several types, or live none yet.
+            most: how many samples are wanted; of a recording without a start these are the last ones.
 
         Raises:
             NotFound: if the topic does not appear in that time.
-            TypeConflict: if it has several types.
+            TypeConflict: if it has several types, or not the given one.
         """
         ...
 

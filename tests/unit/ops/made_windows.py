@@ -12,10 +12,12 @@ from ros2_mcp.codec.cdr import Codec
 from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions, DefinitionText
 from ros2_mcp.model.errors import NotFound
+from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Counts
 from ros2_mcp.ops.window import Missing, Scene, Stream, Window
 
 START_NS = 1_700_000_000_000_000_000
+NODE = Endpoint("/node", "", "", "", QoS())
 
 
 def _definitions() -> Definitions:
@@ -61,13 +63,19 @@ class Recorded:
         return [self._windows.get(topic) or Missing(topic, NotFound(f"no {topic}")) for topic in topics]
 
     @asynccontextmanager
-    async def follow(self, topic: str):
+    async def follow(self, topic: str, type_name: str = "", *, most: int | None = None):  # noqa: ARG002
         window = self._windows[topic]
 
         async def batches():
             yield window.samples
 
-        yield Stream(topic, window.type, CODEC, ["/node"], batches(), lambda: Counts(len(window.samples)))
+        async def why_no_more(_last: object) -> str:
+            return ""
+
+        counts = Counts(len(window.samples))
+        yield Stream(
+            topic, window.type, CODEC, [NODE], batches(), lambda: counts, why_no_more, lambda: window.duration_s
+        )
 
     async def scene(self) -> Scene:
         return self._scene
