@@ -14,6 +14,7 @@ import pytest
 
 SOURCES = Path(__file__).parents[3] / "src"
 DOMAIN_IDS = range(125, 135)
+PATIENCE_S = 20.0
 
 
 @pytest.fixture(scope="session")
@@ -104,7 +105,7 @@ def running_robot(prefixes, domain_id, *options):
             assert process.ready_line.startswith("robot ready"), process.ready_line
             yield process
             process.terminate()
-            assert process.wait(10) == 0
+            assert process.wait(PATIENCE_S) == 0
         finally:
             process.kill()
 
@@ -122,7 +123,7 @@ class Peer:
         self.node = rclpy.create_node("peer", context=self.context)
         self._executor = EventsExecutor(context=self.context)
         self._executor.add_node(self.node)
-        self._latest = {}
+        self._clients = {}
 
     def close(self):
         self._executor.remove_node(self.node)
@@ -130,7 +131,7 @@ class Peer:
         self.node.destroy_node()
         self.context.try_shutdown()
 
-    def wait(self, condition, timeout=10.0):
+    def wait(self, condition, timeout=PATIENCE_S):
         """Spin until the condition gives something true, and return that; fails after `timeout` s."""
         end = time.monotonic() + timeout
         while not (found := condition()):
@@ -162,10 +163,14 @@ class Peer:
 
     def ask(self, service, service_type, **fields):
         """The future of the response to a request."""
-        service_type = interface(service_type)
-        client = self.node.create_client(service_type, service)
-        self.wait(client.service_is_ready)
-        return client.call_async(service_type.Request(**fields))
+        return self.client(service, service_type).call_async(interface(service_type).Request(**fields))
+
+    def client(self, service, service_type):
+        """A client that knows the service's server; the same for all calls."""
+        if service not in self._clients:
+            self._clients[service] = self.node.create_client(interface(service_type), service)
+        self.wait(self._clients[service].service_is_ready)
+        return self._clients[service]
 
     def set_parameter(self, node, name, value):
         from rclpy.parameter import Parameter
@@ -173,8 +178,8 @@ class Peer:
         wanted = [Parameter(name, value=value).to_parameter_msg()]
         return self.call(f"/{node}/set_parameters", "rcl_interfaces/srv/SetParameters", parameters=wanted).results[0]
 
-    def drive(self, linear, angular, seconds):
-        """Publish a velocity command at 10 Hz for so long, once the robot listens."""
+    def drive(self, linear, angular, seconds, until=lambda: False):
+        """Publish a velocity command at 10 Hz for so long, once the robot listens, or until the condition holds."""
         from geometry_msgs.msg import Twist
 
         publisher = self.node.create_publisher(Twist, "cmd_vel", 10)
@@ -182,6 +187,8 @@ class Peer:
         command = Twist()
         command.linear.x, command.angular.z = linear, angular
         for _ in range(round(seconds * 10)):
+            if until():
+                break
             publisher.publish(command)
             self.spin(0.1)
         self.node.destroy_publisher(publisher)
@@ -206,7 +213,7 @@ class Goals:
         self._peer.wait(future.done)
         return future.result()
 
-    def result(self, handle, timeout):
+    def result(self, handle, timeout=PATIENCE_S):
         future = handle.get_result_async()
         self._peer.wait(future.done, timeout)
         return future.result()

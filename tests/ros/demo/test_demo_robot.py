@@ -51,7 +51,7 @@ def test_it_drives_as_far_as_it_is_told_and_stops_when_commands_end(peer):
     odometry = peer.subscribe("/odom", "nav_msgs/msg/Odometry")
     peer.wait(lambda: odometry)
     peer.drive(0.3, 0.0, 2.0)
-    peer.wait(lambda: odometry[-1].twist.twist.linear.x == 0.0, 3.0)
+    peer.wait(lambda: odometry[-1].twist.twist.linear.x == 0.0)
     # 2 s of commands and 0.5 s of time-out, less what speeding up costs, and braking from there.
     way = 0.3 * 2.5 - 0.3**2 / 2 / 1.0 + 0.3**2 / 2 / 2.0
     assert odometry[-1].pose.pose.position.x == pytest.approx(way, rel=0.15)
@@ -59,13 +59,12 @@ def test_it_drives_as_far_as_it_is_told_and_stops_when_commands_end(peer):
 
 def test_a_wall_blocks_the_base_and_diagnostics_say_so(peer):
     diagnostics = peer.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-    peer.drive(0.0, 1.5, 1.0)
-    peer.drive(0.5, 0.0, 7.5)
 
     def warnings():
         return [status for array in diagnostics for status in array.status if status.level == b"\x01"]
 
-    assert "base blocked" in peer.wait(warnings, 3.0)[0].message
+    peer.drive(-0.5, 0.0, 15.0, until=warnings)
+    assert "base blocked" in warnings()[0].message
 
 
 def test_a_parameter_changes_what_it_says_at_once_and_nonsense_is_refused(peer):
@@ -83,15 +82,18 @@ def test_a_parameter_changes_what_it_says_at_once_and_nonsense_is_refused(peer):
 
 
 def test_services_answer_and_a_slow_one_delays_nothing(peer):
-    answer = peer.ask("slow_echo", "ros2_mcp_demo_interfaces/srv/SlowEcho", text="hello", delay=1.5)
-    refused = peer.call("set_mode", "ros2_mcp_demo_interfaces/srv/SetMode", mode="dance")
+    slow_echo, set_mode = (f"ros2_mcp_demo_interfaces/srv/{name}" for name in ("SlowEcho", "SetMode"))
+    peer.client("slow_echo", slow_echo)
+    peer.client("set_mode", set_mode)
+    answer = peer.ask("slow_echo", slow_echo, text="hello", delay=1.5)
+    refused = peer.call("set_mode", set_mode, mode="dance")
+    assert not answer.done()
     assert (refused.success, refused.previous_mode) == (False, "manual")
     assert "idle, manual, autonomous" in refused.message
     assert not peer.call("self_test", "std_srvs/srv/Trigger").success
     assert peer.call("enable_motors", "std_srvs/srv/SetBool", data=False).success
-    assert not answer.done()
-    peer.wait(answer.done, 3.0)
-    assert (answer.result().text, round(answer.result().elapsed, 1)) == ("hello", 1.5)
+    peer.wait(answer.done)
+    assert (answer.result().text, answer.result().elapsed) == ("hello", pytest.approx(1.5, abs=0.2))
 
 
 def test_an_obstacle_put_down_is_seen_by_laser_and_camera(peer):
@@ -107,25 +109,25 @@ def test_an_obstacle_put_down_is_seen_by_laser_and_camera(peer):
 
 
 def test_navigation_reaches_the_other_room_through_the_doorway(peer, goals):
-    answer = goals.result(goals.send(3.3, 0.6, yaw=0.0, use_yaw=True), 40.0)
+    answer = goals.result(goals.send(2.9, 1.0, yaw=0.0, use_yaw=True), 40.0)
     assert (answer.status, answer.result.reached) == (4, True)
-    assert math.dist((answer.result.final_x, answer.result.final_y), (3.3, 0.6)) < 0.2
+    assert math.dist((answer.result.final_x, answer.result.final_y), (2.9, 1.0)) < 0.2
     assert len(goals.feedback) > 10
     assert all(0.8 < f.y < 1.8 for f in goals.feedback if abs(f.x - 2.5) < 0.1)
     pose = peer.next("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped").pose.pose
-    assert (pose.position.x, pose.orientation.z) == pytest.approx((3.3, 0.0), abs=0.2)
+    assert (pose.position.x, pose.orientation.z) == pytest.approx((2.9, 0.0), abs=0.2)
 
 
 def test_a_canceled_goal_brakes_and_a_new_goal_replaces_the_old(peer, goals):
     first = goals.send(3.3, 1.3)
     second = goals.send(-1.5, 0.0)
-    replaced = goals.result(first, 5.0)
+    replaced = goals.result(first)
     assert (replaced.status, replaced.result.reason) == (6, "replaced by a new goal")
-    peer.wait(lambda: any(f.state == "driving" for f in goals.feedback[-3:]), 15.0)
+    peer.wait(lambda: any(f.state == "driving" for f in goals.feedback[-3:]))
     canceling = second.cancel_goal_async()
     peer.wait(canceling.done)
     assert len(canceling.result().goals_canceling) == 1
-    assert goals.result(second, 5.0).status == 5
+    assert goals.result(second).status == 5
     odometry = peer.next("/odom", "nav_msgs/msg/Odometry")
     assert abs(odometry.twist.twist.linear.x) < 0.01
 
@@ -133,11 +135,11 @@ def test_a_canceled_goal_brakes_and_a_new_goal_replaces_the_old(peer, goals):
 def test_goals_that_cannot_be_are_rejected_or_aborted_with_a_reason(peer, goals):
     assert not goals.send(50.0, 0.0).accepted
     assert not goals.send(math.nan, 0.0).accepted
-    inside_a_wall = goals.result(goals.send(2.5, 0.0), 10.0)
+    inside_a_wall = goals.result(goals.send(2.5, 0.0))
     assert (inside_a_wall.status, "no free way" in inside_a_wall.result.reason) == (6, True)
     driving = goals.send(1.0, 0.0)
     assert peer.call("enable_motors", "std_srvs/srv/SetBool", data=False).success
-    stopped = goals.result(driving, 5.0)
+    stopped = goals.result(driving)
     assert (stopped.status, stopped.result.reason) == (6, "motors are disabled")
 
 
@@ -164,4 +166,4 @@ def test_without_interface_packages_it_says_what_it_leaves_out_and_ends_with_its
     with start_robot([], domain_id, "--until-stdin-closes", "--namespace", "r2") as process:
         assert "/navigate_to (no ros2_mcp_demo_interfaces)" in process.ready_line
         process.stdin.close()
-        assert process.wait(10) == 0
+        assert process.wait(20) == 0

@@ -29,11 +29,16 @@ def state(found: dict[str, Any], topic: str) -> str:
     return next(row["state"] for row in found["topics"] if row["topic_name"] == topic)
 
 
+LISTEN = {"rate_check_duration_sec": 1.5}
+"""Components speak of themselves every second."""
+
+
 def test_a_healthy_robot_is_healthy(agent: Agent, robot: subprocess.Popen[str]) -> None:
     expected = {
         "expected_topics": ["/scan", "/odom", "/map"],
         "expected_nodes": ["/lidar"],
         "expected_services": ["/self_test"],
+        **LISTEN,
     }
     found = agent.call("ros2_health_check", **expected)
     assert (found["verdict"], found["findings"]) == ("HEALTHY", [])
@@ -43,7 +48,7 @@ def test_a_healthy_robot_is_healthy(agent: Agent, robot: subprocess.Popen[str]) 
 
 def test_a_dead_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> None:
     with setting(agent, "lidar.enabled", False, True):
-        found = agent.call("ros2_health_check")
+        found = agent.call("ros2_health_check", **LISTEN)
     assert found["verdict"] == "CRITICAL"
     assert subjects(found) == ["lidar: status", "/scan"]
     assert state(found, "/scan") == "SILENT"
@@ -58,16 +63,16 @@ def test_a_slow_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> N
 def test_a_mismatch_of_qos_is_found(
     agent: Agent, robot: subprocess.Popen[str], stranger: subprocess.Popen[str]
 ) -> None:
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 20
     while not agent.call("ros2_topic_info", topic_name="/scan")["subscribers"]:
         assert time.monotonic() < deadline, "the stranger was never seen"
-    found = agent.call("ros2_health_check", check_rates=False)
+    found = agent.call("ros2_health_check", check_rates=False, **LISTEN)
     assert (found["verdict"], subjects(found)) == ("DEGRADED", ["/scan"])
     assert "/lidar → /stranger: the publisher offers best_effort" in found["findings"][0]["problem"]
 
 
 def test_what_is_missing_is_critical_with_the_nearest_name(agent: Agent, robot: subprocess.Popen[str]) -> None:
-    found = agent.call("ros2_health_check", expected_topics=["/scann"], check_rates=False)
+    found = agent.call("ros2_health_check", expected_topics=["/scann"], check_rates=False, **LISTEN)
     assert (found["verdict"], found["findings"][0]["recommendation"]) == ("CRITICAL", "Did you mean /scan?")
 
 

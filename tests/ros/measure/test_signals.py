@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from agent import Agent
+from agent import CALL_S, Agent
 
 
 def published(signals: subprocess.Popen[str]) -> dict[str, Any]:
@@ -19,14 +19,10 @@ def published(signals: subprocess.Popen[str]) -> dict[str, Any]:
     return {name: np.array(sent) for name, sent in json.loads(signals.stdout.readline()).items()}
 
 
-def statistics(agent: Agent, topic: str, duration: float, **more: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    (topic_result,) = agent.call("ros2_topic_statistics", topic_names=[topic], duration=duration, **more)["topics"]
-    return topic_result, {field["field"]: field for field in topic_result["fields"]}
-
-
 @pytest.mark.full
 def test_the_numbers_are_those_of_the_published_messages(agent: Agent, signals: subprocess.Popen[str]) -> None:
-    topic, fields = statistics(agent, "/signal_steady", 3.0)
+    (topic,) = agent.call("ros2_topic_statistics", topic_names=["/signal_steady"], duration=3)["topics"]
+    fields = {field["field"]: field for field in topic["fields"]}
     first, last = int(fields["point.z"]["first"]), int(fields["point.z"]["last"])
     assert topic["count"] == last - first + 1 == pytest.approx(150, abs=5)
     assert topic["dropped"] == 0
@@ -42,9 +38,22 @@ def test_the_numbers_are_those_of_the_published_messages(agent: Agent, signals: 
     assert topic["gaps"] == []
 
 
-def test_several_topics_are_measured_over_the_same_time(agent: Agent, signals: subprocess.Popen[str]) -> None:
-    names = ["/signal_steady", "/signal_copy", "/pulse"]
-    steady, copy, pulse = agent.call("ros2_topic_statistics", topic_names=names, duration=2)["topics"]
+@pytest.fixture(scope="module")
+def results(agent: Agent, signals: subprocess.Popen[str]) -> dict[str, dict[str, Any]]:
+    """What several calls at the same time give, each as if it were alone."""
+    calls = {
+        "together": ("statistics", {"topic_names": ["/signal_steady", "/signal_copy", "/pulse"], "duration": 2}),
+        "gaps": ("statistics", {"topic_names": ["/signal"], "duration": 4.5}),
+        "faults": ("statistics", {"topic_names": ["/sensor"], "duration": 4, "fields": ["range"]}),
+        "late": ("compare", {"topic1_name": "/signal_wave", "topic2_name": "/signal_late", "duration_sec": 4}),
+        "copy": ("compare", {"topic1_name": "/signal_steady", "topic2_name": "/signal_copy", "duration_sec": 2}),
+    }
+    begun = {name: agent.begin(f"ros2_topic_{tool}", **arguments) for name, (tool, arguments) in calls.items()}
+    return {name: call.result(CALL_S) for name, call in begun.items()}
+
+
+def test_several_topics_are_measured_over_the_same_time(results: dict[str, dict[str, Any]]) -> None:
+    steady, copy, pulse = results["together"]["topics"]
     assert steady["started_at"] == copy["started_at"] == pulse["started_at"]
     counters = [
         [(f["first"], f["last"]) for f in topic["fields"] if f["field"] == "point.z"] for topic in (steady, copy)
@@ -53,37 +62,37 @@ def test_several_topics_are_measured_over_the_same_time(agent: Agent, signals: s
     assert pulse["count"] == pytest.approx(4 * steady["count"], rel=0.05)
 
 
-def test_injected_gaps_are_found(agent: Agent, signals: subprocess.Popen[str]) -> None:
-    topic, _ = statistics(agent, "/signal", 4.5)
+def test_injected_gaps_are_found(results: dict[str, dict[str, Any]]) -> None:
+    (topic,) = results["gaps"]["topics"]
     inner = [float(gap.split()[2]) for gap in topic["gaps"] if float(gap.split()[2]) > 0.3]
     assert 2 <= len(inner) <= 3
     assert max(inner) == pytest.approx(0.42, abs=0.06)
     assert topic["period_median_s"] == pytest.approx(0.02, rel=0.1)
 
 
-def test_a_stuck_and_faulty_sensor_is_told(agent: Agent, signals: subprocess.Popen[str]) -> None:
-    _, fields = statistics(agent, "/sensor", 4.0, fields=["range"])
-    assert any(line.startswith("stuck at") for line in fields["range"]["anomalies"])
-    assert fields["range"]["not_finite"] == pytest.approx(4, abs=1)
+def test_a_stuck_and_faulty_sensor_is_told(results: dict[str, dict[str, Any]]) -> None:
+    (sensor,) = results["faults"]["topics"][0]["fields"]
+    assert any(line.startswith("stuck at") for line in sensor["anomalies"])
+    assert sensor["not_finite"] == pytest.approx(4, abs=1)
 
 
-def test_a_known_delay_and_offset_are_found(agent: Agent, signals: subprocess.Popen[str]) -> None:
-    found = agent.call("ros2_topic_compare", topic1_name="/signal_wave", topic2_name="/signal_late", duration_sec=4)
+def test_a_known_delay_and_offset_are_found(results: dict[str, dict[str, Any]]) -> None:
+    found = results["late"]
     assert found["delay_s"] == pytest.approx(0.2, abs=0.02)
     assert found["fields"][0]["mean_difference"] == pytest.approx(1.0, abs=0.3)
     assert found["verdict"] in ("DIFFERENT", "VERY DIFFERENT")
     assert found["paired_by"] == "nearest time of receipt: not both have a header"
 
 
-def test_a_copy_is_identical(agent: Agent, signals: subprocess.Popen[str]) -> None:
-    found = agent.call("ros2_topic_compare", topic1_name="/signal_steady", topic2_name="/signal_copy", duration_sec=2)
+def test_a_copy_is_identical(results: dict[str, dict[str, Any]]) -> None:
+    found = results["copy"]
     assert (found["verdict"], found["paired_by"]) == ("IDENTICAL", "stamp")
     assert found["equal_messages"] == found["pairs"] >= 90
 
 
 def test_a_short_pulse_is_not_missed(agent: Agent, signals: subprocess.Popen[str]) -> None:
     for _ in range(3):
-        found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data > 5", timeout=5)
+        found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data > 5", timeout=20)
         assert found["met"] and found["message"] == {"data": 7.0}
         assert found["waited"] < 1.5
 

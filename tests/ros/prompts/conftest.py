@@ -36,9 +36,9 @@ def demo_environment(ros_environment: dict[str, str]) -> dict[str, str]:
     }
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def demo_robot(demo_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """The simulated robot that all tests share."""
+    """The simulated robot of a file of tests."""
     command = [sys.executable, "-m", "ros2_mcp_demo"]
     with subprocess.Popen(
         command, env=demo_environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -49,7 +49,7 @@ def demo_robot(demo_environment: dict[str, str]) -> Iterator[subprocess.Popen[st
         robot.terminate()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def agent(demo_robot: object, demo_environment: dict[str, str]) -> Iterator[PromptAgent]:
     """A client of a server with every tool."""
     with prompt_agent(demo_environment, "--tools", "all") as client:

@@ -71,7 +71,7 @@ def test_the_health_check_names_what_is_wrong(
     agent: PromptAgent, demo_environment: dict[str, str], fault: str, verdicts: set[str], said: str
 ) -> None:
     with FAULTS[fault](agent, demo_environment):
-        [health] = agent.take(HEALTH, expected_topics=SENSORS, min_expected_rate_hz="3")
+        [health] = agent.take(HEALTH, expected_topics=SENSORS, min_expected_rate_hz="3", rate_check_duration_sec="1.5")
     assert health["verdict"] in verdicts, health
     assert said in "".join(finding["subject"] + finding["problem"] for finding in health["findings"])
 
