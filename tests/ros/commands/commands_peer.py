@@ -1,8 +1,9 @@
 """Independent rclpy nodes that the tests command: one JSON list per line in, one value per line out.
 
-This process only imports ROS and forks; each message on its stdin, a socket, starts one peer: `[namespace, role, …]`
-with the socket of its commands. Roles are the functions below: what a peer offers under its namespace. ROS runs on
-threads beside the commands. A peer leaves as a ROS node should when its socket is closed, and on SIGTERM.
+This process only imports ROS and forks: a peer for each socket that comes through the socket that is its stdin. The
+peer enters ROS at once, so that others get to know its process. The first line, `[namespace, role, …]`, tells what it
+becomes: roles are the functions below, each offers something under the namespace. Commands follow; ROS runs on threads
+beside them. A peer leaves as a ROS node should when its socket is closed, and on SIGTERM.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import socket
 import threading
 import time
 from collections import Counter
-from typing import Any
+from typing import Any, TextIO
 
 import rclpy
 from action_msgs.srv import CancelGoal
@@ -316,20 +317,30 @@ def _unspun(_request: Any, _response: Any) -> Any:
 
 def main() -> None:
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for them here
-    with socket.socket(fileno=0) as requests:
-        while True:
-            wanted, (*descriptors,), _, _ = socket.recv_fds(requests, 4096, 1)
-            if not wanted:
-                return
+    with socket.socket(fileno=0) as sockets:
+        while descriptors := socket.recv_fds(sockets, 1, 1)[1]:
             if os.fork() == 0:
                 break
             os.close(descriptors[0])
-    be_peer(socket.socket(fileno=descriptors[0]), *json.loads(wanted))
+        else:
+            return
+    be_peer(socket.socket(fileno=descriptors[0]))
 
 
-def be_peer(commands: socket.socket, namespace: str, *roles: str) -> None:
+def be_peer(commands: socket.socket) -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     signal.signal(signal.SIGTERM, lambda *_: commands.shutdown(socket.SHUT_RD))
+    spare = Node("spare", namespace=f"/spare{os.getpid()}", enable_rosout=False, start_parameter_services=False)
+    with commands.makefile("rw") as lines:
+        _say(lines, os.getpid())
+        if line := lines.readline():
+            _become_peer(lines, spare, *json.loads(line))
+    spare.destroy_node()
+    rclpy.try_shutdown()
+    os._exit(0)  # whatever a callback is still busy with
+
+
+def _become_peer(lines: TextIO, spare: Node, namespace: str, *roles: str) -> None:
     peer = Peer(namespace)
     for role in roles:
         peer.offer(role)
@@ -339,21 +350,19 @@ def be_peer(commands: socket.socket, namespace: str, *roles: str) -> None:
         executor.add_node(node)
     spinning = threading.Thread(target=_spin, args=(executor,), daemon=True)
     spinning.start()
-    _obey(peer, commands)
+    spare.destroy_node()
+    _say(lines, "ready")
+    for line in lines:
+        command, arguments = json.loads(line)
+        _say(lines, getattr(peer, command)(**arguments))
     executor.shutdown(timeout_sec=0.5)
     spinning.join(1.0)
     for node in (*peer.nodes, *peer.unspun):
         node.destroy_node()
-    rclpy.try_shutdown()
-    os._exit(0)  # whatever a callback is still busy with
 
 
-def _obey(peer: Peer, commands: socket.socket) -> None:
-    with commands.makefile("rw") as lines:
-        print(json.dumps(os.getpid()), file=lines, flush=True)
-        for line in lines:
-            command, arguments = json.loads(line)
-            print(json.dumps(getattr(peer, command)(**arguments)), file=lines, flush=True)
+def _say(lines: TextIO, value: Any) -> None:
+    print(json.dumps(value), file=lines, flush=True)
 
 
 def _spin(executor: MultiThreadedExecutor) -> None:

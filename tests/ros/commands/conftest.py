@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,7 +21,7 @@ from raw_server import RawServer
 
 
 @pytest.fixture(scope="session")
-def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
+def agent(nursery: Nursery, ros_environment: dict[str, str]) -> Iterator[Agent]:
     """A client of a server that all tests share."""
     with agent_for(ros_environment, "--tools", "all") as client:
         yield client
@@ -62,8 +63,8 @@ def start_peer(nursery: Nursery, agent: Agent) -> Iterator[Callable[..., PeerPro
     """Start a peer that the shared server knows: `start_peer("services")`; all are gone after the test."""
     peers: list[PeerProcess] = []
 
-    def begin(*roles: str, namespace: str = "") -> PeerProcess:
-        peers.append(nursery.start(*roles, namespace=namespace))
+    def begin(*roles: str, **options: Any) -> PeerProcess:
+        peers.append(nursery.start(*roles, **options))
         return discovered(agent, peers[-1])
 
     yield begin

@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -20,41 +21,59 @@ from agent import Agent, Refusal
 HERE = Path(__file__).parent
 KNOWN_S = 30.0
 """How long the middleware may take until two processes know each other, on a busy machine."""
+SPARES = 6
 _NUMBERS = itertools.count(1)
 
 
 class Nursery:
-    """A process that has imported ROS and forks peers, each ready in a tenth of a second."""
+    """A process that has imported ROS and forks peers.
+
+    Two processes need up to 3 s until they know each other, so some are started in advance.
+    """
 
     def __init__(self, environment: dict[str, str]) -> None:
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             command = [sys.executable, str(HERE / "commands_peer.py")]
             self._process = subprocess.Popen(command, stdin=theirs, env=environment)
+        self._spares = deque(self._fork() for _ in range(SPARES))
 
-    def start(self, *roles: str, namespace: str = "") -> PeerProcess:
-        """A new peer; it may not have discovered anybody yet."""
-        namespace = namespace or f"/peer{next(_NUMBERS)}"
-        ours, theirs = socket.socketpair()
-        with theirs:
-            socket.send_fds(self._socket, [json.dumps([namespace, *roles]).encode()], [theirs.fileno()])
-        return PeerProcess(namespace, ours)
+    def start(self, *roles: str, namespace: str = "", is_new: bool = False) -> PeerProcess:
+        """A peer; nobody knows its process yet if it `is_new`, and else perhaps."""
+        self._spares.append(self._fork())
+        peer = self._spares.pop() if is_new else self._spares.popleft()
+        return peer.become(namespace or f"/peer{next(_NUMBERS)}", *roles)
 
     def close(self) -> None:
         """End it; peers that are left end too, since nobody commands them any more."""
         self._socket.close()
         self._process.wait(10)
+        for spare in self._spares:
+            spare.leave()
+
+    def _fork(self) -> PeerProcess:
+        ours, theirs = socket.socketpair()
+        with theirs:
+            socket.send_fds(self._socket, [b"."], [theirs.fileno()])
+        return PeerProcess(ours)
 
 
 class PeerProcess:
     """One peer under a namespace of its own; its commands are methods: `peer.count(name="switch")`."""
 
-    def __init__(self, namespace: str, commands: socket.socket) -> None:
-        self.namespace = namespace
+    def __init__(self, commands: socket.socket) -> None:
+        self.namespace = ""
+        self._pid = 0
         self._commands = commands
         self._commands.settimeout(KNOWN_S)
         self._lines = commands.makefile("rw")
-        self._pid = self._answer()
+
+    def become(self, namespace: str, *roles: str) -> PeerProcess:
+        """Let it offer what these roles offer; returns when it does."""
+        self.namespace, self._pid = namespace, self._answer()
+        self._say([namespace, *roles])
+        assert self._answer() == "ready"
+        return self
 
     def name(self, relative: str) -> str:
         """The full name of something that it offers."""
@@ -62,7 +81,7 @@ class PeerProcess:
 
     def __getattr__(self, command: str) -> Callable[..., Any]:
         def ask(**arguments: Any) -> Any:
-            print(json.dumps([command, arguments]), file=self._lines, flush=True)
+            self._say([command, arguments])
             return self._answer()
 
         return ask
@@ -85,9 +104,13 @@ class PeerProcess:
 
     def _has_ended(self) -> None:
         with suppress(ConnectionError):
-            assert self._lines.readline() == "", "it goes on"
+            while self._lines.readline():
+                pass
         self._lines.close()
         self._commands.close()
+
+    def _say(self, value: Any) -> None:
+        print(json.dumps(value), file=self._lines, flush=True)
 
     def _answer(self) -> Any:
         line = self._lines.readline()

@@ -105,7 +105,7 @@ def test_an_action_server_that_is_killed_while_executing_and_started_again(agent
         ended = waiting.result(20)
         assert (ended["status"], ended["accepted"], ended["result"]) == ("TIMEOUT", True, None)
         assert time.monotonic() - started < 4.0
-        again = start_peer("counting", namespace=peer.namespace)
+        again = start_peer("counting", namespace=peer.namespace, is_new=True)
         wait_until(lambda: status(agent, action, ended["goal_id"]) == "UNKNOWN")
         assert begin_goal(agent, action, 1, 10.0).result(20)["status"] == "SUCCEEDED"
         again.leave()
