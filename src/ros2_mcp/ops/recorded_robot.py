@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import Policy
-from ros2_mcp.link.client import Bridge
+from ros2_mcp.link.client import Bridge, Reply
 from ros2_mcp.model.errors import RosNotFound, UnknownInterface
 from ros2_mcp.model.names import defining_type, did_you_mean
 from ros2_mcp.ops.bags import definitions_of
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.recorded import open_source
 from ros2_mcp.robot import Robot, TopicEndpoints
-from ros2_mcp.robot.graph import Graph
+from ros2_mcp.robot.graph import REQUEST_S, Graph
 from ros2_mcp.robot.values import Values
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.stored import StoredTopic
     from ros2_mcp.link.installation import RosInstallation
+    from ros2_mcp.model.interfaces import DefinitionText
 
 
 def recorded_robot(memory: Memory, result_bytes: int) -> Robot:
@@ -36,21 +38,20 @@ def _no_ros() -> RosInstallation:
 
 
 class RecordedGraph(Graph):
-    """The graph as far as a recording tells it: topics and what their publishers offered."""
+    """The graph as far as a recording tells it: topics, what their publishers offered, and their types."""
 
     def __init__(self, bridge: Bridge, memory: Memory) -> None:
         super().__init__(bridge)
         self._memory = memory
 
-    async def query(self, op: str, **arguments: Any) -> Mapping[str, Any]:
-        """Answers `topics`; for anything else there is no robot."""
-        if op != "topics":
-            return await super().query(op, **arguments)
-        topics = await self._topics()
-        return {
-            "topics": [[each.topic, each.types, len(each.publishers), 0] for each in topics.values()],
-            "settled": True,
-        }
+    async def ask(self, op: str, body: bytes = b"", *, timeout_s: float = REQUEST_S, **arguments: Any) -> Reply:
+        """Answers `topics` and `interfaces`; for anything else there is no robot."""
+        if op == "topics":
+            topics = [[each.topic, each.types, len(each.publishers), 0] for each in (await self._topics()).values()]
+            return Reply({"topics": topics, "settled": True}, b"")
+        if op == "interfaces":
+            return Reply({"interfaces": sorted(await recorded_definitions(self._memory))}, b"")
+        return await super().ask(op, body, timeout_s=timeout_s, **arguments)
 
     async def endpoints(self, topic: str) -> TopicEndpoints:
         """The publishers of a topic, without names; empty where the recording does not have it."""
@@ -71,14 +72,23 @@ class RecordedValues(Values):
         """Looks for the definitions in the recording; raises `UnknownInterface` for a type that is not in it."""
         if all(self.definitions.knows(defining_type(name)) for name in types):
             return
-        recorded = await asyncio.to_thread(self._recorded)
-        for topic in recorded.values():
-            self.definitions.add(await definitions_of(topic, None))
+        recorded = await recorded_definitions(self._memory)
+        self.definitions.add(recorded)
         for name in types:
             if not self.definitions.knows(defining_type(name)):
                 hint = did_you_mean(name, list(recorded), f"It has {', '.join(sorted(recorded)[:20])}.")
                 raise UnknownInterface(f"The recording has no definition of {name}.", hint)
 
-    def _recorded(self) -> dict[str, StoredTopic]:
-        with self._memory.reading(self._memory.subject_name) as bag:
-            return {topic.type: topic for topic in bag.topics.values()}
+
+async def recorded_definitions(memory: Memory) -> dict[str, DefinitionText]:
+    """Every definition that is known of the types of the recorded topics, with those that they refer to."""
+
+    def read() -> list[StoredTopic]:
+        with memory.reading(memory.subject_name) as bag:
+            return list({topic.type: topic for topic in bag.topics.values()}.values())
+
+    found: dict[str, DefinitionText] = {}
+    for topic in await asyncio.to_thread(read):
+        with contextlib.suppress(UnknownInterface):
+            found |= await definitions_of(topic, None)
+    return found

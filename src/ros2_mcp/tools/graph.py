@@ -47,7 +47,7 @@ async def ros2_get_message_fields(
     return await interfaces.define(robot, message_type)
 
 
-@tool(title="List interfaces", risk="read")
+@tool(title="List interfaces", risk="read", recorded=True)
 async def ros2_interface_list(
     robot: Robot,
     pattern: Pattern = "",
@@ -55,5 +55,5 @@ async def ros2_interface_list(
     package: Annotated[str, Field(description="Only this package.")] = "",
     limit: Limit = 200,
 ) -> interfaces.InterfaceList:
-    """List the message, service and action types installed on the robot."""
+    """List the message, service and action types installed on the robot, or that a recording has."""
     return await interfaces.list_interfaces(robot, pattern, kind, package, limit)

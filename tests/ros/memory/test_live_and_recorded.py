@@ -42,7 +42,9 @@ def window_of(statistics: dict[str, Any]) -> dict[str, str]:
 def recorded(start_agent: StartAgent, robot: object) -> tuple[Agent, dict[str, Any]]:
     """What was measured live, while `run` was being recorded; the lidar was switched off afterwards."""
     agent = start_agent()
-    agent.call("ros2_record_start", topics=[*TOPICS, "/rosout", "/diagnostics"], name="run")
+    agent.call(
+        "ros2_record_start", topics=[*TOPICS, "/rosout", "/diagnostics", "/camera/image_raw", "/map"], name="run"
+    )
     live = agent.call("ros2_topic_statistics", topic_names=TOPICS, duration=2.0)
     agent.call("ros2_parameter_set", node_name="/lidar", values={"enabled": False})
     deadline = time.monotonic() + 10
@@ -90,6 +92,36 @@ def bare_python(root: Path) -> str:
     return str(root / "bin" / "python")
 
 
+def check_that_reading_works(server: RawServer, call: Callable[..., dict[str, Any]]) -> None:
+    """The tools that read topics, with a recording in the place of the robot."""
+    first = call("ros2_topic_subscribe", topic_name="/odom", start="first 0 s", message_limit=3)
+    assert first["count"] == 3 and "x" in first["messages"][0]["pose"]["pose"]["position"]
+    begin = first["source"].removesuffix(" on").rpartition(" ")[2]
+    assert all(at >= begin for at in first["received_at"])
+    last = call("ros2_topic_echo_wait", topic_name="/odom", timeout=0.1)
+    assert last["received"] and last["received_at"] > max(first["received_at"])
+    kept = call("ros2_get_messages", topic_name="/odom", number_of_messages=1)
+    assert kept["messages"] == [last["message"]] and kept["timestamps"] == [last["received_at"]]
+    several = call("ros2_subscribe_multiple_topics", topics=[{"name": "/imu", "duration": 1}, {"name": "/nowhere"}])
+    assert several["topics"][0]["received"] > 20 and "no topic /nowhere" in several["topics"][1]["error"]
+    flows = call("ros2_topic_stats", topic_names=["/odom", "/scan"], end="first 2 s")
+    assert [12 > flow["rate_hz"] > 8 for flow in flows["topics"]] == [False, True] and flows["topics"][0][
+        "rate_hz"
+    ] > 15
+    assert call("ros2_topic_stats", topic_names=["/scan"], start="last 1 s")["topics"][0]["count"] == 0
+    for tool, topic in (("ros2_topic_subscribe", "/camera/image_raw"), ("ros2_get_map_as_image", "/map")):
+        shown = server.call(tool, topic_name=topic, start="last 1 s")  # of the map, the message came long before
+        assert not shown.get("isError") and shown["content"][-1]["type"] == "image", shown["content"][0]
+    plotted = server.call("ros2_plot", series=["/odom:pose.pose.position.x"], start="last 2 s")
+    assert plotted["content"][-1]["type"] == "image"
+    assert "sensor_msgs/msg/LaserScan" in call("ros2_interface_list", pattern="Laser")["interfaces"]
+    assert "std_msgs/msg/Header" in call("ros2_interface_list")["interfaces"]
+    assert call("ros2_get_message_fields", message_type="sensor_msgs/LaserScan")["kind"] == "msg"
+    for absent in ("ros2_status", "ros2_node_list", "ros2_topic_publish"):
+        refusal = server.call(absent)
+        assert refusal["isError"] and "the robot of this server is a recording" in refusal["content"][0]["text"]
+
+
 def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
     recorded: tuple[Agent, dict[str, Any]], ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
@@ -131,6 +163,7 @@ def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
         assert [each["subject"] for each in health["findings"]].count("/scan") == 0
         end = call("ros2_health_check", start="last 1.5 s")
         assert [row["topic_name"] for row in end["topics"] if row["state"] == "SILENT"] == ["/scan"]
+        check_that_reading_works(server, call)
         log = call("ros2_log_read", level="warn")
         assert log["source"].startswith("bag run")
         assert [line["node"] for line in log["lines"]] == ["lidar"]

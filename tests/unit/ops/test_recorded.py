@@ -10,9 +10,10 @@ import pytest
 from ros2_mcp.bags.rosbag2 import qos_text
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
-from ros2_mcp.model.errors import BadInput, BadValue, NotFound
+from ros2_mcp.model.errors import BadInput, BadValue, NotFound, TypeConflict
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops import reading, timing
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.moments import moment_ns
 from ros2_mcp.ops.recorded import open_source
@@ -62,6 +63,65 @@ def test_a_window_of_a_bag_has_its_time_and_the_latched_message_before(memory: M
     assert (count.received, count.dropped) == (21, 0)
     assert [mode.decode(sample).data for sample in mode.samples] == [7]  # type: ignore[attr-defined]
     assert isinstance(missing.error, NotFound)
+
+
+async def read_of(memory: Memory, request: reading.Request, start: str = "", end: str = "") -> tuple[list[int], str]:
+    source = await open_source(memory, "run", start, end, longest_s=request.duration_s)
+    found = await reading.read(source, request, reading.View())
+    assert found.source == source.words and (found.received, found.dropped, found.lost) == (found.count, 0, None)
+    return [message["data"] for message in found.messages], found.note
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "duration_s", "limit", "expected"),
+    [
+        ("", "", None, None, [100]),
+        ("", "", None, 3, [98, 99, 100]),
+        ("", "", 0.25, None, [98, 99, 100]),
+        ("", "last 5 s", None, 2, [48, 49]),
+        ("first 2 s", "", None, None, [20]),
+        ("first 2 s", "", None, 3, [20, 21, 22]),
+        ("first 2 s", "", 0.25, None, [20, 21, 22]),
+        ("first 2 s", "first 2.2 s", 9.0, None, [20, 21]),
+        ("last 0.1 s", "", None, 5, [99, 100]),
+    ],
+)
+def test_a_recording_is_read_from_its_start_or_without_one_from_its_end(
+    memory: Memory, start: str, end: str, duration_s: float | None, limit: int | None, expected: list[int]
+) -> None:
+    request = reading.Request("count", "", duration_s, limit)
+    values, note = asyncio.run(read_of(memory, request, start, end))
+    assert values == expected
+    assert ("has no more of it" in note) == (limit is not None and limit > len(expected))
+
+
+def test_a_latched_message_from_before_the_start_is_read(memory: Memory) -> None:
+    request = reading.Request("/mode", "std_msgs/Int32")
+    assert asyncio.run(read_of(memory, request, "last 1 s")) == ([7], "")
+    assert asyncio.run(read_of(memory, request)) == ([7], "")
+    with pytest.raises(TypeConflict, match="not std_msgs/msg/Bool"):
+        asyncio.run(read_of(memory, reading.Request("/mode", "std_msgs/msg/Bool")))
+
+
+def test_nothing_in_a_part_is_said_to_be_nothing(memory: Memory) -> None:
+    request = reading.Request("/count", "", None, 5)
+    assert asyncio.run(read_of(memory, request, "first 0.01 s", "first 0.09 s"))[1].endswith(
+        "nothing of it in that part."
+    )
+
+
+def test_the_flow_of_a_recording_is_that_of_the_whole_or_of_a_part(memory: Memory) -> None:
+    async def flow(start: str) -> timing.Stats:
+        return await timing.measure(await open_source(memory, "run", start), ["/count", "/mode", "/other"])
+
+    whole, part = asyncio.run(flow("")), asyncio.run(flow("last 2 s"))
+    assert [topic.count for topic in whole.topics] == [101, 1, 0]
+    assert [topic.count for topic in part.topics] == [21, 0, 0]  # a latched message from before is no flow
+    count = part.topics[0]
+    assert count.rate_hz == pytest.approx(10) and count.gaps == 0 and count.lost is None
+    assert count.bytes_per_second == pytest.approx(21 * 8 / 2, rel=0.01)
+    assert part.duration == pytest.approx(2) and "bag run, 2 s from" in part.summary()
+    assert "no topic /other" in part.topics[2].error
 
 
 def test_a_bag_outside_of_the_folders_is_never_opened(memory: Memory, tmp_path: Path) -> None:
