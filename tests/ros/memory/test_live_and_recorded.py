@@ -42,9 +42,8 @@ def window_of(statistics: dict[str, Any]) -> dict[str, str]:
 def recorded(start_agent: StartAgent, robot: object) -> tuple[Agent, dict[str, Any]]:
     """What was measured live, while `run` was being recorded; the lidar was switched off afterwards."""
     agent = start_agent()
-    agent.call(
-        "ros2_record_start", topics=[*TOPICS, "/rosout", "/diagnostics", "/camera/image_raw", "/map"], name="run"
-    )
+    others = ["/rosout", "/diagnostics", "/camera/image_raw", "/map"]
+    agent.call("ros2_record_start", topics=[*TOPICS, *others], name="run")
     live = agent.call("ros2_topic_statistics", topic_names=TOPICS, duration=2.0)
     agent.call("ros2_parameter_set", node_name="/lidar", values={"enabled": False})
     deadline = time.monotonic() + 10
@@ -104,10 +103,8 @@ def check_that_reading_works(server: RawServer, call: Callable[..., dict[str, An
     assert kept["messages"] == [last["message"]] and kept["timestamps"] == [last["received_at"]]
     several = call("ros2_subscribe_multiple_topics", topics=[{"name": "/imu", "duration": 1}, {"name": "/nowhere"}])
     assert several["topics"][0]["received"] > 20 and "no topic /nowhere" in several["topics"][1]["error"]
-    flows = call("ros2_topic_stats", topic_names=["/odom", "/scan"], end="first 2 s")
-    assert [12 > flow["rate_hz"] > 8 for flow in flows["topics"]] == [False, True] and flows["topics"][0][
-        "rate_hz"
-    ] > 15
+    odom, scan = call("ros2_topic_stats", topic_names=["/odom", "/scan"], end="first 2 s")["topics"]
+    assert odom["rate_hz"] > 15 and 8 < scan["rate_hz"] < 12
     assert call("ros2_topic_stats", topic_names=["/scan"], start="last 1 s")["topics"][0]["count"] == 0
     for tool, topic in (("ros2_topic_subscribe", "/camera/image_raw"), ("ros2_get_map_as_image", "/map")):
         shown = server.call(tool, topic_name=topic, start="last 1 s")  # of the map, the message came long before
