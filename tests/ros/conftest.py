@@ -15,6 +15,7 @@ import pytest
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the tests import their neighbours
 SOURCES = HERE.parent.parent / "src"
+END_S = 10.0
 
 Start = Callable[..., "subprocess.Popen[bytes]"]
 
@@ -43,7 +44,7 @@ def start(ros_environment: dict[str, str]) -> Iterator[Start]:
     """Start Python processes, `start("peer.py", "argument", env={...})`; all are ended after the test.
 
     A name that ends in .py is a script of tests/ros; anything else is a module. stdin and stdout are pipes.
-    A process that does not end within 5 s of SIGTERM fails the test.
+    A process that does not end within 10 s of SIGTERM fails the test.
     """
     processes: list[subprocess.Popen[bytes]] = []
 
@@ -67,7 +68,7 @@ def start(ros_environment: dict[str, str]) -> Iterator[Start]:
 
 def _ends_soon(process: subprocess.Popen[bytes]) -> bool:
     try:
-        process.wait(5)
+        process.wait(END_S)
         return True
     except subprocess.TimeoutExpired:
         process.kill()

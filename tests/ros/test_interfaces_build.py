@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip("rosidl_generator_py", reason="needs the interface generators of the ROS 2 wheels")
 
-from ros2_mcp_interfaces import BuildError, build
+from ros2_mcp_interfaces import BuildError, build, default_cache
 from ros2_mcp_interfaces.cache import content_name
 from ros2_mcp_interfaces.installation import find_installation
 from ros2_mcp_interfaces.package import find_packages
@@ -78,13 +78,13 @@ def shop(tmp_path_factory):
     return sources, cache, prefixes
 
 
-def test_nodes_exchange_messages_requests_and_goals_of_a_built_package(shop):
+def test_nodes_exchange_messages_requests_and_goals_of_a_built_package(shop, domain_id):
     _, _, prefixes = shop
     environment = {
         **os.environ,
         "AMENT_PREFIX_PATH": os.pathsep.join(map(str, [*prefixes, sys.prefix])),
         "PYTHONPATH": os.pathsep.join(str(prefix / "site-packages") for prefix in prefixes),
-        "ROS_DOMAIN_ID": "120",
+        "ROS_DOMAIN_ID": str(domain_id),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
     peer = Path(__file__).with_name("interfaces_peer.py")
@@ -139,8 +139,8 @@ def test_a_change_in_a_package_renews_it_and_all_that_use_it(shop, tmp_path):
     assert content_name(user, find_installation().with_package(prefixes[0])) == prefixes[1].name
 
 
-def test_tf2_msgs_from_the_shipped_definitions_is_the_type_that_every_robot_has(tmp_path):
-    (prefix,) = build([SHIPPED / "tf2_msgs"], tmp_path, quiet)
+def test_tf2_msgs_from_the_shipped_definitions_is_the_type_that_every_robot_has():
+    (prefix,) = build([SHIPPED / "tf2_msgs"], default_cache(), quiet)
     description = json.loads((prefix / "share/tf2_msgs/msg/TFMessage.json").read_text())
     assert description["type_hashes"][0] == {
         "type_name": "tf2_msgs/msg/TFMessage",
@@ -241,7 +241,7 @@ def test_where_generators_are_missing_the_way_out_is_named(tmp_path, monkeypatch
 def test_the_command_tells_errors_on_stderr_and_nothing_on_stdout(tmp_path):
     write(tmp_path, {"bad/msg/Bad.msg": "float64\n"})
     process = builder(tmp_path / "bad", tmp_path / "cache")
-    out, err = process.communicate(timeout=20)
+    out, err = process.communicate(timeout=40)
     assert (process.returncode, out) == (1, "")
     assert err.startswith("error: ")
     assert "Bad.msg line 1" in err

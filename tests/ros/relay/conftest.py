@@ -18,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "server"))  # the client o
 from agent import Agent, agent_for
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
-    """A client of a server that all tests share."""
+    """A client of a server that the tests of a file share."""
     with agent_for(ros_environment, "--tools", "all") as client:
         yield client
 
@@ -39,24 +39,33 @@ def start_agent(ros_environment: dict[str, str]) -> Iterator[Callable[..., Agent
 class Peer:
     """One process of relay_peer.py."""
 
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, role: str, process: subprocess.Popen[bytes]) -> None:
         self.process = process
+        self.node = f"/relay_peer_{role}_{process.pid}"
+
+    def ready(self) -> Peer:
+        """Wait until it has met a publisher or subscriber of its topic, or has logged what it should."""
         assert self.line() == "ready"
+        return self
 
     def line(self) -> object:
         """What it says next."""
         assert self.process.stdout
         return json.loads(self.process.stdout.readline())
 
-    def heard(self) -> list[tuple[float, float]]:
-        """What a listener heard since it was last asked: time and number of each message."""
+    def tell(self, text: str = "") -> None:
+        """Send it a line."""
         assert self.process.stdin
-        self.process.stdin.write(b"\n")
+        self.process.stdin.write(f"{text}\n".encode())
         self.process.stdin.flush()
+
+    def heard(self) -> list[tuple[float, float]]:
+        """What a listener that is ready heard since it was last asked: time and number of each message."""
+        self.tell()
         return [tuple(entry) for entry in self.line()]  # type: ignore[attr-defined]
 
 
 @pytest.fixture
 def peer(start) -> Callable[..., Peer]:
     """Start an independent node: `peer("talk", "/topic", "String", "RELIABLE", "200", "1000")`."""
-    return lambda *arguments: Peer(start("relay/relay_peer.py", *arguments))
+    return lambda role, *arguments: Peer(role, start("relay/relay_peer.py", role, *arguments))

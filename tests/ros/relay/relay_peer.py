@@ -1,8 +1,9 @@
-"""Independent rclpy nodes for the tests of relays: `relay_peer.py ROLE ...` prints one line when it is ready."""
+"""Independent rclpy nodes for the tests of relays: `relay_peer.py ROLE ...` says when it has met the others."""
 
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import threading
@@ -55,11 +56,12 @@ def number_in(kind: str, data: bytes) -> float:
 
 
 def talk(node: Node, topic: str, kind: str, reliability: str, rate_hz: str, count: str) -> None:
-    """Wait for a subscriber, publish so many messages at the rate, say how many, stay."""
+    """Wait for a subscriber and a line on stdin, publish so many messages at the rate, say how many, stay."""
     publisher = node.create_publisher(KINDS[kind], topic, profile(reliability))
-    say("ready")
     while publisher.get_subscription_count() < 1:
         time.sleep(0.005)
+    say("ready")
+    sys.stdin.readline()
     started = time.monotonic()
     for number in range(int(count)):
         time.sleep(max(0.0, started + number / float(rate_hz) - time.monotonic()))
@@ -68,24 +70,25 @@ def talk(node: Node, topic: str, kind: str, reliability: str, rate_hz: str, coun
 
 
 def listen(node: Node, topic: str, kind: str, reliability: str) -> None:
-    """Keep what comes; at each line on stdin say the numbers and when they came, and forget them."""
+    """Once there is a publisher, at each line on stdin say the numbers and when they came, and forget them."""
     taken: list[tuple[float, bytes]] = []
-    keep = node.create_subscription(
+    subscription = node.create_subscription(
         KINDS[kind], topic, lambda data: taken.append((time.monotonic(), data)), profile(reliability), raw=True
     )
-    say("ready")
     executor = rclpy.executors.SingleThreadedExecutor()
     executor.add_node(node)
     threading.Thread(target=executor.spin, daemon=True).start()
+    while subscription.get_publisher_count() < 1:
+        time.sleep(0.005)
+    say("ready")
     for _ in sys.stdin:
         now = list(taken)
         del taken[: len(now)]
         say([[round(at, 4), number_in(kind, data)] for at, data in now])
-    del keep
 
 
 def complain(node: Node, count: str) -> None:
-    """Log so many warnings and one error, say how long it took; then one error for each line on stdin."""
+    """Log so many warnings and one error, say so; then one error for each line on stdin."""
     for number in range(int(count)):
         node.get_logger().warning(f"number {number}")
     node.get_logger().error("the arm is stuck")
@@ -98,7 +101,7 @@ def main() -> None:
     role, *arguments = sys.argv[1:]
     rclpy.init()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    node = Node(f"relay_peer_{role}")
+    node = Node(f"relay_peer_{role}_{os.getpid()}")
     {"talk": talk, "listen": listen, "complain": complain}[role](node, *arguments)
     while True:
         time.sleep(1.0)

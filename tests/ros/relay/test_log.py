@@ -10,7 +10,7 @@ from typing import Any
 
 from agent import Refusal
 
-PATIENCE_S = 10.0
+PATIENCE_S = 20.0
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
@@ -36,18 +36,12 @@ def texts(agent: Any, expected: int, **wanted: Any) -> list[str]:
     return [line["text"] for line in lines]
 
 
-def tell(peer: Any, text: str) -> None:
-    peer.process.stdin.write(f"{text}\n".encode())
-    peer.process.stdin.flush()
-
-
 def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
-    peer("complain", "20")
-    node = "/relay_peer_complain"
+    node = peer("complain", "20").node
     assert texts(agent, 21, node=node)[-2:] == ["number 19", "the arm is stuck"]
     assert texts(agent, 1, node=node, level="error") == ["the arm is stuck"]
     assert texts(agent, 1, node=node, pattern="ARM") == ["the arm is stuck"]
-    assert texts(agent, 2, node="relay_peer_*", pattern="number 1?", limit=2) == ["number 18", "number 19"]
+    assert texts(agent, 2, node="relay_peer_complain_*", pattern="number 1?", limit=2) == ["number 18", "number 19"]
     found = agent.call("ros2_log_read", node=node, level="warning", limit=5)
     assert (found["matched"], found["lines"][0]["level"]) == (21, "WARN")
     assert "The newest 5 are shown" in found["note"]
@@ -57,19 +51,19 @@ def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
 
 
 def test_what_was_said_just_before_the_server_began_is_there(start_agent: Callable[..., Any], peer) -> None:
-    peer("complain", "3")
+    speaker = peer("complain", "3").ready()
     own = start_agent()
-    assert len(own.call("ros2_log_read", node="relay_peer_complain")["lines"]) == 4
+    assert len(texts(own, 4, node=speaker.node)) == 4
 
 
 def test_the_log_survives_a_lost_bridge_without_lines_twice(start_agent: Callable[..., Any], peer) -> None:
     speaker, own = peer("complain", "3"), start_agent()
-    assert len(texts(own, 4, node="relay_peer_complain")) == 4
+    assert len(texts(own, 4, node=speaker.node)) == 4
     os.kill(own.call("ros2_status")["bridge_pid"], signal.SIGKILL)
     wait_for(lambda: own.call("ros2_status")["bridge_starts"] == 2)
-    tell(speaker, "after all")
-    assert texts(own, 5, node="relay_peer_complain")[-2:] == ["the arm is stuck", "after all"]
-    found = own.call("ros2_log_read", node="relay_peer_complain")
+    speaker.tell("after all")
+    assert texts(own, 5, node=speaker.node)[-2:] == ["the arm is stuck", "after all"]
+    found = own.call("ros2_log_read", node=speaker.node)
     assert (found["matched"], "The bridge was lost 1 time(s)" in found["note"]) == (5, True)
 
 

@@ -41,7 +41,7 @@ class PeerProcess:
 
     def end(self) -> None:
         """Let it go, and see that it went."""
-        self._process.communicate(timeout=5)
+        self._process.communicate(timeout=20)
         assert self._process.returncode == 0
 
     def kill(self) -> None:
@@ -105,4 +105,4 @@ def small_robot(ros_environment: dict[str, str]) -> Iterator[subprocess.Popen[st
     assert process.stdout.readline() == "ready\n"
     yield process
     process.kill()  # rclpy's threads may sleep in a callback
-    process.communicate(timeout=5)
+    process.communicate(timeout=20)

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
-PATIENCE_S = 5.0
+PATIENCE_S = 20.0
 
 
 class Peer:

@@ -153,7 +153,7 @@ def test_feedback_and_result_of_a_goal_that_was_not_waited_for(agent) -> None:
     feedback = agent.begin("ros2_action_subscribe_feedback", **without_goal(), duration_sec=1.5, max_messages=3)
     goal = agent.call("ros2_send_action_goal", **{**GOAL, "goal_fields": {"order": 12}})
     assert (goal["accepted"], len(goal["goal_id"]), goal["waited"]) == (True, 32, False)
-    heard = feedback.result(10)
+    heard = feedback.result(20)
     assert_has(
         heard, "topic action_type goal_id_filter duration_sec messages[].feedback.sequence messages[].recv_stamp"
     )

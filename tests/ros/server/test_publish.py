@@ -82,6 +82,6 @@ def test_a_publish_without_a_type_waits_for_a_subscriber_that_is_coming_up(agent
         topic = f"/coming_up_{number}"
         sent = agent.begin("ros2_topic_publish", topic_name=topic, data={"data": "x"})
         peer.listen(topic=topic, kind=STRING)
-        assert sent.result(10)["status"] == "published"
+        assert sent.result(20)["status"] == "published"
         assert peer.texts(topic=topic, expected=1) == ["x"]
         peer.forget(topic=topic)

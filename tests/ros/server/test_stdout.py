@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from agent import FULL
 from raw_server import children, lives
 
 NOISE = """
@@ -37,7 +38,7 @@ LOUD = {
 }
 
 
-@pytest.mark.parametrize("version", ["2025-11-25", "2026-07-28"])
+@pytest.mark.parametrize("version", ["2025-11-25", "2026-07-28"] if FULL else ["2026-07-28"])
 def test_whatever_prints_stdout_carries_only_protocol_lines(
     start_raw, ros_environment, tmp_path: Path, version: str
 ) -> None:
@@ -64,19 +65,19 @@ def test_whatever_prints_stdout_carries_only_protocol_lines(
 def test_server_and_bridge_are_gone_soon_after_the_end(start_raw, ending: str) -> None:
     server = start_raw()
     server.begin("2025-11-25")
-    server.call("ros2_status")
+    status = server.call("ros2_status")
     processes = children(server.process.pid)
-    assert processes
+    assert processes, status
     if ending == "stdin closes in a call":
         server.send("tools/call", name="ros2_topic_echo_wait", arguments={"topic_name": "/never", "timeout": 60})
-        time.sleep(0.2)
+        server.call("ros2_status")  # which is begun later
     started = time.monotonic()
     if ending.startswith("stdin"):
         server.close()
     else:
         server.process.send_signal(signal.Signals[ending])
-        server.process.wait(5)
-    while any(map(lives, processes)) and time.monotonic() - started < 5:
+        server.process.wait(20)
+    while any(map(lives, processes)) and time.monotonic() - started < 20:
         time.sleep(0.01)
     assert time.monotonic() - started < 2
     assert not any(map(lives, processes))
