@@ -56,8 +56,8 @@ class Bridge:
         except Exception as error:  # noqa: BLE001 - a broken installation can raise anything here
             self._fail("no_rclpy", error)
         try:
-            node, executor, known_nodes = ros.enter(node_name)
-            self._operations = operations.Operations(node, known_nodes, self._loop, self._outbox)
+            node, executor = ros.enter(node_name)
+            self._operations = operations.Operations(node, self._loop, self._outbox)
         except Exception as error:  # noqa: BLE001 - as above
             self._fail("init_failed", error)
         self._outbox.send(ros.hello(node, executor))

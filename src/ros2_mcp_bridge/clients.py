@@ -19,7 +19,7 @@ POLL_S = 0.1
 APPEARS_POLL_S = 0.005
 # A server that has just come up throws its answer away if it has not discovered our client yet.
 JUST_STARTED_S = 0.3
-KNOWS_US_S = 0.2
+KNOWS_US_S = 0.5
 GONE_AFTER_S = 0.3
 # The default depth of 10 loses responses where more are on their way at the same moment.
 MANY_AT_ONCE = QoSProfile(depth=500, reliability=QoSReliabilityPolicy.RELIABLE)

@@ -19,8 +19,7 @@ UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 class Graph:
     """Answers the requests about the graph; each is a generator of steps, because it may have to wait."""
 
-    def __init__(self, node, known_nodes):
-        self._known_nodes = known_nodes
+    def __init__(self, node):
         self.settled = False
         self._node = node
 
@@ -127,16 +126,14 @@ class Graph:
         )
 
     def _hears_all(self):
-        """Whether all participants on this machine and all nodes known from elsewhere are there.
+        """Whether all participants on this machine are there.
 
         Where the kernel cannot tell of everybody, one who is heard stands for all who are not.
         """
-        on_this_machine = participants.on_this_machine(self._node.context.get_domain_id())
-        if participants.discovered(self._node) < on_this_machine:
+        if not participants.all_discovered(self._node):
             return False
-        nodes = others(self._node)
-        is_told = bool(on_this_machine) and participants.reach_is_local()
-        return (is_told or bool(nodes)) and not self._known_nodes - nodes
+        is_told = participants.reach_is_local() and participants.on_this_machine(self._node.context.get_domain_id())
+        return bool(is_told or others(self._node))
 
     def _has_unknown_nodes(self, topics):
         return any(

@@ -25,13 +25,13 @@ LAST_DEEDS_S = 0.3
 class Operations:
     """All that needs ROS; lives on the ROS thread. `node` is the bridge's own node."""
 
-    def __init__(self, node, known_nodes, loop, outbox):
+    def __init__(self, node, loop, outbox):
         self._node = node
         self._loop = loop
         self._outbox = outbox
         self._started = time.monotonic()
         self._requests = {}
-        self._graph = Graph(node, known_nodes)
+        self._graph = Graph(node)
         self._subscriptions = Subscriptions(node, self._graph, loop, outbox)
         self._clients = Clients(node)
         self.publishers = Publishers(node, self._graph)

@@ -23,6 +23,11 @@ def reach_is_local():
     return reach in ("LOCALHOST", "OFF") or os.environ.get("ROS_LOCALHOST_ONLY") == "1"
 
 
+def all_discovered(node):
+    """Whether a node has discovered as many participants as there are on this machine; True if that is not known."""
+    return _discovered(node) >= on_this_machine(node.context.get_domain_id())
+
+
 def on_this_machine(domain_id):
     """The number of participants of a domain in this network namespace."""
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
@@ -30,7 +35,7 @@ def on_this_machine(domain_id):
     return sum(1 for number in numbers if number >= FIRST_UNICAST and number % 2 == 0)
 
 
-def discovered(node):
+def _discovered(node):
     """The number of participants with ROS nodes that a node knows of, its own included."""
     infos = node.get_publishers_info_by_topic(DISCOVERY_TOPIC, no_mangle=True)
     return len({bytes(info.endpoint_gid)[:GUID_PREFIX_BYTES] for info in infos})

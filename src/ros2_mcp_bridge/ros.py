@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import os
 import platform
+import random
 import time
 from collections import Counter
-from functools import reduce
-from operator import or_
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import rclpy
@@ -16,32 +16,27 @@ from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from . import frames
+from . import frames, participants
 
-CANDIDATES = 3
-LISTENING_S = 0.5
+ATTEMPTS = 3
+ANSWERED_S = 0.25
 
 
 def enter(node_name):
-    """Initialise ROS and make the bridge's node, as light as it can be.
+    """Initialise ROS and make the bridge's node, as light as it can be; returns it with its executor.
 
-    Returns the node, its executor, and a `Counter` of all others that are known to be there, by name and namespace.
-
-    A new participant of Fast DDS listens a moment later than it speaks. Whose answer it misses then, it does not see
-    before their next announcement, up to 3 s later. So several begin, and the one that heard most stays.
+    A participant that has not heard everybody on this machine at once would hear the others only at their next
+    announcement, up to 3 s later: then another one is tried.
     """
-    is_fast_dds = get_rmw_implementation_identifier().startswith("rmw_fastrtps")
-    nodes = [_new_node(node_name) for _ in range(CANDIDATES if is_fast_dds else 1)]
-    if is_fast_dds:
-        time.sleep(LISTENING_S)
-    heard = [others(node) for node in nodes]
-    best = nodes[max(range(len(nodes)), key=lambda number: sum(heard[number].values()))]
-    for node in nodes:
-        if node is not best:
-            _destroy_node(node)
-    executor = _new_executor(best.context)
-    executor.add_node(best)
-    return best, executor, reduce(or_, heard)
+    node = _new_node(node_name)
+    for _ in range(ATTEMPTS - 1):
+        if _is_answered(node):
+            break
+        _destroy_node(node)
+        node = _new_node(node_name)
+    executor = _new_executor(node.context)
+    executor.add_node(node)
+    return node, executor
 
 
 def others(node):
@@ -75,14 +70,47 @@ def hello(node, executor):
 
 def _new_node(node_name):
     context = Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
-    return rclpy.create_node(
-        node_name,
-        context=context,
-        use_global_arguments=False,
-        enable_rosout=False,
-        start_parameter_services=False,
-    )
+    with _receiving_after_sending():
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        return rclpy.create_node(
+            node_name,
+            context=context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+
+
+@contextmanager
+def _receiving_after_sending():
+    """Let threads that are started here run only when this one waits: a batch thread does not interrupt another.
+
+    A new participant of Fast DDS 2.14 announces itself a moment before it heeds what its threads receive, so that it
+    misses answers that come within a fraction of a millisecond, as those of this machine do.
+    """
+    if not hasattr(os, "sched_setaffinity") or os.sched_getscheduler(0) != os.SCHED_OTHER:
+        yield
+        return
+    processors = os.sched_getaffinity(0)
+    with suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        os.sched_setaffinity(0, {random.choice(sorted(processors))})
+    try:
+        yield
+    finally:
+        for thread in Path("/proc/self/task").iterdir():
+            with suppress(OSError):  # it may have ended meanwhile
+                os.sched_setaffinity(int(thread.name), processors)
+                os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))
+
+
+def _is_answered(node):
+    deadline = time.monotonic() + ANSWERED_S
+    while not participants.all_discovered(node):
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.01)
+    return True
 
 
 def _destroy_node(node):
