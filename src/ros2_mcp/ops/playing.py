@@ -105,6 +105,11 @@ class Playback:
         """Whether it still plays."""
         return self._state == "playing"
 
+    @property
+    def destinations(self) -> list[str]:
+        """The topics that it publishes on."""
+        return [self._destination(name) for name in self._topics]
+
     async def begin(self) -> None:
         """Opens the publishers and starts to play; raises what keeps a publisher from being made."""
         try:
@@ -245,7 +250,7 @@ async def play(
     wanted = replace(wanted, remaps={names.absolute(a): names.absolute(b) for a, b in wanted.remaps.items()})
     bag, span, topics = await asyncio.to_thread(_prepare, memory, wanted)
     try:
-        await _check(robot, wanted, topics)
+        await _check(robot, memory, wanted, topics)
         playback = Playback(robot, bag, wanted, span, topics)
     except (RobotError, asyncio.CancelledError):
         bag.close()
@@ -290,14 +295,18 @@ def _prepare(memory: Memory, wanted: Wanted) -> tuple[Bag, Span, dict[str, Store
         raise
 
 
-async def _check(robot: Robot, wanted: Wanted, topics: Mapping[str, StoredTopic]) -> None:
+async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[str, StoredTopic]) -> None:
+    own = robot.bridge.hello.node if robot.bridge.hello else ""  # it keeps publishers ready that say nothing
+    played = {to: each.id for each in playbacks(memory).values() if each.is_running for to in each.destinations}
     busy: list[str] = []
     for name, topic in topics.items():
         destination = wanted.remaps.get(name, name)
         present = await robot.graph.endpoints(destination)
         if present.types and topic.type not in present.types:
             raise TypeConflict(f"{destination} has the type {present.types[0]}, the bag's {name} is a {topic.type}.")
-        busy += [f"{destination} ({present.publishers[0].node})"] if present.publishers else []
+        others = [each.node for each in present.publishers if each.node != own]
+        others += [played[destination]] if destination in played else []
+        busy += [f"{destination} ({others[0]})"] if others else []
     if busy and not wanted.force:
         raise Refused(
             f"These topics have a live publisher: {', '.join(busy)}.", "Use remaps, choose topics, or give force."

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncGenerator, Iterator, Sequence
 from contextlib import aclosing, asynccontextmanager
 from dataclasses import replace
-from itertools import chain, islice
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model import names
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 MAX_BYTES = 192_000_000
 MAX_SAMPLES = 200_000
 _BATCH = 256
+_BATCH_BYTES = 8_000_000
 _RECORDED = "(recorded)"
 _LATCHED = ("durability: 1", "durability: transient_local")
 
@@ -153,7 +154,7 @@ class BagSource:
             nonlocal messages
             with self._memory.reading(self._name) as bag:
                 messages = messages or (_first(bag, topic, span) if last is None else _last(bag, topic, span, last))
-                return list(islice(messages, _BATCH))
+                return _batch(messages)
 
         while batch := await asyncio.to_thread(following):
             taken[0] += len(batch)
@@ -209,6 +210,17 @@ def _once(messages: Iterator[tuple[str, Sample]]) -> Iterator[Sample]:
         if last is None or (sample.received_ns, sample.data) != (last.received_ns, last.data):
             yield sample
         last = sample
+
+
+def _batch(messages: Iterator[Sample]) -> list[Sample]:
+    found: list[Sample] = []
+    size = 0
+    for sample in messages:
+        found.append(sample)
+        size += len(sample.data)
+        if len(found) >= _BATCH or size >= _BATCH_BYTES:
+            break
+    return found
 
 
 def _first(bag: Bag, topic: StoredTopic, span: Span) -> Iterator[Sample]:

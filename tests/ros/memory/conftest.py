@@ -40,7 +40,8 @@ def start_peer(ros_environment: dict[str, str]) -> Iterator[StartPeer]:
 
     def begin(*arguments: str) -> subprocess.Popen[str]:
         command = [sys.executable, str(HERE / "memory_peer.py"), *arguments]
-        peer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ros_environment)
+        pipe = subprocess.PIPE
+        peer = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=ros_environment)
         peers.append(peer)
         assert peer.stdout
         assert peer.stdout.readline() == "ready\n"

@@ -1,16 +1,19 @@
-"""An independent node: `types` publishes every type of test_msgs, latched; `stream` publishes counters at a rate."""
+"""An independent node: `types` publishes every type of test_msgs, latched; `stream` publishes counters at a rate,
+`listen` collects numbers."""
 
 from __future__ import annotations
 
+import json
 import struct
 import sys
+import threading
 import time
 
 import rclpy
 import test_msgs.msg
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
-from std_msgs.msg import UInt8MultiArray
+from std_msgs.msg import Int32, UInt8MultiArray
 from test_msgs.message_fixtures import get_test_msg
 
 TYPES = sorted(name for name in dir(test_msgs.msg) if name[0].isupper())
@@ -46,6 +49,21 @@ def stream(node, *topics: str) -> None:
         time.sleep(max(0.0, min(entry[4] for entry in plan) - time.monotonic()))
 
 
+def listen(node, *topics: str) -> None:
+    """Collects numbers with their times of receipt; a line on stdin asks for them. It publishes on /live too."""
+    heard: dict[str, list] = {topic: [] for topic in topics}
+    for topic in topics:
+        node.create_subscription(Int32, topic, lambda m, t=topic: heard[t].append([m.data, time.monotonic()]), 100)
+    node.create_publisher(Int32, "/live", 10)
+    threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
+    print("ready", flush=True)
+    for line in sys.stdin:
+        print(json.dumps(heard), flush=True)
+        if line.strip() == "forget":
+            for numbers in heard.values():
+                numbers.clear()
+
+
 if __name__ == "__main__":
     rclpy.init()
-    {"types": types, "stream": stream}[sys.argv[1]](rclpy.create_node("memory_peer"), *sys.argv[2:])
+    {"types": types, "stream": stream, "listen": listen}[sys.argv[1]](rclpy.create_node("memory_peer"), *sys.argv[2:])

@@ -1,0 +1,137 @@
+"""A bag is played: an independent node hears what was recorded, in its rhythm, and nothing else."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from agent import Agent, agent_for
+
+from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.bags.writer import BagWriter
+from ros2_mcp.model.samples import Sample
+
+START_NS = 1_700_000_000_000_000_000
+NUMBERS = {"/a": range(10), "/b": range(100, 105)}
+PERIODS_NS = {"/a": 100_000_000, "/b": 200_000_000}
+HEARD = ("/a", "/b", "/c", "/live")
+
+
+class Listener:
+    """The independent node, and what it has heard since the last time."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+
+    def heard(self, command: str = "forget") -> dict[str, list[tuple[int, float]]]:
+        assert self._process.stdin and self._process.stdout
+        self._process.stdin.write(f"{command}\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
+    def numbers(self, topic: str, count: int) -> list[int]:
+        """What it hears on the topic, as soon as that are so many; then all is forgotten."""
+        deadline = time.monotonic() + 5
+        while len(self.heard("look")[topic]) < count and time.monotonic() < deadline:
+            time.sleep(0.02)
+        return [number for number, _ in self.heard()[topic]]
+
+
+@pytest.fixture(scope="module")
+def agent(ros_environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Agent]:
+    folder = tmp_path_factory.mktemp("bags")
+    (folder / "run").mkdir()
+    writer = BagWriter(folder / "run", "run")
+    for topic in NUMBERS:
+        writer.add_topic(StoredTopic(topic, "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n"))
+    stored = [(START_NS + i * PERIODS_NS[topic], topic, n) for topic in NUMBERS for i, n in enumerate(NUMBERS[topic])]
+    for at_ns, topic, number in sorted(stored):
+        writer.write(topic, Sample(at_ns, at_ns, None, b"\0\1\0\0" + number.to_bytes(4, "little")))
+    writer.close()
+    with agent_for(ros_environment, "--tools", "all", "--record-dir", str(folder)) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def listening(ros_environment: dict[str, str]) -> Iterator[Listener]:
+    command = [sys.executable, str(Path(__file__).parent / "memory_peer.py"), "listen", *HEARD]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=ros_environment) as process:
+        assert process.stdout and process.stdout.readline() == "ready\n"
+        yield Listener(process)
+        process.kill()
+
+
+@pytest.fixture
+def listener(listening: Listener) -> Listener:
+    listening.heard()
+    return listening
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0])
+def test_a_bag_is_heard_whole_and_in_its_rhythm(agent: Agent, listener: Listener, rate: float) -> None:
+    played = agent.call("ros2_bag_play", bag="run", rate=rate)
+    assert (played["state"], played["progress"], played["loops"]) == ("ended", 1.0, 1)
+    assert played["published"] == {topic: len(numbers) for topic, numbers in NUMBERS.items()}
+    heard = listener.heard()
+    for topic, numbers in NUMBERS.items():
+        assert [number for number, _ in heard[topic]] == list(numbers)
+        times = [at for _, at in heard[topic]]
+        expected_s = (len(numbers) - 1) * PERIODS_NS[topic] / 1e9 / rate
+        assert times[-1] - times[0] == pytest.approx(expected_s, abs=0.12)
+        assert sorted(b - a for a, b in pairwise(times))[len(times) // 2] == pytest.approx(
+            PERIODS_NS[topic] / 1e9 / rate, abs=0.04
+        )
+    assert not heard["/c"] and not heard["/live"]
+
+
+def test_only_the_chosen_topics_of_the_chosen_time_are_played_under_other_names(
+    agent: Agent, listener: Listener
+) -> None:
+    played = agent.call(
+        "ros2_bag_play", bag="run", topics=["/a"], start="first 0.3 s", end="first 0.6 s", remaps={"/a": "/c"}
+    )
+    assert played["published"] == {"/c": 3} and played["elapsed_s"] < 2.5
+    heard = listener.heard()
+    assert [number for number, _ in heard["/c"]] == [3, 4, 5]
+    assert not heard["/a"] and not heard["/b"]
+
+
+def test_a_loop_goes_on_until_it_is_stopped(agent: Agent, listener: Listener) -> None:
+    begun = agent.call("ros2_bag_play", bag="run", topics=["/a"], rate=5, loop=True, wait_sec=0)
+    assert begun["state"] == "playing"
+    numbers = listener.numbers("/a", 25)
+    assert numbers == [index % 10 for index in range(len(numbers))]
+    running = agent.call("ros2_bag_play_status", playback_id=begun["playback_id"])["playbacks"][0]
+    assert running["state"] == "playing" and running["loops"] >= 2 and 0 <= running["progress"] <= 1
+    refusal = agent.refusal("ros2_bag_play", bag="run", topics=["/a"])
+    assert f"/a ({begun['playback_id']})" in refusal  # two rhythms on one topic make no sense
+    stopped = agent.call("ros2_bag_play_stop", playback_id=begun["playback_id"])
+    assert stopped["state"] == "stopped"
+    listener.heard()
+    time.sleep(0.3)
+    assert not listener.heard()["/a"]
+    assert agent.call("ros2_bag_play_stop", playback_id=begun["playback_id"])["state"] == "stopped"
+
+
+def test_a_live_publisher_is_not_disturbed_unless_it_is_forced(agent: Agent, listener: Listener) -> None:
+    onto: dict[str, Any] = {"bag": "run", "topics": ["/a"], "rate": 10, "remaps": {"/a": "/live"}}
+    refusal = agent.refusal("ros2_bag_play", **onto)
+    assert "/live (/memory_peer)" in refusal and "force" in refusal
+    assert agent.call("ros2_bag_play", **onto, force=True)["state"] == "ended"
+    assert listener.numbers("/live", 10) == list(NUMBERS["/a"])
+
+
+def test_what_cannot_be_played_is_said_before_anything_is(agent: Agent, listener: Listener) -> None:
+    assert "no topic /nowhere" in agent.refusal("ros2_bag_play", bag="run", topics=["/a", "/nowhere"])
+    assert "not played" in agent.refusal("ros2_bag_play", bag="run", topics=["/a"], remaps={"/b": "/c"})
+    refusal = agent.refusal("ros2_bag_play", bag="run", topics=["/a"], remaps={"/a": "/rosout"}, force=True)
+    assert "rcl_interfaces/msg/Log" in refusal
+    assert not any(listener.heard().values())
