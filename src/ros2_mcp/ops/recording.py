@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Sequence
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
@@ -108,12 +109,13 @@ class RecordingStates:
 
 @dataclass(slots=True)
 class _Joined:
-    """A topic that is being recorded."""
+    """A topic that is being recorded; `lost` is the subscription that went with a bridge, to be made anew."""
 
     type: str
     publishers: int
     task: asyncio.Task[None] | None = None
     listening: Listening | None = None
+    lost: Listening | None = None
     former: Counts = field(default_factory=Counts)
     error: str = ""
     leaving: bool = False
@@ -247,20 +249,26 @@ class Recording:
 
     async def _record_once(self, name: str, joined: _Joined) -> None:
         joined.leaving = False
-        async with self._robot.listen(name, joined.type, max_bytes=_WAITING_BYTES) as listening:
-            self._describe(listening)
-            joined.listening = listening
+        async with self._subscription(name, joined) as listening:
+            if joined.lost is None:
+                self._describe(listening)
+            joined.listening, joined.lost = listening, None
             try:
                 while not (self._stopping or joined.leaving or self._recorder.ended):
                     self._recorder.put(name, await listening.take(0.0))
                     await asyncio.sleep(_TURN_S)
             except LinkError:
-                joined.former, joined.listening = joined.counts(), None
+                joined.former, joined.listening, joined.lost = joined.counts(), None, listening
                 raise
         self._recorder.put(name, await listening.take(0.0))
         joined.former, joined.listening = joined.counts(), None
         if self._recorder.ended:
             self._stopping = True
+
+    def _subscription(self, name: str, joined: _Joined) -> AbstractAsyncContextManager[Listening]:
+        if joined.lost is not None:
+            return self._robot.listen_again(joined.lost, max_bytes=_WAITING_BYTES)
+        return self._robot.listen(name, joined.type, max_bytes=_WAITING_BYTES)
 
     def _describe(self, listening: Listening) -> None:
         from ros2_mcp.bags.rosbag2 import qos_text

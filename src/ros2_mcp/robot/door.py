@@ -88,6 +88,15 @@ class Robot:
         ) as subscription:
             yield Listening(topic, type_name, choice, publishers, subscription)
 
+    @asynccontextmanager
+    async def listen_again(self, former: Listening, *, max_bytes: int) -> AsyncGenerator[Listening, None]:
+        """The same subscription anew, at once: the bridge that follows a lost one need not look around first."""
+        request = former.choice.qos.request()
+        async with await self.bridge.subscribe(
+            former.topic, former.type, request, keep="all", max_samples=20_000, max_bytes=max_bytes
+        ) as subscription:
+            yield Listening(former.topic, former.type, former.choice, former.publishers, subscription)
+
     async def topic_type(self, present: TopicEndpoints, asked: str) -> str:
         """The one type to use on a topic: the asked one, or the only one that the graph knows."""
         if asked:
