@@ -99,6 +99,13 @@ class Peer:
         assert client.wait_for_service(timeout_sec=15.0)
         return _wait(client.call_async(SetBool.Request(data=data))).message
 
+    def reaches(self, service: str) -> bool:
+        """Whether a SetBool service of somebody else answers."""
+        client, answered = self.node.create_client(SetBool, service), threading.Event()
+        if client.wait_for_service(timeout_sec=5.0):
+            client.call_async(SetBool.Request()).add_done_callback(lambda _: answered.set())
+        return answered.wait(5.0)
+
 
 def _wait(future: Any, within_s: float = 10.0) -> Any:
     done = threading.Event()

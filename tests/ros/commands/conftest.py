@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # the tests import their neighbo
 sys.path.insert(0, str(Path(__file__).parent.parent / "server"))
 
 from agent import Agent, agent_for
-from peer_process import Nursery, PeerProcess, discovered
+from peer_process import Nursery, PeerProcess, reachable
 from raw_server import RawServer
 
 
@@ -36,13 +37,23 @@ def start_agent(ros_environment: dict[str, str]) -> Iterator[Callable[..., Agent
         )
 
 
+@pytest.fixture(scope="module")
+def waiting_servers(ros_environment: dict[str, str]) -> Iterator[deque[RawServer]]:
+    """One server that is started while the test before still runs."""
+    servers = deque([RawServer(ros_environment, "--tools", "all")])
+    yield servers
+    for server in servers:
+        server.end()
+
+
 @pytest.fixture
-def start_raw(ros_environment: dict[str, str]) -> Iterator[Callable[[], RawServer]]:
-    """Start a server whose lines the test writes and reads itself."""
+def start_raw(waiting_servers: deque[RawServer], ros_environment: dict[str, str]) -> Iterator[Callable[[], RawServer]]:
+    """Get a server whose lines the test writes and reads itself."""
     servers: list[RawServer] = []
 
     def begin() -> RawServer:
-        servers.append(RawServer(ros_environment, "--tools", "all"))
+        waiting_servers.append(RawServer(ros_environment, "--tools", "all"))
+        servers.append(waiting_servers.popleft())
         return servers[-1]
 
     yield begin
@@ -64,8 +75,8 @@ def start_peer(nursery: Nursery, agent: Agent) -> Iterator[Callable[..., PeerPro
     peers: list[PeerProcess] = []
 
     def begin(*roles: str, **options: Any) -> PeerProcess:
-        peers.append(nursery.start(*roles, **options))
-        return discovered(agent, peers[-1])
+        peers.append(reachable(agent, nursery, *roles, **options))
+        return peers[-1]
 
     yield begin
     for peer in peers:
@@ -75,6 +86,6 @@ def start_peer(nursery: Nursery, agent: Agent) -> Iterator[Callable[..., PeerPro
 @pytest.fixture(scope="session")
 def robot(nursery: Nursery, agent: Agent) -> Iterator[PeerProcess]:
     """The peer that all tests share: everything that does not die."""
-    peer = discovered(agent, nursery.start("services", "actions", "raw", "nested", "tuned", "valve", "dumb"))
+    peer = reachable(agent, nursery, "services", "actions", "raw", "nested", "tuned", "valve", "dumb")
     yield peer
     peer.leave()

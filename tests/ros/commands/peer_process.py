@@ -19,7 +19,8 @@ from typing import Any
 from agent import Agent, Refusal
 
 HERE = Path(__file__).parent
-KNOWN_S = 30.0
+COMMAND_S = 30.0
+KNOWN_S = 20.0
 """How long the middleware may take until two processes know each other, on a busy machine."""
 SPARES = 6
 _NUMBERS = itertools.count(1)
@@ -65,7 +66,7 @@ class PeerProcess:
         self.namespace = ""
         self._pid = 0
         self._commands = commands
-        self._commands.settimeout(KNOWN_S)
+        self._commands.settimeout(COMMAND_S)
         self._lines = commands.makefile("rw")
 
     def become(self, namespace: str, *roles: str) -> PeerProcess:
@@ -118,11 +119,21 @@ class PeerProcess:
         return json.loads(line)
 
 
-def discovered(agent: Agent, peer: PeerProcess) -> PeerProcess:
-    """The peer, as soon as it and the server under test know each other: a call has been answered."""
+def reachable(agent: Agent, nursery: Nursery, *roles: str, **options: Any) -> PeerProcess:
+    """A peer, as soon as it and the server under test know each other: a call has been answered.
+
+    With the shared memory of Fast DDS, about one in a hundred processes that take the place of a killed one is deaf for
+    ever. Where an independent node does not get an answer from it either, another one is started.
+    """
+    peer = nursery.start(*roles, **options)
     deadline = time.monotonic() + KNOWN_S
     while not _answers(agent, peer):
-        assert time.monotonic() < deadline, "not discovered"
+        if time.monotonic() > deadline:
+            witness = nursery.start()
+            assert not witness.reaches(service=peer.name("there")), f"only we do not reach {peer.namespace}"
+            witness.leave()
+            peer.leave()
+            return reachable(agent, nursery, *roles, **options)
     return peer
 
 

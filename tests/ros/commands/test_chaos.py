@@ -10,6 +10,8 @@ import pytest
 from agent import FULL, Refusal
 
 ROUNDS = 200 if FULL else 3
+LATE_S = 5.0
+"""A killed process can hold up the middleware of those that knew it for seconds (decision 12)."""
 AT_ONCE = 3
 """Rounds that start processes run side by side: while one waits out its time, another discovers its server."""
 STILL_WORKING = "It may still be working on it; a longer timeout_sec waits for longer."
@@ -54,7 +56,7 @@ def test_a_service_server_that_is_killed_during_a_call(agent, start_peer) -> Non
         wait_until(lambda: peer.take(name="mute"))
         peer.kill()
         assert str(call.exception(20)) == f"TimedOut: {peer.name('mute')} did not answer within 1.5 s. {STILL_WORKING}"
-        assert 1.5 <= time.monotonic() - started < 3.0
+        assert 1.5 <= time.monotonic() - started < 1.5 + LATE_S
 
     side_by_side(one_round)
 
@@ -70,7 +72,7 @@ def test_a_service_server_that_leaves_during_a_call(agent, start_peer) -> None:
         left = time.monotonic()
         said = str(call.exception(20))
         assert said.startswith(f"NotFound: The server of {peer.name('mute')} disappeared before it answered.")
-        assert time.monotonic() - left < 2.0
+        assert time.monotonic() - left < LATE_S
 
     side_by_side(one_round)
 
@@ -80,7 +82,7 @@ def test_a_service_server_that_dies_of_a_call(agent, start_peer) -> None:
         peer = start_peer("services")
         started, call = time.monotonic(), begin_call(agent, peer.name("fatal"), 1.0)
         assert str(call.exception(20)) == f"TimedOut: {peer.name('fatal')} did not answer within 1 s. {STILL_WORKING}"
-        assert 1.0 <= time.monotonic() - started < 2.5
+        assert 1.0 <= time.monotonic() - started < 1.0 + LATE_S
 
     side_by_side(one_round)
 
@@ -104,7 +106,7 @@ def test_an_action_server_that_is_killed_while_executing_and_started_again(agent
         peer.kill()
         ended = waiting.result(20)
         assert (ended["status"], ended["accepted"], ended["result"]) == ("TIMEOUT", True, None)
-        assert time.monotonic() - started < 4.0
+        assert time.monotonic() - started < 1.5 + LATE_S
         again = start_peer("counting", namespace=peer.namespace, is_new=True)
         wait_until(lambda: status(agent, action, ended["goal_id"]) == "UNKNOWN")
         assert begin_goal(agent, action, 1, 10.0).result(20)["status"] == "SUCCEEDED"
@@ -137,7 +139,7 @@ def test_an_action_server_that_leaves_while_executing(agent, start_peer) -> None
             f"NotFound: The server of {peer.name('raw')} is not there, or left before the goal ended."
         )
         assert said.endswith(" had been accepted.")
-        assert time.monotonic() - left < 2.0
+        assert time.monotonic() - left < LATE_S
 
     side_by_side(one_round)
 
@@ -180,10 +182,9 @@ def test_results_asked_for_twice_at_once_of_unknown_goals_and_of_forgotten_ones(
         return agent.begin("ros2_action_request_result", action_name=action, goal_id_hex=goal_id, timeout_sec=5)
 
     for _ in range(ROUNDS):
-        goal_id = agent.call("ros2_send_action_goal", action_name=action, goal_fields={"order": 2})["goal_id"]
-        sent.append((time.monotonic(), goal_id))
-        twice = [ask(goal_id), ask(goal_id), ask(UNKNOWN_ID)]
-        assert [one.result(8)["status"] for one in twice] == ["SUCCEEDED", "SUCCEEDED", "UNKNOWN"]
-    time.sleep(2.5)  # the server keeps a result for 1 s
-    for _, goal_id in sent:
-        assert ask(goal_id).result(8)["status"] == "UNKNOWN"
+        sent.append(agent.call("ros2_send_action_goal", action_name=action, goal_fields={"order": 2})["goal_id"])
+        asked = [ask(sent[-1]), ask(sent[-1]), ask(UNKNOWN_ID)]
+        assert [one.result(20)["status"] for one in asked] == ["SUCCEEDED", "SUCCEEDED", "UNKNOWN"]
+    wait_until(lambda: ask(sent[-1]).result(20)["status"] == "UNKNOWN")  # the server keeps a result for 1 s
+    for goal_id in sent:
+        assert ask(goal_id).result(20)["status"] == "UNKNOWN"

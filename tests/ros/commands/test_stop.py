@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 from agent import FULL
-from peer_process import discovered
+from peer_process import reachable
 from raw_server import MODERN, RawServer, children
 
 ROUNDS = 50 if FULL else 1
@@ -20,7 +20,7 @@ LIMITS_S = {"stdin closed": 0.3, "SIGTERM": 0.3, "SIGKILL": 1.0}
 @pytest.fixture(scope="module")
 def field(nursery, agent):
     """The robot that is driven: listens to velocities and counts."""
-    peer = discovered(agent, nursery.start("watch", "counting"))
+    peer = reachable(agent, nursery, "watch", "counting")
     yield peer
     peer.leave()
 
