@@ -15,7 +15,7 @@ from .request import Cancelled, OperationError
 
 POLL_S = 0.002
 NO_MORE_MATCHES_S = 0.1
-FIRST_ACK_S = 0.1
+FIRST_ACK_S = 0.5
 FINAL_ACK_S = 0.1
 MAX_RATE_HZ = 1000.0
 
