@@ -118,7 +118,7 @@ def test_a_publisher_that_dies_during_a_read_is_told_with_what_had_come(
         reading = asyncio.ensure_future(
             agent.call("ros2_topic_subscribe", topic_name=topic, duration=2, message_limit=100_000)
         )
-        await asyncio.sleep(1)
+        await asyncio.sleep(1)  # half of the reading
         publisher.process.send_signal(number)
         result = await reading
         assert time.monotonic() - begun < limit_s

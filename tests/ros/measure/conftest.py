@@ -27,16 +27,20 @@ def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
 
 
 @pytest.fixture(scope="module")
-def signals(ros_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """The node of `signal_peer.py`."""
+def signals(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
+    """The node of `signal_peer.py`, discovered."""
     with peer(ros_environment, str(HERE / "signal_peer.py")) as process:
+        agent.knows("/signal", "/signal_late", "/signal_wave", "/signal_copy", "/signal_steady", "/sensor", "/pulse")
         yield process
 
 
 @pytest.fixture(scope="module")
-def robot(ros_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """The simulated robot."""
+def robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
+    """The simulated robot, discovered."""
     with peer(ros_environment, "-m", "ros2_mcp_demo") as process:
+        agent.knows("/scan", "/odom", "/map", "/imu", "/diagnostics")
+        while not agent.call("ros2_service_list", pattern="/self_test")["services"]:
+            pass
         yield process
 
 

@@ -29,7 +29,7 @@ def state(found: dict[str, Any], topic: str) -> str:
     return next(row["state"] for row in found["topics"] if row["topic_name"] == topic)
 
 
-LISTEN = {"rate_check_duration_sec": 1.5}
+LISTEN = {"rate_check_duration_sec": 2}
 """Components speak of themselves every second."""
 
 

@@ -25,8 +25,8 @@ def agent(ros_environment: dict[str, str], tmp_path_factory: pytest.TempPathFact
 
 
 @pytest.fixture(scope="module", autouse=True)
-def nodes(ros_environment: dict[str, str]) -> Iterator[None]:
-    """The simulated robot and the node of `cloud_peer.py`, both ready."""
+def nodes(ros_environment: dict[str, str], agent: Agent) -> Iterator[None]:
+    """The simulated robot and the node of `cloud_peer.py`, both discovered."""
     commands = (["-m", "ros2_mcp_demo"], [str(Path(__file__).parent / "cloud_peer.py")])
     pipe = subprocess.PIPE
     processes = [
@@ -36,6 +36,7 @@ def nodes(ros_environment: dict[str, str]) -> Iterator[None]:
     try:
         for process in processes:
             assert process.stdout and process.stdout.readline(), f"{process.args} died"
+        agent.knows("/odom", "/scan", "/map", "/cloud", "/cmd_vel")
         yield
     finally:
         for process in processes:

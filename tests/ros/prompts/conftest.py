@@ -53,6 +53,7 @@ def demo_robot(demo_environment: dict[str, str]) -> Iterator[subprocess.Popen[st
 def agent(demo_robot: object, demo_environment: dict[str, str]) -> Iterator[PromptAgent]:
     """A client of a server with every tool."""
     with prompt_agent(demo_environment, "--tools", "all") as client:
+        client.agent.knows("/odom", "/scan", "/imu")
         yield client
 
 

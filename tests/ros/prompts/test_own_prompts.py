@@ -23,6 +23,7 @@ def test_the_example_of_the_how_to_works_as_written(
     assert example
     (tmp_path / "battery-check.md").write_text(example[1], encoding="utf-8")
     agent = start_agent("--prompts", str(tmp_path))
+    agent.agent.knows("/battery_state")
     assert agent.prompts()["battery-check"].arguments[0].name == "topic"
     battery, rate = agent.take("battery-check", seconds="1.5")
     assert 0 < battery["message"]["percentage"] <= 1

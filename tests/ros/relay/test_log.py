@@ -46,7 +46,7 @@ def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
     assert (found["matched"], found["lines"][0]["level"]) == (21, "WARN")
     assert "The newest 5 are shown" in found["note"]
     assert agent.call("ros2_log_read", node=node, since=found["lines"][-1]["time"])["matched"] == 1
-    time.sleep(1.1)
+    time.sleep(1.1)  # nothing is said for a second
     assert agent.call("ros2_log_read", node=node, since=1)["matched"] == 0
 
 

@@ -32,12 +32,6 @@ def begin(agent: Agent, source: str, destination: str, **options: Any) -> dict[s
     return relay
 
 
-def discovered(agent: Agent, *topics: str) -> None:
-    """Wait until the server knows them."""
-    for topic in topics:
-        wait_for(lambda topic=topic: agent.call("ros2_topic_list", pattern=topic)["topics"])
-
-
 def counted(agent: Agent, relay: dict[str, Any]) -> dict[str, Any]:
     relays = agent.call("ros2_relay_list")["relays"]
     return next(each for each in relays if each["relay_id"] == relay["relay_id"])
@@ -68,7 +62,7 @@ def talk(agent: Agent, source: str, talker: Any) -> Any:
 def test_every_message_of_200_hz_is_relayed_in_order(agent, peer, kind) -> None:
     expected = 200 * SECONDS
     listener = peer("listen", "/all_out", kind, "RELIABLE")
-    discovered(agent, "/all_out")
+    agent.knows("/all_out")
     package = {"String": "std_msgs", "Twist": "geometry_msgs"}[kind]
     relay = begin(agent, "/all_in", "/all_out", message_type=f"{package}/msg/{kind}")
     talker = peer("talk", "/all_in", kind, "RELIABLE", "200", str(expected))
@@ -88,7 +82,7 @@ def test_every_message_of_200_hz_is_relayed_in_order(agent, peer, kind) -> None:
 def test_a_rate_limit_is_kept_within_two_percent(agent, peer, rate_hz) -> None:
     listener = peer("listen", "/slow_out", "String", "BEST_EFFORT")
     talker = peer("talk", "/slow_in", "String", "BEST_EFFORT", "200", str(200 * SECONDS))
-    discovered(agent, "/slow_in", "/slow_out")
+    agent.knows("/slow_in", "/slow_out")
     relay = begin(agent, "/slow_in", "/slow_out", transform="rate_limit", target_rate_hz=rate_hz)
     listener.ready()
     assert talk(agent, "/slow_in", talker) == 200 * SECONDS
@@ -103,7 +97,7 @@ def test_a_rate_limit_is_kept_within_two_percent(agent, peer, rate_hz) -> None:
 def test_on_change_passes_exactly_the_changes(agent, peer) -> None:
     listener = peer("listen", "/change_out", "JointState", "RELIABLE")
     talker = peer("talk", "/change_in", "JointState", "RELIABLE", "200", "200")
-    discovered(agent, "/change_in", "/change_out")
+    agent.knows("/change_in", "/change_out")
     relay = begin(agent, "/change_in", "/change_out", transform="on_change", tolerances={"position": 0.5})
     listener.ready()
     assert talk(agent, "/change_in", talker) == 200
@@ -116,7 +110,7 @@ def test_on_change_passes_exactly_the_changes(agent, peer) -> None:
 def test_fields_are_mapped_to_another_type(agent, peer) -> None:
     listener = peer("listen", "/mapped_out", "Float64", "RELIABLE")
     talker = peer("talk", "/mapped_in", "Twist", "RELIABLE", "200", "100")
-    discovered(agent, "/mapped_in", "/mapped_out")
+    agent.knows("/mapped_in", "/mapped_out")
     relay = begin(agent, "/mapped_in", "/mapped_out", mapping={"data": "linear.x"})
     listener.ready()
     assert talk(agent, "/mapped_in", talker) == 100
@@ -128,7 +122,7 @@ def test_fields_are_mapped_to_another_type(agent, peer) -> None:
 def test_a_relay_goes_on_when_its_source_dies_and_comes_back(agent, peer) -> None:
     listener = peer("listen", "/again_out", "String", "RELIABLE")
     first = peer("talk", "/again_in", "String", "RELIABLE", "100", "50")
-    discovered(agent, "/again_in", "/again_out")
+    agent.knows("/again_in", "/again_out")
     relay = begin(agent, "/again_in", "/again_out")
     listener.ready()
     assert talk(agent, "/again_in", first) == 50
@@ -144,7 +138,7 @@ def test_a_relay_goes_on_when_its_source_dies_and_comes_back(agent, peer) -> Non
 def test_a_relay_ends_with_its_duration(agent, peer) -> None:
     talker = peer("talk", "/timed_in", "Twist", "RELIABLE", "100", "1000")
     listener = peer("listen", "/timed_out", "Twist", "RELIABLE")
-    discovered(agent, "/timed_in", "/timed_out")
+    agent.knows("/timed_in", "/timed_out")
     relay = begin(agent, "/timed_in", "/timed_out", duration_sec=1.0)
     listener.ready()
     talker.ready().tell()
@@ -184,7 +178,7 @@ def test_a_stopped_relay_leaves_no_entity_behind(agent) -> None:
 def test_stop_ends_relays_and_leaves_the_robot_at_zero(agent, peer) -> None:
     talker = peer("talk", "/driving_in", "Twist", "RELIABLE", "50", "5000")
     listener = peer("listen", "/driving_out", "Twist", "RELIABLE")
-    discovered(agent, "/driving_in", "/driving_out")
+    agent.knows("/driving_in", "/driving_out")
     relays = [
         begin(agent, "/driving_in", "/driving_out"),
         begin(agent, "/driving_in", "/driving_out_2", transform="on_change"),
@@ -204,7 +198,7 @@ def test_a_server_that_ends_takes_its_relays_with_it(agent, ros_environment, pee
     talker = peer("talk", "/leaving_in", "Twist", "RELIABLE", "50", "5000")
     listener = peer("listen", "/leaving_out", "Twist", "RELIABLE")
     with agent_for(ros_environment, "--tools", "all") as other:
-        discovered(other, "/leaving_in", "/leaving_out")
+        other.knows("/leaving_in", "/leaving_out")
         relay = begin(other, "/leaving_in", "/leaving_out")
         listener.ready()
         talker.ready().tell()
@@ -231,7 +225,7 @@ def test_a_lost_bridge_ends_its_relays_and_says_so(start_agent) -> None:
 def test_a_source_that_comes_back_with_a_weaker_qos_is_matched_again(agent, peer, transform) -> None:
     source, destination = f"/weaker_in_{transform}", f"/weaker_out_{transform}"
     listener = peer("listen", destination, "String", "RELIABLE")
-    discovered(agent, destination)
+    agent.knows(destination)
     relay = begin(agent, source, destination, message_type="std_msgs/msg/String", transform=transform)
     first = peer("talk", source, "String", "RELIABLE", "100", "50")
     listener.ready()

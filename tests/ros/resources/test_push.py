@@ -180,7 +180,7 @@ def test_a_client_that_does_not_read_costs_little_and_is_told_once_when_it_reads
     unread = [listener.send("tools/list") for _ in range(10)]  # more than a pipe holds
     most, end = 0.0, time.monotonic() + UNREAD_S
     while time.monotonic() < end:
-        time.sleep(0.25)
+        time.sleep(0.25)  # nothing is read
         most = max(most, memory(listener))
     told = len(listener.updates)
     for request in unread:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -18,6 +19,8 @@ from mcp.types import CallToolResult
 FULL = bool(os.environ.get("ROS2_MCP_FULL"))
 """Whether the long versions of the tests run."""
 CALL_S = 60.0
+DISCOVERY_S = 30.0
+"""Two participants that have just started may need several seconds to know all of each other."""
 
 
 class Refusal(Exception):
@@ -47,6 +50,13 @@ class Agent:
             return str(refusal)
         raise AssertionError(f"{tool} was not refused: {result}")
 
+    def knows(self, *topics: str) -> Agent:
+        """Itself, as soon as its server has discovered the topics."""
+        deadline = time.monotonic() + DISCOVERY_S
+        while missing := [topic for topic in topics if not self._lists(topic)]:
+            assert time.monotonic() < deadline, f"not discovered: {missing}"
+        return self
+
     def whole(self, tool: str, arguments: dict[str, Any], progress: Any = None) -> CallToolResult:
         """The result with its text and pictures; `progress` is called with each report."""
         call = partial(self.client.call_tool, tool, arguments, progress_callback=progress)
@@ -55,6 +65,10 @@ class Agent:
     def tools(self) -> dict[str, Any]:
         """Every tool by name."""
         return {tool.name: tool for tool in self._portal.call(self.client.list_tools).tools}
+
+    def _lists(self, topic: str) -> bool:
+        listed = self.call("ros2_topic_list", pattern=topic)["topics"]
+        return any(entry["topic_name"] == topic for entry in listed)
 
     async def _call(self, tool: str, arguments: dict[str, Any]) -> dict[str, Any]:
         result = await self.client.call_tool(tool, arguments)

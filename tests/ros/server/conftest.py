@@ -64,9 +64,12 @@ def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
 
 
 @pytest.fixture(scope="session")
-def peer(ros_environment: dict[str, str]) -> Iterator[PeerProcess]:
-    """An independent node that all tests share."""
+def peer(ros_environment: dict[str, str], agent: Agent) -> Iterator[PeerProcess]:
+    """An independent node that all tests share, discovered."""
     process = PeerProcess(ros_environment)
+    process.offer(topic="/peer_is_here", kind="std_msgs/msg/String", seed=1)
+    agent.knows("/peer_is_here")
+    process.forget(topic="/peer_is_here")
     yield process
     process.end()
 
@@ -97,12 +100,16 @@ def start_raw(ros_environment: dict[str, str]) -> Iterator[Callable[..., RawServ
 
 
 @pytest.fixture(scope="session")
-def small_robot(ros_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """A node with services and an action."""
+def small_robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
+    """A node with services and an action, discovered."""
     script = Path(__file__).parent / "server_robot.py"
     process = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env=ros_environment)
     assert process.stdout
     assert process.stdout.readline() == "ready\n"
+    while not all(name in str(agent.call("ros2_service_list")) for name in ("/set_lamp", "/slow_lamp")):
+        pass
+    while not agent.call("ros2_list_actions")["actions"]:
+        pass
     yield process
     process.kill()  # rclpy's threads may sleep in a callback
     process.communicate(timeout=20)

@@ -15,7 +15,7 @@ from typing import Any
 
 MODERN = "2026-07-28"
 CLIENT = {"name": "lines by hand", "version": "1"}
-ANSWER_S = 20.0
+ANSWER_S = 30.0
 
 
 class RawServer:
@@ -81,7 +81,7 @@ class RawServer:
         """Every whole line of stdout as JSON."""
         return [json.loads(line) for line in self.said.splitlines(keepends=True) if line.endswith(b"\n")]
 
-    def close(self, within_s: float = 10.0) -> float:
+    def close(self, within_s: float = 20.0) -> float:
         """Close stdin, read stdout to its end; returns how many seconds the process took to leave."""
         assert self.process.stdin
         started = time.monotonic()

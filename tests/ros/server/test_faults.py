@@ -62,7 +62,8 @@ def test_ten_subscriptions_and_a_waiting_goal_delay_no_other_call(agent, peer, s
     peer.offer(topic="/seldom", kind=STRING, seed=1)
     reading = [agent.begin("ros2_topic_subscribe", topic_name="/seldom", duration=3.0) for _ in range(10)]
     goal = agent.begin("ros2_send_action_goal", **COUNTING, goal_fields={"order": 25}, wait_for_result=True)
-    time.sleep(0.3)
+    while "EXECUTING" not in str(agent.call("ros2_action_status")["goals"]):
+        assert not goal.done()
     busy = seconds_of_a_listing(agent)
     assert not any(call.done() for call in [*reading, goal])
     assert busy < max(2 * quiet, 0.03)
@@ -82,11 +83,12 @@ def seconds_of_a_listing(agent) -> float:
 
 def test_a_goal_that_is_waited_for_can_be_cancelled_meanwhile(agent, small_robot) -> None:
     goal = agent.begin("ros2_send_action_goal", **COUNTING, goal_fields={"order": 300}, wait_for_result=True)
-    time.sleep(0.5)
+    while "EXECUTING" not in str(agent.call("ros2_action_status")["goals"]):
+        assert not goal.done()
     started = time.monotonic()
     cancelled = agent.call("ros2_cancel_action_goal", action_name="/fibonacci", cancel_all=True)
     assert cancelled["return_code_text"] == "ERROR_NONE"
-    assert goal.result(5)["status"] == "CANCELED"
+    assert goal.result(20)["status"] == "CANCELED"
     assert time.monotonic() - started < 1.0
 
 
