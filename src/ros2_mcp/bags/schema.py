@@ -9,6 +9,7 @@ from ros2_mcp.model.interfaces import Constant, DefinitionText, Interface, Struc
 from ros2_mcp.model.names import defining_type, is_derived
 
 _LINE = "=" * 80
+_NO_FIELDS = "# It has no fields."  # a text without anything would mean that the definition is not known
 _PART = re.compile(r"^={80}\r?\n(MSG|IDL): (\S+)\r?$", re.MULTILINE)
 _ENDINGS = {"srv": ("_Request", "_Response"), "action": ("_Goal", "_Result", "_Feedback")}
 
@@ -67,7 +68,7 @@ def _owners(flat: Mapping[str, str]) -> dict[str, DefinitionText]:
 
 
 def _structure_text(structure: Structure) -> str:
-    return "\n".join(_lines(structure))
+    return "\n".join(_lines(structure)) or _NO_FIELDS
 
 
 def _lines(structure: Structure) -> Iterator[str]:

@@ -1,34 +1,69 @@
-"""An independent node: `types` publishes every type of test_msgs, latched; `stream` publishes counters at a rate,
-`listen` collects numbers."""
+"""An independent node: `types` publishes every message type of packages, latched; `stream` publishes counters at a
+rate, `listen` collects numbers."""
 
 from __future__ import annotations
 
+import importlib
 import json
+import random
 import struct
 import sys
 import threading
 import time
 
 import rclpy
-import test_msgs.msg
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
+from rosidl_parser.definition import AbstractGenericString, AbstractSequence, Array, NamespacedType
 from std_msgs.msg import Int32, UInt8MultiArray
 from test_msgs.message_fixtures import get_test_msg
 
-TYPES = sorted(name for name in dir(test_msgs.msg) if name[0].isupper())
 
-
-def types(node) -> None:
+def types(node, *packages: str) -> None:
     latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    for name in TYPES:
-        kind = getattr(test_msgs.msg, name)
-        publisher = node.create_publisher(kind, f"/t/{name}", latched)
-        node.create_publisher(kind, f"/u/{name}", latched)
-        for message in get_test_msg(name) or [kind()]:
-            publisher.publish(message)
+    for package in packages:
+        module = importlib.import_module(f"{package}.msg")
+        for name in sorted(name for name in dir(module) if name[0].isupper()):
+            kind = getattr(module, name)
+            publisher = node.create_publisher(kind, f"/t/{package}/{name}", latched)
+            node.create_publisher(kind, f"/u/{package}/{name}", latched)
+            made = get_test_msg(name) if package == "test_msgs" else []
+            for message in [*made, kind(), *(filled(kind, random.Random(f"{name}{i}")) for i in range(2))]:
+                publisher.publish(message)
     print("ready", flush=True)
     time.sleep(600)
+
+
+def filled(kind, chance: random.Random):
+    """A message with a value in every field."""
+    message = kind()
+    for name, slot in zip(kind.get_fields_and_field_types(), kind.SLOT_TYPES, strict=True):
+        setattr(message, name, value_of(slot, chance))
+    return message
+
+
+def value_of(slot, chance: random.Random):
+    if isinstance(slot, Array):
+        return list_of(slot, slot.size, chance)
+    if isinstance(slot, AbstractSequence):
+        return list_of(slot, chance.randint(1, getattr(slot, "maximum_size", 3)), chance)
+    if isinstance(slot, NamespacedType):
+        return filled(getattr(importlib.import_module(".".join(slot.namespaces)), slot.name), chance)
+    if isinstance(slot, AbstractGenericString):
+        return "".join(chance.choices("ab\u00e4", k=min(5, getattr(slot, "maximum_size", 5) or 5)))
+    if slot.typename in ("float", "double"):
+        return chance.randint(-1000, 1000) / 8
+    if slot.typename == "boolean":
+        return chance.random() < 0.5
+    if slot.typename == "octet":
+        return bytes([chance.randrange(256)])
+    bits = int(slot.typename.lstrip("uint") or 8)
+    least = 0 if slot.typename.startswith("u") else -(2 ** (bits - 1))
+    return least + chance.randrange(2**bits)
+
+
+def list_of(slot, count: int, chance: random.Random) -> list:
+    return [value_of(slot.value_type, chance) for _ in range(count)]
 
 
 def stream(node, *topics: str) -> None:

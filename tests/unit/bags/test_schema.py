@@ -58,5 +58,13 @@ def test_texts_of_rosbag2_with_idl_parts_are_split() -> None:
     assert {name: each.format for name, each in found.items()} == {"demo/msg/A": "idl", "demo/msg/B": "msg"}
 
 
+def test_a_type_without_fields_is_known_to_have_none() -> None:
+    whole = Definitions()
+    whole.add({"demo/msg/Nothing": DefinitionText("msg", "")})
+    fresh = Definitions()
+    fresh.add(definitions_in("demo/msg/Nothing", "ros2msg", schema_text(whole.interface("demo/msg/Nothing"))))
+    assert not fresh.structure("demo/msg/Nothing").fields
+
+
 def test_what_is_not_known_gives_nothing() -> None:
     assert definitions_in("demo/msg/A", "protobuf", "message A {}") == {}
