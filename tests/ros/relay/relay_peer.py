@@ -69,6 +69,12 @@ def talk(node: Node, topic: str, kind: str, reliability: str, rate_hz: str, coun
     say(int(count))
 
 
+def talk_later(node: Node, *arguments: str) -> None:
+    """Be known as a participant, and `talk` from a line on stdin on."""
+    sys.stdin.readline()
+    talk(node, *arguments)
+
+
 def listen(node: Node, topic: str, kind: str, reliability: str) -> None:
     """Once there is a publisher, at each line on stdin say the numbers and when they came, and forget them."""
     taken: list[tuple[float, bytes]] = []
@@ -102,7 +108,7 @@ def main() -> None:
     rclpy.init()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     node = Node(f"relay_peer_{role}_{os.getpid()}")
-    {"talk": talk, "listen": listen, "complain": complain}[role](node, *arguments)
+    {"talk": talk, "talk_later": talk_later, "listen": listen, "complain": complain}[role](node, *arguments)
     while True:
         time.sleep(1.0)
 

@@ -122,13 +122,15 @@ def test_fields_are_mapped_to_another_type(agent, peer) -> None:
 def test_a_relay_goes_on_when_its_source_dies_and_comes_back(agent, peer) -> None:
     listener = peer("listen", "/again_out", "String", "RELIABLE")
     first = peer("talk", "/again_in", "String", "RELIABLE", "100", "50")
+    second = peer("talk_later", "/again_in", "String", "RELIABLE", "100", "70")
     agent.knows("/again_in", "/again_out")
     relay = begin(agent, "/again_in", "/again_out")
     listener.ready()
     assert talk(agent, "/again_in", first) == 50
     wait_for(lambda: counted(agent, relay)["passed"] == 50)
     first.process.kill()
-    assert talk(agent, "/again_in", peer("talk", "/again_in", "String", "RELIABLE", "100", "70")) == 70
+    second.tell()
+    assert talk(agent, "/again_in", second) == 70
     wait_for(lambda: counted(agent, relay)["passed"] == 120)
     assert [number for _, number in listener.heard()] == [*range(50), *range(70)]
     assert end(agent, relay)["state"] == "stopped"
@@ -225,15 +227,17 @@ def test_a_lost_bridge_ends_its_relays_and_says_so(start_agent) -> None:
 def test_a_source_that_comes_back_with_a_weaker_qos_is_matched_again(agent, peer, transform) -> None:
     source, destination = f"/weaker_in_{transform}", f"/weaker_out_{transform}"
     listener = peer("listen", destination, "String", "RELIABLE")
-    agent.knows(destination)
-    relay = begin(agent, source, destination, message_type="std_msgs/msg/String", transform=transform)
     first = peer("talk", source, "String", "RELIABLE", "100", "50")
+    agent.knows(source, destination)
+    relay = begin(agent, source, destination, message_type="std_msgs/msg/String", transform=transform)
+    second = peer("talk_later", source, "String", "BEST_EFFORT", "100", "70")
     listener.ready()
     assert talk(agent, source, first) == 50
     wait_for(lambda: counted(agent, relay)["passed"] == 50)
     first.process.terminate()
     first.process.wait(PATIENCE_S)
-    assert talk(agent, source, peer("talk", source, "String", "BEST_EFFORT", "100", "70")) == 70
+    second.tell()
+    assert talk(agent, source, second) == 70
     wait_for(lambda: counted(agent, relay)["passed"] == 120)
     assert [number for _, number in listener.heard()] == [*range(50), *range(70)]
     end(agent, relay)
