@@ -39,8 +39,8 @@ def start_agent(ros_environment: dict[str, str]) -> Iterator[Callable[..., Agent
 
 @pytest.fixture(scope="module")
 def waiting_servers(ros_environment: dict[str, str]) -> Iterator[deque[RawServer]]:
-    """One server that is started while the test before still runs."""
-    servers = deque([RawServer(ros_environment, "--tools", "all")])
+    """Servers that are started while the tests before still run: they have seen who is there."""
+    servers = deque(RawServer(ros_environment, "--tools", "all") for _ in range(2))
     yield servers
     for server in servers:
         server.end()
