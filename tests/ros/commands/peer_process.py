@@ -133,6 +133,7 @@ def reachable(agent: Agent, nursery: Nursery, *roles: str, **options: Any) -> Pe
             assert not witness.reaches(service=peer.name("there")), f"only we do not reach {peer.namespace}"
             witness.leave()
             peer.leave()
+            print(f"{peer.namespace} was deaf")
             return reachable(agent, nursery, *roles, **options)
     return peer
 
