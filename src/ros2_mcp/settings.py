@@ -31,7 +31,7 @@ class Settings:
     `custom_prompts` lets prompts in Python code be loaded: of installed packages, or, with `prompts_local`, of the
     module `prompts_module` in the folder `prompts_path`. Recordings are written below `record_dir`; bags are read there
     and below `bag_dir`. `bag` is a recording that stands for the robot. `black_box` names the topics that are always
-    kept (none: all but pictures and clouds), at most so many bytes and hours of them; None keeps nothing.
+    kept (none: all with small messages), at most so many bytes and hours of them; None keeps nothing.
     """
 
     transport: Transport = "stdio"

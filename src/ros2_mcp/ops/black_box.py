@@ -18,17 +18,8 @@ if TYPE_CHECKING:
     from ros2_mcp.bags.recorder import Recorder
     from ros2_mcp.settings import Settings
 
-LARGE_TYPES = frozenset(
-    {
-        "sensor_msgs/msg/Image",
-        "sensor_msgs/msg/CompressedImage",
-        "sensor_msgs/msg/PointCloud",
-        "sensor_msgs/msg/PointCloud2",
-        "stereo_msgs/msg/DisparityImage",
-        "theora_image_transport/msg/Packet",
-    }
-)
-"""Kept only where they are asked for by name."""
+LARGEST_BYTES = 32_000
+"""Larger messages (pictures, clouds) would push all others out of the ring: their topics are kept only by name."""
 _logger = logging.getLogger(__name__)
 
 
@@ -37,7 +28,8 @@ async def keep_black_box(robot: Robot, memory: Memory, settings: Settings) -> No
     if settings.black_box is None or settings.read_only:
         return
     try:
-        wanted = Wanted([names.absolute(topic) for topic in settings.black_box], without=LARGE_TYPES)
+        topics = [names.absolute(topic) for topic in settings.black_box]
+        wanted = Wanted(topics, largest=0 if topics else LARGEST_BYTES)
         folder = memory.record_dir / BLACK_BOX
         recorder = await asyncio.to_thread(_open, folder, settings)
         recording = memory.running[BLACK_BOX] = Recording(robot, BLACK_BOX, folder, recorder, wanted)

@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Sequence
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names, qos
 from ros2_mcp.model.errors import BadInput, LinkError, NotFound, Refused, RobotError
-from ros2_mcp.model.samples import Counts
+from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.robot import Listening, Robot
@@ -33,7 +33,10 @@ _MOST_NOTES = 20
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What to record; without topics and patterns, everything that is not hidden but the types in `without`."""
+    """What to record; without topics and patterns, everything that is not hidden.
+
+    A topic is left as soon as it has a message larger than `largest` bytes (0: never), unless it is latched.
+    """
 
     topics: Sequence[str] = ()
     patterns: Sequence[str] = ()
@@ -41,13 +44,13 @@ class Wanted:
     max_bytes: int = 0
     split_bytes: int = 0
     name: str = ""
-    without: frozenset[str] = frozenset()
+    largest: int = 0
 
-    def chooses(self, topic: str, types: Sequence[str]) -> bool:
+    def chooses(self, topic: str) -> bool:
         """Whether a topic of the graph is recorded."""
         if topic in self.topics:
             return True
-        if self.without.intersection(types) or names.is_hidden(topic):
+        if names.is_hidden(topic):
             return False
         if not self.patterns:
             return not self.topics
@@ -211,7 +214,7 @@ class Recording:
     async def _look(self) -> None:
         """Joins new topics that are wanted; joins those anew whose publishers now need another QoS."""
         for name, types, publishers, _ in (await self._robot.graph.query("topics"))["topics"]:
-            if not publishers or self._stopping or not self._wanted.chooses(name, types):
+            if not publishers or self._stopping or not self._wanted.chooses(name):
                 continue
             joined = self._topics.get(name)
             if joined is None:
@@ -255,7 +258,9 @@ class Recording:
             joined.listening, joined.lost = listening, None
             try:
                 while not (self._stopping or joined.leaving or self._recorder.ended):
-                    self._recorder.put(name, await listening.take(0.0))
+                    samples = await listening.take(0.0)
+                    self._require_small(listening, samples)
+                    self._recorder.put(name, samples)
                     await asyncio.sleep(_TURN_S)
             except LinkError:
                 joined.former, joined.listening, joined.lost = joined.counts(), None, listening
@@ -264,6 +269,12 @@ class Recording:
         joined.former, joined.listening = joined.counts(), None
         if self._recorder.ended:
             self._stopping = True
+
+    def _require_small(self, listening: Listening, samples: Sequence[Sample]) -> None:
+        largest, latched = self._wanted.largest, listening.choice.qos.durability == "transient_local"
+        size = max((len(sample.data) for sample in samples), default=0)
+        if largest and not latched and size > largest:
+            raise Refused(f"Left out: it has messages of {size} bytes, more than {largest}.", "Name it to have it.")
 
     def _subscription(self, name: str, joined: _Joined) -> AbstractAsyncContextManager[Listening]:
         if joined.lost is not None:
@@ -326,16 +337,7 @@ def _checked(wanted: Wanted) -> Wanted:
     bounded("max_duration_sec", wanted.max_duration_s, 0.0, MAX_DURATION_S, "s")
     for name, value in (("max_bytes", wanted.max_bytes), ("split_bytes", wanted.split_bytes)):
         bounded(name, value, 0, 10**13, "bytes")
-    topics = [names.absolute(topic) for topic in wanted.topics]
-    return Wanted(
-        topics,
-        wanted.patterns,
-        wanted.max_duration_s,
-        wanted.max_bytes,
-        wanted.split_bytes,
-        wanted.name,
-        wanted.without,
-    )
+    return replace(wanted, topics=[names.absolute(topic) for topic in wanted.topics])
 
 
 def _open(robot: Robot, memory: Memory, wanted: Wanted) -> Recording:

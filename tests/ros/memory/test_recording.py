@@ -47,6 +47,11 @@ def written(agent: Agent, recording: str) -> int:
     return agent.call("ros2_record_status", recording_id=recording)["recordings"][0]["messages"]
 
 
+def topic_of(agent: Agent, recording: str, topic: str) -> dict[str, Any]:
+    state = agent.call("ros2_record_status", recording_id=recording)["recordings"][0]
+    return next(each for each in state["topics"] if each["topic_name"] == topic)
+
+
 def types_of(package: str) -> list[str]:
     module = importlib.import_module(f"{package}.msg")
     return [f"{package}/{name}" for name in dir(module) if name[0].isupper()]
@@ -170,9 +175,10 @@ def test_a_topic_that_appears_later_joins_and_limits_end_the_recording(
 def test_the_black_box_keeps_small_topics_without_being_asked(
     start_agent: StartAgent, start_peer: StartPeer, tmp_path: Path
 ) -> None:
-    start_peer("stream", "/small:50:100")
+    start_peer("stream", "/small:50:100", "/large:20:40000")
     agent = start_agent("--black-box")
     until(lambda: agent.call("ros2_record_status")["recordings"][:1])
     until(lambda: written(agent, "black-box") > 50)
+    until(lambda: "40016 bytes" in (large := topic_of(agent, "black-box", "/large"))["error"] and not large["written"])
     read = agent.call("ros2_bag_read", bag="black-box", topic_name="/small", start="last 0.5 s", limit=100)
     assert 10 <= read["count"] <= 30
