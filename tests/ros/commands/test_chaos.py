@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import pytest
 from agent import FULL, Refusal
@@ -40,10 +40,12 @@ def begin_call(agent, service: str, timeout_s: float):
     return agent.begin("ros2_service_call", service_name=service, fields={"data": True}, timeout_sec=timeout_s)
 
 
-def wait_until(condition: Callable[[], object], within_s: float = 20.0) -> None:
+def wait_until(condition: Callable[[], object], during: Future[object] | None = None, within_s: float = 20.0) -> None:
+    """Wait for something that happens, during a call if one is given."""
     deadline = time.monotonic() + within_s
     while not condition():
         assert time.monotonic() < deadline, "it did not happen"
+        assert not (during and during.done()), f"the call ended first: {during.exception() or during.result()}"
         time.sleep(0.02)
 
 
@@ -53,7 +55,7 @@ def test_a_service_server_that_is_killed_during_a_call(agent, start_peer) -> Non
     def one_round() -> None:
         peer = start_peer("dumb")
         started, call = time.monotonic(), begin_call(agent, peer.name("mute"), 1.5)
-        wait_until(lambda: peer.take(name="mute"))
+        wait_until(lambda: peer.take(name="mute"), call)
         peer.kill()
         assert str(call.exception(20)) == f"TimedOut: {peer.name('mute')} did not answer within 1.5 s. {STILL_WORKING}"
         assert 1.5 <= time.monotonic() - started < 1.5 + LATE_S
@@ -67,7 +69,7 @@ def test_a_service_server_that_leaves_during_a_call(agent, start_peer) -> None:
     def one_round() -> None:
         peer = start_peer("dumb")
         call = begin_call(agent, peer.name("mute"), 20.0)
-        wait_until(lambda: peer.take(name="mute"))
+        wait_until(lambda: peer.take(name="mute"), call)
         peer.terminate()
         left = time.monotonic()
         said = str(call.exception(20))
@@ -102,7 +104,7 @@ def test_an_action_server_that_is_killed_while_executing_and_started_again(agent
         peer = start_peer("counting")
         action = peer.name("count")
         started, waiting = time.monotonic(), begin_goal(agent, action, 5000, 1.5)
-        wait_until(lambda: peer.count(name="count executing"))
+        wait_until(lambda: peer.count(name="count executing"), waiting)
         peer.kill()
         ended = waiting.result(20)
         assert (ended["status"], ended["accepted"], ended["result"]) == ("TIMEOUT", True, None)
@@ -131,7 +133,7 @@ def test_an_action_server_that_leaves_while_executing(agent, start_peer) -> None
     def one_round() -> None:
         peer = start_peer("raw")
         waiting = begin_goal(agent, peer.name("raw"), 1, 20.0)
-        wait_until(lambda: peer.take(name="raw"))
+        wait_until(lambda: peer.take(name="raw"), waiting)
         peer.terminate()
         left = time.monotonic()
         said = str(waiting.exception(20))
