@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pytest
 from agent import FULL, Agent, agent_for
@@ -31,20 +30,16 @@ NUMBER_AT = 16
 MOST_MISSING_S = 1.0
 
 
-def until(check: Callable[[], Any], seconds: float = 20.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not check():
-        assert time.monotonic() < deadline, "it never came true"
-        time.sleep(0.1)
-
-
 def written(agent: Agent) -> dict[str, int]:
     found = agent.call("ros2_record_status")["recordings"]
     return {each["recording_id"]: each["messages"] for each in found}
 
 
-def all_written(agent: Agent, more_than: dict[str, int]) -> bool:
-    return all(count > more_than[name] for name, count in written(agent).items())
+def wait_written(agent: Agent, more_than: dict[str, int], seconds: float = 30.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not all(count > more_than[name] for name, count in written(agent).items()):
+        assert time.monotonic() < deadline, agent.call("ros2_record_status")
+        time.sleep(0.1)
 
 
 def parent_of(pid: int) -> int:
@@ -80,13 +75,12 @@ def test_a_killed_bridge_or_server_has_lost_at_most_one_second(
         with agent_for(ros_environment, "--tools", "all", "--record-dir", str(folder)) as agent:
             for name in PERIODS_S:
                 agent.call("ros2_record_start", topics=[f"/{name}"], name=name)
-            until(lambda agent=agent: all_written(agent, dict.fromkeys(PERIODS_S, 0)))
+            wait_written(agent, dict.fromkeys(PERIODS_S, 0))
             bridge = agent.call("ros2_status")["bridge_pid"]
             server = parent_of(bridge)
             killed = {"bridge": kill(bridge, chance)}
             time.sleep(0.5)  # until what came before is counted
-            before = written(agent)
-            until(lambda agent=agent, before=before: all_written(agent, before))
+            wait_written(agent, written(agent))
             killed["server"] = kill(server, chance)
         for name, period_s in PERIODS_S.items():
             with Bag(folder / name) as bag:
