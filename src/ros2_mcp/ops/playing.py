@@ -297,7 +297,8 @@ def _prepare(memory: Memory, wanted: Wanted) -> tuple[Bag, Span, dict[str, Store
 
 async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[str, StoredTopic]) -> None:
     own = robot.bridge.hello.node if robot.bridge.hello else ""  # it keeps publishers ready that say nothing
-    played = {to: each.id for each in playbacks(memory).values() if each.is_running for to in each.destinations}
+    ours = {to: each.id for each in playbacks(memory).values() if each.is_running for to in each.destinations}
+    ours |= {relay.destination: relay.relay_id for relay in robot.relays.open}
     busy: list[str] = []
     for name, topic in topics.items():
         destination = wanted.remaps.get(name, name)
@@ -305,7 +306,7 @@ async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[s
         if present.types and topic.type not in present.types:
             raise TypeConflict(f"{destination} has the type {present.types[0]}, the bag's {name} is a {topic.type}.")
         others = [each.node for each in present.publishers if each.node != own]
-        others += [played[destination]] if destination in played else []
+        others += [ours[destination]] if destination in ours else []
         busy += [f"{destination} ({others[0]})"] if others else []
     if busy and not wanted.force:
         raise Refused(

@@ -129,6 +129,15 @@ def test_a_live_publisher_is_not_disturbed_unless_it_is_forced(agent: Agent, lis
     assert listener.numbers("/live", 10) == list(NUMBERS["/a"])
 
 
+def test_a_relay_of_this_server_is_not_disturbed_either(agent: Agent, listener: Listener) -> None:
+    relay = agent.call("ros2_relay_start", source_topic="/live", destination_topic="/c")["relay_id"]
+    refusal = agent.refusal("ros2_bag_play", bag="run", topics=["/a"], remaps={"/a": "/c"})
+    assert f"/c ({relay})" in refusal
+    agent.call("ros2_relay_stop", relay_id=relay)
+    played = agent.call("ros2_bag_play", bag="run", topics=["/a"], remaps={"/a": "/c"}, rate=10)
+    assert played["published"] == {"/c": 10} and listener.numbers("/c", 10) == list(NUMBERS["/a"])
+
+
 def test_what_cannot_be_played_is_said_before_anything_is(agent: Agent, listener: Listener) -> None:
     assert "no topic /nowhere" in agent.refusal("ros2_bag_play", bag="run", topics=["/a", "/nowhere"])
     assert "not played" in agent.refusal("ros2_bag_play", bag="run", topics=["/a"], remaps={"/b": "/c"})
