@@ -199,6 +199,7 @@ def test_stop_ends_relays_and_leaves_the_robot_at_zero(agent, peer) -> None:
 def test_a_server_that_ends_takes_its_relays_with_it(agent, ros_environment, peer) -> None:
     talker = peer("talk", "/leaving_in", "Twist", "RELIABLE", "50", "5000")
     listener = peer("listen", "/leaving_out", "Twist", "RELIABLE")
+    agent.knows("/leaving_out")
     with agent_for(ros_environment, "--tools", "all") as other:
         other.knows("/leaving_in", "/leaving_out")
         relay = begin(other, "/leaving_in", "/leaving_out")
@@ -246,6 +247,7 @@ def test_a_source_that_comes_back_with_a_weaker_qos_is_matched_again(agent, peer
 def test_a_server_that_is_killed_leaves_no_process_and_a_robot_at_zero(agent, ros_environment, peer) -> None:
     talker = peer("talk", "/killed_in", "Twist", "RELIABLE", "50", "5000")
     listener = peer("listen", "/killed_out", "Twist", "RELIABLE")
+    agent.knows("/killed_out")
     server = RawServer(ros_environment, "--tools", "all")
     server.begin(MODERN)
     bridge_pid = server.call("ros2_status")["structuredContent"]["bridge_pid"]
