@@ -10,10 +10,12 @@ import pytest
 from agent import FULL, Refusal
 
 ROUNDS = 200 if FULL else 3
+PROCESSES = 200 if FULL else 1
+"""Rounds that start processes."""
 LATE_S = 5.0
 """A killed process can hold up the middleware of those that knew it for seconds (decision 12)."""
 AT_ONCE = 3
-"""Rounds that start processes run side by side: while one waits out its time, another discovers its server."""
+"""Such rounds run side by side: while one waits out its time, another discovers its server."""
 STILL_WORKING = "It may still be working on it; a longer timeout_sec waits for longer."
 UNKNOWN_ID = "0123456789abcdef" * 2
 
@@ -22,7 +24,7 @@ pytestmark = pytest.mark.timeout(1800 if FULL else 60)
 
 def side_by_side(one_round: Callable[[], None]) -> None:
     with ThreadPoolExecutor(AT_ONCE) as lanes:
-        for done in [lanes.submit(one_round) for _ in range(ROUNDS)]:
+        for done in [lanes.submit(one_round) for _ in range(PROCESSES)]:
             done.result()
 
 
