@@ -67,20 +67,23 @@ def list_of(slot, count: int, chance: random.Random) -> list:
 
 
 def stream(node, *topics: str) -> None:
-    """Each topic is `name:hertz:bytes`; every message holds its number."""
+    """Each topic is `name:hertz:bytes`; every message holds its number. A `log=FILE` tells when each was published."""
     plan = []
-    for topic in topics:
+    logs = [open(topic[4:], "w", buffering=1) for topic in topics if topic.startswith("log=")]  # noqa: PTH123, SIM115
+    for topic in topics[len(logs) :]:
         name, rate, size = topic.split(":")
         publisher = node.create_publisher(UInt8MultiArray, name, 100)
         body = serialize_message(UInt8MultiArray(data=bytes(int(size))))
-        plan.append([publisher, 1.0 / float(rate), body, 0, time.monotonic()])
+        plan.append([publisher, 1.0 / float(rate), body, 0, time.monotonic(), name])
     print("ready", flush=True)
     while True:
         for entry in plan:
-            publisher, period, body, number, due = entry
+            publisher, period, body, number, due, name = entry
             if time.monotonic() >= due:
                 publisher.publish(body[:16] + struct.pack("<Q", number) + body[24:])
-                entry[3:] = [number + 1, due + period]
+                entry[3:5] = [number + 1, due + period]
+                for log in logs:
+                    log.write(f"{name} {number} {time.time()}\n")
         time.sleep(max(0.0, min(entry[4] for entry in plan) - time.monotonic()))
 
 
