@@ -10,6 +10,7 @@ import time
 import traceback
 from pathlib import Path
 
+from . import shared_memory
 from .clients import Clients
 from .graph import Graph
 from .publishers import Publishers
@@ -19,6 +20,7 @@ from .subscriptions import Subscriptions
 from .wills import Wills
 
 EXPIRE_EVERY_S = 5.0
+HEARING_CHECKED_EVERY_S = 2.0
 LAST_DEEDS_S = 0.3
 
 
@@ -61,6 +63,7 @@ class Operations:
         }
         loop.start(self._graph.settle(), _log_failure)
         loop.start(self._expire(), _log_failure)
+        loop.start(self._leave_when_deaf(), _log_failure)
 
     def start(self, request):
         """Begin to work on a request; it is answered when that is done."""
@@ -164,6 +167,13 @@ class Operations:
             yield EXPIRE_EVERY_S
             self.publishers.pool.expire()
             self._clients.pool.expire()
+
+    def _leave_when_deaf(self):
+        """The server then starts another bridge, which hears again."""
+        while not shared_memory.is_lost():
+            yield HEARING_CHECKED_EVERY_S
+        sys.stderr.write("Other processes have replaced the shared memory that this bridge receives through.\n")
+        self._loop.end()
 
 
 def _count(folder):

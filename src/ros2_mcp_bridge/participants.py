@@ -25,7 +25,7 @@ def reach_is_local():
 
 def all_discovered(node):
     """Whether a node has discovered as many participants as there are on this machine; True if that is not known."""
-    return _discovered(node) >= on_this_machine(node.context.get_domain_id())
+    return discovered(node) >= on_this_machine(node.context.get_domain_id())
 
 
 def on_this_machine(domain_id):
@@ -35,7 +35,7 @@ def on_this_machine(domain_id):
     return sum(1 for number in numbers if number >= FIRST_UNICAST and number % 2 == 0)
 
 
-def _discovered(node):
+def discovered(node):
     """The number of participants with ROS nodes that a node knows of, its own included."""
     infos = node.get_publishers_info_by_topic(DISCOVERY_TOPIC, no_mangle=True)
     return len({bytes(info.endpoint_gid)[:GUID_PREFIX_BYTES] for info in infos})

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import platform
-import random
 import time
 from collections import Counter
 from contextlib import contextmanager, suppress
@@ -18,22 +17,24 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from . import frames, participants
 
-ATTEMPTS = 3
-ANSWERED_S = 0.25
+MORE_CANDIDATES = 2
+ANSWERED_S = 0.2
 
 
 def enter(node_name):
     """Initialise ROS and make the bridge's node, as light as it can be; returns it with its executor.
 
-    A participant that has not heard everybody on this machine at once would hear the others only at their next
-    announcement, up to 3 s later: then another one is tried.
+    A participant that has not heard everybody on this machine at once hears the others only at their next announcement,
+    up to 3 s later: then more are tried, and the one that heard most stays.
     """
     node = _new_node(node_name)
-    for _ in range(ATTEMPTS - 1):
-        if _is_answered(node):
-            break
-        _destroy_node(node)
-        node = _new_node(node_name)
+    if not _hears_all_within(node, ANSWERED_S):
+        nodes = [node, *(_new_node(node_name) for _ in range(MORE_CANDIDATES))]
+        time.sleep(ANSWERED_S)
+        node = max(nodes, key=participants.discovered)
+        for other in nodes:
+            if other is not node:
+                _destroy_node(other)
     executor = _new_executor(node.context)
     executor.add_node(node)
     return node, executor
@@ -83,29 +84,43 @@ def _new_node(node_name):
 
 @contextmanager
 def _receiving_after_sending():
-    """Let threads that are started here run only when this one waits: a batch thread does not interrupt another.
+    """Let threads that are started here run only when this one waits: they share its processor and stand back.
 
     A new participant of Fast DDS 2.14 announces itself a moment before it heeds what its threads receive, so that it
-    misses answers that come within a fraction of a millisecond, as those of this machine do.
+    misses answers that come within a fraction of a millisecond, as those of this machine do. See decision 13.
     """
-    if not hasattr(os, "sched_setaffinity") or os.sched_getscheduler(0) != os.SCHED_OTHER:
+    if not hasattr(os, "sched_setaffinity") or os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_OTHER:
         yield
         return
     processors = os.sched_getaffinity(0)
     with suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-        os.sched_setaffinity(0, {random.choice(sorted(processors))})
+        os.sched_setaffinity(0, {_processor()})
+        _go_before_new_threads()
     try:
         yield
     finally:
         for thread in Path("/proc/self/task").iterdir():
             with suppress(OSError):  # it may have ended meanwhile
                 os.sched_setaffinity(int(thread.name), processors)
-                os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))
+                os.sched_setscheduler(int(thread.name), os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
 
 
-def _is_answered(node):
-    deadline = time.monotonic() + ANSWERED_S
+def _go_before_new_threads():
+    """Real time for this thread alone, where that is allowed; else batch for all, of which none interrupts another."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+    except PermissionError:
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def _processor():
+    """The number of the processor that this thread runs on, which is seldom one that others keep busy."""
+    after_name = Path("/proc/thread-self/stat").read_text().rpartition(")")[2]
+    return int(after_name.split()[36])
+
+
+def _hears_all_within(node, seconds):
+    deadline = time.monotonic() + seconds
     while not participants.all_discovered(node):
         if time.monotonic() > deadline:
             return False

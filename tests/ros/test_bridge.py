@@ -284,6 +284,16 @@ def test_many_subscriptions_leave_nothing_behind(bridge: Client) -> None:
     assert after["rss_bytes"] - before["rss_bytes"] < 5_000_000
 
 
+def test_a_bridge_that_others_cannot_reach_any_more_leaves(bridge: Client) -> None:
+    """So it is where another process takes its shared memory for a dead one's and replaces it."""
+    assert bridge.ok("ping")
+    opened = [str(each.readlink()) for each in Path(f"/proc/{bridge.process.pid}/fd").iterdir()]
+    ports = [Path(name.removesuffix("_el")) for name in opened if name.endswith("_el") and "_port" in name]
+    assert ports
+    ports[0].unlink()
+    assert bridge.process.wait(10) == 0
+
+
 def test_nothing_but_frames_is_on_stdout(start) -> None:
     noisy = {"RCUTILS_LOGGING_USE_STDOUT": "1", "RCUTILS_LOGGING_SEVERITY": "DEBUG"}
     bridge = Client(start("ros2_mcp_bridge", env=noisy))

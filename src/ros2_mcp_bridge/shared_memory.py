@@ -1,0 +1,37 @@
+# pyright: basic
+"""Whether the shared memory that messages come through is still the one that others find.
+
+Fast DDS lets a process receive through `/dev/shm/fastrtps_portN`. One that takes it for a dead process' may put a new
+file in its place, most often soon after a killed process was replaced; then nothing arrives any more, for good.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from contextlib import suppress
+from pathlib import Path
+
+_LOCK_OF_A_PORT = re.compile(r"(/dev/shm/fast\w+_port\d+)_el")
+_MAPPED_PORT = re.compile(r"(/dev/shm/fast\w+_port\d+)( \(deleted\))?$", re.MULTILINE)
+
+
+def is_lost():
+    """Whether this process waits at a port whose file has been replaced or removed."""
+    maps = Path("/proc/self/maps")
+    if not maps.exists():
+        return False
+    found = _MAPPED_PORT.findall(maps.read_text())
+    removed = {port for port, deleted in found if deleted} - {port for port, deleted in found if not deleted}
+    return bool(removed & _own_ports())
+
+
+def _own_ports():
+    """Who listens at a port keeps its lock file open."""
+    ports = set()
+    for descriptor in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):  # that of the listing itself is closed by now
+            lock = _LOCK_OF_A_PORT.match(os.readlink(str(descriptor)))  # noqa: PTH115 - Path's is newer than 3.8
+            if lock:
+                ports.add(lock.group(1))
+    return ports
