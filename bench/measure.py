@@ -14,7 +14,7 @@ from .stdio import StdioClient
 
 TOPICS = 40
 PROCESSES = 4
-SET = {"service_name": "/bench/set", "fields": {"data": True}}
+SET = {"service_type": "std_srvs/srv/SetBool", "service_name": "/bench/set", "fields": {"data": True}}
 
 
 async def timed(call: Awaitable[Any]) -> float:

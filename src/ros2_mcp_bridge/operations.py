@@ -170,7 +170,7 @@ class Operations:
 
     def _leave_when_deaf(self):
         """The server then starts another bridge, which hears again."""
-        while not shared_memory.is_lost():
+        while not shared_memory.is_lost(self._node.context.get_domain_id()):
             yield HEARING_CHECKED_EVERY_S
         sys.stderr.write("Other processes have replaced the shared memory that this bridge receives through.\n")
         self._loop.end()

@@ -30,9 +30,14 @@ def all_discovered(node):
 
 def on_this_machine(domain_id):
     """The number of participants of a domain in this network namespace."""
+    of_discovery = ports_of(domain_id)[::2]
+    return sum(1 for port in set(_bound_udp_ports()) if port in of_discovery)
+
+
+def ports_of(domain_id):
+    """The ports of the participants of a domain: even ones for discovery, odd ones for data."""
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
-    numbers = {port - first for port in _bound_udp_ports() if port < first + PORTS_PER_DOMAIN}
-    return sum(1 for number in numbers if number >= FIRST_UNICAST and number % 2 == 0)
+    return range(first + FIRST_UNICAST, first + PORTS_PER_DOMAIN)
 
 
 def discovered(node):

@@ -1,8 +1,9 @@
 # pyright: basic
 """Whether the shared memory that messages come through is still the one that others find.
 
-Fast DDS lets a process receive through `/dev/shm/fastrtps_portN`. One that takes it for a dead process' may put a new
-file in its place, most often soon after a killed process was replaced; then nothing arrives any more, for good.
+Fast DDS lets a participant receive through `/dev/shm/fastrtps_portN`, where N is the UDP port that it would use for the
+same. A process that takes it for a dead one's may put a new file in its place, most often soon after a killed process
+was replaced; then nothing arrives any more, for good.
 """
 
 from __future__ import annotations
@@ -12,18 +13,20 @@ import re
 from contextlib import suppress
 from pathlib import Path
 
-_LOCK_OF_A_PORT = re.compile(r"(/dev/shm/fast\w+_port\d+)_el")
-_MAPPED_PORT = re.compile(r"(/dev/shm/fast\w+_port\d+)( \(deleted\))?$", re.MULTILINE)
+from .participants import ports_of
+
+_LOCK_OF_A_PORT = re.compile(r"/dev/shm/fast\w+_port(\d+)_el")
+_MAPPED_PORT = re.compile(r"/dev/shm/fast\w+_port(\d+)( \(deleted\))?$", re.MULTILINE)
 
 
-def is_lost():
-    """Whether this process waits at a port whose file has been replaced or removed."""
+def is_lost(domain_id):
+    """Whether this process waits at a port of a domain whose file has been replaced or removed."""
     maps = Path("/proc/self/maps")
     if not maps.exists():
         return False
     found = _MAPPED_PORT.findall(maps.read_text())
     removed = {port for port, deleted in found if deleted} - {port for port, deleted in found if not deleted}
-    return bool(removed & _own_ports())
+    return any(int(port) in ports_of(domain_id) for port in removed & _own_ports())
 
 
 def _own_ports():

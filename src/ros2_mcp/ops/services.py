@@ -99,7 +99,8 @@ async def call(
     """
     bounded("timeout_sec", timeout_s, 0.01, MAX_TIMEOUT_S, "s")
     service = names.absolute(service, "service")
-    service_type = await resolve_type(robot, service, service_type)
+    if not _is_known(robot, service, service_type):
+        service_type = await _resolve_type(robot, service, service_type)
     await robot.values.learn(service_type)
     missing = robot.values.missing_fields(f"{service_type}_Request", request)
     if missing and not force_call:
@@ -108,6 +109,8 @@ async def call(
         async with reporting(report, timeout_s, f"waiting for {service}"):
             answer = await robot.call(service, service_type, request, timeout_s=timeout_s)
     except NotFound as error:
+        robot.service_types.pop(service, None)
+        await _resolve_type(robot, service, service_type)  # it may have come back with another one
         raise NotFound(error.message, error.hint or await _suggest(robot, service)) from error
     except TimedOut as error:
         raise TimedOut(error.message, error.hint or _STILL_WORKING) from error
@@ -123,7 +126,12 @@ def _not_called(service: str, service_type: str, missing: Sequence[str]) -> Serv
     return ServiceAnswer(service, service_type, False, None, missing, 0.0, (), note)
 
 
-async def resolve_type(robot: Robot, service: str, asked: str) -> str:
+def _is_known(robot: Robot, service: str, asked: str) -> bool:
+    """Whether the asked type is the only one that the service had when it was called last."""
+    return bool(asked) and robot.service_types.get(service) == asked
+
+
+async def _resolve_type(robot: Robot, service: str, asked: str) -> str:
     """The type to call a service with: the asked one, or the one that the graph knows.
 
     Raises:
@@ -135,6 +143,8 @@ async def resolve_type(robot: Robot, service: str, asked: str) -> str:
     types: list[str] = known.get(service, [])
     if wanted and types and wanted not in types:
         raise TypeConflict(f"{service} has the type {' and '.join(types)}, not {wanted}.", "Leave the type out.")
+    if len(types) == 1:
+        robot.service_types[service] = types[0]
     if wanted:
         return wanted
     if not types:

@@ -47,6 +47,7 @@ class Robot:
         self.limitations: list[str] = []
         self.goals = SentGoals()
         self.driven = Driven()
+        self.service_types: dict[str, str] = {}
         self.relays = Relays()
         self.log = LogRing(bridge)
 

@@ -29,7 +29,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 from test_msgs.action import Fibonacci, NestedMessage
 from test_msgs.srv import BasicTypes
 
@@ -141,6 +141,11 @@ def services(peer: Peer) -> None:
     for kind, name, callback in ((SetBool, "switch", switch), (BasicTypes, "slow", slow), (SetBool, "fatal", fatal)):
         peer.keep(peer.node.create_service(kind, name, callback, callback_group=peer.group))
     peer.keep(peer.node.create_service(SetBool, "serial", serial, callback_group=MutuallyExclusiveCallbackGroup()))
+
+
+def changed(peer: Peer) -> None:
+    """A service of another type where `services` has its switch."""
+    peer.keep(peer.node.create_service(Trigger, "switch", lambda _request, response: response))
 
 
 def actions(peer: Peer) -> None:

@@ -103,6 +103,16 @@ def test_another_type_than_the_services_own_is_refused_with_the_right_one(agent,
     assert said.startswith(f"TypeConflict: {robot.name('switch')} has the type {SWITCH}, not std_srvs/srv/Trigger.")
 
 
+def test_a_service_that_came_back_with_another_type_is_told(agent, start_peer) -> None:
+    name = f"/changed{time.monotonic_ns()}"
+    asked = {"service_name": f"{name}/switch", "service_type": SWITCH, "fields": {"data": True}, "timeout_sec": 2}
+    before = start_peer("services", namespace=name)
+    assert agent.call("ros2_service_call", **asked)["called"]
+    before.leave()
+    start_peer("changed", namespace=name)
+    assert agent.refusal("ros2_service_call", **asked).startswith(f"TypeConflict: {name}/switch has the type std_srvs")
+
+
 def test_a_server_that_appears_within_the_time_out_is_used(agent, start_peer) -> None:
     name = f"/late{time.monotonic_ns()}"
     call = agent.begin(
