@@ -55,8 +55,9 @@ class Clients:
         return {"waited_s": round(sent_at - started, 6), "elapsed_s": elapsed_s}, body
 
     def unserved(self):
-        """The services that we have a client of and nobody serves."""
-        return {client.srv_name for client in self.pool.values() if not client.service_is_ready()}
+        """The services that we have a client of and nobody serves: pairs of name and type."""
+        unready = [client for client in self.pool.values() if not client.service_is_ready()]
+        return {(client.srv_name, _type_name(client.srv_type)) for client in unready}
 
     @contextmanager
     def use(self, request):
@@ -65,6 +66,11 @@ class Clients:
         create = partial(self._node.create_client, interface, service, qos_profile=MANY_AT_ONCE)
         with self.pool.use((service, interface), create) as (client, _):
             yield client, message
+
+
+def _type_name(interface):
+    package, kind = interface.__module__.split(".")[:2]
+    return f"{package}/{kind}/{interface.__name__}"
 
 
 def _deserialize(request):

@@ -125,9 +125,10 @@ class Operations:
         self._outbox.reply_error(request.id, error)
 
     def _services(self, request):
-        """Without those that are in the graph only because we have called them."""
+        """Without what is in the graph only because we have called it."""
         found, unserved = (yield from self._graph.services(request)), self._clients.unserved()
-        return {**found, "services": [entry for entry in found["services"] if entry[0] not in unserved]}
+        served = [[name, [each for each in types if (name, each) not in unserved]] for name, types in found["services"]]
+        return {**found, "services": [[name, types] for name, types in served if types]}
 
     def _cancel(self, request):
         target = self._requests.get(request.number("request"))
