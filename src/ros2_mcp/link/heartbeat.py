@@ -9,10 +9,10 @@ from collections.abc import Callable
 from ros2_mcp.link.process import thread_states
 
 PING_S = 0.25
-SILENCE_S = 2.5
+SILENCE_S = 4.0
 STOPPED_S = 0.5
-STARVED_S = 3.0
-ROS_IDLE_S = 3.0
+STARVED_S = 5.0
+ROS_IDLE_S = 4.0
 
 
 class Heartbeat:

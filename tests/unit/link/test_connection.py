@@ -166,15 +166,15 @@ def test_a_peer_that_dies_fails_everything_under_way_and_says_how(play: Play) ->
     play(scenario())
 
 
-def test_a_peer_that_falls_silent_is_given_up_after_two_and_a_half_seconds(play: Play) -> None:
+def test_a_peer_that_falls_silent_is_given_up_after_four_seconds(play: Play) -> None:
     async def scenario() -> None:
         connection, _ = await connected()
         life = asyncio.ensure_future(connection.run())
         ask = asyncio.ensure_future(connection.request("call", b"", 30, {}))
         begun = asyncio.get_running_loop().time()
-        with pytest.raises(BridgeLost, match=r"stopped answering for 2\.5 s"):
+        with pytest.raises(BridgeLost, match=r"stopped answering for 4\.0 s"):
             await ask
-        assert 2.4 < asyncio.get_running_loop().time() - begun < 3.0
+        assert 3.9 < asyncio.get_running_loop().time() - begun < 4.5
         await life
 
     play(scenario())
@@ -213,8 +213,8 @@ def test_a_ros_thread_that_hangs_ends_the_life_of_the_bridge(play: Play) -> None
         connection, peer = await connected()
         life = asyncio.ensure_future(connection.run())
         await asyncio.sleep(0.01)
-        peer.say({"id": 0, "ok": {"ros_idle_s": 3.4}})
-        assert "its ROS thread hangs since 3.4 s" in str(await life)
+        peer.say({"id": 0, "ok": {"ros_idle_s": 4.4}})
+        assert "its ROS thread hangs since 4.4 s" in str(await life)
 
     play(scenario())
 
