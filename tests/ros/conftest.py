@@ -14,19 +14,10 @@ import pytest
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the tests import their neighbours
-
-from shared_memory_files import remove_orphans  # noqa: E402
-
 SOURCES = HERE.parent.parent / "src"
 END_S = 10.0
 
 Start = Callable[..., "subprocess.Popen[bytes]"]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def clean_shared_memory() -> None:
-    """Each file of tests begins without what the killed processes of the others have left."""
-    remove_orphans()
 
 
 @pytest.fixture(scope="session")
