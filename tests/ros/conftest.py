@@ -16,6 +16,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the tests import their neighbours
 SOURCES = HERE.parent.parent / "src"
 END_S = 10.0
+os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(HERE / "quiet_fast_dds.xml"))
 
 Start = Callable[..., "subprocess.Popen[bytes]"]
 
