@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import bounded
@@ -95,16 +95,7 @@ async def map_picture(source: Source, topic: str, report: Report = silent) -> Ma
     picture = await asyncio.to_thread(picture_of, _OCCUPANCY_GRID, message)
     return MapPicture(
         topic_name=topic,
-        frame_id=known.frame_id,
-        resolution_m=known.resolution_m,
-        width=known.width,
-        height=known.height,
-        origin_x_m=known.origin_x_m,
-        origin_y_m=known.origin_y_m,
-        origin_yaw_rad=known.origin_yaw_rad,
-        free=known.free,
-        occupied=known.occupied,
-        unknown=known.unknown,
+        **asdict(known),
         received_at=iso_time(sample.received_ns),
         source=source.words,
         pictures=facts([picture]),
