@@ -30,6 +30,8 @@ FED_PERIOD_S = 0.25
 LOOK_EVERY_S = 0.1
 DEPTH = 100
 FIRST_ACK_S = 1.0
+# Fast DDS asks every 3 s for what is missing; who discovered us late gets it all then.
+LAST_ACK_S = 3.5
 
 
 class Source:
@@ -146,7 +148,7 @@ class Relay:
                 yield 0.0
             self.final_counts = self.counts()
             self.send_final()
-            yield from self._publisher.wait_acknowledged(FINAL_ACK_S)
+            yield from self._publisher.wait_acknowledged(FINAL_ACK_S if self._final else LAST_ACK_S)
         finally:
             self.destroy()
 

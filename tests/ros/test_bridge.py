@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -166,6 +167,7 @@ def test_a_publish_to_nobody_says_so(bridge: Client) -> None:
 
 
 def test_repeated_publishing_keeps_its_rate_and_ends_with_the_final_message(bridge: Client, peer) -> None:
+    """A subscriber that is held up gets the newest command, not those before it: the depth is 1."""
     listener = peer("listen", "/said", "RELIABLE")
     request = repeat(bridge, rate_hz=100, duration_s=1)
     answer = bridge.answer(request)[0]["ok"]
@@ -173,7 +175,11 @@ def test_repeated_publishing_keeps_its_rate_and_ends_with_the_final_message(brid
     assert answer["late"] < 50
     assert 0.95 < answer["elapsed_s"] < 1.3
     assert (answer["final_sent"], answer["cancelled"], answer["matched"]) == (True, False, 1)
-    assert [line(listener) for _ in range(answer["sent"] + 1)] == ["go"] * answer["sent"] + ["stop"]
+    heard = [line(listener)]
+    while heard[-1] != "stop":
+        heard.append(line(listener))
+    assert heard == ["go"] * (len(heard) - 1) + ["stop"]
+    assert 0.8 * answer["sent"] <= len(heard) - 1 <= answer["sent"]
 
 
 def test_a_cancelled_repeat_says_what_it_sent(bridge: Client, peer) -> None:
@@ -289,7 +295,10 @@ def test_many_subscriptions_leave_nothing_behind(bridge: Client) -> None:
 
 def test_a_bridge_that_others_cannot_reach_any_more_leaves(bridge: Client, domain_id: int) -> None:
     """So it is where another process takes its shared memory for a dead one's and replaces it."""
-    opened = {str(each.readlink()) for each in Path(f"/proc/{bridge.process.pid}/fd").iterdir()}
+    opened = set()
+    for descriptor in Path(f"/proc/{bridge.process.pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed since
+            opened.add(str(descriptor.readlink()))
     locks = [f"/dev/shm/fastrtps_port{port}_el" for port in ports_of(domain_id)]
     (lock,) = [lock for lock in locks if lock in opened]
     Path(lock.removesuffix("_el")).unlink()

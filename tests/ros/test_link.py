@@ -194,7 +194,7 @@ def test_a_python_without_rclpy_is_reported_with_what_it_said(tmp_path: Path) ->
 # ── the server under one Python, ROS under another ─────────────────────────────────────────────────────────────
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def other_ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, str]]:
     """A ROS root whose `jazzy` runs under another Python than ours, if this machine has uv and one; its version."""
     python = _another_python()

@@ -21,7 +21,7 @@ from peer_process import Nursery, PeerProcess, reachable
 from raw_server import RawServer
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def agent(nursery: Nursery, ros_environment: dict[str, str]) -> Iterator[Agent]:
     """A client of a server that all tests share."""
     with agent_for(ros_environment, "--tools", "all") as client:
@@ -61,7 +61,7 @@ def start_raw(waiting_servers: deque[RawServer], ros_environment: dict[str, str]
         server.end()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def nursery(ros_environment: dict[str, str]) -> Iterator[Nursery]:
     """Where all peers come from."""
     nursery = Nursery(ros_environment)
@@ -83,7 +83,7 @@ def start_peer(nursery: Nursery, agent: Agent) -> Iterator[Callable[..., PeerPro
         peer.leave()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def robot(nursery: Nursery, agent: Agent) -> Iterator[PeerProcess]:
     """The peer that all tests share: everything that does not die."""
     peer = reachable(agent, nursery, "services", "actions", "raw", "nested", "tuned", "valve", "dumb")

@@ -67,7 +67,7 @@ def serving(environment: dict[str, str], prefixes: list[Path], domain: int, fold
     }
 
 
-@pytest.fixture(scope="session", params=[1, 2], ids=["generation 1", "generation 2"])
+@pytest.fixture(scope="module", params=[1, 2], ids=["generation 1", "generation 2"])
 def agent(
     request: pytest.FixtureRequest,
     ros_environment: dict[str, str],

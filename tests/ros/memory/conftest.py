@@ -49,8 +49,7 @@ def start_peer(ros_environment: dict[str, str]) -> Iterator[StartPeer]:
 
     yield begin
     for peer in peers:
-        peer.kill()
-        peer.communicate(timeout=5)
+        peer.communicate(timeout=10)
 
 
 @pytest.fixture

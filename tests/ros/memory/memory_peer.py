@@ -1,5 +1,5 @@
 """An independent node: `types` publishes every message type of packages, latched; `stream` publishes counters at a
-rate, `listen` collects numbers."""
+rate, `witness` writes down when they arrive, `listen` collects numbers. Each ends when its stdin does."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def types(node, *packages: str) -> None:
             for message in [*made, kind(), *(filled(kind, random.Random(f"{name}{i}")) for i in range(2))]:
                 publisher.publish(message)
     print("ready", flush=True)
-    time.sleep(600)
+    sys.stdin.read()
 
 
 def filled(kind, chance: random.Random):
@@ -76,7 +76,9 @@ def stream(node, *topics: str) -> None:
         body = serialize_message(UInt8MultiArray(data=bytes(int(size))))
         plan.append([publisher, 1.0 / float(rate), body, 0, time.monotonic(), name])
     print("ready", flush=True)
-    while True:
+    ending = threading.Thread(target=sys.stdin.read, daemon=True)
+    ending.start()
+    while ending.is_alive():
         for entry in plan:
             publisher, period, body, number, due, name = entry
             if time.monotonic() >= due:
@@ -102,6 +104,24 @@ def listen(node, *topics: str) -> None:
                 numbers.clear()
 
 
+def witness(node, log: str, *topics: str) -> None:
+    """Writes down when it received which message of `stream`, in a file of the same form."""
+    with open(log, "w", buffering=1) as lines:  # noqa: PTH123
+
+        def note(data: bytes, topic: str) -> None:
+            lines.write(f"{topic} {struct.unpack_from('<Q', data, 16)[0]} {time.time()}\n")
+
+        for topic in topics:
+            node.create_subscription(UInt8MultiArray, topic, lambda data, t=topic: note(data, t), 100, raw=True)
+        print("ready", flush=True)
+        ending = threading.Thread(target=sys.stdin.read, daemon=True)
+        ending.start()
+        while ending.is_alive():
+            rclpy.spin_once(node, timeout_sec=0.1)
+
+
 if __name__ == "__main__":
     rclpy.init()
-    {"types": types, "stream": stream, "listen": listen}[sys.argv[1]](rclpy.create_node("memory_peer"), *sys.argv[2:])
+    roles = {"types": types, "stream": stream, "listen": listen, "witness": witness}
+    roles[sys.argv[1]](rclpy.create_node("memory_peer"), *sys.argv[2:])
+    rclpy.try_shutdown()  # killed instead, it would hold up the shared memory of those that come after it

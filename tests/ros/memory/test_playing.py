@@ -36,12 +36,19 @@ class Listener:
         self._process.stdin.flush()
         return json.loads(self._process.stdout.readline())
 
-    def numbers(self, topic: str, count: int) -> list[int]:
-        """What it hears on the topic, as soon as that are so many; then all is forgotten."""
+    def heard_so_many(self, counts: dict[str, int]) -> dict[str, list[tuple[int, float]]]:
+        """What it has heard, as soon as there is so much of each topic; then all is forgotten."""
         deadline = time.monotonic() + 5
-        while len(self.heard("look")[topic]) < count and time.monotonic() < deadline:
+        while time.monotonic() < deadline:
+            heard = self.heard("look")
+            if all(len(heard[topic]) >= count for topic, count in counts.items()):
+                break
             time.sleep(0.02)
-        return [number for number, _ in self.heard()[topic]]
+        return self.heard()
+
+    def numbers(self, topic: str, count: int) -> list[int]:
+        """The numbers on one topic, as soon as there are so many; then all is forgotten."""
+        return [number for number, _ in self.heard_so_many({topic: count})[topic]]
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +73,7 @@ def listening(ros_environment: dict[str, str]) -> Iterator[Listener]:
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=ros_environment) as process:
         assert process.stdout and process.stdout.readline() == "ready\n"
         yield Listener(process)
-        process.kill()
+        process.communicate(timeout=10)
 
 
 @pytest.fixture
@@ -79,8 +86,9 @@ def listener(listening: Listener) -> Listener:
 def test_a_bag_is_heard_whole_and_in_its_rhythm(agent: Agent, listener: Listener, rate: float) -> None:
     played = agent.call("ros2_bag_play", bag="run", rate=rate)
     assert (played["state"], played["progress"], played["loops"]) == ("ended", 1.0, 1)
-    assert played["published"] == {topic: len(numbers) for topic, numbers in NUMBERS.items()}
-    heard = listener.heard()
+    counts = {topic: len(numbers) for topic, numbers in NUMBERS.items()}
+    assert played["published"] == counts
+    heard = listener.heard_so_many(counts)
     for topic, numbers in NUMBERS.items():
         assert [number for number, _ in heard[topic]] == list(numbers)
         times = [at for _, at in heard[topic]]
@@ -99,7 +107,7 @@ def test_only_the_chosen_topics_of_the_chosen_time_are_played_under_other_names(
         "ros2_bag_play", bag="run", topics=["/a"], start="first 0.3 s", end="first 0.6 s", remaps={"/a": "/c"}
     )
     assert played["published"] == {"/c": 3} and played["elapsed_s"] < 2.5
-    heard = listener.heard()
+    heard = listener.heard_so_many({"/c": 3})
     assert [number for number, _ in heard["/c"]] == [3, 4, 5]
     assert not heard["/a"] and not heard["/b"]
 

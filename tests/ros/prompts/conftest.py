@@ -22,7 +22,7 @@ from raw_server import RawServer  # noqa: E402
 ROBOT_INTERFACES = HERE.parents[2] / "src/ros2_mcp_demo/interfaces"
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def demo_environment(ros_environment: dict[str, str]) -> dict[str, str]:
     """The environment of a robot and of servers that know its own interfaces."""
     build = [sys.executable, "-m", "ros2_mcp_interfaces", str(ROBOT_INTERFACES)]

@@ -20,7 +20,7 @@ from events_process import EventsPeer  # noqa: E402
 from listener import HANDSHAKE, MODERN, PATIENCE_S, Listener  # noqa: E402
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def events(ros_environment: dict[str, str]) -> Iterator[EventsPeer]:
     """A robot to which things happen on command."""
     peer = EventsPeer(ros_environment)
@@ -28,7 +28,7 @@ def events(ros_environment: dict[str, str]) -> Iterator[EventsPeer]:
     peer.end()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def listener_of(ros_environment: dict[str, str], events: EventsPeer) -> Iterator[Callable[[str], Listener]]:
     """A raw client of an era; all tests share the one of each era."""
     with ExitStack() as running:

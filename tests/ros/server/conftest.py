@@ -56,14 +56,14 @@ class PeerProcess:
         return json.loads(line)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
     """A client of a server that all tests share."""
     with agent_for(ros_environment, "--tools", "all") as client:
         yield client
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def peer(ros_environment: dict[str, str], agent: Agent) -> Iterator[PeerProcess]:
     """An independent node that all tests share, discovered."""
     process = PeerProcess(ros_environment)
@@ -99,7 +99,7 @@ def start_raw(ros_environment: dict[str, str]) -> Iterator[Callable[..., RawServ
         server.end()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def small_robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
     """A node with services and an action, discovered."""
     script = Path(__file__).parent / "server_robot.py"
