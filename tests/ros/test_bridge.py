@@ -218,7 +218,7 @@ def test_the_final_message_is_sent_whatever_ends_the_bridge(bridge: Client, peer
 def repeat(bridge: Client, **arguments: Any) -> int:
     final = cdr_string("stop")
     body = cdr_string("go") + final
-    arguments = {"qos": RELIABLE, "wait_match_s": 3, "at_exit": True, "final_size": len(final), **arguments}
+    arguments = {"qos": RELIABLE, "wait_match_s": 3, "final_size": len(final), **arguments}
     return bridge.send("repeat", body, topic="/said", type=STRING, **arguments)
 
 
