@@ -12,6 +12,7 @@ from types import TracebackType
 
 from ros2_mcp.bags.mcap_file import McapFile
 from ros2_mcp.bags.rosbag2 import METADATA, FolderFacts, read_metadata
+from ros2_mcp.bags.schema import bare
 from ros2_mcp.bags.sqlite_file import SqliteFile
 from ros2_mcp.bags.stored import Span, StoredFile, StoredTopic
 from ros2_mcp.model.errors import BadData, NotFound
@@ -23,8 +24,9 @@ SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".mcap.zstd")
 class Bag:
     """A bag, open for reading. `problems` say what is damaged or missing, and grow while more of it is found.
 
-    Messages come in the order of time over all files; each file is read only as far as it is needed. `former` is the
-    same bag as it was before: files that have not changed since are not looked through again.
+    Messages come in the order of time over all files; each file is read only as far as it is needed. A topic has one
+    type and definition, those of the newest file with messages of it: what other files have by another is left out.
+    `former` is the same bag as it was before: files that have not changed since are not looked through again.
 
     Raises:
         NotFound: if there is no bag at that path.
@@ -37,6 +39,7 @@ class Bag:
         self.distro = ""
         self._files = self._open(_files_of(path), self._facts(), former.known_files() if former else {})
         self.topics = self._merged_topics()
+        self._left_out = self._misfits()
 
     @property
     def problems(self) -> list[str]:
@@ -45,7 +48,7 @@ class Bag:
 
     @property
     def count(self) -> int | None:
-        """How many messages there are; None where damage keeps it from being known."""
+        """How many messages there are, with those that are left out; None where damage keeps it from being known."""
         counts = [file.count for file in self._files]
         return None if None in counts else sum(count or 0 for count in counts)
 
@@ -63,11 +66,16 @@ class Bag:
     def messages(self, span: Span | None = None, newest_first: bool = False) -> Iterator[tuple[str, Sample]]:
         """Topic and message, in the order of time or in its reverse; what several files of a ring have comes once."""
         span = span or Span()
-        if len(self._files) == 1:
-            return self._files[0].messages(span, newest_first)
-        files = self._files[::-1] if newest_first else self._files
-        sources = [_numbered(number, file.messages(span, newest_first)) for number, file in enumerate(files)]
-        return _once(heapq.merge(*sources, key=lambda each: each[2].received_ns, reverse=newest_first))
+        sources = [
+            file.messages(_without(left_out, span, file), newest_first)
+            for file, left_out in zip(self._files, self._left_out, strict=True)
+        ]
+        if len(sources) == 1:
+            return sources[0]
+        if newest_first:
+            sources.reverse()
+        numbered = [_numbered(number, messages) for number, messages in enumerate(sources)]
+        return _once(heapq.merge(*numbered, key=lambda each: each[2].received_ns, reverse=newest_first))
 
     def last(self, topic: str, most: int, span: Span | None = None) -> list[Sample]:
         """The last messages of a topic (before the span's end), the oldest first; read from the end of the bag."""
@@ -78,12 +86,10 @@ class Bag:
     def counts(self) -> dict[str, int]:
         """Messages of each topic in all files together; in SQLite files an entry of each message is read for it."""
         total: dict[str, int] = {}
-        for file in self._files:
-            own = (
-                file.counts() if isinstance(file, SqliteFile) else {t.name: t.count or 0 for t in file.topics.values()}
-            )
-            for name, count in own.items():
-                total[name] = total.get(name, 0) + count
+        for file, left_out in zip(self._files, self._left_out, strict=True):
+            for name, count in file.counts().items():
+                if name not in left_out:
+                    total[name] = total.get(name, 0) + count
         return total
 
     def known_files(self) -> dict[Path, McapFile]:
@@ -136,15 +142,41 @@ class Bag:
             self._problems.append(f"{METADATA} counts {facts.count} messages, {sum(c or 0 for c in there)} are there.")
 
     def _merged_topics(self) -> Mapping[str, StoredTopic]:
+        """Each topic as the newest file with messages of it has it; where that has no definition, with an older one."""
         found: dict[str, StoredTopic] = {}
-        for file in self._files:
-            for name, topic in file.topics.items():
-                known = found.setdefault(name, topic)
-                if known.type != topic.type:
-                    raise BadData(f"{name} has the type {known.type} in one file and {topic.type} in another.")
-                if topic.definition and not known.definition:
-                    found[name] = topic
+        newest_first = [topic for file in reversed(self._files) for topic in file.topics.values()]
+        for topic in sorted(newest_first, key=lambda topic: topic.count == 0):
+            known = found.setdefault(topic.name, topic)
+            if known.type == topic.type and topic.definition and not known.definition:
+                found[topic.name] = replace(known, encoding=topic.encoding, definition=topic.definition)
         return found
+
+    def _misfits(self) -> list[frozenset[str]]:
+        """Of each file the topics whose bytes mean something else there than in the newest one; told as problems."""
+        misfits = [[topic for topic in file.topics.values() if not self._fits(topic)] for file in self._files]
+        conflicts = [topic for group in misfits for topic in group if topic.count != 0]
+        for name in sorted({topic.name for topic in conflicts}):
+            now, types = self.topics[name].type, [topic.type for topic in conflicts if topic.name == name]
+            others = sorted({kind if kind != now else f"another definition of {kind}" for kind in types})
+            self._problems.append(
+                f"{name}: its messages in {len(types)} of {len(misfits)} files are left out: they are of "
+                f"{' and '.join(others)}, the newest of {now}."
+            )
+        return [frozenset(topic.name for topic in group) for group in misfits]
+
+    def _fits(self, topic: StoredTopic) -> bool:
+        known = self.topics[topic.name]
+        if known.type != topic.type or not topic.definition or not known.definition:
+            return known.type == topic.type
+        return known.definition == topic.definition or bare(known.definition) == bare(topic.definition)
+
+
+def _without(left_out: frozenset[str], span: Span, file: StoredFile) -> Span:
+    """The span without these topics of the file."""
+    if not left_out:
+        return span
+    topics = file.topics if span.topics is None else span.topics
+    return replace(span, topics=frozenset(topics) - left_out)
 
 
 def _open_file(path: Path, compression: str) -> StoredFile:

@@ -16,6 +16,7 @@ ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFS
 HEAD = 9
 """Bytes before each record's content: its kind and its length."""
 MAX_CHUNK = 1 << 30
+_UNDECLARED = -1
 _HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
@@ -126,16 +127,48 @@ def unpacked(content: bytes) -> tuple[bytes, bool]:
 def _decompressed(compression: bytes, data: bytes, size: int) -> bytes:
     if not compression:
         return data
-    if size > MAX_CHUNK:
+    if size > _most_of(data):
         raise Damaged("a chunk's size is wrong")
-    try:
-        if compression == b"zstd":
-            return zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
-        if compression == b"lz4":
-            return bytes(lz4.frame.decompress(data))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
-    except (zstandard.ZstdError, RuntimeError, ValueError) as error:
-        raise Damaged(f"a chunk cannot be decompressed: {error}") from error
+    if compression == b"zstd":
+        return unzstd(data, size)
+    if compression == b"lz4":
+        return _unlz4(data, size)
     raise Damaged(f"a chunk is compressed in a way that is not known: {compression[:20]!r}")
+
+
+def unzstd(data: bytes, size: int | None = None) -> bytes:
+    """What was compressed, of `size` bytes if that is known; memory is taken only for a size that can be right.
+
+    Raises:
+        Damaged: if it cannot be decompressed, or says of itself that it has another size.
+    """
+    try:
+        declared = zstandard.frame_content_size(data)
+        if declared > _most_of(data) or (size is not None and declared not in (_UNDECLARED, size)):
+            raise Damaged(f"compressed data claims to be of {declared} bytes")
+        return zstandard.ZstdDecompressor().decompress(data, max_output_size=size or 0)
+    except (zstandard.ZstdError, ValueError, MemoryError) as error:
+        raise _not_decompressed(error) from error
+
+
+def _unlz4(data: bytes, size: int) -> bytes:
+    frame = lz4.frame.LZ4FrameDecompressor()
+    try:
+        inside = bytes(frame.decompress(data, max_length=size + 1))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+    except (RuntimeError, ValueError, MemoryError) as error:
+        raise _not_decompressed(error) from error
+    if not frame.eof:  # pyright: ignore[reportUnknownMemberType]
+        raise Damaged("compressed data is of another size than its chunk says")
+    return inside
+
+
+def _most_of(data: bytes) -> int:
+    """Bytes that can come of compressed ones: a block of 128 KiB needs at least four (zstd; more with lz4)."""
+    return min(MAX_CHUNK, len(data) << 15)
+
+
+def _not_decompressed(error: Exception) -> Damaged:
+    return Damaged(f"data cannot be decompressed: {str(error) or 'it does not fit in memory'}")
 
 
 class Content:

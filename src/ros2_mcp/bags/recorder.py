@@ -42,6 +42,11 @@ class Sink(Protocol):
         """The open file, to sync it."""
         ...
 
+    @property
+    def notes(self) -> Sequence[str]:
+        """What is not as one would expect it, in words."""
+        ...
+
     def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
         """A topic that messages may follow for."""
         ...
@@ -97,6 +102,11 @@ class Recorder:
         self._syncer = ThreadPoolExecutor(1, "recording-sync")
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
+
+    @property
+    def notes(self) -> Sequence[str]:
+        """What the sink has to say, in words."""
+        return self.sink.notes
 
     def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
         """A topic that samples may be put for from now on."""

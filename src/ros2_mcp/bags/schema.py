@@ -41,6 +41,12 @@ def definitions_in(type_name: str, encoding: str, text: str) -> dict[str, Defini
     return {**_owners(flat), **found}
 
 
+def bare(text: str) -> str:
+    """A definition without what means nothing to the bytes: comments and spacing."""
+    lines = (" ".join(line.partition("#")[0].split()) for line in text.splitlines())
+    return "\n".join(line for line in lines if line)
+
+
 def _parts(type_name: str, encoding: str, text: str) -> Iterator[tuple[str, str, str]]:
     """Name, format and text of each part; the first part has no title in `ros2msg`."""
     pieces = _PART.split(text)

@@ -11,6 +11,7 @@ from typing import Any
 
 import zstandard
 
+from ros2_mcp.bags.chunks import Damaged, unzstd
 from ros2_mcp.bags.stored import FOREVER, Span, StoredTopic
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.samples import Sample
@@ -95,8 +96,8 @@ class SqliteFile:
 
     def _body(self, data: Any, at_ns: int) -> bytes | None:
         try:
-            return zstandard.ZstdDecompressor().decompress(data) if self._compressed else bytes(data)
-        except (zstandard.ZstdError, TypeError) as error:
+            return unzstd(data) if self._compressed else bytes(data)
+        except (Damaged, TypeError) as error:
             self.problems.append(f"{self.path.name}: a message at {at_ns} cannot be read: {error}.")
             return None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from ros2_mcp.model.samples import Sample
 
 CHUNK_BYTES = 1 << 20
 _SEQUENCE = 0xFFFFFFFF
-_MESSAGE_BYTES = 31 + 16
+MESSAGE_BYTES = 31 + 16
 """What a message needs beside its data: its record's head, and its place in the chunk's index."""
 _LIBRARY = "ros2-mcp"
 
@@ -74,6 +75,7 @@ class BagWriter:
         self.counts: dict[str, int] = {}
         self._hashes: dict[str, str] = {}
         self.files: list[FilePart] = []
+        self.notes: Sequence[str] = ()
         self.bytes_before = 0
         self._open_file()
 
@@ -108,7 +110,7 @@ class BagWriter:
             sample.source_ns or sample.received_ns,
             (sample.sequence or 0) & _SEQUENCE,
         )
-        self._count.add(sample.received_ns, _MESSAGE_BYTES + len(sample.data))
+        self._count.add(sample.received_ns, MESSAGE_BYTES + len(sample.data))
         self.counts[topic_name] += 1
 
     def flush(self) -> None:

@@ -234,7 +234,7 @@ def _last(bag: Bag, topic: StoredTopic, span: Span, most: int) -> Iterator[Sampl
 def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
     if not any(word in topic.qos for word in _LATCHED):
         return []
-    return bag.last(topic.name, 1, replace(span, start_ns=0, end_ns=span.start_ns))
+    return bag.last(topic.name, len(_publishers(topic)), replace(span, start_ns=0, end_ns=span.start_ns))
 
 
 def _publishers(topic: StoredTopic) -> list[Endpoint]:

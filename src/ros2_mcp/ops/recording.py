@@ -184,7 +184,7 @@ class Recording:
             sum(counts.values()),
             [self._topic_counts(name, joined, counts) for name, joined in sorted(self._topics.items())],
             "" if self.is_running else recorder.ended,
-            list(self._notes),
+            [*self._notes, *recorder.notes],
         )
 
     def _topic_counts(self, name: str, joined: _Joined, written: dict[str, int]) -> TopicCounts:

@@ -5,12 +5,18 @@ from __future__ import annotations
 import os
 import random
 import sqlite3
-from collections.abc import Callable
+import struct
+import tracemalloc
+import zlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import lz4.frame
 import pytest
 import zstandard
+from mcap.writer import CompressionType, Writer
 
+from ros2_mcp.bags import chunks
 from ros2_mcp.bags.bag import Bag
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
@@ -19,6 +25,7 @@ from ros2_mcp.model.samples import Sample
 
 OpenBag = Callable[[Path], Bag]
 FLIPS = 10_000 if os.environ.get("ROS2_MCP_FULL") else 300
+MASKS = range(1, 256) if os.environ.get("ROS2_MCP_FULL") else [1 << bit for bit in range(8)]
 TOPICS = ("/first", "/second")
 Message = tuple[str, Sample]
 
@@ -105,6 +112,100 @@ def test_a_hole_costs_only_the_chunks_it_touches(tmp_path: Path, open_bag: OpenB
     assert any("bytes are lost" in problem for problem in bag.problems)
 
 
+@pytest.fixture
+def little_memory() -> Iterator[None]:
+    """The test fails if it takes much more than the few kilobytes that its bags have."""
+    tracemalloc.start()
+    yield
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 32_000_000
+
+
+def compressed(path: Path, kind: CompressionType) -> list[Message]:
+    """A recording as rosbag2 compresses it: chunk by chunk."""
+    messages = [("/first", Sample(1000 + n, 1000 + n, n + 1, b"\0\1\0\0" + bytes([n]) * 600)) for n in range(200)]
+    with path.open("wb") as file:
+        writer = Writer(file, 20_000, kind)
+        writer.start("ros2", "test")
+        schema = writer.register_schema("demo/msg/Raw", "ros2msg", b"uint8[] data\n")
+        channel = writer.register_channel("/first", "cdr", schema)
+        for _, sample in messages:
+            writer.add_message(channel, sample.received_ns, sample.data, sample.source_ns, sample.sequence or 0)
+        writer.finish()
+    return messages
+
+
+@pytest.mark.usefixtures("little_memory")
+@pytest.mark.parametrize("ended", [True, False], ids=["with index", "without index"])
+@pytest.mark.parametrize("kind", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_flipped_byte_in_a_compressed_frame_costs_its_chunk_only(
+    tmp_path: Path, kind: CompressionType, ended: bool
+) -> None:
+    path = tmp_path / "run.mcap"
+    messages = compressed(path, kind)
+    magic = b"\x28\xb5\x2f\xfd" if kind == CompressionType.ZSTD else b"\x04\x22\x4d\x18"
+    whole = path.read_bytes() if ended else path.read_bytes()[:-20]
+    frame = whole.index(magic, whole.index(magic) + 1)
+    for place in range(frame, frame + 16):
+        for mask in MASKS:
+            path.write_bytes(whole[:place] + bytes([whole[place] ^ mask]) + whole[place + 1 :])
+            with Bag(path) as bag:
+                read = list(bag.messages())
+                assert read == messages or (messages[0] in read and messages[-1] in read and bag.problems)
+                assert len(read) > len(messages) - 50
+
+
+def lz4_packed(data: bytes) -> bytes:
+    return bytes(lz4.frame.compress(data))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+
+
+@pytest.mark.usefixtures("little_memory")
+@pytest.mark.parametrize("kind", ["zstd", "lz4"])
+def test_no_byte_in_the_head_of_compressed_data_makes_a_chunk_large_or_wrong(kind: str) -> None:
+    inside = bytes(700)
+    packed = zstandard.ZstdCompressor().compress(inside) if kind == "zstd" else lz4_packed(inside)
+    for place in range(16):
+        for mask in range(1, 256):
+            flipped = packed[:place] + bytes([packed[place] ^ mask]) + packed[place + 1 :]
+            try:
+                assert chunks.unpacked(chunk(kind.encode(), flipped, 700)) == (inside, True)
+            except chunks.Damaged:
+                continue
+
+
+def chunk(kind: bytes, data: bytes, size: int) -> bytes:
+    """The content of a chunk record that says its data is of `size` bytes."""
+    head = struct.pack("<QQQII", 0, 0, size, zlib.crc32(bytes(size % 1000)), len(kind))
+    return head + kind + len(data).to_bytes(8, "little") + data
+
+
+ZEROS = 200_000_000
+
+
+def packed_zeros(kind: str) -> bytes:
+    """A few kilobytes that become 200 MB; lz4 needs 800 kB for that."""
+    if kind == "lz4":
+        return lz4_packed(bytes(ZEROS))
+    whole = zstandard.ZstdCompressor()
+    if kind == "zstd":
+        return whole.compress(bytes(ZEROS))
+    stream = whole.compressobj()  # it does not say its size
+    return stream.compress(bytes(ZEROS)) + stream.flush()
+
+
+@pytest.mark.parametrize("kind", ["zstd", "zstd of unknown size", "lz4"])
+@pytest.mark.parametrize("size", [0, 1000, chunks.MAX_CHUNK + 1, 1 << 60])
+def test_a_chunk_that_becomes_more_than_it_says_is_damaged(kind: str, size: int) -> None:
+    data = packed_zeros(kind)
+    tracemalloc.start()
+    with pytest.raises(chunks.Damaged):
+        chunks.unpacked(chunk(kind[:4].strip().encode(), data, size))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 8_000_000
+
+
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"hello" * 100, bytes(5000)])
 def test_what_is_no_bag_is_an_error_in_words(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "no.mcap"
@@ -177,3 +278,19 @@ def test_a_file_that_is_compressed_as_a_whole_is_read(tmp_path: Path, open_bag: 
     packed = zstandard.ZstdCompressor().compress((tmp_path / "plain.db3").read_bytes())
     (tmp_path / "run_0.db3.zstd").write_bytes(packed)
     assert list(open_bag(tmp_path / "run_0.db3.zstd").messages()) == messages
+
+
+@pytest.mark.usefixtures("little_memory")
+def test_a_flipped_byte_in_a_compressed_message_costs_that_message_only(tmp_path: Path) -> None:
+    messages = database(tmp_path / "run_0.db3", 3, packed=True)
+    (tmp_path / "metadata.yaml").write_text(METADATA)
+    whole = (tmp_path / "run_0.db3").read_bytes()
+    frame = whole.index(zstandard.ZstdCompressor().compress(messages[1][1].data))
+    for place in range(frame, frame + 16):
+        for mask in MASKS:
+            flipped = whole[:place] + bytes([whole[place] ^ mask]) + whole[place + 1 :]
+            (tmp_path / "run_0.db3").write_bytes(flipped)
+            with Bag(tmp_path) as bag:
+                read = list(bag.messages())
+            assert [each for each in read if each[1].received_ns != messages[1][1].received_ns] == messages[::2]
+            assert len(read) == 3 or any("cannot be read" in problem for problem in bag.problems)

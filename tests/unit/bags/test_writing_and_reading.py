@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,6 @@ from rosbags.highlevel import AnyReader
 
 from ros2_mcp.bags.bag import Bag
 from ros2_mcp.bags.recorder import Limits, Recorder
-from ros2_mcp.bags.ring import RingWriter
 from ros2_mcp.bags.rosbag2 import qos_text
 from ros2_mcp.bags.stored import Span, StoredTopic
 from ros2_mcp.bags.writer import BagWriter, fresh_folder
@@ -160,40 +158,6 @@ def test_a_recording_never_leaves_its_folder(tmp_path: Path, wanted: str, name: 
     assert folder.parent == tmp_path
     assert folder.name.startswith(name)
     assert fresh_folder(tmp_path, wanted) != folder
-
-
-def test_a_ring_stays_within_its_bytes_and_keeps_the_newest(tmp_path: Path, open_bag: OpenBag) -> None:
-    ring = RingWriter(tmp_path, max_bytes=400_000, max_age_s=3600)
-    ring.add_topic(CHATTER)
-    ring.add_topic(replace(SCAN, qos=qos_text([QoS(durability="transient_local")])))
-    ring.write("/scan", said(0))
-    for number in range(1, 2000):
-        ring.write("/chatter", said(number, 1000))
-        if number % 5 == 0:
-            ring.flush()
-            assert sum(path.stat().st_size for path in tmp_path.iterdir()) < 450_000
-    ring.close()
-    bag = open_bag(tmp_path)
-    newest = bag.last("/chatter", 100)
-    assert newest == [said(number, 1000) for number in range(1900, 2000)]
-    assert said(0) in bag.last("/scan", 1)
-
-
-def test_a_latched_message_stands_in_every_file_of_a_ring_and_is_read_once(tmp_path: Path, open_bag: OpenBag) -> None:
-    ring = RingWriter(tmp_path, max_bytes=16 * 5000, max_age_s=3600)
-    ring.add_topic(CHATTER)
-    ring.add_topic(replace(SCAN, qos=qos_text([QoS(durability="transient_local")])))
-    written = [("/scan", said(0)), ("/scan", replace(said(1), received_ns=START_NS))]
-    written += [("/chatter", said(number, 5000)) for number in (2, 2, 3, 4)]
-    for topic, sample in written:
-        ring.write(topic, sample)
-        if topic == "/chatter" and sample != said(2, 5000):
-            ring.flush()
-    ring.close()
-    bag = open_bag(tmp_path)
-    assert bag.counts()["/scan"] == 4  # two of them are copies
-    assert list(bag.messages()) == written
-    assert list(bag.messages(newest_first=True)) == written[::-1]
 
 
 def test_of_a_bag_that_grows_only_what_has_changed_is_looked_through_again(tmp_path: Path, open_bag: OpenBag) -> None:
