@@ -289,7 +289,7 @@ def _prepare(memory: Memory, wanted: Wanted) -> tuple[Bag, Span, dict[str, Store
         unknown = set(wanted.remaps) - set(topics)
         if unknown:
             raise BadInput(f"{sorted(unknown)[0]} is remapped, but not played.")
-        return bag, replace(span_in(bag, wanted.start, wanted.end), topics=frozenset(topics)), topics
+        return bag, replace(span_in(memory, bag, wanted.start, wanted.end), topics=frozenset(topics)), topics
     except RobotError:
         bag.close()
         raise
