@@ -3,37 +3,30 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys
-import tempfile
 import threading
 import time
-import traceback
 from functools import partial
 from typing import Any
 
 from . import definitions, frames, interfaces
-from .loop import Loop
-from .request import OperationError, Request
+from .loop import Loop, log_failure
+from .request import Request
 from .stream import Outbox, claim_standard_streams, read_frames
 
 FINALS_AFTER_S = 0.3
 GIVE_UP_AFTER_S = 1.0
 
 
-def main(argv=None):
+def main():
     """Run the bridge until its stdin ends; does not return."""
     incoming, outgoing = claim_standard_streams()
-    parser = argparse.ArgumentParser(prog="ros2_mcp_bridge", description=__doc__)
-    parser.add_argument("--node-name", default=f"ros2_mcp_{os.getpid()}")
-    arguments = parser.parse_args(argv)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C goes to the server, which then closes us
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # ends us if all else hangs; it may have been inherited as ignored
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # for sigwait in a thread of ours
-    if not os.environ.get("HOME"):
-        os.environ.setdefault("ROS_LOG_DIR", tempfile.gettempdir())
-    Bridge(incoming, outgoing).run(arguments.node_name)
+    Bridge(incoming, outgoing).run()
 
 
 class Bridge:
@@ -49,17 +42,17 @@ class Bridge:
         self._writer = self._start_thread(self._outbox.write_frames, outgoing)
         self._start_thread(signal.sigwait, {signal.SIGTERM})
 
-    def run(self, node_name):
+    def run(self):
         """Be the ROS thread; ends the process."""
+        missing = "no_rclpy"
         try:
             from . import operations, ros
-        except Exception as error:  # noqa: BLE001 - a broken installation can raise anything here
-            self._fail("no_rclpy", error)
-        try:
-            node, executor = ros.enter(node_name)
+
+            missing = "init_failed"
+            node, executor = ros.enter(f"ros2_mcp_{os.getpid()}")
             self._operations = operations.Operations(node, self._loop, self._outbox)
-        except Exception as error:  # noqa: BLE001 - as above
-            self._fail("init_failed", error)
+        except Exception as error:  # noqa: BLE001 - a broken installation can raise anything here
+            self._fail(missing, error)
         self._outbox.send(ros.hello(node, executor))
         self._ros_is_up.set()
         self._loop.run(executor)
@@ -84,18 +77,16 @@ class Bridge:
 
     def _end(self):
         if self._ending.acquire(blocking=False):
-            threading.Thread(target=self._enforce_end, daemon=True).start()
+            signal.setitimer(signal.ITIMER_REAL, GIVE_UP_AFTER_S)  # ends the process, even where nothing of Python runs
+            threading.Timer(FINALS_AFTER_S, self._last_deeds).start()
             self._loop.end()
 
-    def _enforce_end(self):
-        time.sleep(FINALS_AFTER_S)
+    def _last_deeds(self):
         if self._operations is not None:
-            self._operations.last_deeds()
-        time.sleep(GIVE_UP_AFTER_S - FINALS_AFTER_S)
-        os._exit(1)
+            self._operations.wills.carry_out()
 
     def _fail(self, kind, error):
-        traceback.print_exception(type(error), error, error.__traceback__, file=sys.stderr)
+        log_failure(None, error)
         self._outbox.send({"event": "failed", "kind": kind, "message": f"{type(error).__name__}: {error}"})
         self._exit(1)
 
@@ -111,7 +102,7 @@ class Bridge:
             request = Request(header, body)
             try:
                 self._accept(request)
-            except OperationError as error:
+            except Exception as error:  # noqa: BLE001 - whatever it is, it answers this request
                 self._outbox.reply_error(request.id, error)
 
     def _accept(self, request):

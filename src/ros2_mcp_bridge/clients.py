@@ -28,8 +28,9 @@ MANY_AT_ONCE = QoSProfile(depth=500, reliability=QoSReliabilityPolicy.RELIABLE)
 class Clients:
     """Pooled clients of services, those of actions included."""
 
-    def __init__(self, node):
+    def __init__(self, node, wills):
         self._node = node
+        self._wills = wills
         self.pool = Pool(node.destroy_client)
         self._paces = WeakKeyDictionary()
 
@@ -39,11 +40,13 @@ class Clients:
         wait_s, timeout_s = request.number("wait_s", 0.0), request.number("timeout_s")
         started = time.monotonic()
         latest = started + request.number("within_s", wait_s + timeout_s)
-        with self.use(request) as (client, message):
-            yield from _wait_server(client, service, wait_s)
+        with self._use(request) as (client, message):
+            yield from _wait_server(client, service, wait_s, latest)
             pace = self._paces.setdefault(client, Pace())
             yield from pace.wait_turn(request, latest)
             sent_at = time.monotonic()
+            if sent_at >= latest:
+                raise OperationError("timeout", f"The server of {service} appeared too late: nothing was sent.")
             future = client.call_async(message)
             future.add_done_callback(lambda _: (pace.answered(request), request.wake()))
             try:
@@ -56,21 +59,24 @@ class Clients:
 
     def unserved(self):
         """The services that we have a client of and nobody serves: pairs of name and type."""
-        unready = [client for client in self.pool.values() if not client.service_is_ready()]
-        return {(client.srv_name, _type_name(client.srv_type)) for client in unready}
+        return {key for key, client in self.pool.entities().items() if not client.service_is_ready()}
+
+    def will(self, request):
+        """A request to send at the end, if its server is there, unless this request is cancelled before."""
+        with self._use(request) as (client, message):
+            return (yield from self._wills.hold(request, partial(_call_if_ready, client, message)))
 
     @contextmanager
-    def use(self, request):
+    def _use(self, request):
         """The pooled client of the service that a request names, and the message to send."""
-        message, interface, service = _deserialize(request), request.interface, request.text("service")
-        create = partial(self._node.create_client, interface, service, qos_profile=MANY_AT_ONCE)
-        with self.pool.use((service, interface), create) as (client, _):
+        message, service = _deserialize(request), request.text("service")
+        create = partial(self._node.create_client, request.interface, service, qos_profile=MANY_AT_ONCE)
+        with self.pool.use((service, request.text("type")), create) as (client, _):
             yield client, message
 
 
-def _type_name(interface):
-    package, kind = interface.__module__.split(".")[:2]
-    return f"{package}/{kind}/{interface.__name__}"
+def _call_if_ready(client, message):
+    return client.call_async(message) if client.service_is_ready() else None
 
 
 def _deserialize(request):
@@ -81,7 +87,7 @@ def _deserialize(request):
         raise OperationError("bad_request", message) from error
 
 
-def _wait_server(client, service, wait_s):
+def _wait_server(client, service, wait_s, latest):
     started = time.monotonic()
     deadline = started + wait_s
     while not client.service_is_ready():
@@ -89,7 +95,7 @@ def _wait_server(client, service, wait_s):
             raise OperationError("not_found", f"No server of {service} appeared within {wait_s:g} s.")
         yield APPEARS_POLL_S
     if time.monotonic() - started > JUST_STARTED_S:
-        yield KNOWS_US_S
+        yield min(KNOWS_US_S, max(0.0, latest - time.monotonic()))
 
 
 def _wait_response(client, service, future, timeout_s, latest):

@@ -7,7 +7,6 @@ import time
 
 from . import participants, qos
 from .request import OperationError
-from .ros import others
 
 POLL_S = 0.06
 QUIET_S = 0.4
@@ -90,6 +89,11 @@ class Graph:
                 raise OperationError("timeout", message.format(topic, *there, *wanted))
             yield 0.02
 
+    def create(self, kind, interface, topic, profile):
+        """An endpoint of ours, of rclpy's C++ part: no executor knows it."""
+        with self._node.handle:
+            return kind(self._node.handle, interface, topic, profile.get_c_qos_profile())
+
     def subscribers(self, topic):
         """rclpy's information about every subscriber of a topic."""
         return self._node.get_subscriptions_info_by_topic(topic)
@@ -133,7 +137,8 @@ class Graph:
         if not participants.all_discovered(self._node):
             return False
         is_told = participants.reach_is_local() and participants.on_this_machine(self._node.context.get_domain_id())
-        return bool(is_told or others(self._node))
+        ours = self._node.get_name(), self._node.get_namespace()
+        return bool(is_told or set(self._node.get_node_names_and_namespaces()) - {ours})
 
     def _has_unknown_nodes(self, topics):
         return any(

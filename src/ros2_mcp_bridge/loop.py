@@ -89,6 +89,11 @@ class Loop:
         """Whether something else waits for the ROS thread now."""
         return bool(self._submitted or self._ending or (self._waiting and self._waiting[0][0] <= time.monotonic()))
 
+    def turn_of(self, seconds):
+        """What tells whether a turn has been long enough: something else waits, or so many seconds are over."""
+        deadline = time.monotonic() + seconds
+        return lambda: self.has_due() or time.monotonic() > deadline
+
     def run(self, executor):
         """Go round until `end` is called."""
         self._executor = executor
@@ -121,6 +126,12 @@ class Loop:
     def _wake(self):
         if self._executor is not None:
             self._executor.create_task(_nothing)
+
+
+def log_failure(_result, error):
+    """For tasks that answer nobody."""
+    if error is not None:
+        traceback.print_exception(type(error), error, error.__traceback__, file=sys.stderr)
 
 
 def _nothing():

@@ -21,8 +21,7 @@ class Pace:
 
     def __init__(self):
         self._queue = deque()
-        self._untaken = deque()
-        self._taken_at = time.monotonic()
+        self._untaken = {}  # by request: when it is presumed to be taken
 
     def wait_turn(self, request, latest):
         """Steps that end when the request may be sent; `latest` is the time to give up, on the steady clock."""
@@ -32,24 +31,19 @@ class Pace:
                 if time.monotonic() >= latest:
                     raise OperationError("timeout", NOT_SENT, "Make fewer calls at once, or wait for longer.")
                 yield TAKEN_EVERY_S
-            self._untaken.append(request)
+            self._untaken[request] = max([time.monotonic(), *self._untaken.values()]) + TAKEN_EVERY_S
         finally:
             self._queue.remove(request)
             self._wake_next()
 
     def answered(self, request):
         """Its answer has come."""
-        if request in self._untaken:
-            self._untaken.remove(request)
+        self._untaken.pop(request, None)
         self._wake_next()
 
     def _has_room(self):
         now = time.monotonic()
-        if not self._untaken:
-            self._taken_at = now
-        while self._untaken and now - self._taken_at >= TAKEN_EVERY_S:
-            self._untaken.popleft()
-            self._taken_at += TAKEN_EVERY_S
+        self._untaken = {request: taken_at for request, taken_at in self._untaken.items() if taken_at > now}
         return len(self._untaken) < ROOM
 
     def _wake_next(self):

@@ -26,9 +26,9 @@ class Pool:
     def __len__(self):
         return len(self._entries)
 
-    def values(self):
-        """All entities."""
-        return [entry.entity for entry in self._entries.values()]
+    def entities(self):
+        """All entities by their keys."""
+        return {key: entry.entity for key, entry in self._entries.items()}
 
     @contextmanager
     def use(self, key, create):

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-import sys
 import time
+from functools import partial
 
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -17,13 +17,12 @@ POLL_S = 0.002
 NO_MORE_MATCHES_S = 0.1
 FIRST_ACK_S = 0.5
 FINAL_ACK_S = 0.1
-MAX_RATE_HZ = 1000.0
 
 
 class Publisher:
     """A publisher of serialized messages."""
 
-    def __init__(self, node, graph, request, max_depth=None):
+    def __init__(self, graph, request, max_depth=None):
         self._graph = graph
         self._topic, self._type = request.text("topic"), request.text("type")
         # Fast DDS asks for acknowledgement at once (5 ms) only when its history is full, else every 3 s. A depth of 1
@@ -32,14 +31,19 @@ class Publisher:
         self._profile = qos.profile(request.qos(), max_depth=max_depth or (1 if is_volatile else 1000))
         self.is_busy = False
         self._accepted = None
-        with node.handle:
-            self._handle = rclpy_implementation.Publisher(
-                node.handle, request.interface, self._topic, self._profile.get_c_qos_profile()
-            )
+        self._handle = graph.create(rclpy_implementation.Publisher, request.interface, self._topic, self._profile)
 
     def publish(self, data):
         """Hand one message to the middleware."""
         self._handle.publish_raw(data)
+
+    def publish_last(self, data):
+        """Publish a final message, if there is one: twice, for best-effort subscribers; returns what is then `done`."""
+        if not data:
+            return None
+        self.publish(data)
+        self.publish(data)
+        return self
 
     def matched(self):
         """The number of subscribers that would get a message now."""
@@ -79,13 +83,13 @@ class Publisher:
         if not is_reliable or not self.matched() or self._profile.reliability.name != "RELIABLE":
             return None
         deadline = time.monotonic() + wait_s
-        while not self.is_acknowledged():
+        while not self.done():
             if time.monotonic() >= deadline:
                 return False
             yield POLL_S
         return True
 
-    def is_acknowledged(self):
+    def done(self):
         """Whether every reliable subscriber has acknowledged everything."""
         return self._handle.wait_for_all_acked(Duration(seconds=0)._duration_handle)
 
@@ -102,23 +106,21 @@ class Publisher:
 
 
 class Repeat:
-    """Repeated publishing of one message, and of the final message whatever ends it."""
+    """Repeated publishing of one message."""
 
-    def __init__(self, publisher, message, final):
-        self.publisher = publisher
+    def __init__(self, publisher, message):
         self.sent = 0
         self.late = 0
         self.started = time.monotonic()
-        self.final_sent = False
+        self._publisher = publisher
         self._message = message
-        self._final = final
 
     def run(self, rate_hz, duration_s):
         """Steps that publish at the rate; periods that were missed are counted and not made up for."""
         period = 1.0 / rate_hz
         self._publish()
         # A subscriber may not know a new publisher yet, and with a depth of 1 the second message replaces the first.
-        yield from self.publisher.wait_acknowledged(FIRST_ACK_S)
+        yield from self._publisher.wait_acknowledged(FIRST_ACK_S)
         self.started = due = time.monotonic()
         end = self.started + duration_s
         while True:
@@ -132,36 +134,23 @@ class Repeat:
             self._publish()
 
     def _publish(self):
-        self.publisher.publish(self._message)
+        self._publisher.publish(self._message)
         self.sent += 1
-
-    def send_final(self):
-        """Publish the final message twice, for best-effort subscribers."""
-        if self._final:
-            self.publisher.publish(self._final)
-            self.publisher.publish(self._final)
-            self.final_sent = True
 
 
 class Publishers:
-    """Pooled publishers and what is being repeated."""
+    """Pooled publishers and what is done with them."""
 
-    def __init__(self, node, graph):
-        self._node = node
+    def __init__(self, graph, wills):
         self._graph = graph
-        self._repeats = {}
+        self._wills = wills
         self.pool = Pool(lambda publisher: publisher.destroy())
-
-    @property
-    def repeats(self):
-        """How many messages are being repeated."""
-        return len(self._repeats)
 
     def publish(self, request):
         """Publish once, when those who listen are matched, and wait for their acknowledgement."""
         wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
         started = time.monotonic()
-        with self.use(request) as (publisher, created):
+        with self._use(request) as (publisher, created):
             yield from publisher.wait_match(created, wait_match_s)
             matched, acked = yield from publisher.publish_acknowledged(request.body, wait_ack_s)
         waited_s = round(time.monotonic() - started, 6)
@@ -169,23 +158,24 @@ class Publishers:
 
     def repeat(self, request):
         """Publish at a rate for a while, then the final message."""
-        message, final = _split_final(request)
-        rate_hz, duration_s = request.number("rate_hz"), request.number("duration_s")
-        if not 0 < rate_hz <= MAX_RATE_HZ:
-            raise OperationError("bad_request", f"repeat: rate_hz is {rate_hz}, expected up to {MAX_RATE_HZ:.0f}.")
+        rate_hz, duration_s = request.rate(), request.number("duration_s")
         wait_match_s = request.number("wait_match_s", 0.0)
-        with self.use(request) as (publisher, created):
-            repeat, cancelled = Repeat(publisher, message, final), False
+        split_at = len(request.body) - int(request.number("final_size", 0))
+        if split_at < 0:
+            raise OperationError("bad_request", "repeat: final_size is larger than the body.")
+        message, final = request.body[:split_at], request.body[split_at:]
+        with self._use(request) as (publisher, created):
+            repeat, cancelled = Repeat(publisher, message), False
             try:
                 yield from publisher.wait_match(created, wait_match_s)
-                self._repeats[request.id] = repeat, request.flag("at_exit", True)
-                yield from repeat.run(rate_hz, duration_s)
+                with self._wills.held(request, partial(publisher.publish_last, final)):
+                    yield from repeat.run(rate_hz, duration_s)
             except Cancelled:
                 cancelled = True
             finally:
-                self._repeats.pop(request.id, None)
+                request.task = None  # it ends now, and cannot be cancelled any more
                 elapsed_s = round(time.monotonic() - repeat.started, 6)
-                repeat.send_final()
+                publisher.publish_last(final)
             matched = publisher.matched()
             yield from publisher.wait_acknowledged(FINAL_ACK_S)
         return {
@@ -193,40 +183,16 @@ class Publishers:
             "matched": matched,
             "elapsed_s": elapsed_s,
             "late": repeat.late,
-            "final_sent": repeat.final_sent,
+            "final_sent": bool(final),
             "cancelled": cancelled,
         }
 
-    def send_finals(self):
-        """Send the final message of everything that is being repeated and asks for it.
+    def will(self, request):
+        """A message to publish at the end, unless the request is cancelled before."""
+        with self._use(request) as (publisher, _):
+            return (yield from self._wills.hold(request, partial(publisher.publish_last, request.body)))
 
-        Another thread may call it when the ROS thread does not come to it.
-        """
-        while self._repeats:
-            repeat, at_exit = self._repeats.popitem()[1]
-            if at_exit:
-                _try(repeat.send_final)
-
-    def are_acknowledged(self):
-        """Whether all that was published has been acknowledged by all who do that."""
-        return all(publisher.is_acknowledged() for publisher in self.pool.values())
-
-    def use(self, request):
+    def _use(self, request):
         """The pooled publisher that a request names: a context of it and whether it was created for it."""
         key = (request.text("topic"), request.text("type"), tuple(sorted(request.qos().items())))
-        return self.pool.use(key, lambda: Publisher(self._node, self._graph, request))
-
-
-def _split_final(request):
-    final_size = int(request.number("final_size", 0))
-    if final_size > len(request.body):
-        raise OperationError("bad_request", "repeat: final_size is larger than the body.")
-    split_at = len(request.body) - final_size
-    return request.body[:split_at], request.body[split_at:]
-
-
-def _try(action):
-    try:
-        action()
-    except Exception as error:  # noqa: BLE001 - one that fails must not keep the others from being sent
-        sys.stderr.write(f"a final message could not be sent: {error}\n")
+        return self.pool.use(key, lambda: Publisher(self._graph, request))

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+MAX_RATE_HZ = 1000
+
 
 class OperationError(Exception):
     """Answers a request with an error; `kind` is one of the kinds in docs/reference/stream.md."""
@@ -28,7 +30,8 @@ class Cancelled(OperationError):
 class Request:
     """A request: `id`, `op`, `body`, and arguments that raise `OperationError` of kind `bad_request` when wrong.
 
-    `interface` is the Python class of the argument `type`, where there is one; `task` is what works on the request.
+    `interface` is the Python class of the argument `type`, where there is one; `task` is what works on the request, as
+    long as it can be cancelled.
     """
 
     interface = None
@@ -39,7 +42,6 @@ class Request:
         self.op = header.get("op")
         self.body = body
         self._header = header
-        self._is_cancelled = False
 
     def wake(self):
         """Let the operation look again at once at what it waits for."""
@@ -47,65 +49,59 @@ class Request:
             self.task.wake()
 
     def cancel(self):
-        """End the operation; a second time does nothing, it may be finishing its work."""
-        if self.task is not None and not self._is_cancelled:
-            self._is_cancelled = True
-            self.task.throw(Cancelled())
+        """End the operation; returns whether it did. A second time does nothing, it may be finishing its work."""
+        task, self.task = self.task, None
+        if task is not None:
+            task.throw(Cancelled())
+        return task is not None
 
     def text(self, name):
         """A required string that is not empty."""
-        value = self._header.get(name)
-        if not isinstance(value, str) or not value:
-            raise self._bad(name, "a string that is not empty")
-        return value
+        return self._required(name, "a string that is not empty", lambda value: isinstance(value, str) and value)
 
     def texts(self, name):
         """A required list of strings."""
-        value = self._header.get(name)
-        if not isinstance(value, list) or not all(isinstance(entry, str) for entry in value):
-            raise self._bad(name, "a list of strings")
-        return value
+        return self._required(name, "a list of strings", lambda value: _is_list_of(str, value))
 
     def number(self, name, default=None):
         """A number that is not negative; the default where it is absent or null, an error if there is no default."""
-        value = self._header.get(name)
-        if value is None and default is not None:
+        if default is not None and not self.has(name):
             return default
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0:
-            raise self._bad(name, "a number that is not negative")
-        return value
+        return self._required(name, "a number that is not negative", _is_number)
+
+    def rate(self):
+        """The required `rate_hz`."""
+        expected = f"a number above 0, up to {MAX_RATE_HZ}"
+        return self._required("rate_hz", expected, lambda value: _is_number(value) and 0 < value <= MAX_RATE_HZ)
 
     def sizes(self, name):
         """The required sizes of the parts that the body is made of."""
-        value = self._header.get(name)
-        if not isinstance(value, list) or not all(isinstance(size, int) and size >= 0 for size in value):
-            raise self._bad(name, "a list of sizes")
-        if sum(value) != len(self.body):
-            raise self._bad(name, f"sizes that add up to the body's {len(self.body)} bytes")
-        return value
+        size = len(self.body)
+        expected = f"a list of sizes that add up to the body's {size} bytes"
+        return self._required(name, expected, lambda value: _is_list_of(int, value) and sum(value) == size)
 
     def choice(self, name, choices):
         """A required string out of `choices`."""
-        value = self._header.get(name)
-        if value not in choices:
-            raise self._bad(name, "one of " + ", ".join(choices))
-        return value
-
-    def flag(self, name, default):
-        """A boolean."""
-        return bool(self._header.get(name, default))
+        return self._required(name, "one of " + ", ".join(choices), lambda value: value in choices)
 
     def has(self, name):
         """Whether the argument is there and not null."""
         return self._header.get(name) is not None
 
-    def qos(self, name="qos"):
+    def qos(self):
         """A required object of policies."""
+        return self._required("qos", "an object", lambda value: isinstance(value, dict))
+
+    def _required(self, name, expected, fits):
         value = self._header.get(name)
-        if not isinstance(value, dict):
-            raise self._bad(name, "an object")
+        if not fits(value):
+            raise OperationError("bad_request", f"{self.op}: {name} is {value!r}, expected {expected}.")
         return value
 
-    def _bad(self, name, expected):
-        given = self._header.get(name)
-        return OperationError("bad_request", f"{self.op}: {name} is {given!r}, expected {expected}.")
+
+def _is_number(value):
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and value >= 0
+
+
+def _is_list_of(kind, value):
+    return isinstance(value, list) and all(isinstance(each, kind) for each in value)

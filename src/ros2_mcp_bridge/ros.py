@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections import Counter
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -38,13 +37,6 @@ def enter(node_name):
     executor = _new_executor(node.context)
     executor.add_node(node)
     return node, executor
-
-
-def others(node):
-    """A `Counter` of the nodes that this one sees; several may share a name and namespace."""
-    found = Counter(node.get_node_names_and_namespaces())
-    del found[node.get_name(), node.get_namespace()]
-    return found
 
 
 def leave(node, executor):

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import traceback
 from collections import deque
 
 from . import frames
@@ -61,12 +62,14 @@ class SampleQueue:
         """Append and keep the bounds; the newest sample stays even if it is larger than `max_bytes` alone."""
         for sample in samples:
             self.received += 1
+            if len(sample[3]) > frames.MAX_BODY_BYTES:  # no frame can carry it
+                self.dropped += 1
+                continue
             self.waiting.append(sample)
             self._bytes += len(sample[3])
-            while len(self.waiting) > 1 and self._is_over():
-                self._drop_oldest()
-            if self._bytes > frames.MAX_BODY_BYTES:  # one sample that no frame can carry
-                self._drop_oldest()
+            while len(self.waiting) > 1 and (len(self.waiting) > self._max_samples or self._bytes > self._max_bytes):
+                self._pop()
+                self.dropped += 1
 
     def take_batch(self):
         """Remove the oldest samples, up to `BATCH_BYTES` or one, and return their frame."""
@@ -84,13 +87,6 @@ class SampleQueue:
             "lost": batch[-1][4],
         }
         return frames.pack(header, b"".join(sample[3] for sample in batch))
-
-    def _is_over(self):
-        return len(self.waiting) > self._max_samples or self._bytes > self._max_bytes
-
-    def _drop_oldest(self):
-        self._pop()
-        self.dropped += 1
 
     def _pop(self):
         sample = self.waiting.popleft()
@@ -115,7 +111,10 @@ class Outbox:
         self.send({"id": request_id, "ok": ok}, body)
 
     def reply_error(self, request_id, error):
-        """Answer a request with an `OperationError`."""
+        """Answer a request with what went wrong; what nobody expected is logged, too."""
+        if not isinstance(error, OperationError):
+            traceback.print_exception(type(error), error, error.__traceback__, file=sys.stderr)
+            error = OperationError("ros_error", f"{type(error).__name__}: {error}")
         self.send({"id": request_id, "error": error.as_json()})
 
     def add_samples(self, queue, samples):

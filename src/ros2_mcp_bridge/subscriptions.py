@@ -9,6 +9,7 @@ import time
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from . import qos
+from .loop import log_failure
 from .request import OperationError
 from .stream import SampleQueue
 
@@ -20,39 +21,59 @@ NO_SEQUENCE = (None, 0, 2**64 - 1)
 CDR_HEAD_BYTES = 4
 
 
-def take_raw(handle, interface):
-    """The next message as bytes and info; None if there is none.
+class RawSubscription:
+    """A raw subscription that no executor knows. `lost` counts the messages that never reached it.
 
-    While Fast DDS puts a large message together, it can hand out an empty one, again and again, with a time of 1970
-    (seen after another subscriber was killed). No message is shorter than the head of its CDR: that is none yet.
-    """
-    taken = handle.take_message(interface, True)
-    return None if taken is None or len(taken[0]) < CDR_HEAD_BYTES else taken
-
-
-class LossCount:
-    """Messages that never reached us: gaps in a publisher's sequence numbers.
-
-    A message does not tell its publisher, so that gaps can be counted only while there is exactly one; otherwise,
-    and where the middleware has no sequence numbers, `lost` is None.
+    Those are gaps in a publisher's sequence numbers. A message does not tell its publisher, so that gaps can be
+    counted only while there is exactly one; otherwise, and where the middleware has no sequence numbers, `lost` is
+    None, for good.
     """
 
-    def __init__(self, publisher_count, publisher_gids):
+    def __init__(self, graph, topic, interface, profile):
         self.lost = 0
-        self._publisher_count = publisher_count
-        self._publisher_gids = publisher_gids
-        self._last = None
-        self._gids = None
+        self._interface = interface
+        self._publisher_gids = lambda: graph.publisher_gids(topic)
+        self._gids = self._last = None
+        self._handle = graph.create(rclpy_implementation.Subscription, interface, topic, profile)
+        self.publisher_count = getattr(self._handle, "get_publisher_count", lambda: len(graph.publishers(topic)))
+
+    def drain(self, take_in, is_enough):
+        """Give `take_in` what the middleware holds; False if it or, now and then, `is_enough` ended it before all was.
+
+        A sample is what `SampleQueue` says.
+        """
+        for number, sample in enumerate(iter(self._take, None), 1):
+            if take_in(sample) or (number % 16 == 0 and is_enough()):
+                return False
+        return True
 
     def check_publishers(self):
-        """Give up for good when there is more than one publisher."""
-        if self.lost is not None and self._publisher_count() > 1:
+        """Give up counting what is lost when there is more than one publisher."""
+        if self.lost is not None and self.publisher_count() > 1:
             self.lost = None
 
-    def count(self, sequence):
-        """Take note of the next message."""
-        if self.lost is None:
-            return
+    def destroy(self):
+        """End receiving."""
+        self._handle.destroy_when_not_in_use()
+
+    def _take(self):
+        """The next sample; None if there is none.
+
+        While Fast DDS puts a large message together, it can hand out an empty one, again and again, with a time of 1970
+        (seen after another subscriber was killed). No message is shorter than the head of its CDR: that is none yet.
+        """
+        taken = self._handle.take_message(self._interface, True)
+        if taken is None or len(taken[0]) < CDR_HEAD_BYTES:
+            return None
+        data, info = taken
+        sequence = info.get("publication_sequence_number")
+        sequence = None if sequence in NO_SEQUENCE else sequence
+        if self.lost is not None:
+            self._count(sequence)
+        received_ns = info.get("received_timestamp") or time.time_ns()
+        return received_ns, info.get("source_timestamp") or 0, sequence, data, self.lost
+
+    def _count(self, sequence):
         if sequence is None:
             self.lost = None
         elif self._last is None or sequence <= self._last:  # the first message, or the first of a restarted publisher
@@ -63,59 +84,37 @@ class LossCount:
         self._last = sequence
 
 
-class Subscription:
-    """One raw subscription and the queue of its samples."""
+class Subscription(RawSubscription):
+    """A subscription of the server with the queue of its samples."""
 
-    def __init__(self, number, node, graph, request):
+    def __init__(self, number, graph, request):
         keeps_all = request.choice("keep", ("all", "latest")) == "all"
-        topic, self._interface = request.text("topic"), request.interface
-        profile = qos.profile(request.qos(), DEPTH_FOR_ALL if keeps_all else 1)
         max_samples = max(1, request.number("max_samples")) if keeps_all else 1
         self.drain_s = max(DRAIN_PERIOD_S, request.number("drain_s", DRAIN_PERIOD_S))
         self.queue = SampleQueue(number, max_samples, request.number("max_bytes"))
-        with node.handle:
-            self._handle = rclpy_implementation.Subscription(
-                node.handle, self._interface, topic, profile.get_c_qos_profile()
-            )
-        count_publishers = getattr(self._handle, "get_publisher_count", lambda: node.count_publishers(topic))
-        self.loss = LossCount(count_publishers, lambda: graph.publisher_gids(topic))
+        profile = qos.profile(request.qos(), DEPTH_FOR_ALL if keeps_all else 1)
+        super().__init__(graph, request.text("topic"), request.interface, profile)
         if not keeps_all:
-            self.loss.lost = None  # overwritten in the middleware, as asked for: not a loss to count
+            self.lost = None  # overwritten in the middleware, as asked for: not a loss to count
 
-    def drain(self, outbox, is_enough):
+    def drain_to(self, outbox, is_enough):
         """Move what the middleware holds to the outbox; returns False if `is_enough` ended it before all was taken."""
-        samples, is_empty = [], False
-        while not is_empty and not (len(samples) % 16 == 15 and is_enough()):
-            taken = take_raw(self._handle, self._interface)
-            is_empty = taken is None
-            if taken is not None:
-                samples.append(self._sample(*taken))
+        samples = []
+        is_empty = self.drain(samples.append, is_enough)
         if samples:
-            self.loss.check_publishers()
+            self.check_publishers()
             outbox.add_samples(self.queue, samples)
         return is_empty
 
     def counts(self):
         """What became of the messages so far."""
-        return {"received": self.queue.received, "dropped": self.queue.dropped, "lost": self.loss.lost}
-
-    def destroy(self):
-        """End receiving."""
-        self._handle.destroy_when_not_in_use()
-
-    def _sample(self, data, info):
-        sequence = info.get("publication_sequence_number")
-        sequence = None if sequence in NO_SEQUENCE else sequence
-        self.loss.count(sequence)
-        received_ns = info.get("received_timestamp") or time.time_ns()
-        return received_ns, info.get("source_timestamp") or 0, sequence, data, self.loss.lost
+        return {"received": self.queue.received, "dropped": self.queue.dropped, "lost": self.lost}
 
 
 class Subscriptions:
-    """All subscriptions of the bridge."""
+    """All subscriptions of the server."""
 
-    def __init__(self, node, graph, loop, outbox):
-        self._node = node
+    def __init__(self, graph, loop, outbox):
         self._graph = graph
         self._loop = loop
         self._outbox = outbox
@@ -129,9 +128,9 @@ class Subscriptions:
     def subscribe(self, request):
         """Begin to receive."""
         number = next(self._numbers)
-        self._open[number] = Subscription(number, self._node, self._graph, request)
+        self._open[number] = Subscription(number, self._graph, request)
         if self._draining is None or not self._draining.open:
-            self._draining = self._loop.start(self._drain_all(), lambda *_: None)
+            self._draining = self._loop.start(self._drain_all(), log_failure)
         self._draining.wake()  # those that were there may let it sleep for longer
         return {"sub": number}
 
@@ -141,7 +140,7 @@ class Subscriptions:
         if subscription is None:
             raise OperationError("not_found", "There is no such subscription.")
         deadline = time.monotonic() + LAST_DRAIN_S
-        while not subscription.drain(self._outbox, self._loop.has_due) and time.monotonic() < deadline:
+        while not subscription.drain_to(self._outbox, self._loop.has_due) and time.monotonic() < deadline:
             yield 0.0
         subscription.destroy()
         self._outbox.reply_after_samples(subscription.queue, request.id, subscription.counts())
@@ -154,10 +153,7 @@ class Subscriptions:
     def _drain_all(self):
         while self._open:
             started = time.monotonic()
-
-            def is_enough(deadline=started + DRAIN_AT_MOST_S):
-                return self._loop.has_due() or time.monotonic() > deadline
-
-            drained = [subscription.drain(self._outbox, is_enough) for subscription in list(self._open.values())]
+            is_enough = self._loop.turn_of(DRAIN_AT_MOST_S)
+            drained = [subscription.drain_to(self._outbox, is_enough) for subscription in list(self._open.values())]
             period_s = min((subscription.drain_s for subscription in self._open.values()), default=0.0)
             yield max(0.0, started + period_s - time.monotonic()) if all(drained) else 0.0

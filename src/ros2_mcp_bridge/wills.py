@@ -1,10 +1,10 @@
 # pyright: basic
-"""Last wills: what is done when the stream ends, whatever ends it."""
+"""What is done last when the stream ends, whatever ends it: final messages, and the wills that the server left."""
 
 from __future__ import annotations
 
 import sys
-from functools import partial
+from contextlib import contextmanager
 
 from .request import Cancelled
 
@@ -12,53 +12,43 @@ HOLD_S = 3600.0
 
 
 class Wills:
-    """Each will is a request that stays open; it is withdrawn by cancelling it."""
+    """The last deed of each open request that has one. It returns what is `done()` when it has arrived, or None."""
 
-    def __init__(self, publishers, clients):
-        self._publishers = publishers
-        self._clients = clients
+    def __init__(self):
         self._deeds = {}
 
-    def __len__(self):
-        return len(self._deeds)
+    def count(self, op):
+        """How many requests of that kind have a deed in force."""
+        return sum(request.op == op for request in self._deeds)
 
-    def publish(self, request):
-        """A message to publish at the end."""
-        with self._publishers.use(request) as (publisher, _):
-            yield from self._hold(request, partial(_publish_twice, publisher, request.body))
+    @contextmanager
+    def held(self, request, deed):
+        """The deed is in force inside of this context."""
+        self._deeds[request] = deed
+        try:
+            yield
+        finally:
+            self._deeds.pop(request, None)
 
-    def call(self, request):
-        """A request to send to a service at the end."""
-        with self._clients.use(request) as (client, message):
-            yield from self._hold(request, partial(_call, client, message))
+    def hold(self, request, deed):
+        """Steps that keep the deed in force until the request is cancelled."""
+        with self.held(request, deed):
+            try:
+                while True:
+                    yield HOLD_S
+            except Cancelled:
+                return {"cancelled": True}
 
     def carry_out(self):
-        """Do it all; returns the futures of the calls. Another thread may call it when the ROS thread is stuck."""
-        futures = []
-        while self._deeds:
-            deed = self._deeds.popitem()[1]
+        """Do it all, calls after messages, because they can block; returns what to wait for.
+
+        Another thread does it when the ROS thread does not come to it. The ROS thread then does it once more, for what
+        it was about to publish may have followed.
+        """
+        pending = []
+        for request, deed in sorted(self._deeds.items(), key=lambda entry: entry[0].op == "will_call"):
             try:
-                futures.append(deed())
+                pending.append(deed())
             except Exception as error:  # noqa: BLE001 - one that fails must not keep the others from being done
-                sys.stderr.write(f"a last will could not be carried out: {error}\n")
-        return [future for future in futures if future is not None]
-
-    def _hold(self, request, deed):
-        self._deeds[request.id] = deed
-        try:
-            while True:
-                yield HOLD_S
-        except Cancelled:
-            return {"cancelled": True}
-        finally:
-            self._deeds.pop(request.id, None)
-
-
-def _publish_twice(publisher, body):
-    """Twice, for best-effort subscribers."""
-    publisher.publish(body)
-    publisher.publish(body)
-
-
-def _call(client, message):
-    return client.call_async(message) if client.service_is_ready() else None
+                sys.stderr.write(f"the last deed of {request.op} could not be done: {error}\n")
+        return [each for each in pending if each is not None]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -107,6 +108,15 @@ def test_definitions_come_with_everything_they_refer_to(bridge: Client) -> None:
     assert {entry["format"] for entry in found["definitions"].values()} == {"msg", "action", "srv"}
     interfaces = bridge.ok("interfaces")["interfaces"]
     assert {"std_msgs/msg/String", SET_BOOL, "test_msgs/action/Fibonacci"} <= set(interfaces)
+
+
+def test_a_definition_that_cannot_be_read_is_an_error_and_the_bridge_goes_on(start, tmp_path: Path) -> None:
+    broken = tmp_path / "share/broken_msgs/msg/Broken.msg"
+    broken.parent.mkdir(parents=True)
+    broken.write_bytes(b"string text # \xff\n")
+    bridge = Client(start("ros2_mcp_bridge", env={"AMENT_PREFIX_PATH": f"{sys.prefix}{os.pathsep}{tmp_path}"}))
+    assert bridge.error("definitions", types=["broken_msgs/msg/Broken"])["kind"] == "ros_error"
+    assert "ros_idle_s" in bridge.ok("ping")
 
 
 @pytest.mark.parametrize("reliability", ["RELIABLE", "BEST_EFFORT"])
@@ -215,10 +225,47 @@ def test_the_final_message_is_sent_whatever_ends_the_bridge(bridge: Client, peer
     assert text == "stop"
 
 
+def test_nothing_follows_the_final_message_of_a_relay_that_is_being_fed(bridge: Client, peer) -> None:
+    """Stopped while the first message of a feed waits for its acknowledgement, the others of that feed are not sent."""
+    listener = peer("listen", "/said", "RELIABLE")
+    wait_subscribers(bridge, 1)
+    relay = bridge.send("relay", cdr_string("stop"), name="fed", topic="/said", type=STRING, qos=RELIABLE)
+    while not bridge.ok("relays")["relays"].get("fed", {}).get("matched"):
+        time.sleep(0.01)
+    listener.send_signal(signal.SIGSTOP)
+    go = cdr_string("go")
+    bridge.send("relay_feed", go * 3, name="fed", sizes=[len(go)] * 3)
+    while not bridge.ok("relays")["relays"]["fed"]["passed"]:
+        time.sleep(0.01)
+    assert bridge.ok("relay_stop", name="fed")["relays"] == 1
+    listener.send_signal(signal.SIGCONT)
+    answer = bridge.answer(relay)[0]["ok"]
+    assert (answer["passed"], answer["cancelled"], answer["final_sent"]) == (1, True, True)
+    assert publish(bridge, "end", wait_ack_s=5)["acked"]
+    heard = [line(listener)]
+    while heard[-1] != "end":
+        heard.append(line(listener))
+    assert set(heard) <= {"go", "stop", "end"}
+    assert "go" not in heard[heard.index("stop") :] if "stop" in heard else "go" not in heard
+
+
+def test_a_will_that_is_withdrawn_is_answered_and_not_carried_out(bridge: Client, peer) -> None:
+    listener = peer("listen", "/said", "RELIABLE")
+    will = bridge.send("will_publish", cdr_string("last"), topic="/said", type=STRING, qos=RELIABLE)
+    publish(bridge, "first")
+    bridge.ok("cancel", request=will)
+    assert bridge.answer(will)[0]["ok"] == {"cancelled": True}
+    publish(bridge, "second")
+    bridge.close()
+    listener.terminate()
+    assert listener.stdout
+    assert listener.stdout.read().decode().split() == ["first", "second"]
+
+
 def repeat(bridge: Client, **arguments: Any) -> int:
     final = cdr_string("stop")
     body = cdr_string("go") + final
-    arguments = {"qos": RELIABLE, "wait_match_s": 3, "at_exit": True, "final_size": len(final), **arguments}
+    arguments = {"qos": RELIABLE, "wait_match_s": 3, "final_size": len(final), **arguments}
     return bridge.send("repeat", body, topic="/said", type=STRING, **arguments)
 
 

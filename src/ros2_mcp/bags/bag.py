@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -23,18 +23,19 @@ SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".mcap.zstd")
 class Bag:
     """A bag, open for reading. `problems` say what is damaged or missing, and grow while more of it is found.
 
-    Messages come in the order of time over all files; each file is read only as far as it is needed.
+    Messages come in the order of time over all files; each file is read only as far as it is needed. `former` is the
+    same bag as it was before: files that have not changed since are not looked through again.
 
     Raises:
         NotFound: if there is no bag at that path.
         BadData: if nothing of it can be read.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, former: Bag | None = None) -> None:
         self.path = path
         self._problems: list[str] = []
         self.distro = ""
-        self._files = self._open(_files_of(path), self._facts())
+        self._files = self._open(_files_of(path), self._facts(), former.known_files() if former else {})
         self.topics = self._merged_topics()
 
     @property
@@ -60,12 +61,13 @@ class Bag:
         return sum(path.stat().st_size for path in _files_of(self.path))
 
     def messages(self, span: Span | None = None, newest_first: bool = False) -> Iterator[tuple[str, Sample]]:
-        """Topic and message, in the order of time or in its reverse."""
+        """Topic and message, in the order of time or in its reverse; what several files of a ring have comes once."""
         span = span or Span()
-        sources = [file.messages(span, newest_first) for file in self._files]
-        if len(sources) == 1:
-            return sources[0]
-        return heapq.merge(*sources, key=lambda each: each[1].received_ns, reverse=newest_first)
+        if len(self._files) == 1:
+            return self._files[0].messages(span, newest_first)
+        files = self._files[::-1] if newest_first else self._files
+        sources = [_numbered(number, file.messages(span, newest_first)) for number, file in enumerate(files)]
+        return _once(heapq.merge(*sources, key=lambda each: each[2].received_ns, reverse=newest_first))
 
     def last(self, topic: str, most: int, span: Span | None = None) -> list[Sample]:
         """The last messages of a topic (before the span's end), the oldest first; read from the end of the bag."""
@@ -74,7 +76,7 @@ class Bag:
         return newest[::-1]
 
     def counts(self) -> dict[str, int]:
-        """Messages of each topic; in SQLite files an entry of each message is read for it."""
+        """Messages of each topic in all files together; in SQLite files an entry of each message is read for it."""
         total: dict[str, int] = {}
         for file in self._files:
             own = (
@@ -83,6 +85,10 @@ class Bag:
             for name, count in own.items():
                 total[name] = total.get(name, 0) + count
         return total
+
+    def known_files(self) -> dict[Path, McapFile]:
+        """The MCAP files that were looked through. (What SQLite files say may change although they do not.)"""
+        return {file.path: file for file in self._files if isinstance(file, McapFile)}
 
     def close(self) -> None:
         """Closes all files."""
@@ -107,11 +113,13 @@ class Bag:
         self.distro = facts.distro
         return facts
 
-    def _open(self, paths: list[Path], facts: FolderFacts | None) -> list[StoredFile]:
+    def _open(self, paths: list[Path], facts: FolderFacts | None, known: Mapping[Path, McapFile]) -> list[StoredFile]:
         opened: list[StoredFile] = []
         for path in paths:
             try:
-                opened.append(_open_file(path, facts.compression_mode if facts else ""))
+                same = known.get(path)
+                compression = facts.compression_mode if facts else ""
+                opened.append(same if same and same.is_current else _open_file(path, compression))
             except (BadData, OSError) as error:
                 self._problems.append(f"{path.name}: {error}" if isinstance(error, OSError) else str(error))
         if not opened:
@@ -148,19 +156,23 @@ def _open_file(path: Path, compression: str) -> StoredFile:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether it is a bag's file, or a folder with such files."""
-    return bool(_files_in(path)) if path.is_dir() else path.name.endswith(SUFFIXES)
+    """Whether it is a bag's file, or a folder with such files; what cannot be looked into is none."""
+    try:
+        return bool(_files_in(path)) if path.is_dir() else path.name.endswith(SUFFIXES) and path.is_file()
+    except OSError:
+        return False
 
 
 def _files_of(path: Path) -> list[Path]:
-    if path.is_dir():
-        found = _files_in(path)
-        if not found:
-            raise NotFound(f"{path.name} holds no bag: there is no .mcap or .db3 file in it.")
-        return found
-    if not path.is_file():
-        raise NotFound(f"There is no bag {path.name}.")
-    return [path]
+    try:
+        if not path.is_dir() and not path.is_file():
+            raise NotFound(f"There is no bag {path.name}.")
+        found = _files_in(path) if path.is_dir() else [path]
+    except OSError as error:
+        raise BadData(f"{path.name} cannot be read: {error.strerror}.") from error
+    if not found:
+        raise NotFound(f"{path.name} holds no bag: there is no .mcap or .db3 file in it.")
+    return found
 
 
 def _files_in(folder: Path) -> list[Path]:
@@ -170,3 +182,17 @@ def _files_in(folder: Path) -> list[Path]:
 def _order(path: Path) -> list[tuple[int, str]]:
     """`run_2.mcap` comes before `run_10.mcap`."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
+
+
+def _numbered(number: int, messages: Iterable[tuple[str, Sample]]) -> Iterator[tuple[int, str, Sample]]:
+    return ((number, topic, sample) for topic, sample in messages)
+
+
+def _once(messages: Iterable[tuple[int, str, Sample]]) -> Iterator[tuple[str, Sample]]:
+    """Without the copies of latched messages with which the files of a ring begin."""
+    last: dict[str, tuple[int, Sample]] = {}
+    for file, topic, sample in messages:
+        before = last.get(topic)
+        last[topic] = file, sample
+        if before is None or before[0] == file or before[1] != sample:
+            yield topic, sample

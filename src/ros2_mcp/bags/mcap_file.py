@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import heapq
+import os
+import weakref
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TypeAlias
@@ -32,6 +34,8 @@ class McapFile:
         self.path = path
         self.problems: list[str] = []
         self._file = path.open("rb")
+        weakref.finalize(self, self._file.close)  # as soon as nobody reads this state of the file any more
+        self._version = _version(os.fstat(self._file.fileno()))
         self._size = self._file.seek(0, 2)
         try:
             self._index = read_index(self._file, self._size)
@@ -41,6 +45,11 @@ class McapFile:
         for problem in self._index.problems:
             self._note(problem)
         self._topics = self._read_topics()
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the file is still as it was when its index was read."""
+        return _version(self.path.stat()) == self._version
 
     @property
     def topics(self) -> Mapping[str, StoredTopic]:
@@ -160,6 +169,10 @@ class McapFile:
         text = f"{self.path.name}: {problem}"
         if len(self.problems) < _MOST_PROBLEMS and text not in self.problems:
             self.problems.append(text)
+
+
+def _version(facts: os.stat_result) -> tuple[int, int, int]:
+    return facts.st_ino, facts.st_size, facts.st_mtime_ns
 
 
 def _is_near(place: ChunkPlace, channels: frozenset[int], span: Span) -> bool:

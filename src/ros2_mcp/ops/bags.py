@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.moments import span_of
 from ros2_mcp.ops.reading import View
 from ros2_mcp.ops.recording import recordings
-from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.results import exact_time, iso_time
 from ros2_mcp.robot import Robot
 
 if TYPE_CHECKING:
@@ -55,7 +55,10 @@ class BagList:
 
 @dataclass(frozen=True, slots=True)
 class BagTopic:
-    """A topic of a bag; `has_definition` tells whether the bag itself says what its bytes mean."""
+    """A topic of a bag; `has_definition` tells whether the bag itself says what its bytes mean.
+
+    `messages` counts those in all files; a black box has the last latched message of a topic in each of them.
+    """
 
     topic_name: str
     topic_type: str
@@ -255,11 +258,16 @@ def _read(memory: Memory, asked: Asked, view: View, topic: StoredTopic, codec: C
         span = replace(span_in(memory, bag, asked.start, asked.end), topics=(topic.name,))
         backwards = not asked.start.strip()
         samples = (sample for _, sample in bag.messages(span, newest_first=backwards))
-        taken = list(islice(within_bytes(islice(samples, 0, None, view.every_n)), asked.limit + 1))
+        chosen, beyond = taken(islice(samples, 0, None, view.every_n), asked.limit)
         problems = bag.problems
-    chosen = taken[: asked.limit][:: -1 if backwards else 1]
+    if backwards:
+        chosen.reverse()
     shown, rendered, bad = rendered_within(topic.type, codec, chosen, view)
-    notes = [f"There are {'earlier' if backwards else 'later'} ones too."] if len(taken) > asked.limit else []
+    notes: list[str] = []
+    if beyond and backwards:
+        notes.append(f"There are earlier ones too: for those, give end {exact_time(chosen[0].received_ns - 1)}.")
+    elif beyond:
+        notes.append(f"There are later ones too: for those, give start {exact_time(beyond.received_ns)}.")
     if len(shown) + bad < len(chosen):
         notes.append(f"{len(chosen) - len(shown) - bad} more do not fit: choose fields, or every_n.")
     if bad:
@@ -279,42 +287,47 @@ def _read(memory: Memory, asked: Asked, view: View, topic: StoredTopic, codec: C
     )
 
 
-def within_bytes(samples: Iterable[Sample], most: int = _MAX_BYTES) -> Iterator[Sample]:
-    """As many of the samples as fit, at least one."""
-    total = 0
+def taken(samples: Iterable[Sample], most: int, max_bytes: int = _MAX_BYTES) -> tuple[list[Sample], Sample | None]:
+    """The first ones, at least one, within both bounds; and the next one, if there are more."""
+    found: list[Sample] = []
+    size = 0
     for sample in samples:
-        total += len(sample.data)
-        if total > most and total > len(sample.data):
-            return
-        yield sample
+        size += len(sample.data)
+        if len(found) == most or (found and size > max_bytes):
+            return found, sample
+        found.append(sample)
+    return found, None
 
 
 def rendered_within(
     type_name: str, codec: Codec, samples: Sequence[Sample], view: View
 ) -> tuple[list[Sample], list[Any], int]:
-    """As many messages as fit, evenly spread; how many could not be decoded."""
+    """As many messages as fit, evenly spread; and how many of those looked at could not be decoded."""
     from ros2_mcp.codec.render import RenderOptions, render
     from ros2_mcp.codec.select import parse_fields
     from ros2_mcp.ops.reading import spread
 
     if view.fields:
         parse_fields(codec.definitions, type_name, view.fields)
-    readable: list[tuple[Sample, Any]] = []
-    for sample in samples:
-        try:
-            readable.append((sample, codec.decode(type_name, sample.data)))
-        except BadData:
-            continue
-    if not readable:
-        return [], [], len(samples)
 
-    def rendered(message: Any, max_bytes: int) -> Any:
+    def rendered(sample: Sample, max_bytes: int) -> Any:
         options = RenderOptions(max_array=view.max_array, max_bytes=max_bytes, fields=tuple(view.fields) or None)
+        try:
+            message = codec.decode(type_name, sample.data)
+        except BadData:
+            return None
         return render(codec.definitions, type_name, message, options=options)
 
-    size = rendered(readable[-1][1], view.max_bytes).bytes + 60
-    by_sample = {id(sample): message for sample, message in readable}
-    shown = spread([sample for sample, _ in readable], max(view.max_bytes // size, 1))
-    share = max(view.max_bytes // len(shown), 500)
-    results = [rendered(by_sample[id(sample)], share) for sample in shown]
-    return shown, results, len(samples) - len(readable)
+    last = len(samples)
+    newest = None
+    while last and newest is None:
+        last -= 1
+        newest = rendered(samples[last], view.max_bytes)
+    if newest is None:
+        return [], [], len(samples)
+    chosen = spread(samples[: last + 1], max(view.max_bytes // (newest.bytes + 60), 1))
+    share = max(view.max_bytes // len(chosen), 500)
+    results = [(sample, rendered(sample, share)) for sample in chosen]
+    readable = [(sample, result) for sample, result in results if result is not None]
+    bad = len(samples) - last - 1 + len(chosen) - len(readable)
+    return [sample for sample, _ in readable], [result for _, result in readable], bad

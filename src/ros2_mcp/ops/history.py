@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
@@ -13,14 +13,14 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError, UnknownInterface
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.bags import codec_of, definitions_of, find_topic, rendered_within, span_in, within_bytes
+from ros2_mcp.ops.bags import codec_of, definitions_of, find_topic, rendered_within, span_in, taken
 from ros2_mcp.ops.black_box import BLACK_BOX
 from ros2_mcp.ops.data_black_box import ANY, TIMEOUT_S, DataBlackBox, Question, find_box
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.moments import last_ns_of, moment_ns
 from ros2_mcp.ops.reading import View
 from ros2_mcp.ops.recording import recordings
-from ros2_mcp.ops.results import Report, iso_time, reporting, silent
+from ros2_mcp.ops.results import Report, exact_time, iso_time, reporting, silent
 from ros2_mcp.robot import Robot
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ class Found:
 class StoredMessages:
     """Messages of the past with the times at which they were stored (empty where the source does not say).
 
-    `count` are shown of `found` ones. `truncated` names paths whose values are summaries.
+    `count` are shown of `found` ones; `note` tells if there are earlier ones that were not read. `truncated` names
+    paths whose values are summaries.
     """
 
     source: str
@@ -102,9 +103,9 @@ async def _find(robot: Robot, memory: Memory, asked: Asked) -> tuple[Found | Non
     """What the first source has that has messages, else what one without any says; and which sources failed."""
     empty: Found | None = None
     failed: list[RobotError] = []
-    for source in SOURCES:
+    for answer in _answers(robot, memory, asked):
         try:
-            found = await source(robot, memory, asked)
+            found = await answer
         except (BadName, BadValue):
             raise
         except RobotError as error:
@@ -116,7 +117,29 @@ async def _find(robot: Robot, memory: Memory, asked: Asked) -> tuple[Found | Non
     return empty, failed
 
 
-async def _ask_data_black_box(robot: Robot, memory: Memory, asked: Asked) -> Found | None:  # noqa: ARG001
+def _answers(robot: Robot, memory: Memory, asked: Asked) -> Iterator[Awaitable[Found | None]]:
+    """Who is asked, in this order: the Data Black Box, this server's recordings, the bag that stands for the robot, and
+    those that were opened, the last one first.
+    """
+    own = _own_recordings(memory)
+    subject = [memory.subject_name] if memory.subject else []
+    bags = dict.fromkeys([*subject, *memory.opened_names()])
+    yield _ask_data_black_box(robot, asked)
+    for name in own:
+        yield _ask_bag(robot, memory, asked, name, "this server's recording")
+    for name in bags:
+        if name not in own:
+            yield _ask_bag(robot, memory, asked, name, "the bag")
+
+
+def _own_recordings(memory: Memory) -> list[str]:
+    """The black box first while it runs, then the newest recording first; what former servers left is none of them."""
+    own = recordings(memory)
+    running = [name for name in own if name == BLACK_BOX and own[name].is_running]
+    return list(dict.fromkeys([*running, *reversed(own)]))
+
+
+async def _ask_data_black_box(robot: Robot, asked: Asked) -> Found | None:
     box = None if robot.policy.recorded else await find_box(robot)
     if box is None:
         return None
@@ -158,41 +181,22 @@ def _moment(name: str, text: str, now_ns: int) -> int | None:
     return moment_ns(name, text, None, now_ns)
 
 
-async def _ask_recordings(robot: Robot, memory: Memory, asked: Asked) -> Found | None:
-    """Our own black box first, then the recordings of this server, the newest first."""
-    own = [*(name for name in recordings(memory) if name != BLACK_BOX)][::-1]
-    return await _first_of(robot, memory, asked, [BLACK_BOX, *own], "this server's recording")
-
-
-async def _ask_bags(robot: Robot, memory: Memory, asked: Asked) -> Found | None:
-    """The bag that stands for the robot, if one does, and those that were opened, the last one first."""
-    subject = [memory.subject_name] if memory.subject else []
-    return await _first_of(robot, memory, asked, [*subject, *memory.opened_names()], "the bag")
-
-
-async def _first_of(robot: Robot, memory: Memory, asked: Asked, bags: Iterable[str], words: str) -> Found | None:
-    empty: Found | None = None
-    for bag in bags:
-        try:
-            found = await _in_bag(robot, memory, asked, bag, words)
-        except NotFound:
-            continue
-        if found.samples:
-            return found
-        empty = empty or found
-    return empty
-
-
-async def _in_bag(robot: Robot, memory: Memory, asked: Asked, name: str, words: str) -> Found:
-    def read() -> tuple[Any, list[Sample]]:
+async def _ask_bag(robot: Robot, memory: Memory, asked: Asked, name: str, words: str) -> Found | None:
+    def read() -> tuple[Any, list[Sample], Sample | None]:
         with memory.reading(name) as bag:
             topic = find_topic(bag, asked.topic)
             span = replace(span_in(memory, bag, asked.start, asked.end), topics=(topic.name,))
             newest = (sample for _, sample in bag.messages(span, newest_first=True))
-            return topic, list(islice(within_bytes(newest), asked.number or MAX_MESSAGES))[::-1]
+            return topic, *taken(islice(newest, asked.number or None), MAX_MESSAGES)
 
-    topic, samples = await asyncio.to_thread(read)
-    return Found(f"{words} {name}", topic.type, samples, codec_of(await definitions_of(topic, robot)))
+    try:
+        topic, newest, beyond = await asyncio.to_thread(read)
+    except NotFound:
+        return None
+    codec = codec_of(await definitions_of(topic, robot))
+    earlier = exact_time(newest[-1].received_ns - 1) if beyond else ""
+    note = f"There are earlier ones too: for those, give time_end {earlier}." if earlier else ""
+    return Found(f"{words} {name}", topic.type, newest[::-1], codec, note)
 
 
 def _show(asked: Asked, view: View, found: Found, failed: Sequence[RobotError]) -> StoredMessages:
@@ -230,11 +234,3 @@ def _nobody(asked: Asked) -> NotFound:
         f"Nobody has kept messages of {asked.topic}: no Data Black Box, no recording and no opened bag has it.",
         "Start the server with --black-box, record with ros2_record_start, or open a bag with ros2_bag_info.",
     )
-
-
-SOURCES: Sequence[Callable[[Robot, Memory, Asked], Awaitable[Found | None]]] = (
-    _ask_data_black_box,
-    _ask_recordings,
-    _ask_bags,
-)
-"""Who is asked, in this order."""

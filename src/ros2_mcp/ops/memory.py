@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import threading
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 RECORDINGS = Path("~/ros2-mcp/recordings")
 _MOST_OPEN = 4
+_DEEPEST = 4
 BLACK_BOX = "black-box"
 """The name of the server's own black box among the bags."""
 _BLACK_BOX_WORDS = ("black box", "black_box", "blackbox")
@@ -30,13 +31,26 @@ class Ending(Protocol):
         ...
 
 
-@dataclass(slots=True)
 class OpenedBag:
-    """A bag that stays open; only one thread at a time may read it."""
+    """A bag that stays open, with the name by which it was asked for; only who has the lock may read it."""
 
-    bag: Bag
-    mark: tuple[int, int]
-    lock: threading.Lock = field(default_factory=threading.Lock)
+    def __init__(self, name: str, path: Path) -> None:
+        self.name = name
+        self.bag: Bag | None = None
+        self.lock = threading.Lock()
+        self._path = path
+        self._mark: tuple[int, int] | None = None
+
+    @contextmanager
+    def reading(self) -> Generator[Bag, None, None]:
+        """The bag as it is now, for one thread to read; raises as `Bag`."""
+        from ros2_mcp.bags.bag import Bag
+
+        with self.lock:
+            mark = _mark(self._path)
+            if self.bag is None or mark != self._mark:
+                self.bag, self._mark = Bag(self._path, self.bag), mark
+            yield self.bag
 
 
 class Memory:
@@ -52,7 +66,7 @@ class Memory:
         self.bag_dir = bag_dir.expanduser() if bag_dir else self.record_dir
         self.running: dict[str, Ending] = {}
         self._opened: dict[Path, OpenedBag] = {}
-        self._opening = threading.Lock()
+        self._looking_up = threading.Lock()
 
     @property
     def subject_name(self) -> str:
@@ -64,7 +78,8 @@ class Memory:
         for each in list(self.running.values()):
             await each.end()
         for opened in self._opened.values():
-            opened.bag.close()
+            if opened.bag:
+                opened.bag.close()
         self._opened.clear()
 
     # ── bags ───────────────────────────────────────────────────────────────────────────────────────────────────
@@ -74,9 +89,9 @@ class Memory:
         from ros2_mcp.bags.bag import is_bag
 
         found: dict[str, Path] = {self.subject.name: self.subject} if self.subject else {}
-        for root in dict.fromkeys((self.bag_dir, self.record_dir)):
-            for path in sorted(_below(root, 4)):
-                if is_bag(path) and (path.is_dir() or not is_bag(path.parent)):
+        for root in self._roots:
+            for path in _below(root):
+                if is_bag(path) and _is_inside(path.resolve(), root):
                     found.setdefault(str(path.relative_to(root)), path)
         return found
 
@@ -90,11 +105,11 @@ class Memory:
         if self.subject and name == self.subject.name:
             return self.subject
         name = BLACK_BOX if name.strip().lower() in _BLACK_BOX_WORDS else name
-        for root in dict.fromkeys((self.bag_dir, self.record_dir)):
-            path = (root / name).resolve()
-            if not path.is_relative_to(root.resolve()):
-                raise BadInput(f"{name!r} is not below the folder of bags.", "ros2_bag_list shows what can be read.")
-            if name.strip("./") and path.exists():
+        paths = [path for root in self._roots if _is_inside(path := (root / name).resolve(), root)]
+        if not paths:
+            raise BadInput(f"{name!r} is not below the folder of bags.", "ros2_bag_list shows what can be read.")
+        for path in paths if name.strip("./") else ():
+            if os.path.lexists(path):
                 return path
         raise NotFound(
             f"There is no bag {name!r} in {self.bag_dir}.",
@@ -103,44 +118,55 @@ class Memory:
 
     def opened_names(self) -> list[str]:
         """The bags that are open, by the names that `reading` takes, the last one first."""
-        with self._opening:
-            opened = list(self._opened)[::-1]
-        names = {path.resolve(): name for name, path in self.bag_names().items()}
-        return [names[path] for path in opened if path in names]
+        with self._looking_up:
+            return [opened.name for opened in self._opened.values() if opened.bag][::-1]
 
     @contextmanager
     def reading(self, name: str) -> Generator[Bag, None, None]:
         """A bag for one thread to read; it stays open for the next time, unless it changes meanwhile."""
-        opened = self._open(self.find_bag(name))
-        with opened.lock:
-            yield opened.bag
+        with self.opened(name).reading() as bag:
+            yield bag
 
-    def _open(self, path: Path) -> OpenedBag:
-        from ros2_mcp.bags.bag import Bag
-
-        with self._opening:
-            mark = _mark(path)
-            opened = self._opened.pop(path, None)
-            if opened is None or opened.mark != mark:
-                opened = OpenedBag(Bag(path), mark)
-            self._opened[path] = opened
+    def opened(self, name: str) -> OpenedBag:
+        """A bag that is opened when it is read; raises as `find_bag`."""
+        path = self.find_bag(name)
+        with self._looking_up:
+            opened = self._opened[path] = self._opened.pop(path, None) or OpenedBag(name, path)
             while len(self._opened) > _MOST_OPEN:
                 del self._opened[next(iter(self._opened))]
             return opened
 
+    @property
+    def _roots(self) -> Sequence[Path]:
+        """The folders that may be read; where both have a bag of the same name, it is the one recorded here."""
+        return list(dict.fromkeys((self.record_dir, self.bag_dir)))
 
-def _below(root: Path, depth: int) -> Iterator[Path]:
-    if depth == 0 or not root.is_dir():
-        return
-    for path in root.iterdir():
-        if not path.name.startswith("."):
-            yield path
-            if path.is_dir() and not path.is_symlink():
-                yield from _below(path, depth - 1)
+
+def _is_inside(path: Path, root: Path) -> bool:
+    return path.is_relative_to(root.resolve())
+
+
+def _below(root: Path) -> Iterator[Path]:
+    """The files of the folder itself and the folders below it, those left out that are hidden or cannot be looked into.
+
+    The files of a folder below are parts of one bag.
+    """
+    for name, folders, files in os.walk(root):
+        folder = Path(name)
+        folders[:] = sorted(each for each in folders if not each.startswith("."))
+        yield from (folder / each for each in folders)
+        if folder == root:
+            yield from (folder / each for each in sorted(files) if not each.startswith("."))
+        if len(folder.relative_to(root).parts) + 1 == _DEEPEST:
+            folders.clear()
 
 
 def _mark(path: Path) -> tuple[int, int]:
     """Changes whenever the files do."""
-    files = [path] if path.is_file() else [each for each in path.iterdir() if each.is_file()]
-    facts = [each.stat() for each in files]
-    return sum(each.st_size for each in facts), max((each.st_mtime_ns for each in facts), default=0)
+    size = newest_ns = 0
+    for each in [path] if path.is_file() else path.glob("*"):
+        with suppress(OSError):  # a ring drops its oldest file at any moment; what cannot be read, the bag tells
+            if each.is_file():
+                facts = each.stat()
+                size, newest_ns = size + facts.st_size, max(newest_ns, facts.st_mtime_ns)
+    return size, newest_ns

@@ -6,15 +6,15 @@ import asyncio
 from collections.abc import AsyncGenerator, Iterator, Sequence
 from contextlib import aclosing, asynccontextmanager
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadValue, RobotError, TypeConflict
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Counts, Sample
-from ros2_mcp.ops.bags import definitions_of, find_topic, span_in, times_of, within_bytes
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bags import definitions_of, find_topic, span_in, taken, times_of
+from ros2_mcp.ops.memory import Memory, OpenedBag
 from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.window import Missing, Scene, Stream, Window
 from ros2_mcp.robot import Robot, TopicEndpoints
@@ -88,17 +88,17 @@ class BagSource:
         stored = await self._learn(topic)
         if type_name and names.interface_type(type_name, "msg") != stored.type:
             raise TypeConflict(f"{stored.name} has the type {stored.type}, not {type_name}.", "Leave the type out.")
-        taken = [0]
+        given = [0]
         last = most if self._from_end else None
         publishers = _publishers(stored)
-        async with aclosing(self._batches(stored, last, taken)) as batches:
+        async with aclosing(self._batches(stored, last, given)) as batches:
             yield Stream(
                 stored.name,
                 stored.type,
                 self._codec,
                 publishers,
                 batches,
-                lambda: Counts(taken[0], 0, None),
+                lambda: Counts(given[0], 0, None),
                 self._why_no_more,
                 lambda: self.duration_s,
                 f"{publishers[0].qos.durability}, as it was recorded",
@@ -132,7 +132,7 @@ class BagSource:
         kept: list[Sample] = []
         size = received = 0
         with self._memory.reading(self._name) as bag:
-            for sample in _once(bag.messages(span, newest_first=True)):
+            for _, sample in bag.messages(span, newest_first=True):
                 received += 1
                 size += 0 if times_only else len(sample.data)
                 if len(kept) < MAX_SAMPLES and (size <= max_bytes or not kept):
@@ -145,19 +145,23 @@ class BagSource:
         )
 
     async def _batches(
-        self, topic: StoredTopic, last: int | None, taken: list[int]
+        self, topic: StoredTopic, last: int | None, given: list[int]
     ) -> AsyncGenerator[Sequence[Sample], None]:
+        """Of the bag as it is at the beginning, although it may grow meanwhile."""
         span = replace(self._span, topics=(topic.name,))
-        messages: Iterator[Sample] | None = None
 
-        def following() -> list[Sample]:
-            nonlocal messages
-            with self._memory.reading(self._name) as bag:
-                messages = messages or (_first(bag, topic, span) if last is None else _last(bag, topic, span, last))
+        def begun() -> tuple[OpenedBag, Iterator[Sample]]:
+            opened = self._memory.opened(self._name)
+            with opened.reading() as bag:
+                return opened, _first(bag, topic, span) if last is None else _last(bag, topic, span, last)
+
+        def following(opened: OpenedBag, messages: Iterator[Sample]) -> list[Sample]:
+            with opened.lock:
                 return _batch(messages)
 
-        while batch := await asyncio.to_thread(following):
-            taken[0] += len(batch)
+        opened, messages = await asyncio.to_thread(begun)
+        while batch := await asyncio.to_thread(following, opened, messages):
+            given[0] += len(batch)
             yield batch
 
 
@@ -203,15 +207,6 @@ def _covers(first_ns: int, last_ns: int) -> str:
     return f"It goes from {iso_time(first_ns)} to {iso_time(last_ns)}."
 
 
-def _once(messages: Iterator[tuple[str, Sample]]) -> Iterator[Sample]:
-    """The samples of one topic; those that stand in several files of a ring, because they are latched, only once."""
-    last: Sample | None = None
-    for _, sample in messages:
-        if last is None or (sample.received_ns, sample.data) != (last.received_ns, last.data):
-            yield sample
-        last = sample
-
-
 def _batch(messages: Iterator[Sample]) -> list[Sample]:
     found: list[Sample] = []
     size = 0
@@ -225,17 +220,15 @@ def _batch(messages: Iterator[Sample]) -> list[Sample]:
 
 def _first(bag: Bag, topic: StoredTopic, span: Span) -> Iterator[Sample]:
     """All samples, after a latched one that was there before."""
-    return chain(_latched_before(bag, topic, span), _once(bag.messages(span)))
+    return chain(_latched_before(bag, topic, span), (sample for _, sample in bag.messages(span)))
 
 
 def _last(bag: Bag, topic: StoredTopic, span: Span, most: int) -> Iterator[Sample]:
     """The last samples, as many of them as fit in memory, the oldest first."""
-    found: list[Sample] = []
-    for sample in within_bytes(_once(bag.messages(span, newest_first=True)), MAX_BYTES):
-        found.append(sample)
-        if len(found) == most:
-            return reversed(found)
-    return chain(_latched_before(bag, topic, span), reversed(found))
+    newest = (sample for _, sample in bag.messages(span, newest_first=True))
+    found, beyond = taken(islice(newest, most), most, MAX_BYTES)
+    before = [] if beyond or len(found) == most else _latched_before(bag, topic, span)
+    return chain(before, reversed(found))
 
 
 def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:

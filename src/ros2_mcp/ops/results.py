@@ -100,6 +100,11 @@ def iso_time(unix_ns: int) -> str:
     return moment.isoformat(timespec="microseconds").replace("+00:00", "Z")
 
 
+def exact_time(unix_ns: int) -> str:
+    """As `iso_time` with nanoseconds: to ask for what comes before a message, or from it on."""
+    return f"{iso_time(unix_ns)[:-1]}{unix_ns % 1000:03d}Z"
+
+
 def is_recorded(source: str) -> bool:
     """Whether a source's words are those of a recording."""
     return source.startswith("bag ")

@@ -23,7 +23,7 @@ Moment = Annotated[
     title="Messages of the past",
     risk="read",
     group="memory",
-    aliases={"number_of_msg": "number_of_messages", "msg_type": "message_type"},
+    aliases={"number_of_msg": "number_of_messages", "limit": "number_of_messages", "msg_type": "message_type"},
     recorded=True,
     also_named="ros2_get_messages_stored_in_influx_data_base",
 )

@@ -177,3 +177,40 @@ def test_a_ring_stays_within_its_bytes_and_keeps_the_newest(tmp_path: Path, open
     newest = bag.last("/chatter", 100)
     assert newest == [said(number, 1000) for number in range(1900, 2000)]
     assert said(0) in bag.last("/scan", 1)
+
+
+def test_a_latched_message_stands_in_every_file_of_a_ring_and_is_read_once(tmp_path: Path, open_bag: OpenBag) -> None:
+    ring = RingWriter(tmp_path, max_bytes=16 * 5000, max_age_s=3600)
+    ring.add_topic(CHATTER)
+    ring.add_topic(replace(SCAN, qos=qos_text([QoS(durability="transient_local")])))
+    written = [("/scan", said(0)), ("/scan", replace(said(1), received_ns=START_NS))]
+    written += [("/chatter", said(number, 5000)) for number in (2, 2, 3, 4)]
+    for topic, sample in written:
+        ring.write(topic, sample)
+        if topic == "/chatter" and sample != said(2, 5000):
+            ring.flush()
+    ring.close()
+    bag = open_bag(tmp_path)
+    assert bag.counts()["/scan"] == 4  # two of them are copies
+    assert list(bag.messages()) == written
+    assert list(bag.messages(newest_first=True)) == written[::-1]
+
+
+def test_of_a_bag_that_grows_only_what_has_changed_is_looked_through_again(tmp_path: Path, open_bag: OpenBag) -> None:
+    writer = BagWriter(tmp_path, "run", split_bytes=20_000)
+    writer.add_topic(CHATTER)
+
+    def write(*numbers: int) -> None:
+        for number in numbers:
+            writer.write("/chatter", said(number, 5000))
+            writer.flush()
+
+    write(*range(10))
+    former = open_bag(tmp_path)
+    write(*range(10, 12))
+    grown = Bag(tmp_path, former)
+    writer.close()
+    same = [path for path, file in grown.known_files().items() if former.known_files().get(path) is file]
+    assert sorted(path.name for path in same) == sorted(path.name for path in former.known_files())[:-1]
+    assert [sample for _, sample in grown.messages()] == [said(number, 5000) for number in range(12)]
+    assert [sample for _, sample in former.messages()] == [said(number, 5000) for number in range(10)]

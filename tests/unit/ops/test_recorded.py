@@ -129,6 +129,31 @@ def test_the_flow_of_a_recording_is_that_of_the_whole_or_of_a_part(memory: Memor
     assert "no topic /other" in part.topics[2].error
 
 
+async def follow_while_it_grows(memory: Memory, writer: BagWriter) -> int:
+    source = await open_source(memory, "growing", "first 0 s")
+    async with source.follow("/count") as stream:
+        sizes = [len(await anext(stream.batches))]
+        begun = memory.opened("growing").bag
+        writer.write("/count", Sample(START_NS + SECOND, 0, 999, number_at(999)))
+        writer.flush()
+        sizes += [len(batch) async for batch in stream.batches]
+        assert memory.opened("growing").bag is begun
+    with memory.reading("growing") as bag:
+        assert bag is not begun and bag.count == sum(sizes) + 1
+    return sum(sizes)
+
+
+def test_a_recording_that_grows_while_it_is_followed_is_not_opened_again(memory: Memory, tmp_path: Path) -> None:
+    (tmp_path / "growing").mkdir()
+    writer = BagWriter(tmp_path / "growing", "growing")
+    writer.add_topic(StoredTopic("/count", "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n"))
+    for number in range(600):
+        writer.write("/count", Sample(START_NS + number, 0, number + 1, number_at(number)))
+    writer.flush()
+    assert asyncio.run(follow_while_it_grows(memory, writer)) == 600
+    writer.close()
+
+
 def test_a_bag_outside_of_the_folders_is_never_opened(memory: Memory, tmp_path: Path) -> None:
     for name in ("../run", "/etc", "run/../.."):
         with pytest.raises(BadInput):

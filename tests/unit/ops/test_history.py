@@ -1,0 +1,234 @@
+"""Messages of the past: who is asked, who is not, and what is said of those that were not read."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from made_windows import encoded
+
+from ros2_mcp.bags.recorder import Recorder
+from ros2_mcp.bags.ring import RingWriter
+from ros2_mcp.bags.rosbag2 import qos_text
+from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.bags.writer import BagWriter
+from ros2_mcp.binding import bind
+from ros2_mcp.model.errors import BadData, NotFound, UnknownInterface
+from ros2_mcp.model.qos import QoS
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops import bags, history
+from ros2_mcp.ops.black_box import BLACK_BOX
+from ros2_mcp.ops.history import StoredMessages
+from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.reading import View
+from ros2_mcp.ops.recorded_robot import recorded_robot
+from ros2_mcp.ops.recording import Recording, Wanted
+from ros2_mcp.tools import DECLARED
+
+START_NS = 1_700_000_000_123_456_789
+SECOND = 10**9
+COUNT = StoredTopic("/count", "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n")
+RAW = StoredTopic("/raw", "std_msgs/msg/String", None, "ros2msg", "string data\n")
+ODD = StoredTopic("/count", "odd_msgs/msg/Odd")
+
+
+def number_at(value: int, seconds: float = 0.0) -> Sample:
+    return Sample(START_NS + round(seconds * SECOND), 0, value, encoded("std_msgs/msg/Int32", {"data": value}))
+
+
+def large(number: int) -> Sample:
+    return Sample(START_NS + number * SECOND, 0, number + 1, encoded("std_msgs/msg/String", {"data": "x" * 2_000_000}))
+
+
+def make_bag(folder: Path, topic: StoredTopic, *samples: Sample) -> None:
+    folder.mkdir()
+    writer = BagWriter(folder, folder.name)
+    writer.add_topic(topic)
+    for sample in samples:
+        writer.write(topic.name, sample)
+        writer.flush()
+    writer.close()
+
+
+class Asker:
+    """A server's memory; its robot is a recording, or none at all."""
+
+    def __init__(self, folder: Path, subject: Path | None = None) -> None:
+        self.memory = Memory(folder, subject=subject)
+        self.robot = recorded_robot(self.memory, 32_000)
+
+    def get(self, topic: str = "/count", view: View | None = None, **asked: object) -> StoredMessages:
+        question = history.Asked(topic, **asked)  # type: ignore[arg-type]
+        return asyncio.run(history.get_messages(self.robot, self.memory, question, view or View()))
+
+    def read(self, bag: str, topic: str, view: View | None = None, **asked: object) -> bags.BagMessages:
+        question = bags.Asked(bag, topic, **asked)  # type: ignore[arg-type]
+        return asyncio.run(bags.read(self.robot, self.memory, question, view or View()))
+
+    def open(self, *names: str) -> None:
+        for name in names:
+            asyncio.run(bags.info(self.memory, name))
+
+    def running(self, name: str, folder: Path) -> Recording:
+        recorder = Recorder(RingWriter(folder, 10**8, 3600), folder)
+        recorder.add_topic(COUNT)
+        recording = Recording(self.robot, name, folder, recorder, Wanted())
+        self.memory.running[name] = recording
+        return recording
+
+    def close(self) -> None:
+        asyncio.run(self.memory.close())
+
+
+@pytest.fixture
+def asker(tmp_path: Path) -> Iterator[Callable[..., Asker]]:
+    made: list[Asker] = []
+
+    def make(subject: str = "") -> Asker:
+        made.append(Asker(tmp_path, tmp_path / subject if subject else None))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def values(answer: StoredMessages | bags.BagMessages) -> list[int]:
+    return [each["data"] for each in answer.messages]
+
+
+def test_the_black_box_of_a_former_server_is_silent_until_it_is_opened(
+    tmp_path: Path, asker: Callable[..., Asker]
+) -> None:
+    make_bag(tmp_path / BLACK_BOX, COUNT, number_at(1))
+    agent = asker()
+    with pytest.raises(NotFound, match="Nobody has kept"):
+        agent.get()
+    agent.open("black box")
+    assert "the bag" in agent.get().source
+
+
+def test_a_bag_that_is_the_robot_answers_before_an_old_black_box(tmp_path: Path, asker: Callable[..., Asker]) -> None:
+    make_bag(tmp_path / BLACK_BOX, COUNT, number_at(1))
+    make_bag(tmp_path / "robot", COUNT, number_at(2))
+    answer = asker("robot").get()
+    assert (answer.source, values(answer)) == ("the bag robot", [2])
+
+
+def test_the_black_box_answers_first_while_it_runs_and_last_when_it_has_ended(
+    tmp_path: Path, asker: Callable[..., Asker]
+) -> None:
+    agent = asker()
+    box, mine = agent.running(BLACK_BOX, tmp_path / BLACK_BOX), agent.running("mine", tmp_path / "mine")
+    for value, recording in enumerate((box, mine)):
+        recording._recorder.put("/count", [number_at(value)])
+    asyncio.run(mine.end())
+    deadline = time.monotonic() + 10
+    while agent.get().source != f"this server's recording {BLACK_BOX}":
+        assert time.monotonic() < deadline, "the black box that runs was never asked first"
+        time.sleep(0.05)
+    asyncio.run(box.end())
+    answer = agent.get()
+    assert (answer.source, values(answer)) == ("this server's recording mine", [1])
+
+
+def test_a_damaged_bag_and_one_of_an_unknown_type_keep_no_other_from_being_asked(
+    tmp_path: Path, asker: Callable[..., Asker]
+) -> None:
+    for name in ("good", "damaged", "robot"):
+        make_bag(tmp_path / name, COUNT, *([] if name == "robot" else [number_at(3)]))
+    make_bag(tmp_path / "odd", ODD, number_at(3))
+    agent = asker("robot")
+    agent.open("good", "damaged", "odd")
+    (tmp_path / "damaged" / "damaged_0.mcap").write_bytes(b"nonsense")
+    answer = agent.get()
+    assert (answer.source, values(answer)) == ("the bag good", [3])
+    assert "damaged cannot be read" in answer.note and "odd_msgs/msg/Odd" in answer.note
+
+    alone = asker("robot")
+    alone.open("odd")
+    with pytest.raises(UnknownInterface, match="odd_msgs/msg/Odd"):
+        alone.get()
+
+
+def test_earlier_messages_that_were_not_read_are_told_and_how_to_get_them(
+    tmp_path: Path, asker: Callable[..., Asker]
+) -> None:
+    make_bag(tmp_path / "robot", RAW, *(large(number) for number in range(80)))
+    agent = asker("robot")
+    seen = 0
+    asked: dict[str, str] = {}
+    while True:
+        answer = agent.get("/raw", **asked)
+        seen += answer.found
+        if "earlier ones" not in answer.note:
+            break
+        assert answer.found == 31
+        asked = {"end": re.findall(r"time_end (\S+)\.", answer.note)[0]}
+    assert seen == 80
+    assert "earlier" not in agent.get("/raw", number=2).note
+
+    read = agent.read("robot", "/raw", limit=60)
+    end = re.findall(r"There are earlier ones too: for those, give end (\S+)\.", read.note)[0]
+    assert "There are earlier" in agent.read("robot", "/raw", end=end, limit=10).note
+    assert "There are earlier" not in agent.read("robot", "/raw", end=end, limit=60, view=View(every_n=2)).note
+
+
+def test_a_bag_is_read_on_from_where_the_answer_says(tmp_path: Path, asker: Callable[..., Asker]) -> None:
+    make_bag(tmp_path / "robot", COUNT, *(number_at(value, value / 7) for value in range(10)))
+    agent = asker("robot")
+    first = agent.read("robot", "/count", start="first 0 s", limit=6)
+    start = re.findall(r"There are later ones too: for those, give start (\S+)\.", first.note)[0]
+    rest = agent.read("robot", "/count", start=start, limit=6)
+    assert values(first) + values(rest) == list(range(10)) and rest.note == ""
+
+
+def test_only_the_messages_that_are_shown_are_decoded(tmp_path: Path, asker: Callable[..., Asker]) -> None:
+    damaged = [Sample(START_NS + number, 0, number, b"\0\1\0\0") for number in (3, 5_000, 9_999)]
+    samples = [number_at(value, value / SECOND) for value in range(10_000)]
+    for each in damaged:
+        samples[each.received_ns - START_NS] = each
+    make_bag(tmp_path / "robot", COUNT, *samples)
+    answer = asker("robot").get()
+    assert values(answer)[0] == 0 and values(answer)[-1] == 9_998 and 5 < answer.count < 1000
+    assert "1 message(s) are not what their type says" in answer.note
+
+
+def test_messages_of_which_none_can_be_read_are_an_error(tmp_path: Path, asker: Callable[..., Asker]) -> None:
+    make_bag(tmp_path / "robot", COUNT, Sample(START_NS, 0, 1, b"\0\1\0\0"))
+    with pytest.raises(BadData, match="has 1 messages of /count, but none"):
+        asker("robot").get()
+
+
+def test_a_latched_message_that_every_file_of_a_ring_has_is_shown_once(
+    tmp_path: Path, asker: Callable[..., Asker]
+) -> None:
+    ring = RingWriter(tmp_path / "robot", 16 * 7000, 3600)
+    ring.add_topic(replace(COUNT, name="/mode", qos=qos_text([QoS(durability="transient_local")])))
+    ring.add_topic(RAW)
+    ring.write("/mode", number_at(7))
+    for number in range(3):
+        ring.write("/raw", Sample(START_NS + number, 0, number + 1, bytes(7000)))
+        ring.flush()  # and begins the next file
+    ring.write("/mode", number_at(7, 1.0))
+    ring.close()
+    assert len(list((tmp_path / "robot").iterdir())) == 4
+    agent = asker("robot")
+    assert values(agent.get("/mode")) == values(agent.read("robot", "/mode")) == [7, 7]
+
+
+def test_limit_is_another_name_for_the_number_of_messages(tmp_path: Path, asker: Callable[..., Asker]) -> None:
+    make_bag(tmp_path / "robot", COUNT, *(number_at(value, value) for value in range(5)))
+    agent = asker("robot")
+    tool = bind(next(each for each in DECLARED if each.name == "ros2_get_messages"), agent.robot, agent.memory)
+
+    async def nobody(done: float, whole: float, line: str) -> None:
+        pass
+
+    answer = asyncio.run(tool.perform({"topic_name": "/count", "limit": 2}, nobody)).structured_content
+    assert answer and [each["data"] for each in answer["messages"]] == [3, 4]

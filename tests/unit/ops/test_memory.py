@@ -1,0 +1,139 @@
+"""The folders of bags: what is listed is what can be read, and a bag that opens slowly keeps nobody waiting."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.bags.writer import BagWriter
+from ros2_mcp.model.errors import BadData, NotFound
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops import bags
+from ros2_mcp.ops.memory import Memory
+
+NOBODY = 65534
+COUNT = StoredTopic("/count", "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n")
+
+
+def make_bag(folder: Path, value: int = 1) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    writer = BagWriter(folder, folder.name)
+    writer.add_topic(COUNT)
+    writer.write("/count", Sample(10**18, 0, 1, b"\0\1\0\0" + value.to_bytes(4, "little")))
+    writer.close()
+
+
+@pytest.fixture
+def remember() -> Iterator[Callable[..., Memory]]:
+    made: list[Memory] = []
+
+    def make(*folders: Path) -> Memory:
+        made.append(Memory(*folders))
+        return made[-1]
+
+    yield make
+    for memory in made:
+        asyncio.run(memory.close())
+
+
+@contextmanager
+def without_privileges() -> Iterator[None]:
+    privileged = os.geteuid() == 0
+    if privileged:
+        os.seteuid(NOBODY)
+    try:
+        yield
+    finally:
+        if privileged:
+            os.seteuid(0)
+
+
+def test_loose_files_and_links_are_listed_as_far_as_they_can_be_read(
+    tmp_path: Path, remember: Callable[..., Memory]
+) -> None:
+    root, elsewhere = tmp_path / "bags", tmp_path / "elsewhere"
+    make_bag(root / "deep" / "run")
+    make_bag(elsewhere / "run")
+    make_bag(root)  # a loose file, and metadata.yaml
+    (root / "latest").symlink_to(root / "deep" / "run")
+    (root / "out").symlink_to(elsewhere / "run")
+    (root / "out.mcap").symlink_to(elsewhere / "run" / "run_0.mcap")
+    (root / "gone.mcap").symlink_to(root / "nowhere.mcap")
+    memory = remember(root, root)
+    listed = asyncio.run(bags.list_bags(memory))
+    assert sorted(entry.bag for entry in listed.bags) == ["bags_0.mcap", "deep/run", "latest"]
+    for entry in listed.bags:
+        with memory.reading(entry.bag) as bag:
+            assert [topic for topic, _ in bag.messages()] == ["/count"]
+    assert len(memory.opened_names()) == 2  # the link and what it leads to are one bag
+
+
+def test_a_bag_goes_by_its_whole_path_too(tmp_path: Path, remember: Callable[..., Memory]) -> None:
+    make_bag(tmp_path / "bags" / "run")
+    memory = remember(tmp_path / "recordings", tmp_path / "bags")
+    with memory.reading(str(tmp_path / "bags" / "run")) as bag:
+        assert set(bag.topics) == {"/count"}
+
+
+def test_what_was_recorded_here_comes_before_a_bag_of_the_same_name(
+    tmp_path: Path, remember: Callable[..., Memory]
+) -> None:
+    make_bag(tmp_path / "bags" / "black-box", 1)
+    make_bag(tmp_path / "recordings" / "black-box", 2)
+    memory = remember(tmp_path / "recordings", tmp_path / "bags")
+    assert memory.bag_names()["black-box"] == tmp_path / "recordings" / "black-box"
+    with memory.reading("black box") as bag:
+        assert [sample.data[4] for _, sample in bag.messages()] == [2]
+
+
+def test_a_folder_that_cannot_be_looked_into_is_skipped(remember: Callable[..., Memory]) -> None:
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:
+        root = Path(name)
+        make_bag(root / "run")
+        memory = remember(root)
+        asyncio.run(bags.list_bags(memory))
+        for closed, mode in (("lost+found", 0), ("names-only", 0o444)):
+            make_bag(root / closed / "inside")
+            make_bag(root / closed)
+            (root / closed).chmod(mode)
+        root.chmod(0o755)
+        with without_privileges():
+            assert [entry.bag for entry in asyncio.run(bags.list_bags(memory)).bags] == ["run"]
+            with pytest.raises(NotFound, match="no bag 'rum'"):
+                memory.find_bag("rum")
+            with pytest.raises(NotFound, match="no bag"):
+                memory.find_bag("lost+found/inside")
+            with pytest.raises(BadData, match="cannot be read"), memory.reading("lost+found"):
+                pass
+            assert memory.opened_names() == []
+
+
+def test_a_bag_that_opens_slowly_keeps_nobody_else_waiting(tmp_path: Path, remember: Callable[..., Memory]) -> None:
+    for name in ("run", "slow"):
+        make_bag(tmp_path / name)
+    (tmp_path / "slow" / "metadata.yaml").unlink()
+    os.mkfifo(tmp_path / "slow" / "metadata.yaml")  # whoever reads it waits for a writer
+    memory = remember(tmp_path)
+
+    def topics_of(name: str) -> set[str]:
+        with memory.reading(name) as bag:
+            return set(bag.topics)
+
+    with ThreadPoolExecutor(4) as threads:
+        slow = [threads.submit(topics_of, "slow") for _ in range(2)]
+        writer = os.open(tmp_path / "slow" / "metadata.yaml", os.O_WRONLY)  # returns as soon as it is being read
+        try:
+            assert threads.submit(topics_of, "run").result(5) == {"/count"}
+            assert threads.submit(memory.opened_names).result(5) == ["run"]
+            assert not any(each.done() for each in slow)
+        finally:
+            os.close(writer)
+        assert [each.result(5) for each in slow] == [{"/count"}] * 2
