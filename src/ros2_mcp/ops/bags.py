@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -16,6 +17,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.moments import span_of
 from ros2_mcp.ops.reading import View
+from ros2_mcp.ops.recording import recordings
 from ros2_mcp.ops.results import exact_time, iso_time
 from ros2_mcp.robot import Robot
 
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
 MAX_MESSAGES = 10_000
 _MAX_BYTES = 64_000_000
+_TO_DISK_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,10 +175,21 @@ def find_topic(bag: Bag, name: str) -> StoredTopic:
     return bag.topics[full]
 
 
-def span_in(bag: Bag, start: str, end: str) -> Span:
+def span_in(memory: Memory, bag: Bag, start: str, end: str) -> Span:
     """The time between two moments of a bag."""
+    return span_of(start, end, *times_of(memory, bag))
+
+
+def times_of(memory: Memory, bag: Bag) -> tuple[int, int]:
+    """Unix times in nanoseconds of a bag's beginning and end: its last message, or now while it is being recorded.
+
+    As messages are on their way to the disk for up to a second, now is a second ago where there is no later one.
+    """
     first_ns, last_ns = bag.times or (0, 0)
-    return span_of(start, end, first_ns, last_ns)
+    folders = [each.folder.resolve() for each in recordings(memory).values() if each.is_running]
+    if bag.times and any(bag.path.resolve().is_relative_to(folder) for folder in folders):
+        last_ns = max(last_ns, time.time_ns() - _TO_DISK_NS)
+    return first_ns, last_ns
 
 
 def codec_of(definitions: Mapping[str, DefinitionText]) -> Codec:
@@ -241,7 +255,7 @@ def _topic(memory: Memory, bag_name: str, name: str) -> StoredTopic:
 
 def _read(memory: Memory, asked: Asked, view: View, topic: StoredTopic, codec: Codec) -> BagMessages:
     with memory.reading(asked.bag) as bag:
-        span = replace(span_in(bag, asked.start, asked.end), topics=(topic.name,))
+        span = replace(span_in(memory, bag, asked.start, asked.end), topics=(topic.name,))
         backwards = not asked.start.strip()
         samples = (sample for _, sample in bag.messages(span, newest_first=backwards))
         chosen, beyond = taken(islice(samples, 0, None, view.every_n), asked.limit)
@@ -251,7 +265,7 @@ def _read(memory: Memory, asked: Asked, view: View, topic: StoredTopic, codec: C
     shown, rendered, bad = rendered_within(topic.type, codec, chosen, view)
     notes: list[str] = []
     if beyond and backwards:
-        notes.append(f"There are earlier ones too: for those, give end {exact_time(chosen[0].received_ns)}.")
+        notes.append(f"There are earlier ones too: for those, give end {exact_time(chosen[0].received_ns - 1)}.")
     elif beyond:
         notes.append(f"There are later ones too: for those, give start {exact_time(beyond.received_ns)}.")
     if len(shown) + bad < len(chosen):

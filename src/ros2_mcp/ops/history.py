@@ -17,7 +17,7 @@ from ros2_mcp.ops.bags import codec_of, definitions_of, find_topic, rendered_wit
 from ros2_mcp.ops.black_box import BLACK_BOX
 from ros2_mcp.ops.data_black_box import ANY, TIMEOUT_S, DataBlackBox, Question, find_box
 from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.moments import moment_ns
+from ros2_mcp.ops.moments import last_ns_of, moment_ns
 from ros2_mcp.ops.reading import View
 from ros2_mcp.ops.recording import recordings
 from ros2_mcp.ops.results import Report, exact_time, iso_time, reporting, silent
@@ -148,6 +148,7 @@ async def _ask_data_black_box(robot: Robot, asked: Asked) -> Found | None:
     start_ns, end_ns = _moment("time_start", asked.start, now_ns), _moment("time_end", asked.end, now_ns)
     if start_ns is not None and end_ns is not None and end_ns < start_ns:
         raise BadValue("time_end", f"{asked.end!r} is before {asked.start!r}.")
+    end_ns = None if end_ns is None else last_ns_of(asked.end, end_ns)
     answered = await box.last(Question(asked.topic, kind, start_ns, end_ns, asked.bucket), asked.number)
     unconfirmed = "" if answered.type else f"This box does not keep types: right only if they are {kind}."
     kind = answered.type or kind
@@ -177,16 +178,14 @@ async def _known_type(robot: Robot, asked: Asked) -> str:
 def _moment(name: str, text: str, now_ns: int) -> int | None:
     if not text.strip():
         return None
-    if text.strip().lower().startswith("first"):
-        raise BadValue(name, f"{text!r} counts from a beginning that is not known.", 'Give a time, or "last 30 s".')
-    return moment_ns(name, text, now_ns, now_ns)
+    return moment_ns(name, text, None, now_ns)
 
 
 async def _ask_bag(robot: Robot, memory: Memory, asked: Asked, name: str, words: str) -> Found | None:
     def read() -> tuple[Any, list[Sample], Sample | None]:
         with memory.reading(name) as bag:
             topic = find_topic(bag, asked.topic)
-            span = replace(span_in(bag, asked.start, asked.end), topics=(topic.name,))
+            span = replace(span_in(memory, bag, asked.start, asked.end), topics=(topic.name,))
             newest = (sample for _, sample in bag.messages(span, newest_first=True))
             return topic, *taken(islice(newest, asked.number or None), MAX_MESSAGES)
 
@@ -195,7 +194,7 @@ async def _ask_bag(robot: Robot, memory: Memory, asked: Asked, name: str, words:
     except NotFound:
         return None
     codec = codec_of(await definitions_of(topic, robot))
-    earlier = exact_time(newest[-1].received_ns) if beyond else ""
+    earlier = exact_time(newest[-1].received_ns - 1) if beyond else ""
     note = f"There are earlier ones too: for those, give time_end {earlier}." if earlier else ""
     return Found(f"{words} {name}", topic.type, newest[::-1], codec, note)
 

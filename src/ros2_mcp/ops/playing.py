@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 MAX_PLAYBACKS = 4
 _FOREVER_S = 1e9
+_SHORTEST_LOOP_S = 0.1
 _MATCH_S = 1.0
 _READY_S = 5.0
 _BATCH = 64
@@ -88,6 +89,9 @@ class Playback:
         self._bag = bag
         self._wanted = wanted
         self._span = span
+        first_ns, last_ns = bag.times or (0, 1)
+        self._first_ns = max(first_ns, span.start_ns)
+        self._length_ns = max(min(last_ns, span.end_ns) - self._first_ns, 1)
         self._topics = topics
         self._published = dict.fromkeys(topics, 0)
         self._relays: list[asyncio.Task[Any]] = []
@@ -111,22 +115,27 @@ class Playback:
         return [self._destination(name) for name in self._topics]
 
     async def begin(self) -> None:
-        """Opens the publishers and starts to play; raises what keeps a publisher from being made."""
+        """Opens the publishers and starts to play; raises what keeps a publisher from being made, with all closed."""
         try:
             for name, topic in self._topics.items():
                 self._relays.append(asyncio.create_task(self._open(name, topic)))
             for name in self._topics:
                 await self._until_ready(name)
-        except RobotError:
-            await self._close("failed")
-            raise
-        self._work = asyncio.create_task(self._play())
+            if self.is_running:
+                self._work = asyncio.create_task(self._play())
+        finally:
+            if self._work is None:
+                self._note = "It did not begin."
+                await asyncio.shield(self._close("failed"))
 
     async def end(self) -> None:
-        """Stops it."""
-        if self._work and not self._work.done():
-            self._work.cancel()
+        """Stops it, also while it is still beginning."""
+        if self._work:
+            if self.is_running:
+                self._work.cancel()
             await asyncio.wait({self._work})
+        if self.is_running:
+            await self._close("stopped")
 
     async def wait(self, wait_s: float, report: Report) -> None:
         """Waits until it ends, at most that long, and reports."""
@@ -172,7 +181,7 @@ class Playback:
 
     async def _until_ready(self, name: str) -> None:
         deadline = monotonic() + _READY_S
-        while True:
+        while self.is_running:
             for relay in self._relays:
                 if relay.done():
                     relay.result()
@@ -188,10 +197,15 @@ class Playback:
         state = "stopped"
         try:
             while True:
-                await self._play_once()
+                begun = monotonic()
+                await self._play_once(begun)
                 self._loops += 1
+                if not any(self._published.values()):
+                    self._note = "Nothing was published: no message of these topics is in that part of the bag."
+                    break
                 if not self._wanted.loop:
                     break
+                await asyncio.sleep(begun + self._loop_s - monotonic())
             state = "ended"
         except RobotError as error:
             state, self._note = "failed", str(error)
@@ -199,28 +213,29 @@ class Playback:
             await self._close(state)
 
     async def _close(self, state: str) -> None:
-        self._state, self._ended = state, monotonic()
+        if self.is_running:
+            self._state, self._ended = state, monotonic()
         for relay in self._relays:
             relay.cancel()
         await asyncio.gather(*self._relays, return_exceptions=True)
-        if self._bag.problems and not self._note:
-            self._note = " ".join(self._bag.problems)
+        self._note = " ".join(filter(None, (self._note, *self._bag.problems)))
         self._bag.close()
 
-    async def _play_once(self) -> None:
-        times = self._bag.times or (0, 1)
-        first_ns = max(times[0], self._span.start_ns)
-        length_ns = max(min(times[1], self._span.end_ns) - first_ns, 1)
+    @property
+    def _loop_s(self) -> float:
+        return max(self._length_ns / 1e9 / self._wanted.rate, _SHORTEST_LOOP_S)
+
+    async def _play_once(self, begun: float) -> None:
         messages = self._bag.messages(self._span)
-        begun = monotonic()
         while batch := await asyncio.to_thread(_next_batch, messages):
             for due_ns, group in _together(batch, self._wanted.rate):
-                due = begun + (due_ns - first_ns) / 1e9 / self._wanted.rate
+                away_ns = due_ns - self._first_ns
+                due = begun + away_ns / 1e9 / self._wanted.rate
                 if (pause := due - monotonic()) > 0:
                     await asyncio.sleep(pause)
                 self._late_s = max(0.0, monotonic() - due)
                 await self._feed(group)
-                self._progress = min(max((due_ns - first_ns) / length_ns, 0.0), 1.0)
+                self._progress = min(max(away_ns / self._length_ns, 0.0), 1.0)
         self._progress = 1.0
 
     async def _feed(self, group: Sequence[tuple[str, Sample]]) -> None:
@@ -235,7 +250,7 @@ class Playback:
 async def play(
     robot: Robot, memory: Memory, wanted: Wanted, wait_s: float = 40.0, report: Report = silent
 ) -> PlaybackState:
-    """Plays a bag, or a part of it; after `wait_s` it goes on by itself.
+    """Plays a bag, or a part of it; after `wait_s` it goes on by itself. A waiting that is cancelled stops it.
 
     Raises:
         Refused: if this server is read-only, or a topic has a live publisher and `force` is not given.
@@ -256,8 +271,12 @@ async def play(
         bag.close()
         raise
     memory.running[playback.id] = playback
-    await playback.begin()
-    await playback.wait(wait_s, report)
+    try:
+        await playback.begin()
+        await playback.wait(wait_s, report)
+    except BaseException:
+        await asyncio.shield(playback.end())
+        raise
     return playback.state()
 
 
@@ -289,7 +308,7 @@ def _prepare(memory: Memory, wanted: Wanted) -> tuple[Bag, Span, dict[str, Store
         unknown = set(wanted.remaps) - set(topics)
         if unknown:
             raise BadInput(f"{sorted(unknown)[0]} is remapped, but not played.")
-        return bag, replace(span_in(bag, wanted.start, wanted.end), topics=frozenset(topics)), topics
+        return bag, replace(span_in(memory, bag, wanted.start, wanted.end), topics=frozenset(topics)), topics
     except RobotError:
         bag.close()
         raise

@@ -13,7 +13,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadValue, RobotError, TypeConflict
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Counts, Sample
-from ros2_mcp.ops.bags import definitions_of, find_topic, span_in, taken
+from ros2_mcp.ops.bags import definitions_of, find_topic, span_in, taken, times_of
 from ros2_mcp.ops.memory import Memory, OpenedBag
 from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.window import Missing, Scene, Stream, Window
@@ -195,8 +195,8 @@ async def open_source(
 def _bounds(memory: Memory, name: str, start: str, end: str) -> Span:
     """The part as times that the bag really has."""
     with memory.reading(name) as bag:
-        span = span_in(bag, start, end)
-        first_ns, last_ns = bag.times or (0, 0)
+        span = span_in(memory, bag, start, end)
+        first_ns, last_ns = times_of(memory, bag)
         start_ns, end_ns = max(span.start_ns, first_ns), min(span.end_ns, last_ns + 1)
         if end_ns <= start_ns:
             raise BadValue("start" if start else "end", f"{name} has nothing in that time.", _covers(first_ns, last_ns))

@@ -16,6 +16,7 @@ from ros2_mcp.model import names, qos
 from ros2_mcp.model.errors import BadInput, LinkError, NotFound, Refused, RobotError
 from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.opening import opened
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.robot import Listening, Robot
 
@@ -149,15 +150,16 @@ class Recording:
         self._watch: asyncio.Task[None] | None = None
 
     async def begin(self) -> None:
-        """Subscribes to the topics that are there and looks for more from then on."""
+        """Subscribes to the topics that are there and looks for more from then on; ends it all if it is cancelled."""
         try:
-            await self._look()
-        except LinkError as error:
-            self._note(str(error))
-        deadline = monotonic() + _JOINED_S
-        while any(each.is_joining for each in self._topics.values()) and monotonic() < deadline:
-            await asyncio.sleep(_TURN_S / 5)
-        self._watch = asyncio.create_task(self._keep_looking())
+            await self._look_or_note()
+            deadline = monotonic() + _JOINED_S
+            while any(each.is_joining for each in self._topics.values()) and monotonic() < deadline:
+                await asyncio.sleep(_TURN_S / 5)
+            self._watch = asyncio.create_task(self._keep_looking())
+        finally:
+            if self._watch is None:
+                await asyncio.shield(self.end())
 
     async def end(self) -> None:
         """Ends the subscriptions, takes what they still have, and closes the files."""
@@ -195,10 +197,7 @@ class Recording:
     async def _keep_looking(self) -> None:
         while self.is_running and not self._stopping:
             await asyncio.sleep(_LOOK_S)
-            try:
-                await self._look()
-            except RobotError as error:
-                self._note(str(error))
+            await self._look_or_note()
         if not self._stopping:
             await self._leave("stopped")
 
@@ -210,6 +209,12 @@ class Recording:
         await asyncio.to_thread(self._recorder.stop, reason)
         if self._watch and self._watch is not asyncio.current_task():
             self._watch.cancel()
+
+    async def _look_or_note(self) -> None:
+        try:
+            await self._look()
+        except RobotError as error:
+            self._note(str(error))
 
     async def _look(self) -> None:
         """Joins new topics that are wanted; joins those anew whose publishers now need another QoS."""
@@ -309,7 +314,7 @@ async def start(robot: Robot, memory: Memory, wanted: Wanted) -> RecordingState:
     wanted = _checked(wanted)
     if sum(each.is_running for each in recordings(memory).values()) >= MAX_RECORDINGS:
         raise Refused(f"{MAX_RECORDINGS} recordings run already.", "Stop one with ros2_record_stop.")
-    recording = await asyncio.to_thread(_open, robot, memory, wanted)
+    recording = await opened(lambda: _open(robot, memory, wanted))
     memory.running[recording.id] = recording
     await recording.begin()
     return recording.state()
@@ -317,7 +322,8 @@ async def start(robot: Robot, memory: Memory, wanted: Wanted) -> RecordingState:
 
 def recordings(memory: Memory) -> dict[str, Recording]:
     """The recordings of this server, by their ids."""
-    return {name: each for name, each in memory.running.items() if isinstance(each, Recording)}
+    running = list(memory.running.items())  # at once: threads ask too
+    return {name: each for name, each in running if isinstance(each, Recording)}
 
 
 async def status(memory: Memory, recording_id: str = "") -> RecordingStates:

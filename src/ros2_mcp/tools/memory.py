@@ -18,9 +18,15 @@ Bytes = Annotated[Whole, Field(ge=0, le=10**13)]
 BagName = Annotated[str, Field(description="Name of the bag, as ros2_bag_list shows it.")]
 Topics = Annotated[list[str] | None, Field(description="Only these topics.")]
 Start = Annotated[
-    str, Field(description='From this moment on: ISO 8601 with zone, or relative: "last 30 s", "first 2 min".')
+    str,
+    Field(
+        description='From this moment on: ISO 8601 with zone; "last 30 s" is that long before the end, "2 min in" (or '
+        '"first 2 min") that long after the beginning.'
+    ),
 ]
-End = Annotated[str, Field(description="Up to this moment, written like start. Default: the end of the bag.")]
+End = Annotated[
+    str, Field(description="Up to this moment (a time is included), written like start. Default: the end of the bag.")
+]
 RecordingId = Annotated[str, Field(description="The recording's id.")]
 PlaybackId = Annotated[str, Field(description="The playback's id.")]
 

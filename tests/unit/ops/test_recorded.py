@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from made_bridge import MadeBridge, robot_of
 
+from ros2_mcp.bags.bag import Bag
 from ros2_mcp.bags.rosbag2 import qos_text
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound, TypeConflict
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops import reading, timing
+from ros2_mcp.ops import bags, reading, timing
 from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.moments import moment_ns
+from ros2_mcp.ops.moments import moment_ns, span_of
 from ros2_mcp.ops.recorded import open_source
 from ros2_mcp.ops.window import Missing, Source, Window
 
@@ -165,6 +169,7 @@ def test_a_bag_outside_of_the_folders_is_never_opened(memory: Memory, tmp_path: 
         ("last 30 s", 70.0),
         ("30 seconds ago", 70.0),
         ("first 0.5 min", 30.0),
+        ("0.5 min in", 30.0),
         ("250 ms", 99.75),
         ("1970-01-01T00:00:07.25Z", 7.25),
         ("1970-01-01T01:00:07.123456789+01:00", 7.123456789),
@@ -174,7 +179,84 @@ def test_moments_are_read_as_people_write_them(text: str, seconds: float) -> Non
     assert moment_ns("start", text, 0, 100 * SECOND) == round(seconds * SECOND)
 
 
-@pytest.mark.parametrize(("text", "what"), [("2026-11-21T03:00:00", "time zone"), ("yesterday", "not a moment")])
+@pytest.mark.parametrize(
+    ("text", "nanoseconds"),
+    [
+        ("0001-01-01T00:00:00+14:00", -(2**63)),
+        ("9999-12-31T23:59:59.999999999-12:00", 2**63 - 1),
+        (f"last {'9' * 400} h", -(2**63)),
+        ("9999999999999 h in", 2**63 - 1),
+    ],
+)
+def test_far_moments_are_the_farthest_that_64_bits_can_hold(text: str, nanoseconds: int) -> None:
+    assert moment_ns("start", text, 0, 100 * SECOND) == nanoseconds
+
+
+def test_a_bag_in_sqlite_is_read_from_and_to_far_moments(tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "old.db3")) as database:
+        database.executescript(
+            "CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT);"
+            "CREATE TABLE messages (id INTEGER, topic_id INTEGER, timestamp INTEGER, data BLOB);"
+            "INSERT INTO topics VALUES (1, '/count', 'std_msgs/msg/Int32', 'cdr');"
+            f"INSERT INTO messages VALUES (1, 1, {START_NS}, X'0001000007000000');"
+        )
+    with Bag(tmp_path / "old.db3") as bag:
+        span = span_of("0001-01-01T00:00:00Z", "9999-12-31T00:00:00Z", *(bag.times or (0, 0)))
+        assert [sample.received_ns for _, sample in bag.messages(span)] == [START_NS]
+
+
+@pytest.mark.parametrize(
+    ("end", "end_ns"),
+    [
+        ("1970-01-01T00:00:07Z", 7_000_001_000),
+        ("1970-01-01T00:00:07.25Z", 7_250_001_000),
+        ("1970-01-01T00:00:07.123456Z", 7_123_457_000),
+        ("1970-01-01T00:00:07.12345678Z", 7_123_456_790),
+        ("1970-01-01T00:00:07.123456789Z", 7_123_456_790),
+        ("first 7 s", 7_000_000_000),
+        ("last 93 s", 7_000_000_000),
+    ],
+)
+def test_an_end_that_is_a_time_includes_what_it_names(end: str, end_ns: int) -> None:
+    assert span_of("", end, 0, 100 * SECOND).end_ns == end_ns
+
+
+def test_what_is_read_between_the_times_that_were_shown_is_everything(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    writer = BagWriter(tmp_path / "run", "run")
+    writer.add_topic(StoredTopic("/count", "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n"))
+    for number in range(20):
+        at_ns = START_NS + number * SECOND + 789
+        writer.write("/count", Sample(at_ns, at_ns, number + 1, number_at(number)))
+    writer.close()
+
+    async def scenario() -> None:
+        memory, view = Memory(tmp_path), reading.View()
+        shown = await bags.info(memory, "run")
+        asked = bags.Asked("run", "/count", shown.start, shown.end)
+        assert (await bags.read(robot_of(MadeBridge()), memory, asked, view)).count == 20
+        source = await open_source(memory, "run", shown.start, shown.end)
+        assert (await timing.measure(source, ["/count"])).topics[0].count == 20
+        await memory.close()
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("2026-11-21T03:00:00", "time zone"),
+        ("yesterday", "not a moment"),
+        ("last 2 min in", "from the beginning and from the end"),
+        ("first 2 min ago", "from the beginning and from the end"),
+    ],
+)
 def test_moments_that_could_mean_something_else_are_refused(text: str, what: str) -> None:
     with pytest.raises(BadValue, match=what):
         moment_ns("start", text, 0, 100)
+
+
+@pytest.mark.parametrize("text", ["first 2 min", "2 min in"])
+def test_where_the_beginning_is_not_known_nothing_counts_from_it(text: str) -> None:
+    with pytest.raises(BadValue, match="beginning that is not known"):
+        moment_ns("time_start", text, None, 100)

@@ -1,0 +1,72 @@
+"""The link to a robot that is not there: what its bridge would answer to those who play and record."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from time import monotonic
+from typing import Any, cast
+
+from ros2_mcp.link.client import Bridge, Reply
+from ros2_mcp.model.errors import BridgeRefused
+from ros2_mcp.robot import Robot
+
+NUMBER = "std_msgs/msg/Int32"
+
+
+class MadeBridge:
+    """Its relays open as soon as it is `ready`; `heard` has the topics and times of what was published.
+
+    `topics` answers who wants to know which there are.
+    """
+
+    hello = None
+    is_closed = False
+
+    def __init__(self) -> None:
+        self.ready = True
+        self.relays: dict[str, str] = {}
+        self.heard: list[tuple[str, float]] = []
+        self.trouble: Exception | None = None
+        self.topics: Callable[[], Any] = list
+
+    async def request(self, op: str, *_: bytes, **arguments: Any) -> Reply:
+        del arguments["timeout_s"]
+        return Reply(await getattr(self, f"_{op}")(**arguments), b"")
+
+    async def _relay(self, name: str, topic: str, **_: Any) -> Any:
+        self.relays[name] = topic
+        try:
+            await asyncio.sleep(1000)
+        finally:
+            del self.relays[name]
+
+    async def _relay_feed(self, name: str, sizes: list[int]) -> Any:
+        if self.trouble:
+            raise self.trouble
+        if not self.ready or name not in self.relays:
+            raise BridgeRefused("not_found", "There is no running relay.")
+        self.heard += [(self.relays[name], monotonic())] * len(sizes)
+        return {}
+
+    async def _endpoints(self, **_: Any) -> Any:
+        return {"publishers": [], "subscribers": []}
+
+    async def _definitions(self, **_: Any) -> Any:
+        return {"missing": [], "definitions": {NUMBER: {"format": "msg", "text": "int32 data\n"}}}
+
+    async def _topics(self, **_: Any) -> Any:
+        found = self.topics()
+        return {"settled": True, "topics": await found if asyncio.iscoroutine(found) else found}
+
+
+def robot_of(bridge: MadeBridge) -> Robot:
+    return Robot(cast(Bridge, bridge))
+
+
+async def soon(condition: Callable[[], bool]) -> None:
+    """Waits until the condition holds, at most 5 s."""
+    deadline = monotonic() + 5.0
+    while not condition() and monotonic() < deadline:
+        await asyncio.sleep(0.01)
+    assert condition()

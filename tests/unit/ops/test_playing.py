@@ -1,0 +1,132 @@
+"""The life of a playback: how long a loop lasts, and that nothing goes on that nobody can stop."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from itertools import pairwise
+from pathlib import Path
+
+import anyio
+import pytest
+from made_bridge import NUMBER, MadeBridge, robot_of, soon
+
+from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.bags.writer import BagWriter
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.playing import MAX_PLAYBACKS, PlaybackState, Wanted, play, playbacks, status, stop
+
+START_NS = 1_700_000_000_000_000_000
+GOAL = Wanted("run", topics=["/goal"])
+Play = Callable[..., Awaitable[PlaybackState]]
+Scenario = Callable[[MadeBridge, Memory, Play], Awaitable[None]]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Callable[[Scenario], None]:
+    """Runs a scenario with a bag of 0.6 s, whose /goal has one message at its beginning; no task may be left."""
+    (tmp_path / "run").mkdir()
+    writer = BagWriter(tmp_path / "run", "run")
+    for topic, at_ms in (("/goal", 0), ("/odom", 0), ("/odom", 600)):
+        writer.add_topic(StoredTopic(topic, NUMBER, None, "ros2msg", "int32 data\n"))
+        writer.write(topic, Sample(START_NS + at_ms * 1_000_000, 0, None, b"\0\1\0\0\0\0\0\0"))
+    writer.close()
+
+    async def whole(scenario: Scenario) -> None:
+        bridge, memory = MadeBridge(), Memory(tmp_path)
+        robot = robot_of(bridge)
+        await scenario(bridge, memory, lambda wanted, wait_s=5.0: play(robot, memory, wanted, wait_s))
+        await memory.close()
+        await soon(lambda: asyncio.all_tasks() == {asyncio.current_task()} and not bridge.relays)
+
+    return lambda scenario: asyncio.run(whole(scenario))
+
+
+def times_of(bridge: MadeBridge) -> list[float]:
+    return [at for topic, at in bridge.heard if topic == "/goal"]
+
+
+def test_a_loop_lasts_as_long_as_the_bag_even_if_its_topic_has_one_message(run: Callable[[Scenario], None]) -> None:
+    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+        state = await play(Wanted("run", rate=2.0, topics=["/goal"], loop=True), 0.75)
+        assert state.state == "playing" and 2 <= len(times_of(bridge)) <= 3
+        assert min(b - a for a, b in pairwise(times_of(bridge))) > 0.25
+
+    run(scenario)
+
+
+def test_the_loop_of_a_single_moment_lasts_a_tenth_of_a_second(run: Callable[[Scenario], None]) -> None:
+    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+        end = "2023-11-14T22:13:20Z"
+        await play(Wanted("run", topics=["/goal"], end=end, loop=True), 0.45)
+        assert 2 <= len(times_of(bridge)) <= 5
+
+    run(scenario)
+
+
+def test_a_play_of_nothing_ends_and_says_so(run: Callable[[Scenario], None]) -> None:
+    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+        for loop in (False, True):
+            state = await play(Wanted("run", topics=["/goal"], start="0.3 s in", loop=loop))
+            assert state.state == "ended" and not bridge.heard
+            assert "Nothing was published" in state.note and "Nothing was published" in state.summary()
+
+    run(scenario)
+
+
+def test_a_play_that_is_cancelled_before_it_began_leaves_nothing(run: Callable[[Scenario], None]) -> None:
+    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+        bridge.ready = False
+        for _ in range(MAX_PLAYBACKS):
+            with anyio.move_on_after(0.05) as scope:  # as the MCP server cancels: again and again
+                await play(GOAL)
+            assert scope.cancelled_caught
+            await soon(lambda: not bridge.relays)
+        assert not any(each.is_running for each in playbacks(memory).values())
+        bridge.ready = True
+        assert (await play(GOAL)).state == "ended"
+
+    run(scenario)
+
+
+def test_whatever_keeps_a_play_from_beginning_closes_it(run: Callable[[Scenario], None]) -> None:
+    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+        bridge.trouble = ValueError("not foreseen")
+        with pytest.raises(ValueError, match="not foreseen"):
+            await play(GOAL)
+        [state] = (await status(memory)).playbacks
+        assert (state.state, state.note) == ("failed", "It did not begin.") and not bridge.relays
+
+    run(scenario)
+
+
+def test_a_playback_can_be_stopped_while_it_is_beginning(run: Callable[[Scenario], None]) -> None:
+    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+        bridge.ready = False
+        playing = asyncio.ensure_future(play(GOAL))
+        await soon(lambda: bool(bridge.relays))
+        assert (await stop(memory, next(iter(playbacks(memory))))).state == "stopped"
+        assert not bridge.relays and (await playing).state == "stopped"
+
+    run(scenario)
+
+
+@pytest.mark.parametrize("cancelled", [True, False])
+def test_a_play_goes_on_after_its_waiting_but_not_after_a_cancel(
+    run: Callable[[Scenario], None], cancelled: bool
+) -> None:
+    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+        endless = Wanted("run", rate=6.0, topics=["/goal"], loop=True)
+        with anyio.move_on_after(0.15 if cancelled else 5.0):
+            await play(endless, 5.0 if cancelled else 0.15)
+        [playback] = playbacks(memory).values()
+        if cancelled:
+            await soon(lambda: not bridge.relays)
+            assert playback.state().state == "stopped"
+        else:
+            heard = len(bridge.heard)
+            await soon(lambda: len(bridge.heard) > heard + 2)
+            assert playback.is_running
+
+    run(scenario)
