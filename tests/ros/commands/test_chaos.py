@@ -56,11 +56,11 @@ def test_a_service_server_that_is_killed_during_a_call(agent, start_peer) -> Non
 
     def one_round() -> None:
         peer = start_peer("dumb")
-        started, call = time.monotonic(), begin_call(agent, peer.name("mute"), 1.5)
+        started, call = time.monotonic(), begin_call(agent, peer.name("mute"), 3.0)
         wait_until(lambda: peer.take(name="mute"), call)
         peer.kill()
-        assert str(call.exception(20)) == f"TimedOut: {peer.name('mute')} did not answer within 1.5 s. {STILL_WORKING}"
-        assert 1.5 <= time.monotonic() - started < 1.5 + LATE_S
+        assert str(call.exception(20)) == f"TimedOut: {peer.name('mute')} did not answer within 3 s. {STILL_WORKING}"
+        assert 3.0 <= time.monotonic() - started < 3.0 + LATE_S
 
     side_by_side(one_round)
 
