@@ -46,8 +46,8 @@ class Clients:
             yield from pace.wait_turn(request, latest)
             sent_at = time.monotonic()
             if sent_at >= latest:
-                message = f"The server of {service} appeared too late: nothing was sent."
-                raise OperationError("timeout", message, "Try again: it is there now.")
+                late = f"The server of {service} appeared too late: nothing was sent."
+                raise OperationError("timeout", late, "Try again: it is there now.")
             future = client.call_async(message)
             future.add_done_callback(lambda _: (pace.answered(request), request.wake()))
             try:

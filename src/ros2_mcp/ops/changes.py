@@ -16,6 +16,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import log
 from ros2_mcp.ops.actions import action_types
 from ros2_mcp.ops.diagnostics import DIAGNOSTICS, DiagnosticTable
+from ros2_mcp.ops.goal_states import STATUS_TYPE
 from ros2_mcp.robot import Listening, Robot, TopicEndpoints
 
 POLL_S = 0.25
@@ -23,7 +24,6 @@ _ENDPOINTS_S = 2.0
 _APPEARS_S = 60.0
 _LATCHED_S = 0.5
 _MATCHING_S = 0.2
-_STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +213,7 @@ async def _follow_goals(
 
 async def _goals(robot: Robot, action: str, ended: asyncio.Event, begun: asyncio.Event) -> None:
     with suppress(NotFound):
-        async with robot.listen(f"{action}/_action/status", _STATUS_TYPE, keep="latest") as heard:
+        async with robot.listen(f"{action}/_action/status", STATUS_TYPE, keep="latest") as heard:
             first = await heard.take(_LATCHED_S)
             over = _over(robot, first)
             begun.set()
@@ -229,7 +229,7 @@ def _over(robot: Robot, samples: Sequence[Sample]) -> set[str]:
     """The goals that the newest status says have ended."""
     if not samples:
         return set()
-    message: Any = robot.values.decode(_STATUS_TYPE, samples[-1])
+    message: Any = robot.values.decode(STATUS_TYPE, samples[-1])
     return {
         goal_id_hex([int(byte) for byte in status.goal_info.goal_id.uuid])
         for status in message.status_list

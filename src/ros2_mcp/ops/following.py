@@ -11,16 +11,15 @@ from typing import Any
 
 from ros2_mcp.guard.policy import MAX_DURATION_S, bounded
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadInput, NotFound
-from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_bytes, goal_id_hex, stamp_seconds
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.goals import TERMINAL, goal_id_bytes, goal_id_hex, stamp_seconds
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.actions import action_types, resolve_type
+from ros2_mcp.ops.goal_states import STATUS_TYPE, GoalState, states_in, states_now
 from ros2_mcp.ops.goals import SERVER_S
 from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.robot import Listening, Robot
 
-_STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
-_LATCHED_S = 0.5
 _OTHER_CLOCK_S = 1e8
 
 
@@ -48,16 +47,6 @@ class FeedbackMessages:
     def summary(self) -> str:
         """One line."""
         return f"{len(self.messages)} feedback message(s) in {self.duration_sec:.2f} s. {self.note}".rstrip()
-
-
-@dataclass(frozen=True, slots=True)
-class GoalState:
-    """A goal and its state as its server tells it; `accept_stamp` is {sec, nanosec}."""
-
-    goal_id: str
-    accept_stamp: dict[str, Any]
-    status_code: int
-    status: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,9 +153,9 @@ async def follow_status(
     await resolve_type(robot, action)
     topic, started = f"{action}/_action/status", monotonic()
     frames: list[StatusFrame] = []
-    async with robot.listen(topic, _STATUS_TYPE, wait_s=SERVER_S) as heard:
+    async with robot.listen(topic, STATUS_TYPE, wait_s=SERVER_S) as heard:
         async for sample in _samples(heard, duration_s, report):
-            frames.append(StatusFrame(iso_time(sample.received_ns), _states(robot, sample)))
+            frames.append(StatusFrame(iso_time(sample.received_ns), states_in(robot, sample)))
             if len(frames) >= max_messages:
                 break
     note = "" if frames else "Its server has not told of any goal yet."
@@ -183,12 +172,7 @@ async def all_goals(robot: Robot) -> KnownGoals:
 
 
 async def _goals_of(robot: Robot, action: str) -> list[KnownGoal]:
-    try:
-        async with robot.listen(f"{action}/_action/status", _STATUS_TYPE, keep="latest") as heard:
-            samples = await heard.take(_LATCHED_S)
-    except NotFound:
-        return []
-    states = _states(robot, samples[-1]) if samples else []
+    states = await states_now(robot, action)
     for state in states:
         if state.status_code in TERMINAL:
             robot.goal_ended(state.goal_id)
@@ -208,21 +192,6 @@ async def _goals_of(robot: Robot, action: str) -> list[KnownGoal]:
 def _age(stamp: Mapping[str, Any]) -> float | None:
     age_s = time.time() - stamp_seconds(stamp)
     return round(age_s, 3) if abs(age_s) < _OTHER_CLOCK_S else None
-
-
-def _states(robot: Robot, sample: Sample) -> list[GoalState]:
-    from ros2_mcp.codec.render import RenderOptions
-
-    message: Mapping[str, Any] = robot.values.render(_STATUS_TYPE, sample.data, RenderOptions(exact=True)).value
-    return [
-        GoalState(
-            goal_id_hex(entry["goal_info"]["goal_id"]["uuid"]),
-            entry["goal_info"]["stamp"],
-            int(entry["status"]),
-            STATUS.get(int(entry["status"]), str(entry["status"])),
-        )
-        for entry in message["status_list"]
-    ]
 
 
 async def _samples(heard: Listening, duration_s: float, report: Report) -> AsyncIterator[Sample]:

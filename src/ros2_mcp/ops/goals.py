@@ -23,12 +23,14 @@ from ros2_mcp.model.goals import (
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.actions import action_types, resolve_type
 from ros2_mcp.ops.cancelling import cancel
+from ros2_mcp.ops.goal_states import states_now
 from ros2_mcp.ops.results import Report, in_words, reporting, silent
-from ros2_mcp.robot import Listening, Robot
+from ros2_mcp.robot import Answer, Listening, Robot
 
 MAX_WAIT_S = 3600.0
 SERVER_S = 3.0
 ACCEPT_S = 10.0
+_STATUS_AFTER_S = 1.0
 _AT_LEAST_S = 0.1
 _LAST_FEEDBACK_S = 0.02
 
@@ -151,8 +153,12 @@ class _Goal:
         await self._robot.values.learn(CANCEL_TYPE)
         self._robot.goal_sent(self._id, self._action, self._type)
         name = f"{self._action}/_action/send_goal"
+        calling = asyncio.ensure_future(self._robot.call(name, service, request, timeout_s=ACCEPT_S, wait_s=SERVER_S))
         try:
-            answer = await self._robot.call(name, service, request, timeout_s=ACCEPT_S, wait_s=SERVER_S)
+            told = await self._told_before(calling)
+            if told is not None:
+                return True, told
+            answer = await calling
         except NotFound as error:
             self._robot.goal_ended(self._id)
             gone = f"The server of {self._action} is not there, or left before it said that it accepts the goal."
@@ -162,10 +168,23 @@ class _Goal:
                 f"The server of {self._action} did not say within {ACCEPT_S:g} s whether it accepts goal {self._id}.",
                 "It may still accept it: ros2_cancel_action_goal cancels it.",
             ) from error
+        finally:
+            calling.cancel()
         response = self._robot.values.render(f"{service}_Response", answer.body).value
         if not response["accepted"]:
             self._robot.goal_ended(self._id)
         return bool(response["accepted"]), response["stamp"]
+
+    async def _told_before(self, calling: asyncio.Future[Answer]) -> dict[str, Any] | None:
+        """When the goal was accepted, if the status of the action tells so while the answer keeps us waiting.
+
+        A server that has not discovered its client yet throws its answer away, and goes on with the goal.
+        """
+        while not (await asyncio.wait({calling}, timeout=_STATUS_AFTER_S))[0]:
+            for state in await states_now(self._robot, self._action):
+                if state.goal_id == self._id and not calling.done():
+                    return state.accept_stamp
+        return None
 
     async def give_up(self) -> None:
         """Cancels the goal, if it was sent and has not ended."""

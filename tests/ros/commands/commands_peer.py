@@ -19,6 +19,7 @@ from collections import Counter
 from typing import Any, TextIO
 
 import rclpy
+from action_msgs.msg import GoalStatus, GoalStatusArray
 from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -27,6 +28,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallb
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool, Trigger
@@ -179,6 +181,29 @@ def raw(peer: Peer) -> None:
         peer.node.create_publisher(impl.FeedbackMessage, "raw/_action/feedback", 10),
         peer.node.create_service(impl.SendGoalService, "raw/_action/send_goal", accept),
         peer.node.create_service(CancelGoal, "raw/_action/cancel_goal", refuse),
+    )
+
+
+def late(peer: Peer) -> None:
+    """An action whose status tells at once that it has accepted a goal, and whose answer takes 5 s."""
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    status = peer.node.create_publisher(GoalStatusArray, "late/_action/status", latched)
+
+    def accept(request: Any, response: Any) -> Any:
+        told = GoalStatus(status=GoalStatus.STATUS_EXECUTING)
+        told.goal_info.goal_id, told.goal_info.stamp.sec = request.goal_id, 7
+        status.publish(GoalStatusArray(status_list=[told]))
+        time.sleep(5.0)
+        response.accepted = True
+        return response
+
+    impl = Fibonacci.Impl
+    peer.keep(
+        status,
+        peer.node.create_publisher(impl.FeedbackMessage, "late/_action/feedback", 10),
+        peer.node.create_service(impl.SendGoalService, "late/_action/send_goal", accept),
+        peer.node.create_service(impl.GetResultService, "late/_action/get_result", _unspun),
+        peer.node.create_service(CancelGoal, "late/_action/cancel_goal", _unspun),
     )
 
 

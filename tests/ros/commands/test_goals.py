@@ -23,6 +23,13 @@ def cancel(agent, action: str, **options):
     return agent.call("ros2_cancel_action_goal", action_name=action, **options)
 
 
+def test_a_goal_whose_acceptance_is_not_answered_is_known_from_the_status(agent, start_peer) -> None:
+    peer, begun = start_peer("late"), time.monotonic()
+    sent = agent.call("ros2_send_action_goal", action_name=peer.name("late"), goal_fields={"order": 1})
+    assert (sent["accepted"], sent["status"], sent["send_goal_stamp"]["sec"]) == (True, "ACCEPTED", 7)
+    assert time.monotonic() - begun < 4.5
+
+
 def test_an_action_is_listed_with_its_type_and_the_fields_of_its_goal(agent, robot) -> None:
     listed = agent.call("ros2_list_actions", pattern=robot.name("*"))["actions"]
     entry = {"name": robot.name("count"), "types": [FIBONACCI], "request_fields": {"order": "int32"}}
