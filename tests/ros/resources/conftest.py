@@ -16,20 +16,20 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "server")]  # the tests import their neighbours
 
 from agent import FULL  # noqa: E402
-from events_process import EventsPeer  # noqa: E402
+from commanded import CommandedProcess  # noqa: E402
 from listener import HANDSHAKE, MODERN, PATIENCE_S, Listener  # noqa: E402
 
 
 @pytest.fixture(scope="module")
-def events(ros_environment: dict[str, str]) -> Iterator[EventsPeer]:
+def events(ros_environment: dict[str, str]) -> Iterator[CommandedProcess]:
     """A robot to which things happen on command."""
-    peer = EventsPeer(ros_environment)
+    peer = CommandedProcess(HERE / "events_peer.py", ros_environment)
     yield peer
-    peer.end()
+    peer.kill()
 
 
 @pytest.fixture(scope="module")
-def listener_of(ros_environment: dict[str, str], events: EventsPeer) -> Iterator[Callable[[str], Listener]]:
+def listener_of(ros_environment: dict[str, str], events: CommandedProcess) -> Iterator[Callable[[str], Listener]]:
     """A raw client of an era; all tests share the one of each era."""
     with ExitStack() as running:
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from agent import FULL
-from events_process import EventsPeer
+from commanded import CommandedProcess
 from listener import MODERN, PATIENCE_S, Listener
 from raw_server import children
 
@@ -54,16 +54,16 @@ def eventually(condition: Callable[[], bool], within_s: float = PATIENCE_S) -> b
     return condition()
 
 
-def test_a_new_sample_is_told(listener_of_each_era: Listener, events: EventsPeer) -> None:
+def test_a_new_sample_is_told(listener_of_each_era: Listener, events: CommandedProcess) -> None:
     assert max(delays(listener_of_each_era, SAID, lambda: events.say(text="hello"))) < WITHIN_S
 
 
 @pytest.mark.parametrize("uri", ["ros2://nodes", "ros2://graph"])
-def test_a_node_that_comes_or_goes_is_told(listener: Listener, events: EventsPeer, uri: str) -> None:
+def test_a_node_that_comes_or_goes_is_told(listener: Listener, events: CommandedProcess, uri: str) -> None:
     assert max(delays(listener, uri, lambda: events.come_or_go(name="guest"))) < WITHIN_S
 
 
-def test_a_goal_that_ended_is_told(listener: Listener, events: EventsPeer) -> None:
+def test_a_goal_that_ended_is_told(listener: Listener, events: CommandedProcess) -> None:
     goal = {"action_name": "/events/count", "action_type": "test_msgs/action/Fibonacci", "goal_fields": {"order": 1}}
 
     def reach() -> float:
@@ -73,7 +73,7 @@ def test_a_goal_that_ended_is_told(listener: Listener, events: EventsPeer) -> No
     assert max(delays(listener, "ros2://actions", reach)) < WITHIN_S
 
 
-def test_a_line_of_at_least_the_level_is_told_and_no_other(listener: Listener, events: EventsPeer) -> None:
+def test_a_line_of_at_least_the_level_is_told_and_no_other(listener: Listener, events: CommandedProcess) -> None:
     uri = "ros2://log?level=warn"
     assert max(delays(listener, uri, lambda: events.log(level="warning", text="warm"))) < WITHIN_S
     listener.watch(uri, lambda: events.log(level="error", text="hot"))
@@ -84,7 +84,7 @@ def test_a_line_of_at_least_the_level_is_told_and_no_other(listener: Listener, e
 
 
 def test_a_diagnostic_that_got_worse_is_told_and_one_that_got_better_is_not(
-    listener: Listener, events: EventsPeer
+    listener: Listener, events: CommandedProcess
 ) -> None:
     uri = "ros2://diagnostics"
 
@@ -101,12 +101,12 @@ def test_a_diagnostic_that_got_worse_is_told_and_one_that_got_better_is_not(
     listener.unsubscribe(uri)
 
 
-def test_a_parameter_that_was_set_is_told(listener: Listener, events: EventsPeer) -> None:
+def test_a_parameter_that_was_set_is_told(listener: Listener, events: CommandedProcess) -> None:
     uri = "ros2://node/events_peer/parameters"
     assert max(delays(listener, uri, lambda: events.tune(value=random.random()))) < WITHIN_S
 
 
-def test_a_topic_that_is_not_there_yet_is_told_when_it_speaks(listener: Listener, events: EventsPeer) -> None:
+def test_a_topic_that_is_not_there_yet_is_told_when_it_speaks(listener: Listener, events: CommandedProcess) -> None:
     listener.subscribe(FAST)
     moment = events.flood(rate_hz=10, size=10)
     listener.update(FAST, moment)
@@ -114,7 +114,7 @@ def test_a_topic_that_is_not_there_yet_is_told_when_it_speaks(listener: Listener
     events.flood(rate_hz=0, size=0)
 
 
-def test_a_fast_topic_is_told_at_most_five_times_a_second(listener: Listener, events: EventsPeer) -> None:
+def test_a_fast_topic_is_told_at_most_five_times_a_second(listener: Listener, events: CommandedProcess) -> None:
     listener.subscribe(FAST)
     listener.update(FAST, events.flood(rate_hz=100, size=1000))
     assert 6 <= len(listener.drain(2.0)) <= 11
@@ -122,7 +122,7 @@ def test_a_fast_topic_is_told_at_most_five_times_a_second(listener: Listener, ev
     events.flood(rate_hz=0, size=0)
 
 
-def test_a_lost_bridge_is_survived(listener: Listener, events: EventsPeer) -> None:
+def test_a_lost_bridge_is_survived(listener: Listener, events: CommandedProcess) -> None:
     listener.subscribe(SAID)
     pid = bridge_of(listener)
     moment = time.monotonic()
@@ -140,7 +140,7 @@ def bridge_of(listener: Listener) -> int:
 
 
 @pytest.mark.full
-def test_a_hundred_subscriptions_leave_nothing_behind(listener: Listener, events: EventsPeer) -> None:
+def test_a_hundred_subscriptions_leave_nothing_behind(listener: Listener, events: CommandedProcess) -> None:
     def subscriptions() -> int:
         return events.subscribers(topic="/events/said")
 
@@ -169,7 +169,7 @@ def test_what_is_not_ours_is_not_subscribed_to(listener_of_each_era: Listener) -
 
 
 def test_a_client_that_does_not_read_costs_little_and_is_told_once_when_it_reads_again(
-    listener: Listener, events: EventsPeer
+    listener: Listener, events: CommandedProcess
 ) -> None:
     listener.subscribe(FAST)
     listener.update(FAST, events.flood(rate_hz=100, size=200_000))

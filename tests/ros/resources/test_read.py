@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from events_process import EventsPeer
+from commanded import CommandedProcess
 from listener import Listener
 
 SAID = "ros2://topic/events/said"
@@ -50,7 +50,7 @@ def test_lists_name_what_there_is(listener: Listener, path: str, key: str, expec
 
 
 @pytest.mark.parametrize("name", ["events/said", "/events/said", "%2Fevents%2Fsaid"])
-def test_a_topic_is_read_however_its_name_is_written(listener: Listener, events: EventsPeer, name: str) -> None:
+def test_a_topic_is_read_however_its_name_is_written(listener: Listener, events: CommandedProcess, name: str) -> None:
     listener.watch(SAID, lambda: events.say(text="hello"))
     topic = listener.read(f"ros2://topic/{name}")
     listener.unsubscribe(SAID)
@@ -65,7 +65,7 @@ def test_a_silent_topic_says_so(listener: Listener) -> None:
     assert topic["note"] == "No message came within 2 s from /events_peer."
 
 
-def test_a_watched_topic_gives_the_very_message_that_was_told_of(listener: Listener, events: EventsPeer) -> None:
+def test_a_watched_topic_gives_the_very_message_that_was_told_of(listener: Listener, events: CommandedProcess) -> None:
     listener.watch(SAID, lambda: events.say(text="none of these"))
     for text in ("first", "second"):
         listener.update(SAID, events.say(text=text))
@@ -79,14 +79,14 @@ def test_a_definition_is_read_by_its_name(listener: Listener) -> None:
     assert listener.read("ros2://interface/std_msgs%2FString")["message_type"] == "std_msgs/msg/String"
 
 
-def test_parameters_of_a_node_have_values(listener: Listener, events: EventsPeer) -> None:
+def test_parameters_of_a_node_have_values(listener: Listener, events: CommandedProcess) -> None:
     events.tune(value=2.5)
     parameters = listener.read("ros2://node/events_peer/parameters")["parameters"]
     assert next(one["value"] for one in parameters if one["name"] == "speed") == 2.5
 
 
 def test_the_log_is_read_from_a_level_on_and_the_newest_line_comes_first(
-    listener: Listener, events: EventsPeer
+    listener: Listener, events: CommandedProcess
 ) -> None:
     uri = "ros2://log?level=warn&node=/events_peer"
     listener.watch(uri, lambda: events.log(level="warning", text="getting warm"))

@@ -1,4 +1,4 @@
-"""The robot to which things happen, as the tests command it."""
+"""An independent node that the tests command: one JSON list per line in, one JSON value per line out."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 
-class EventsPeer:
-    """The commands of `events_peer.py`, each a method: `events.say(text="hello")`."""
+class CommandedProcess:
+    """The commands of a script, each a method: `peer.listen(topic="/said", kind="std_msgs/msg/String")`."""
 
-    def __init__(self, environment: dict[str, str]) -> None:
-        script = Path(__file__).parent / "events_peer.py"
+    def __init__(self, script: Path, environment: dict[str, str]) -> None:
         self._process = subprocess.Popen(
             [sys.executable, str(script)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
         )
@@ -30,7 +29,12 @@ class EventsPeer:
         return ask
 
     def end(self) -> None:
-        """Let it go."""
+        """Let it go, and see that it went."""
+        self._process.communicate(timeout=20)
+        assert self._process.returncode == 0
+
+    def kill(self) -> None:
+        """End it without its saying goodbye to ROS."""
         self._process.kill()
         self._process.communicate(timeout=5)
 
