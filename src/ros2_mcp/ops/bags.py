@@ -186,10 +186,19 @@ def times_of(memory: Memory, bag: Bag) -> tuple[int, int]:
     As messages are on their way to the disk for up to a second, now is a second ago where there is no later one.
     """
     first_ns, last_ns = bag.times or (0, 0)
-    folders = [each.folder.resolve() for each in recordings(memory).values() if each.is_running]
-    if bag.times and any(bag.path.resolve().is_relative_to(folder) for folder in folders):
+    if bag.times and _is_growing(memory, bag):
         last_ns = max(last_ns, time.time_ns() - _TO_DISK_NS)
     return first_ns, last_ns
+
+
+def _is_growing(memory: Memory, bag: Bag) -> bool:
+    folders = [each.folder.resolve() for each in recordings(memory).values() if each.is_running]
+    return any(bag.path.resolve().is_relative_to(folder) for folder in folders)
+
+
+def _problems(memory: Memory, bag: Bag) -> Sequence[str]:
+    """What is damaged or missing; that the end is not written yet is no damage."""
+    return ["It is still being recorded."] if _is_growing(memory, bag) else bag.problems
 
 
 def codec_of(definitions: Mapping[str, DefinitionText]) -> Codec:
@@ -244,7 +253,7 @@ def _info(memory: Memory, name: str) -> BagInfo:
             sum(counts.values()),
             bag.size,
             topics,
-            bag.problems,
+            _problems(memory, bag),
         )
 
 
@@ -259,7 +268,8 @@ def _read(memory: Memory, asked: Asked, view: View, topic: StoredTopic, codec: C
         backwards = not asked.start.strip()
         samples = (sample for _, sample in bag.messages(span, newest_first=backwards))
         chosen, beyond = taken(islice(samples, 0, None, view.every_n), asked.limit)
-        problems = bag.problems
+        problems = _problems(memory, bag)
+        first_ns, last_ns = times_of(memory, bag)
     if backwards:
         chosen.reverse()
     shown, rendered, bad = rendered_within(topic.type, codec, chosen, view)
@@ -273,7 +283,7 @@ def _read(memory: Memory, asked: Asked, view: View, topic: StoredTopic, codec: C
     if bad:
         notes.append(f"{bad} message(s) are not what their type says and are left out.")
     if not chosen:
-        notes.append("None in that time.")
+        notes.append(f"None in that time; the bag goes from {iso_time(first_ns)} to {iso_time(last_ns)}.")
     return BagMessages(
         asked.bag,
         topic.name,

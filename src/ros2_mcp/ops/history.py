@@ -13,11 +13,11 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError, UnknownInterface
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.bags import codec_of, definitions_of, find_topic, rendered_within, span_in, taken
+from ros2_mcp.ops.bags import codec_of, definitions_of, find_topic, rendered_within, span_in, taken, times_of
 from ros2_mcp.ops.black_box import BLACK_BOX
 from ros2_mcp.ops.data_black_box import ANY, TIMEOUT_S, DataBlackBox, Question, find_box
 from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.moments import last_ns_of, moment_ns
+from ros2_mcp.ops.moments import is_relative, last_ns_of, moment_ns
 from ros2_mcp.ops.reading import View
 from ros2_mcp.ops.recording import recordings
 from ros2_mcp.ops.results import Report, exact_time, iso_time, reporting, silent
@@ -182,21 +182,25 @@ def _moment(name: str, text: str, now_ns: int) -> int | None:
 
 
 async def _ask_bag(robot: Robot, memory: Memory, asked: Asked, name: str, words: str) -> Found | None:
-    def read() -> tuple[Any, list[Sample], Sample | None]:
+    def read() -> tuple[Any, int, list[Sample], Sample | None]:
         with memory.reading(name) as bag:
             topic = find_topic(bag, asked.topic)
             span = replace(span_in(memory, bag, asked.start, asked.end), topics=(topic.name,))
             newest = (sample for _, sample in bag.messages(span, newest_first=True))
-            return topic, *taken(islice(newest, asked.number or None), MAX_MESSAGES)
+            return topic, times_of(memory, bag)[1], *taken(islice(newest, asked.number or None), MAX_MESSAGES)
 
     try:
-        topic, newest, beyond = await asyncio.to_thread(read)
+        topic, last_ns, newest, beyond = await asyncio.to_thread(read)
     except NotFound:
         return None
     codec = codec_of(await definitions_of(topic, robot))
-    earlier = exact_time(newest[-1].received_ns - 1) if beyond else ""
-    note = f"There are earlier ones too: for those, give time_end {earlier}." if earlier else ""
-    return Found(f"{words} {name}", topic.type, newest[::-1], codec, note)
+    notes: list[str] = []
+    if is_relative(asked.start) or is_relative(asked.end):
+        notes.append(f"Counted from its end, {iso_time(last_ns)}.")
+    if beyond:
+        earlier = exact_time(newest[-1].received_ns - 1)
+        notes.append(f"There are earlier ones too: for those, give time_end {earlier}.")
+    return Found(f"{words} {name}", topic.type, newest[::-1], codec, " ".join(notes))
 
 
 def _show(asked: Asked, view: View, found: Found, failed: Sequence[RobotError]) -> StoredMessages:

@@ -34,7 +34,7 @@ def span_of(start: str, end: str, first_ns: int, last_ns: int) -> Span:
     end_ns = moment_ns("end", end, first_ns, last_ns)
     if end_ns < start_ns:
         raise BadValue("end", f"{end!r} is before {start!r}.")
-    return Span(None, start_ns, end_ns if _RELATIVE.fullmatch(end.strip()) else last_ns_of(end, end_ns) + 1)
+    return Span(None, start_ns, end_ns if is_relative(end) else last_ns_of(end, end_ns) + 1)
 
 
 def moment_ns(name: str, text: str, first_ns: int | None, last_ns: int) -> int:
@@ -44,9 +44,14 @@ def moment_ns(name: str, text: str, first_ns: int | None, last_ns: int) -> int:
     return min(max(found_ns, _EARLIEST), FOREVER)
 
 
+def is_relative(text: str) -> bool:
+    """Whether it counts from the beginning or the end of a recording."""
+    return _RELATIVE.fullmatch(text.strip()) is not None
+
+
 def last_ns_of(text: str, at_ns: int) -> int:
     """The last nanosecond of what a text names: of a time the whole microsecond, unless it is written more exactly."""
-    if _RELATIVE.fullmatch(text.strip()):
+    if is_relative(text):
         return at_ns
     fraction = _FRACTION.search(text)
     return min(at_ns + 10 ** (9 - max(len(fraction[1]) if fraction else 0, 6)), FOREVER) - 1

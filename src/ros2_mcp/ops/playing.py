@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -207,6 +207,8 @@ class Playback:
                     break
                 await asyncio.sleep(begun + self._loop_s - monotonic())
             state = "ended"
+        except NotFound:
+            self._note = "Its publishers have been ended, as ros2_stop does."
         except RobotError as error:
             state, self._note = "failed", str(error)
         finally:
@@ -253,7 +255,8 @@ async def play(
     """Plays a bag, or a part of it; after `wait_s` it goes on by itself. A waiting that is cancelled stops it.
 
     Raises:
-        Refused: if this server is read-only, or a topic has a live publisher and `force` is not given.
+        Refused: if this server is read-only; without `force`, if a topic has a live publisher, or somebody listens to a
+            velocity command.
         NotFound: if there is no such bag, or it has no such topic.
         TypeConflict: if a topic is there with another type.
         UnknownInterface: if the robot does not know a type.
@@ -307,11 +310,18 @@ def _prepare(memory: Memory, wanted: Wanted) -> tuple[Bag, Span, dict[str, Store
         topics = {topic.name: topic for topic in chosen}
         unknown = set(wanted.remaps) - set(topics)
         if unknown:
-            raise BadInput(f"{sorted(unknown)[0]} is remapped, but not played.")
+            raise BadInput(f"{sorted(unknown)[0]} is remapped, but not played.", f"Played: {', '.join(topics)}.")
+        _check_types({(wanted.remaps.get(name, name), topic.type) for name, topic in topics.items()})
         return bag, replace(span_in(memory, bag, wanted.start, wanted.end), topics=frozenset(topics)), topics
     except RobotError:
         bag.close()
         raise
+
+
+def _check_types(destinations: Collection[tuple[str, str]]) -> None:
+    for destination, type_name in destinations:
+        for other in (kind for name, kind in destinations if name == destination and kind != type_name):
+            raise TypeConflict(f"{destination} would be both a {type_name} and a {other}.", "Give other remaps.")
 
 
 async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[str, StoredTopic]) -> None:
@@ -319,6 +329,7 @@ async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[s
     ours = {to: each.id for each in playbacks(memory).values() if each.is_running for to in each.destinations}
     ours |= {relay.destination: relay.relay_id for relay in robot.relays.open}
     busy: list[str] = []
+    driven: list[str] = []
     for name, topic in topics.items():
         destination = wanted.remaps.get(name, name)
         present = await robot.graph.endpoints(destination)
@@ -327,10 +338,14 @@ async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[s
         others = [each.node for each in present.publishers if each.node != own]
         others += [ours[destination]] if destination in ours else []
         busy += [f"{destination} ({others[0]})"] if others else []
+        moved = [each.node for each in present.subscribers if each.node != own and topic.type in VELOCITY_TYPES]
+        driven += [f"{moved[0]} listens to {destination}"] if moved else []
     if busy and not wanted.force:
         raise Refused(
             f"These topics have a live publisher: {', '.join(busy)}.", "Use remaps, choose topics, or give force."
         )
+    if driven and not wanted.force:
+        raise Refused(f"It would move the robot: {', '.join(driven)}.", "Use remaps, choose topics, or give force.")
     await robot.values.learn(*(topic.type for topic in topics.values()))
 
 

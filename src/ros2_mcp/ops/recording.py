@@ -186,8 +186,12 @@ class Recording:
             sum(counts.values()),
             [self._topic_counts(name, joined, counts) for name, joined in sorted(self._topics.items())],
             "" if self.is_running else recorder.ended,
-            [*self._notes, *recorder.notes],
+            [*self._notes, *recorder.notes, *self._unheard()],
         )
+
+    def _unheard(self) -> list[str]:
+        said = "nobody has published it so far; it joins within a second after somebody does."
+        return [f"{name}: {said}" for name in self._wanted.topics if name not in self._topics]
 
     def _topic_counts(self, name: str, joined: _Joined, written: dict[str, int]) -> TopicCounts:
         counts = joined.counts()

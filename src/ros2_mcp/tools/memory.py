@@ -106,7 +106,10 @@ async def ros2_bag_play(
     topics: Topics = None,
     remaps: Annotated[dict[str, str] | None, Field(description='New names, such as {"/scan": "/old/scan"}.')] = None,
     loop: Annotated[Flag, Field(description="Begin again at the end, until stopped.")] = False,
-    force: Annotated[Flag, Field(description="Also onto topics that have a live publisher.")] = False,
+    force: Annotated[
+        Flag,
+        Field(description="Also onto topics that have a live publisher, and velocity commands that move the robot."),
+    ] = False,
     wait_sec: Annotated[Number, Field(ge=0, le=3600, description="Wait this long for its end; it goes on.")] = 40.0,
 ) -> playing.PlaybackState:
     """Publish a bag's messages again in their rhythm. Can move the robot if it holds commands: choose topics."""

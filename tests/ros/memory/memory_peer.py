@@ -12,6 +12,7 @@ import threading
 import time
 
 import rclpy
+from geometry_msgs.msg import Twist
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from rosidl_parser.definition import AbstractGenericString, AbstractSequence, Array, NamespacedType
@@ -87,11 +88,13 @@ def stream(node, *topics: str) -> None:
 
 
 def listen(node, *topics: str) -> None:
-    """Collects numbers with their times of receipt; a line on stdin asks for them. It publishes on /live too."""
+    """Collects numbers with their times of receipt; a line on stdin asks for them. It publishes on /live too, and
+    listens to /cmd_vel."""
     heard: dict[str, list] = {topic: [] for topic in topics}
     for topic in topics:
         node.create_subscription(Int32, topic, lambda m, t=topic: heard[t].append([m.data, time.monotonic()]), 100)
     node.create_publisher(Int32, "/live", 10)
+    node.create_subscription(Twist, "/cmd_vel", lambda _: None, 10)
     threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
     print("ready", flush=True)
     for line in sys.stdin:

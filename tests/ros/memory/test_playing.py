@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from agent import Agent, agent_for
+from agent import Agent, Refusal, agent_for
 
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
@@ -61,6 +61,11 @@ def agent(ros_environment: dict[str, str], tmp_path_factory: pytest.TempPathFact
     stored = [(START_NS + i * PERIODS_NS[topic], topic, n) for topic in NUMBERS for i, n in enumerate(NUMBERS[topic])]
     for at_ns, topic, number in sorted(stored):
         writer.write(topic, Sample(at_ns, at_ns, None, b"\0\1\0\0" + number.to_bytes(4, "little")))
+    writer.close()
+    (folder / "moves").mkdir()
+    writer = BagWriter(folder / "moves", "moves")
+    writer.add_topic(StoredTopic("/cmd_vel", "geometry_msgs/msg/Twist", None, "ros2msg", ""))
+    writer.write("/cmd_vel", Sample(START_NS, START_NS, None, b"\0\1\0\0" + bytes(48)))
     writer.close()
     with agent_for(ros_environment, "--tools", "all", "--record-dir", str(folder)) as started:
         yield started
@@ -152,3 +157,28 @@ def test_what_cannot_be_played_is_said_before_anything_is(agent: Agent, listener
     refusal = agent.refusal("ros2_bag_play", bag="run", topics=["/a"], remaps={"/a": "/rosout"}, force=True)
     assert "rcl_interfaces/msg/Log" in refusal
     assert not any(listener.heard().values())
+
+
+def test_velocity_commands_that_somebody_listens_to_are_played_by_force_only(agent: Agent, listener: Listener) -> None:
+    agent.knows("/cmd_vel")
+    with pytest.raises(Refusal, match="would move the robot: /memory_peer listens to /cmd_vel"):
+        agent.call("ros2_bag_play", bag="moves")
+    elsewhere = agent.call("ros2_bag_play", bag="moves", remaps={"/cmd_vel": "/old/cmd_vel"})
+    assert elsewhere["published"] == {"/old/cmd_vel": 1}
+    assert agent.call("ros2_bag_play", bag="moves", force=True)["published"] == {"/cmd_vel": 1}
+
+
+def test_a_playback_that_ros2_stop_ends_is_stopped_and_not_failed(agent: Agent, listener: Listener) -> None:
+    begun = agent.call("ros2_bag_play", bag="run", topics=["/a"], loop=True, wait_sec=0)
+    assert listener.numbers("/a", 2)
+    agent.call("ros2_stop")
+    deadline = time.monotonic() + 5
+    while (state := told(agent, begun["playback_id"]))["state"] == "playing":
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert (state["state"], state["note"]) == ("stopped", "Its publishers have been ended, as ros2_stop does.")
+
+
+def told(agent: Agent, playback_id: str) -> dict[str, Any]:
+    [state] = agent.call("ros2_bag_play_status", playback_id=playback_id)["playbacks"]
+    return state

@@ -124,3 +124,24 @@ def test_a_recording_that_runs_goes_on_until_now_however_long_nothing_came(tmp_p
         await later.close()
 
     asyncio.run(scenario())
+
+
+def test_a_named_topic_that_nobody_publishes_is_told(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        memory = Memory(tmp_path)
+        state = await recording.start(robot_of(MadeBridge()), memory, Wanted(topics=["/later"]))
+        assert state.notes == ["/later: nobody has published it so far; it joins within a second after somebody does."]
+        await memory.close()
+
+    asyncio.run(scenario())
+
+
+def test_what_is_still_being_recorded_is_not_called_damaged(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        memory = Memory(tmp_path)
+        await recording.start(robot_of(MadeBridge()), memory, Wanted(name="run"))
+        assert (await bags.info(memory, "run")).problems == ["It is still being recorded."]
+        await memory.close()
+        assert (await bags.info(Memory(tmp_path), "run")).problems == []
+
+    asyncio.run(scenario())
