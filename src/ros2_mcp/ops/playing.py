@@ -29,6 +29,8 @@ _FOREVER_S = 1e9
 _SHORTEST_LOOP_S = 0.1
 _MATCH_S = 1.0
 _READY_S = 5.0
+_KNOWN_S = 0.3
+"""Subscribers get to know our publishers a moment later than these them; what comes before arrives late."""
 _BATCH = 64
 _BATCH_BYTES = 4_000_000
 _AHEAD_S = 0.002
@@ -121,6 +123,7 @@ class Playback:
                 self._relays.append(asyncio.create_task(self._open(name, topic)))
             for name in self._topics:
                 await self._until_ready(name)
+            await asyncio.sleep(_KNOWN_S)
             if self.is_running:
                 self._work = asyncio.create_task(self._play())
         finally:

@@ -118,7 +118,7 @@ def test_a_play_goes_on_after_its_waiting_but_not_after_a_cancel(
 ) -> None:
     async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
         endless = Wanted("run", rate=6.0, topics=["/goal"], loop=True)
-        with anyio.move_on_after(0.15 if cancelled else 5.0):
+        with anyio.move_on_after(0.7 if cancelled else 5.0):
             await play(endless, 5.0 if cancelled else 0.15)
         [playback] = playbacks(memory).values()
         if cancelled:
