@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 MAX_MESSAGES = 10_000
 _MAX_BYTES = 64_000_000
 _TO_DISK_NS = 1_000_000_000
+_UNFINISHED = ("the recording was not closed.", "the end of the file is missing.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +199,9 @@ def _is_growing(memory: Memory, bag: Bag) -> bool:
 
 def _problems(memory: Memory, bag: Bag) -> Sequence[str]:
     """What is damaged or missing; that the end is not written yet is no damage."""
-    return ["It is still being recorded."] if _is_growing(memory, bag) else bag.problems
+    if not _is_growing(memory, bag):
+        return bag.problems
+    return ["It is still being recorded.", *(each for each in bag.problems if not each.endswith(_UNFINISHED))]
 
 
 def codec_of(definitions: Mapping[str, DefinitionText]) -> Codec:

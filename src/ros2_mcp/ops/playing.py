@@ -211,7 +211,9 @@ class Playback:
                 await asyncio.sleep(begun + self._loop_s - monotonic())
             state = "ended"
         except NotFound:
-            self._note = "Its publishers have been ended, as ros2_stop does."
+            lost = [each.exception() for each in self._relays if each.done() and each.exception()]
+            state = "failed" if lost else "stopped"
+            self._note = str(lost[0]) if lost else "Its publishers have been ended, as ros2_stop does."
         except RobotError as error:
             state, self._note = "failed", str(error)
         finally:

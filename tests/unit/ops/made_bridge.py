@@ -8,7 +8,7 @@ from time import monotonic
 from typing import Any, cast
 
 from ros2_mcp.link.client import Bridge, Reply
-from ros2_mcp.model.errors import BridgeRefused
+from ros2_mcp.model.errors import BridgeLost, BridgeRefused
 from ros2_mcp.robot import Robot
 
 NUMBER = "std_msgs/msg/Int32"
@@ -25,6 +25,7 @@ class MadeBridge:
 
     def __init__(self) -> None:
         self.ready = True
+        self._lost = asyncio.Event()
         self.relays: dict[str, str] = {}
         self.heard: list[tuple[str, float]] = []
         self.trouble: Exception | None = None
@@ -37,9 +38,14 @@ class MadeBridge:
     async def _relay(self, name: str, topic: str, **_: Any) -> Any:
         self.relays[name] = topic
         try:
-            await asyncio.sleep(1000)
+            await self._lost.wait()
+            raise BridgeLost("The bridge was lost.")
         finally:
             del self.relays[name]
+
+    def lose_relays(self) -> None:
+        """As when the process is killed; the next one knows none of them."""
+        self._lost.set()
 
     async def _relay_feed(self, name: str, sizes: list[int]) -> Any:
         if self.trouble:

@@ -130,3 +130,14 @@ def test_a_play_goes_on_after_its_waiting_but_not_after_a_cancel(
             assert playback.is_running
 
     run(scenario)
+
+
+def test_a_playback_whose_bridge_is_lost_has_failed_and_is_not_called_stopped(run: Callable[[Scenario], None]) -> None:
+    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+        await play(Wanted("run", rate=6.0, topics=["/goal"], loop=True), 0.0)
+        [playback] = playbacks(memory).values()
+        bridge.lose_relays()
+        await soon(lambda: not playback.is_running)
+        assert (playback.state().state, playback.state().note) == ("failed", "The bridge was lost.")
+
+    run(scenario)
