@@ -28,6 +28,9 @@ MAX_STATUSES = 30
 MAX_NAMES = 30
 RATE_TOLERANCE = 0.9
 """A topic is slow below this share of the rate that is expected of it."""
+STOPPED_PERIODS = 10
+STOPPED_S = 1.0
+"""A topic has stopped if nothing came for so many of its mean periods, and for so long, at the end."""
 
 LARGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CompressedImage"})
 STREAM_TYPES = LARGE_TYPES | {
@@ -48,7 +51,7 @@ _OF_EVERY_NODE = frozenset({"/rosout", "/parameter_events"})
 
 Severity = Literal["critical", "warning"]
 Verdict = Literal["HEALTHY", "DEGRADED", "CRITICAL"]
-State = Literal["OK", "MISSING", "SILENT", "SLOW", "QUIET", "NOT MEASURED"]
+State = Literal["OK", "MISSING", "SILENT", "STOPPED", "SLOW", "QUIET", "NOT MEASURED"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +77,10 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class TopicRow:
-    """A topic in the table. `QUIET` is silence that is no fault by itself: of commands, events, latched data."""
+    """A topic in the table. `QUIET` is silence that is no fault by itself: of commands, events, latched data.
+
+    `STOPPED`: it came, and then no more for over a second and ten periods.
+    """
 
     topic_name: str
     topic_type: str
@@ -89,9 +95,10 @@ class TopicRow:
 class Health:
     """A report on the robot.
 
-    `CRITICAL`: something expected is missing or silent, or diagnostics report an error. `DEGRADED`: a sensor is silent
-    or slow, endpoints cannot match, nodes share a name, or diagnostics warn. Topics that nobody listens to, or nobody
-    publishes on, are told but are no fault by themselves. A `rate_hz` of null: fewer than two messages came.
+    `CRITICAL`: something expected is missing or silent, or diagnostics report an error. `DEGRADED`: a sensor is silent,
+    has stopped or is slow, endpoints cannot match, nodes share a name, or diagnostics warn. Topics that nobody listens
+    to, or nobody publishes on, are told but are no fault by themselves. A `rate_hz` of null: fewer than two messages
+    came.
     `counts` tells how many there are where a list is cut; the worst come first.
     """
 
@@ -113,11 +120,20 @@ class Health:
 
 @dataclass(frozen=True, slots=True)
 class Flow:
-    """What came on one topic in the time of measuring; `most_hz` is the highest rate that its silences allow."""
+    """What came on one topic in the time of measuring.
+
+    `most_hz` is the highest rate that its silences allow, `silence_s` how long nothing had come at the end.
+    """
 
     count: int
     rate_hz: float | None
     most_hz: float
+    silence_s: float
+
+    @property
+    def has_stopped(self) -> bool:
+        """Whether it came, and then no more."""
+        return bool(self.rate_hz) and self.silence_s > max(STOPPED_PERIODS / self.rate_hz, STOPPED_S)
 
 
 async def check_health(source: Source, expected: Expectations, report: Report = silent) -> Health:
@@ -178,7 +194,8 @@ def flow(window: Window) -> Flow:
     edges = [0.0, *times, window.duration_s]
     longest = max(later - earlier for earlier, later in pairwise(edges))
     span = times[-1] - times[0] if len(times) > 1 else 0.0
-    return Flow(len(times), (len(times) - 1) / span if span > 0 else None, 1 / longest if longest > 0 else 0.0)
+    rate_hz = (len(times) - 1) / span if span > 0 else None
+    return Flow(len(times), rate_hz, 1 / longest if longest > 0 else 0.0, edges[-1] - edges[-2])
 
 
 def _judge(
@@ -192,7 +209,7 @@ def _judge(
     rows = [_row(scene, name, flows.get(name), expected) for name in sorted({*scene.topics, *expected.topics})]
     findings = [
         *_missing(scene, expected),
-        *(finding for row in rows for finding in _flow_finding(scene, row, expected)),
+        *(finding for row in rows for finding in _flow_finding(scene, row, flows.get(row.topic_name), expected)),
         *_graph_findings(scene),
         *(_diagnosis(status) for status in diagnostics if status.level != "OK"),
     ]
@@ -250,6 +267,8 @@ def _state(found: TopicEndpoints, measured: Flow | None, is_expected: bool, min_
         return "SILENT" if is_expected or _streams(found) else "QUIET"
     if _is_latched(found) or not (is_expected or _streams(found)):
         return "OK"
+    if measured.has_stopped:
+        return "STOPPED"
     rate_hz = measured.most_hz if measured.rate_hz is None else measured.rate_hz
     return "SLOW" if rate_hz < RATE_TOLERANCE * min_rate_hz else "OK"
 
@@ -272,11 +291,13 @@ def _missing(scene: Scene, expected: Expectations) -> Iterator[Finding]:
                 yield Finding("critical", name, f"The expected {what} is not there.", hint)
 
 
-def _flow_finding(scene: Scene, row: TopicRow, expected: Expectations) -> Iterator[Finding]:
-    if row.state == "SILENT":
+def _flow_finding(scene: Scene, row: TopicRow, measured: Flow | None, expected: Expectations) -> Iterator[Finding]:
+    if row.state in ("SILENT", "STOPPED"):
         by = ", ".join(sorted({each.node for each in scene.topics[row.topic_name].publishers}))
         advice = f"Look at {by}: its device, parameters and log."
         problem = f"Published by {by}, but nothing came."
+        if measured and measured.has_stopped:
+            problem = f"It has stopped: {row.rate_hz:.2f} Hz, then nothing in the last {measured.silence_s:.1f} s."
         yield Finding("critical" if row.expected else "warning", row.topic_name, problem, advice)
     elif row.state == "SLOW":
         rate = "fewer than two messages came" if row.rate_hz is None else f"{row.rate_hz:.2f} Hz"

@@ -31,6 +31,7 @@ _MATCH_S = 1.0
 _READY_S = 5.0
 _KNOWN_S = 0.3
 """Subscribers get to know our publishers a moment later than these them; what comes before arrives late."""
+_NAMED = 8
 _BATCH = 64
 _BATCH_BYTES = 4_000_000
 _AHEAD_S = 0.002
@@ -124,6 +125,7 @@ class Playback:
             for name in self._topics:
                 await self._until_ready(name)
             await asyncio.sleep(_KNOWN_S)
+            await self._note_who_listens()
             if self.is_running:
                 self._work = asyncio.create_task(self._play())
         finally:
@@ -195,6 +197,14 @@ class Playback:
                 if monotonic() > deadline:
                     raise
                 await asyncio.sleep(0.02)
+
+    async def _note_who_listens(self) -> None:
+        relays = (await self._robot.graph.ask("relays")).ok["relays"]
+        relay_of = {self._destination(name): relays.get(self._relay(name)) for name in self._topics}
+        unheard = [topic for topic, relay in relay_of.items() if relay and not relay["matched"]]
+        if unheard:
+            more = f" and {len(unheard) - _NAMED} more" if len(unheard) > _NAMED else ""
+            self._note = f"Nobody listened to {', '.join(unheard[:_NAMED])}{more} when it began."
 
     async def _play(self) -> None:
         state = "stopped"

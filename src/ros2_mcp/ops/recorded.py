@@ -103,6 +103,7 @@ class BagSource:
                 lambda: self.duration_s,
                 f"{publishers[0].qos.durability}, as it was recorded",
                 self._span.start_ns,
+                lambda: self._span.end_ns,
             )
 
     async def _why_no_more(self, last: Sample | None) -> str:

@@ -113,9 +113,10 @@ def stuck(times: Numbers, values: Numbers) -> Stuck | None:
     lengths = np.diff(np.append(starts, len(values)))
     longest = int(np.argmax(lengths))
     first, samples = int(starts[longest]), int(lengths[longest])
-    is_long = samples >= max(STUCK_SAMPLES, STUCK_SHARE * len(values))
-    is_lively = len(starts) - 1 >= _LIVELY * (len(values) - samples)
-    if not (is_long and is_lively and _is_suspicious(np.diff(values[starts]), longest)):
+    is_rest = lengths >= max(STUCK_SAMPLES, STUCK_SHARE * len(values))
+    moving = len(values) - int(lengths[is_rest].sum())
+    is_lively = np.count_nonzero(~is_rest) >= max(_LIVELY * moving, STUCK_SAMPLES)
+    if not (is_rest[longest] and is_lively and _is_suspicious(np.diff(values[starts]), longest)):
         return None
     last = first + samples - 1
     return Stuck(float(times[first]), float(times[last] - times[first]), samples, float(values[first]))

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 MAX_TOPICS = 20
 _GAP_FACTOR = 3.0
+_SILENCE_S = 0.5
 _OTHER_CLOCK_S = 1e6
 _STAMP_END = 12
 _LEAST_S = 1e-3
@@ -27,7 +28,8 @@ _LEAST_S = 1e-3
 class TopicStats:
     """The flow of one topic over a window. Times in seconds; null where there were too few messages to tell.
 
-    `jitter_s` is the standard deviation of the periods. `gaps` counts periods longer than three times the median one.
+    `jitter_s` is the standard deviation of the periods. `gaps` counts periods longer than three times the median one,
+    and the silence after the last message if it is that long and over half a second.
     `age_mean_s` and `age_max_s` compare the header's stamp with the time of receipt.
     """
 
@@ -130,6 +132,9 @@ def _evaluate(stream: Stream, flow: Flow, duration_s: float) -> TopicStats:
     periods = [(later - earlier) / 1e9 for earlier, later in zip(flow.received_ns, flow.received_ns[1:], strict=False)]
     median = statistics.median(periods) if periods else 0.0
     gaps = [period for period in periods if period > _GAP_FACTOR * median] if len(periods) > 2 else []
+    silence_s = (stream.end_ns() - flow.received_ns[-1]) / 1e9 if len(periods) > 2 else 0.0
+    has_stopped = silence_s > max(_GAP_FACTOR * median, _SILENCE_S)
+    gaps += [silence_s] if has_stopped else []
     span = sum(periods)
     same_clock = bool(flow.ages_s) and abs(statistics.fmean(flow.ages_s)) < _OTHER_CLOCK_S
     return TopicStats(
@@ -150,15 +155,16 @@ def _evaluate(stream: Stream, flow: Flow, duration_s: float) -> TopicStats:
         age_max_s=max(flow.ages_s) if same_clock else None,
         lost=counts.lost,
         dropped=counts.dropped,
-        note=_note(stream, flow, duration_s, same_clock),
+        note=_note(stream, flow, duration_s, silence_s if has_stopped else 0.0, same_clock),
     )
 
 
-def _note(stream: Stream, flow: Flow, duration_s: float, same_clock: bool) -> str:
+def _note(stream: Stream, flow: Flow, duration_s: float, silence_s: float, same_clock: bool) -> str:
     if not stream.publishers:
         return "Nobody publishes on it."
     if not flow.sizes:
         return f"Published by {stream.nodes[0]}, but silent for {duration_s:g} s."
+    notes = [f"It has stopped: nothing came in the last {silence_s:.3g} s."] if silence_s else []
     if flow.ages_s and not same_clock:
-        return "Its stamps are not from this clock (simulated time?), so ages are left out."
-    return ""
+        notes.append("Its stamps are not from this clock (simulated time?), so ages are left out.")
+    return " ".join(notes)

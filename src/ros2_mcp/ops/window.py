@@ -5,6 +5,7 @@ Operations that measure take a `Source` and never ask whether it is the robot no
 
 from __future__ import annotations
 
+import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
@@ -80,7 +81,7 @@ class Stream:
 
     The batches end with the source's time. `counts` tells what became of the messages so far, `why_no_more` in words
     why none came after the given last one, `covered_s` how much of the source's time they are of. `qos` says how it
-    listens, or what was recorded. Samples from before `start_ns` are latched ones.
+    listens, or what was recorded. Samples from before `start_ns` are latched ones; `end_ns` is how far it has come.
     """
 
     topic: str
@@ -93,6 +94,7 @@ class Stream:
     covered_s: Callable[[], float]
     qos: str = ""
     start_ns: int = 0
+    end_ns: Callable[[], int] = time.time_ns
 
     @property
     def nodes(self) -> list[str]:

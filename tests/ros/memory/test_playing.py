@@ -72,11 +72,12 @@ def agent(ros_environment: dict[str, str], tmp_path_factory: pytest.TempPathFact
 
 
 @pytest.fixture(scope="module")
-def listening(ros_environment: dict[str, str]) -> Iterator[Listener]:
+def listening(ros_environment: dict[str, str], agent: Agent) -> Iterator[Listener]:
     command = [sys.executable, str(Path(__file__).parent / "memory_peer.py"), "listen", *HEARD]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=ros_environment) as process:
         assert process.stdout and process.stdout.readline() == "ready\n"
+        agent.knows(*HEARD)
         yield Listener(process)
         process.communicate(timeout=10)
 
@@ -92,7 +93,7 @@ def test_a_bag_is_heard_whole_and_in_its_rhythm(agent: Agent, listener: Listener
     played = agent.call("ros2_bag_play", bag="run", rate=rate)
     assert (played["state"], played["progress"], played["loops"]) == ("ended", 1.0, 1)
     counts = {topic: len(numbers) for topic, numbers in NUMBERS.items()}
-    assert played["published"] == counts
+    assert played["published"] == counts and not played["note"]
     heard = listener.heard_so_many(counts)
     for topic, numbers in NUMBERS.items():
         assert [number for number, _ in heard[topic]] == list(numbers)
@@ -165,6 +166,7 @@ def test_velocity_commands_that_somebody_listens_to_are_played_by_force_only(age
         agent.call("ros2_bag_play", bag="moves")
     elsewhere = agent.call("ros2_bag_play", bag="moves", remaps={"/cmd_vel": "/old/cmd_vel"})
     assert elsewhere["published"] == {"/old/cmd_vel": 1}
+    assert elsewhere["note"] == "Nobody listened to /old/cmd_vel when it began."
     assert agent.call("ros2_bag_play", bag="moves", force=True)["published"] == {"/cmd_vel": 1}
 
 

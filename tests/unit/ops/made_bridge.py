@@ -55,6 +55,9 @@ class MadeBridge:
         self.heard += [(self.relays[name], monotonic())] * len(sizes)
         return {}
 
+    async def _relays(self) -> Any:
+        return {"relays": {name: {"matched": 1} for name in self.relays}}
+
     async def _endpoints(self, **_: Any) -> Any:
         return {"publishers": [], "subscribers": []}
 

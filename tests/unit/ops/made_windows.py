@@ -74,7 +74,15 @@ class Recorded:
 
         counts = Counts(len(window.samples))
         yield Stream(
-            topic, window.type, CODEC, [NODE], batches(), lambda: counts, why_no_more, lambda: window.duration_s
+            topic,
+            window.type,
+            CODEC,
+            [NODE],
+            batches(),
+            lambda: counts,
+            why_no_more,
+            lambda: window.duration_s,
+            end_ns=lambda: window.end_ns,
         )
 
     async def scene(self) -> Scene:

@@ -53,6 +53,15 @@ def test_a_single_message_tells_how_slow_it_is_at_least(window: Make) -> None:
     assert (found.verdict, found.topics[0].rate_hz) == ("DEGRADED", None)
 
 
+def test_a_sensor_that_stopped_degrades_and_an_expected_one_is_critical(window: Make) -> None:
+    stopped = window("/scan", SCAN, at(20, 3.0), 6.0)
+    found = check([LIDAR], [stopped])
+    assert (found.verdict, found.topics[0].state) == ("DEGRADED", "STOPPED")
+    assert found.findings[0].problem == "It has stopped: 20.00 Hz, then nothing in the last 3.0 s."
+    assert check([LIDAR], [stopped], topics=["scan"]).verdict == "CRITICAL"
+    assert check([LIDAR], [window("/scan", SCAN, at(20, 5.1), 6.0)]).verdict == "HEALTHY"
+
+
 def test_a_silent_sensor_degrades_and_an_expected_one_is_critical(window: Make) -> None:
     dead = window("/scan", SCAN, [], 3.0)
     found = check([LIDAR], [dead])

@@ -83,6 +83,19 @@ def test_a_stuck_value_is_told_and_a_constant_one_is_only_constant(window: Make)
     assert steady.constant and steady.anomalies == []
 
 
+def test_a_value_that_is_stuck_several_times_is_told_by_the_longest(window: Make) -> None:
+    times = np.arange(0, 5, 0.05)
+    values = np.random.default_rng(3).normal(0, 1, 100)
+    values[10:35], values[60:90] = values[10], values[60]
+    assert only(floats(window, times, values)).anomalies == [f"stuck at {values[60]:g} for 1.450 s from 3.000 s on"]
+
+
+def test_a_value_that_rests_between_rare_moves_is_not_stuck(window: Make) -> None:
+    times = np.arange(0, 5, 0.05)
+    values = np.repeat(np.random.default_rng(4).normal(0, 1, 10), [5, 15, 8, 12, 10, 10, 9, 11, 6, 14])
+    assert only(floats(window, times, values)).anomalies == []
+
+
 def test_a_jump_is_told_with_its_time(window: Make) -> None:
     times = np.arange(0, 5, 0.05)
     values = np.sin(times)

@@ -1,0 +1,37 @@
+"""How topics flow, of samples made for the purpose."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+import pytest
+from made_windows import Make, Recorded
+
+from ros2_mcp.ops.timing import TopicStats, measure
+from ros2_mcp.ops.window import Scene
+
+FLOAT = "std_msgs/msg/Float64"
+
+
+def only(window: Make, times: Sequence[float], duration_s: float) -> TopicStats:
+    made = window("/speed", FLOAT, [(at, {"data": 0.0}) for at in times], duration_s)
+    (found,) = asyncio.run(measure(Recorded([made], Scene({}, None, None)), ["/speed"])).topics
+    return found
+
+
+def test_a_silence_between_messages_is_a_gap(window: Make) -> None:
+    found = only(window, [0.1, 0.2, 0.3, 0.9, 1.0], 1.05)
+    assert (found.count, found.gaps, found.longest_gap_s, found.note) == (5, 1, pytest.approx(0.6), "")
+
+
+def test_a_topic_that_has_stopped_is_told(window: Make) -> None:
+    found = only(window, [0.1, 0.2, 0.3, 0.4], 2.4)
+    assert (found.gaps, found.longest_gap_s) == (1, pytest.approx(2.0))
+    assert found.rate_hz == pytest.approx(10.0)
+    assert found.note == "It has stopped: nothing came in the last 2 s."
+
+
+def test_a_slow_topic_has_not_stopped_between_two_messages(window: Make) -> None:
+    found = only(window, [1.0, 3.0, 5.0, 7.0], 12.0)
+    assert (found.gaps, found.note) == (0, "")
