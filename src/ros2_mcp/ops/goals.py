@@ -31,6 +31,7 @@ MAX_WAIT_S = 3600.0
 SERVER_S = 3.0
 ACCEPT_S = 10.0
 _STATUS_AFTER_S = 1.0
+_STATUS_EVERY_S = 3.0
 _AT_LEAST_S = 0.1
 _LAST_FEEDBACK_S = 0.02
 
@@ -279,19 +280,28 @@ async def _result(
 ) -> GoalResult:
     service, service_type = f"{action}/_action/get_result", f"{action_type}_GetResult"
     wait_s = MAX_WAIT_S if timeout_s is None else timeout_s
-    try:
-        answer = await robot.inquire(
-            service,
-            service_type,
-            {"goal_id": {"uuid": goal_id_bytes(goal_id)}},
-            timeout_s=max(wait_s, _AT_LEAST_S),
-            wait_s=wait_for_service_s,
+    deadline = monotonic() + wait_s
+
+    def ask() -> asyncio.Future[Answer]:
+        request = {"goal_id": {"uuid": goal_id_bytes(goal_id)}}
+        left_s = max(deadline - monotonic(), _AT_LEAST_S)
+        return asyncio.ensure_future(
+            robot.inquire(service, service_type, request, timeout_s=left_s, wait_s=wait_for_service_s)
         )
+
+    asking = ask()
+    try:
+        while await _is_lost(robot, action, goal_id, asking):
+            asking.cancel()
+            asking = ask()
+        answer = await asking
     except NotFound as error:
         raise NotFound(f"The server of {action} is not there, or left before the goal ended.") from error
     except TimedOut:
         note = f"No result within {wait_s:g} s. The goal was not cancelled: ask again with this goal id."
         return GoalResult(service, goal_id, True, timeout_s, 0, "TIMEOUT", None, note)
+    finally:
+        asking.cancel()
     response = robot.values.render(f"{service_type}_Response", answer.body).value
     code = int(response["status"])
     if code in TERMINAL or code == 0:
@@ -299,3 +309,12 @@ async def _result(
     note = "The server does not know this goal: it never was, or it has been forgotten." if code == 0 else ""
     result = response["result"] if code in TERMINAL else None
     return GoalResult(service, goal_id, True, timeout_s, code, STATUS.get(code, str(code)), result, note)
+
+
+async def _is_lost(robot: Robot, action: str, goal_id: str, asking: asyncio.Future[Answer]) -> bool:
+    """Waits for the answer; true where it stays away although the action's status tells that the goal has ended."""
+    while not (await asyncio.wait({asking}, timeout=_STATUS_EVERY_S))[0]:
+        ended = {state.goal_id for state in await states_now(robot, action) if state.status_code in TERMINAL}
+        if goal_id in ended:
+            return not (await asyncio.wait({asking}, timeout=_STATUS_AFTER_S))[0]
+    return False

@@ -207,6 +207,41 @@ def late(peer: Peer) -> None:
     )
 
 
+def lossy(peer: Peer) -> None:
+    """An action whose goals succeed at once, and whose first answer to a question for the result is lost."""
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    status = peer.node.create_publisher(GoalStatusArray, "lossy/_action/status", latched)
+
+    def accept(request: Any, response: Any) -> Any:
+        told = GoalStatus(status=GoalStatus.STATUS_SUCCEEDED)
+        told.goal_info.goal_id = request.goal_id
+        status.publish(GoalStatusArray(status_list=[told]))
+        response.accepted = True
+        return response
+
+    def answer(_request: Any, response: Any) -> Any:
+        response.status, response.result.sequence = GoalStatus.STATUS_SUCCEEDED, [7]
+        return response
+
+    impl = Fibonacci.Impl
+    results = peer.node.create_service(impl.GetResultService, "lossy/_action/get_result", answer)
+    send_response = results.send_response
+
+    def send_all_but_the_first(response: Any, header: Any) -> None:
+        peer.counts["lossy"] += 1
+        if peer.counts["lossy"] > 1:
+            send_response(response, header)
+
+    results.send_response = send_all_but_the_first
+    peer.keep(
+        status,
+        results,
+        peer.node.create_publisher(impl.FeedbackMessage, "lossy/_action/feedback", 10),
+        peer.node.create_service(impl.SendGoalService, "lossy/_action/send_goal", accept),
+        peer.node.create_service(CancelGoal, "lossy/_action/cancel_goal", _unspun),
+    )
+
+
 def counting(peer: Peer) -> None:
     """Only the action `count`: starts quickly."""
     _action(peer, "count", _count)

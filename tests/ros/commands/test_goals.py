@@ -30,6 +30,13 @@ def test_a_goal_whose_acceptance_is_not_answered_is_known_from_the_status(agent,
     assert time.monotonic() - begun < 4.5
 
 
+def test_a_result_whose_answer_is_lost_is_asked_for_again(agent, start_peer) -> None:
+    peer = start_peer("lossy")
+    ended = send(agent, peer.name("lossy"), 1, wait_for_result=True, timeout_sec=60)
+    assert (ended["status"], ended["result"]) == ("SUCCEEDED", {"sequence": [7]})
+    assert peer.count(name="lossy") == 2
+
+
 def test_an_action_is_listed_with_its_type_and_the_fields_of_its_goal(agent, robot) -> None:
     listed = agent.call("ros2_list_actions", pattern=robot.name("*"))["actions"]
     entry = {"name": robot.name("count"), "types": [FIBONACCI], "request_fields": {"order": "int32"}}
