@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 import venv
@@ -155,9 +156,13 @@ def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
         assert health["verdict"] == "CRITICAL"
         assert [each["subject"] for each in health["findings"] if each["severity"] == "critical"] == [
             "/nowhere",
+            "/scan",
             "lidar: status",
         ]
-        assert [each["subject"] for each in health["findings"]].count("/scan") == 0
+        stopped = next(each["problem"] for each in health["findings"] if each["subject"] == "/scan")
+        assert re.fullmatch(r"It has stopped: \d+\.\d+ Hz, then nothing in the last \d+\.\d s\.", stopped)
+        (scan,) = call("ros2_topic_stats", topic_names=["/scan"])["topics"]
+        assert "It has stopped" in scan["note"] and scan["longest_gap_s"] > 1.9
         end = call("ros2_health_check", start="last 1.5 s")
         assert [row["topic_name"] for row in end["topics"] if row["state"] == "SILENT"] == ["/scan"]
         check_that_reading_works(server, call)
