@@ -36,7 +36,7 @@ class CommandedProcess:
     def kill(self) -> None:
         """End it without its saying goodbye to ROS."""
         self._process.kill()
-        self._process.communicate(timeout=5)
+        self._process.communicate(timeout=20)
 
     def _answer(self) -> Any:
         assert self._process.stdout

@@ -74,6 +74,9 @@ def small_robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[subpr
         pass
     while not agent.call("ros2_list_actions")["actions"]:
         pass
+    # a server throws the answers to a client away that it has not discovered yet
+    agent.until_answered("ros2_service_call", service_name="/set_lamp", fields={"data": False}, timeout_sec=1)
+    agent.until_answered("ros2_cancel_action_goal", action_name="/fibonacci", cancel_all=True, wait_timeout_sec=1)
     yield process
     process.kill()  # rclpy's threads may sleep in a callback
     process.communicate(timeout=20)

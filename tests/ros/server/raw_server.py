@@ -94,7 +94,7 @@ class RawServer:
     def end(self) -> None:
         """Whatever it does, end it."""
         self.process.kill()
-        self.process.wait(5)
+        self.process.wait(20)
         for pipe in (self.process.stdin, self.process.stdout, self.errors):
             with contextlib.suppress(BrokenPipeError):
                 pipe.close()

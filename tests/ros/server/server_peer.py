@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -56,6 +57,17 @@ class Peer:
         """How the next message differs from the one with the long array."""
         return self._differences(topic, ros_values.with_ramp(kind, field, length))
 
+    def readers(self, topic: str, expected: int) -> int:
+        """How many subscribers get what is published, as soon as there are as many as expected."""
+        publisher = self._publishers[topic]
+        _wait_for(lambda: publisher.get_subscription_count() >= expected)
+        return publisher.get_subscription_count()
+
+    def writers(self, topic: str, expected: int) -> int:
+        """How many publishers are heard, as soon as there are as many as expected."""
+        _wait_for(lambda: self._node.count_publishers(topic) >= expected)
+        return self._node.count_publishers(topic)
+
     def texts(self, topic: str, expected: int) -> list[str]:
         """The texts of the std_msgs/msg/String messages that came."""
         cls = ros_values.message_class("std_msgs/msg/String")
@@ -87,6 +99,12 @@ class Peer:
         deadline = time.monotonic() + PATIENCE_S
         while len(self._received[topic]) < expected and time.monotonic() < deadline:
             rclpy.spin_once(self._node, timeout_sec=0.05)
+
+
+def _wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.002)
 
 
 def _profile(*, latched: bool = False, best_effort: bool = False) -> QoSProfile:

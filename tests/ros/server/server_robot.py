@@ -16,10 +16,11 @@ from std_srvs.srv import SetBool
 from test_msgs.action import Fibonacci
 
 STEP_S = 0.1
+SLOW_S = 20.0
 
 
 class SmallRobot(Node):
-    """`/set_lamp` and `/slow_lamp` (3 s) of std_srvs/SetBool; `/fibonacci` takes 0.1 s for each number."""
+    """`/set_lamp` and `/slow_lamp` (20 s) of std_srvs/SetBool; `/fibonacci` takes 0.1 s for each number."""
 
     def __init__(self) -> None:
         super().__init__("small_robot")
@@ -40,7 +41,7 @@ class SmallRobot(Node):
         return response
 
     def slow_lamp(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        time.sleep(3.0)
+        time.sleep(SLOW_S)
         return self.set_lamp(request, response)
 
     def fibonacci(self, goal: object) -> Fibonacci.Result:

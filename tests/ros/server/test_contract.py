@@ -64,9 +64,14 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
 CALLS: list[tuple[str, dict[str, Any], str]] = [
     ("ros2_topic_list", {}, "topics[].topic_name topics[].topic_type"),
     ("ros2_topic_subscribe", {"topic_name": "/contract"}, "messages[].data count duration"),
-    ("ros2_topic_subscribe", {"topic_name": "/contract", "duration": 0.1}, "messages[].data count duration"),
+    ("ros2_topic_subscribe", {"topic_name": "/contract", "duration": 0.1}, "messages count duration"),
+    (
+        "ros2_topic_subscribe",
+        {"topic_name": "/contract", "duration": 20, "message_limit": 1},
+        "messages[].data count duration",
+    ),
     ("ros2_topic_subscribe", {"topic_name": "/contract", "message_limit": 1}, "messages[].data count duration"),
-    ("ros2_topic_echo_wait", {"topic_name": "/contract", "timeout": 2}, "message.data received"),
+    ("ros2_topic_echo_wait", {"topic_name": "/contract", "timeout": 20}, "message.data received"),
     (
         "ros2_subscribe_multiple_topics",
         {"topics": [{"name": "/contract", "message_limit": 1}, {"name": "/contract", "duration": 0.1}]},
@@ -102,12 +107,12 @@ CALLS: list[tuple[str, dict[str, Any], str]] = [
     ),
     (
         "ros2_cancel_action_goal",
-        {"action_name": "/fibonacci", "cancel_all": True},
+        {"action_name": "/fibonacci", "cancel_all": True, "wait_timeout_sec": 20},
         "service return_code return_code_text goals_canceling",
     ),
     (
         "ros2_action_subscribe_status",
-        {"action_name": "/fibonacci", "duration_sec": 0.3},
+        {"action_name": "/fibonacci", "duration_sec": 20, "max_messages": 1},
         "topic duration_sec frames[].stamp frames[].statuses[].goal_id frames[].statuses[].accept_stamp "
         "frames[].statuses[].status_code frames[].statuses[].status",
     ),
@@ -118,6 +123,7 @@ CALLS: list[tuple[str, dict[str, Any], str]] = [
 def graph(agent, peer, small_robot) -> None:
     peer.offer(topic="/contract", kind=STRING, seed=1, latched=True)
     peer.listen(topic="/contract_said", kind=STRING)
+    agent.knows("/contract", "/contract_said")
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)
@@ -150,10 +156,12 @@ def value_at(value: Any, path: str) -> Any:
 
 
 def test_feedback_and_result_of_a_goal_that_was_not_waited_for(agent) -> None:
-    feedback = agent.begin("ros2_action_subscribe_feedback", **without_goal(), duration_sec=1.5, max_messages=3)
-    goal = agent.call("ros2_send_action_goal", **{**GOAL, "goal_fields": {"order": 12}})
+    feedback = agent.begin("ros2_action_subscribe_feedback", **without_goal(), duration_sec=40, max_messages=3)
+    while not agent.call("ros2_topic_info", topic_name="/fibonacci/_action/feedback")["subscribers"]:
+        assert not feedback.done()
+    goal = agent.call("ros2_send_action_goal", **{**GOAL, "goal_fields": {"order": 20}})
     assert (goal["accepted"], len(goal["goal_id"]), goal["waited"]) == (True, 32, False)
-    heard = feedback.result(20)
+    heard = feedback.result(50)
     assert_has(
         heard, "topic action_type goal_id_filter duration_sec messages[].feedback.sequence messages[].recv_stamp"
     )

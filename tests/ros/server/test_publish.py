@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import time
+from typing import Any
 
-from agent import FULL, agent_for
+from agent import FULL, agent_for, at_best
 
 STRING = "std_msgs/msg/String"
 TIMES = 950 if FULL else 60
@@ -13,6 +15,7 @@ FRESH = 50 if FULL else 2
 
 def test_every_one_shot_publish_arrives(agent, peer) -> None:
     peer.listen(topic="/arrives", kind=STRING)
+    agent.knows("/arrives")
     for number in range(TIMES):
         sent = agent.call("ros2_topic_publish", topic_name="/arrives", data={"data": str(number)})
         assert (sent["status"], sent["subscribers"], sent["acknowledged"]) == ("published", 1, True)
@@ -36,6 +39,7 @@ def test_a_publish_reaches_each_of_several_topics(agent, peer) -> None:
     topics = [f"/several_{number}" for number in range(3)]
     for topic in topics:
         peer.listen(topic=topic, kind=STRING)
+    agent.knows(*topics)
     wanted = [
         {"topic_name": topic, "message_type": STRING, "data": {"data": topic}, "frequency": 20.0, "duration": 0.5}
         for topic in topics
@@ -45,15 +49,24 @@ def test_a_publish_reaches_each_of_several_topics(agent, peer) -> None:
     assert [peer.count(topic=topic, expected=each["sent"]) for topic, each in zip(topics, sent, strict=True)] == [
         each["sent"] for each in sent
     ]
-    assert all(9 <= each["sent"] <= 10 for each in sent)
+    assert all(9 - missed(each) <= each["sent"] <= 10 for each in sent)
+
+
+def missed(published: dict[str, Any]) -> int:
+    """The periods that are told to have been missed: a machine that stalls is no reason to send bursts."""
+    told = re.search(r"(\d+) period\(s\) were missed", published["note"])
+    return int(told[1]) if told else 0
 
 
 def test_a_publish_to_nobody_says_so(agent) -> None:
-    started = time.monotonic()
-    sent = agent.call("ros2_topic_publish", topic_name="/nobody_here", message_type=STRING, data={"data": "x"})
-    assert (sent["status"], sent["subscribers"], sent["acknowledged"]) == ("nobody_listening", 0, None)
-    assert "Nobody received it." in sent["note"]
-    assert time.monotonic() - started < 2.0
+    def seconds_of_it() -> float:
+        started = time.monotonic()
+        sent = agent.call("ros2_topic_publish", topic_name="/nobody_here", message_type=STRING, data={"data": "x"})
+        assert (sent["status"], sent["subscribers"], sent["acknowledged"]) == ("nobody_listening", 0, None)
+        assert "Nobody received it." in sent["note"]
+        return time.monotonic() - started
+
+    assert at_best(seconds_of_it, lambda seconds: seconds < 2.0) < 2.0
 
 
 def test_a_publish_without_a_type_to_an_unknown_topic_is_refused(agent) -> None:
@@ -63,6 +76,7 @@ def test_a_publish_without_a_type_to_an_unknown_topic_is_refused(agent) -> None:
 
 def test_a_publish_of_the_wrong_type_names_the_right_one(agent, peer) -> None:
     peer.listen(topic="/typed", kind=STRING)
+    agent.knows("/typed")
     refusal = agent.refusal(
         "ros2_topic_publish", topic_name="/typed", message_type="std_msgs/Bool", data={"data": True}
     )
@@ -72,9 +86,12 @@ def test_a_publish_of_the_wrong_type_names_the_right_one(agent, peer) -> None:
 
 def test_a_best_effort_subscriber_is_reached_without_an_acknowledgement(agent, peer) -> None:
     peer.listen(topic="/lossy", kind=STRING, best_effort=True)
-    sent = agent.call("ros2_topic_publish", topic_name="/lossy", data={"data": "x"})
-    assert (sent["status"], sent["subscribers"]) == ("published", 1)
-    assert peer.texts(topic="/lossy", expected=1) == ["x"]
+    agent.knows("/lossy")
+    for text in ("x", "y"):
+        sent = agent.call("ros2_topic_publish", topic_name="/lossy", data={"data": text})
+        assert (sent["status"], sent["subscribers"], sent["acknowledged"]) == ("published", 1, None)
+        peer.writers(topic="/lossy", expected=1)  # who does not know the publisher yet may miss the first message
+    assert peer.texts(topic="/lossy", expected=2) in (["x", "y"], ["y"])
 
 
 def test_a_publish_without_a_type_waits_for_a_subscriber_that_is_coming_up(agent, peer) -> None:

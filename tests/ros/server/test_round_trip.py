@@ -50,6 +50,7 @@ def read_field(agent, topic: str, field: str) -> Any:
 def test_what_we_publish_arrives_with_exactly_those_values(agent, peer, kind: str) -> None:
     topic = new_topic()
     peer.listen(topic=topic, kind=kind)
+    agent.knows(topic)
     for seed in SEEDS:
         data = ros_values.as_agent(ros_values.filled(kind, seed))
         sent = agent.call("ros2_topic_publish", topic_name=topic, message_type=kind, data=data)
@@ -64,6 +65,7 @@ def test_what_we_read_can_be_published_back_as_the_same_bytes(agent, peer, kind:
         there, back = new_topic(), new_topic()
         peer.offer(topic=there, kind=kind, seed=seed, latched=True)
         peer.listen(topic=back, kind=kind)
+        agent.knows(there, back)
         sent = agent.call("ros2_topic_publish", topic_name=back, message_type=kind, data=read_whole(agent, there))
         assert sent["status"] == "published"
         assert peer.compare(topic=back, kind=kind, seed=seed) == [], seed
@@ -75,6 +77,7 @@ def test_what_we_read_can_be_published_back_as_the_same_bytes(agent, peer, kind:
 def test_a_megabyte_is_published_exactly(agent, peer, kind: str) -> None:
     topic, (field, length) = new_topic(), MEGABYTE[kind]
     peer.listen(topic=topic, kind=kind)
+    agent.knows(topic)
     data = ros_values.as_agent(ros_values.with_ramp(kind, field, length))
     assert agent.call("ros2_topic_publish", topic_name=topic, data=data)["acknowledged"]
     assert peer.compare_ramp(topic=topic, kind=kind, field=field, length=length) == []
