@@ -73,6 +73,14 @@ class Peer:
 
     def flood(self, rate_hz: float, size: int) -> float:
         """Publish large messages at a rate on /events/fast, best effort; 0 Hz ends it."""
+        done = threading.Event()
+        task = self._executor.create_task(self._set_flood, rate_hz, size)  # rclpy's executor dies of other threads'
+        task.add_done_callback(lambda _: done.set())
+        assert done.wait(20), "the executor hangs"
+        task.result()
+        return time.monotonic()
+
+    def _set_flood(self, rate_hz: float, size: int) -> None:
         if self._fast:
             self._node.destroy_timer(self._fast[1])
             self._node.destroy_publisher(self._fast[0])
@@ -82,7 +90,6 @@ class Peer:
             publisher = self._node.create_publisher(UInt8MultiArray, "/events/fast", qos)
             message = UInt8MultiArray(data=bytes(size))
             self._fast = publisher, self._node.create_timer(1 / rate_hz, lambda: publisher.publish(message))
-        return time.monotonic()
 
     def subscribers(self, topic: str) -> int:
         """How many subscriptions a topic has."""

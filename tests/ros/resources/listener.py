@@ -60,8 +60,21 @@ class Listener(RawServer):
     def until_told(self, uri: str, event: Callable[[], float]) -> None:
         """Have it happen until it is told: nothing is, as long as the server and the robot have not met."""
         end = time.monotonic() + PATIENCE_S
+        if self._told(uri, event(), 1.0):
+            return
         while not self._told(uri, event(), 1.0):
             assert time.monotonic() < end, f"no push of {uri} within {PATIENCE_S} s"
+        self.calm()
+
+    def calm(self) -> None:
+        """Returns when what has happened so far has been told: each time that it happens may be told of, late."""
+        end = time.monotonic() + PATIENCE_S
+        told = -1
+        while told < len(self.updates):
+            assert time.monotonic() < end, "something happens all the time"
+            told = len(self.updates)
+            self.drain(0.5)
+            self.call("ros2_status")  # goes through the server and its bridge
 
     def drain(self, seconds: float) -> list[str]:
         """The URIs pushed during a time."""

@@ -133,7 +133,7 @@ print(recorder.failed, recorder.ended)
 
 def test_a_disk_that_takes_no_more_leaves_what_was_written(tmp_path: Path, open_bag: OpenBag) -> None:
     command = [sys.executable, "-c", FULL_DISK, str(Path(__file__).parent), str(tmp_path)]
-    answer = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True).stdout
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
     assert answer.startswith("True The disk took no more: File too large")
     bag = open_bag(tmp_path)
     read = [sample for _, sample in bag.messages()]

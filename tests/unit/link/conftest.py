@@ -15,9 +15,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 def play() -> Callable[[Coroutine[Any, Any, None]], None]:
     def run(scenario: Coroutine[Any, Any, None]) -> None:
         async def watched() -> None:
-            await asyncio.wait_for(scenario, 10)
-            await asyncio.sleep(0.01)
-            left = asyncio.all_tasks() - {asyncio.current_task()}
+            await asyncio.wait_for(scenario, 60)
+            for _ in range(100):
+                await asyncio.sleep(0.01)
+                left = asyncio.all_tasks() - {asyncio.current_task()}
+                if not left:
+                    break
             assert not left, left
 
         asyncio.run(watched())

@@ -62,7 +62,7 @@ class Peer:
 
     async def next(self, op: str) -> dict[str, Any]:
         """The first request of that kind, as soon as it is there."""
-        deadline = time.monotonic() + 2
+        deadline = time.monotonic() + 20
         while time.monotonic() < deadline:
             for frame in self.heard:
                 if frame.header["op"] == op:

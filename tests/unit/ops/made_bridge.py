@@ -74,8 +74,8 @@ def robot_of(bridge: MadeBridge) -> Robot:
 
 
 async def soon(condition: Callable[[], bool]) -> None:
-    """Waits until the condition holds, at most 5 s."""
-    deadline = monotonic() + 5.0
+    """Waits until the condition holds, at most 20 s."""
+    deadline = monotonic() + 20.0
     while not condition() and monotonic() < deadline:
         await asyncio.sleep(0.01)
     assert condition()

@@ -147,14 +147,14 @@ def test_no_input_hangs_or_raises_anything_else(definitions: Definitions) -> Non
             text = " ".join(choose.choice(WORDS) for _ in range(choose.randint(1, 12)))
         else:
             text = "".join(choose.choice(string.printable) for _ in range(choose.randint(1, 60)))
-        started = time.perf_counter()
+        started = time.thread_time()  # a machine that stalls is no slow condition
         try:
             answer = condition(definitions, ODOMETRY, text).holds(message)
             assert answer in (True, False, None)
             understood += 1
         except (BadInput, BadValue):
             pass
-        slowest = max(slowest, time.perf_counter() - started)
+        slowest = max(slowest, time.thread_time() - started)
     assert understood > 20
     assert slowest < 1.0
 

@@ -38,9 +38,14 @@ def no_thread_records_on() -> Iterator[None]:
 
 def test_a_recording_that_is_cancelled_before_it_began_is_ended(tmp_path: Path) -> None:
     async def scenario() -> None:
-        bridge, memory = MadeBridge(), Memory(tmp_path)
-        bridge.topics = lambda: asyncio.sleep(1000)
-        with anyio.move_on_after(0.3) as scope:  # as the MCP server cancels: again and again
+        bridge, memory, scope = MadeBridge(), Memory(tmp_path), anyio.CancelScope()
+
+        async def look() -> None:
+            asyncio.get_running_loop().call_later(0.1, scope.cancel)
+            await asyncio.sleep(1000)
+
+        bridge.topics = look
+        with scope:  # as the MCP server cancels: again and again
             await recording.start(robot_of(bridge), memory, Wanted())
         assert scope.cancelled_caught
         [begun] = recordings(memory).values()

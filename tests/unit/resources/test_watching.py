@@ -50,9 +50,9 @@ def run(scenario: Callable[[Watcher, Bell], Awaitable[None]]) -> None:
 
 
 async def soon(condition: Callable[[], bool]) -> None:
-    """Waits until the condition holds, at most 2 s."""
+    """Waits until the condition holds, at most 20 s."""
     with suppress(asyncio.TimeoutError):
-        await asyncio.wait_for(_until(condition), 2.0)
+        await asyncio.wait_for(_until(condition), 20.0)
     assert condition()
 
 
