@@ -24,14 +24,15 @@ class Graph:
 
     def settle(self):
         """Steps that watch discovery until the graph has been quiet for a while, or has had ample time."""
-        started = quiet_since = time.monotonic()
-        seen = None
+        started = looked_at = time.monotonic()
+        seen, quiet_s = None, 0.0
         while not self.settled:
             yield POLL_S
             now, current = time.monotonic(), self._snapshot()
-            if current != seen:
-                seen, quiet_since = current, now
-            is_quiet = now - quiet_since >= QUIET_S and not self._has_unknown_nodes(self._topics())
+            # Our own lateness is no quiet: whoever stalled with us has not told us anything meanwhile.
+            quiet_s = quiet_s + min(now - looked_at, 2 * POLL_S) if current == seen else 0.0
+            seen, looked_at = current, now
+            is_quiet = quiet_s >= QUIET_S and not self._has_unknown_nodes(self._topics())
             is_whole = self._hears_all() or now - started >= ANNOUNCEMENT_PERIOD_S
             self.settled = (is_quiet and is_whole) or now - started >= LONGEST_SETTLING_S
 
