@@ -5,7 +5,7 @@
 /signal_wave std_msgs/Float64: the wave
 /signal_copy geometry_msgs/PointStamped: every message of /signal_steady again
 /signal_steady geometry_msgs/PointStamped: as /signal, without silence
-/sensor      sensor_msgs/Range: noise, stuck for 1 s in every 3 s, one NaN a second
+/sensor      sensor_msgs/Range: noise, stuck for 50 messages (1 s) in every 150, one NaN in 50
 /pulse       std_msgs/Float64: 0, and 7 for one message in 100, at 200 Hz
 """
 
@@ -58,7 +58,7 @@ class Signals:
             self.point("signal", t)
         self.publishers["signal_wave"].publish(Float64(data=wave(t)))
         self.publishers["signal_late"].publish(Float64(data=wave(t - 0.2) + 1.0))
-        if t % 3.0 > 1.0:
+        if self.ticks % 600 >= 200:
             self.held = random.gauss(5.0, 0.1)
         value = math.nan if self.ticks % 200 == 100 else self.held
         self.publishers["sensor"].publish(Range(range=value))

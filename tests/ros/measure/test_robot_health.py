@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from agent import Agent
+from agent import CALL_S, DISCOVERY_S, Agent
+from standstill import undisturbed
 
 
 @contextmanager
@@ -33,6 +34,11 @@ LISTEN = {"rate_check_duration_sec": 2}
 """Components speak of themselves every second."""
 
 
+def checked(agent: Agent, **arguments: Any) -> dict[str, Any]:
+    """A check in a time in which the robot could do its work."""
+    return undisturbed(lambda: agent.call("ros2_health_check", **arguments))
+
+
 def test_a_healthy_robot_is_healthy(agent: Agent, robot: subprocess.Popen[str]) -> None:
     expected = {
         "expected_topics": ["/scan", "/odom", "/map"],
@@ -40,7 +46,7 @@ def test_a_healthy_robot_is_healthy(agent: Agent, robot: subprocess.Popen[str]) 
         "expected_services": ["/self_test"],
         **LISTEN,
     }
-    found = agent.call("ros2_health_check", **expected)
+    found = checked(agent, **expected)
     assert (found["verdict"], found["findings"]) == ("HEALTHY", [])
     assert state(found, "/scan") == "OK"
     assert found["diagnostics"]
@@ -48,7 +54,7 @@ def test_a_healthy_robot_is_healthy(agent: Agent, robot: subprocess.Popen[str]) 
 
 def test_a_dead_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> None:
     with setting(agent, "lidar.enabled", False, True):
-        found = agent.call("ros2_health_check", **LISTEN)
+        found = checked(agent, **LISTEN)
     assert found["verdict"] == "CRITICAL"
     assert subjects(found) == ["lidar: status", "/scan"]
     assert state(found, "/scan") == "SILENT"
@@ -56,15 +62,15 @@ def test_a_dead_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> N
 
 def test_a_slow_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> None:
     with setting(agent, "lidar.rate", 0.5, 10.0):
-        found = agent.call("ros2_health_check")
+        found = checked(agent)
     assert (found["verdict"], subjects(found), state(found, "/scan")) == ("DEGRADED", ["/scan"], "SLOW")
 
 
 def test_a_mismatch_of_qos_is_found(
     agent: Agent, robot: subprocess.Popen[str], stranger: subprocess.Popen[str]
 ) -> None:
-    deadline = time.monotonic() + 20
-    while not agent.call("ros2_topic_info", topic_name="/scan")["subscribers"]:
+    deadline = time.monotonic() + DISCOVERY_S
+    while "/stranger" not in str(agent.call("ros2_topic_info", topic_name="/scan")["subscribers"]):
         assert time.monotonic() < deadline, "the stranger was never seen"
     found = agent.call("ros2_health_check", check_rates=False, **LISTEN)
     assert (found["verdict"], subjects(found)) == ("DEGRADED", ["/scan"])
@@ -81,6 +87,7 @@ def test_a_condition_on_the_moving_robot_is_met(agent: Agent, robot: subprocess.
         "ros2_wait_until", topic_name="/odom", condition="hypot(pose.pose.position.x, pose.pose.position.y) > 0.1"
     )
     command = {"linear": {"x": 0.3}}
-    agent.call("ros2_topic_publish", topic_name="/cmd_vel", data=command, frequency=10, duration=1.5)
-    found = waiting.result(30)
+    driving = agent.begin("ros2_topic_publish", topic_name="/cmd_vel", data=command, frequency=10, duration=30)
+    found = waiting.result(CALL_S)
+    driving.cancel()
     assert found["met"] and found["values"]["pose.pose.position.x"] > 0

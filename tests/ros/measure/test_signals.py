@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 from typing import Any
 
 import numpy as np
 import pytest
 from agent import CALL_S, Agent
+from standstill import undisturbed
+
+GAP = re.compile(r"nothing for (\S+) s from (\S+) s on")
 
 
 def published(signals: subprocess.Popen[str]) -> dict[str, Any]:
@@ -48,8 +52,12 @@ def results(agent: Agent, signals: subprocess.Popen[str]) -> dict[str, dict[str,
         "late": ("compare", {"topic1_name": "/signal_wave", "topic2_name": "/signal_late", "duration_sec": 4}),
         "copy": ("compare", {"topic1_name": "/signal_steady", "topic2_name": "/signal_copy", "duration_sec": 2}),
     }
-    begun = {name: agent.begin(f"ros2_topic_{tool}", **arguments) for name, (tool, arguments) in calls.items()}
-    return {name: call.result(CALL_S) for name, call in begun.items()}
+
+    def measured() -> dict[str, dict[str, Any]]:
+        begun = {name: agent.begin(f"ros2_topic_{tool}", **arguments) for name, (tool, arguments) in calls.items()}
+        return {name: call.result(CALL_S) for name, call in begun.items()}
+
+    return undisturbed(measured)
 
 
 def test_several_topics_are_measured_over_the_same_time(results: dict[str, dict[str, Any]]) -> None:
@@ -62,18 +70,26 @@ def test_several_topics_are_measured_over_the_same_time(results: dict[str, dict[
     assert pulse["count"] == pytest.approx(4 * steady["count"], rel=0.05)
 
 
-def test_injected_gaps_are_found(results: dict[str, dict[str, Any]]) -> None:
+def test_injected_gaps_are_found(results: dict[str, dict[str, Any]], signals: subprocess.Popen[str]) -> None:
+    """Those between two messages; the window may begin or end in another one."""
     (topic,) = results["gaps"]["topics"]
-    inner = [float(gap.split()[2]) for gap in topic["gaps"] if float(gap.split()[2]) > 0.3]
-    assert 2 <= len(inner) <= 3
-    assert max(inner) == pytest.approx(0.42, abs=0.06)
-    assert topic["period_median_s"] == pytest.approx(0.02, rel=0.1)
+    number = next(field for field in topic["fields"] if field["field"] == "point.z")
+    at = published(signals)["signal"][int(number["first"]) : int(number["last"]) + 1, 0] / 0.4
+    periods = np.diff(at)
+    injected = periods[periods > 0.3]
+    assert len(injected) >= 2
+    found = [(float(begin), float(duration)) for duration, begin in GAP.findall("\n".join(topic["gaps"]))]
+    is_inner = [begin > 0.0 and begin + duration < topic["duration"] - 0.001 for begin, duration in found]
+    inner = [duration for (_, duration), inside in zip(found, is_inner, strict=True) if inside and duration > 0.3]
+    assert inner == pytest.approx(list(injected), abs=0.06)
+    assert topic["period_median_s"] == pytest.approx(np.median(periods), rel=0.1)
 
 
 def test_a_stuck_and_faulty_sensor_is_told(results: dict[str, dict[str, Any]]) -> None:
-    (sensor,) = results["faults"]["topics"][0]["fields"]
+    (topic,) = results["faults"]["topics"]
+    (sensor,) = topic["fields"]
     assert any(line.startswith("stuck at") for line in sensor["anomalies"])
-    assert sensor["not_finite"] == pytest.approx(5, abs=1.5)
+    assert abs(sensor["not_finite"] - topic["count"] / 50) < 1
 
 
 def test_a_known_delay_and_offset_are_found(results: dict[str, dict[str, Any]]) -> None:
@@ -87,18 +103,23 @@ def test_a_known_delay_and_offset_are_found(results: dict[str, dict[str, Any]]) 
 def test_a_copy_is_identical(results: dict[str, dict[str, Any]]) -> None:
     found = results["copy"]
     assert (found["verdict"], found["paired_by"]) == ("IDENTICAL", "stamp")
-    assert found["equal_messages"] == found["pairs"] >= 50
+    assert found["equal_messages"] == found["pairs"] >= max(found["count1"], found["count2"]) - 2 > 10
 
 
 def test_a_short_pulse_is_not_missed(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    """One message in 100 is one."""
+    waits = []
     for _ in range(3):
         found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data > 5", timeout=20)
         assert found["met"] and found["message"] == {"data": 7.0}
-        assert found["waited"] < 1.5
+        assert found["looked_at"] <= 100 and not found["dropped"]
+        waits.append(found["waited"])
+    assert min(waits) < 1.5
 
 
 def test_what_never_comes_ends_with_the_last_seen(agent: Agent, signals: subprocess.Popen[str]) -> None:
-    found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data < 0", timeout=1)
+    asked = {"topic_name": "/pulse", "condition": "data < 0", "timeout": 1}
+    found = undisturbed(lambda: agent.call("ros2_wait_until", **asked))
     assert not found["met"] and found["message"] is not None
     assert found["looked_at"] == pytest.approx(200, abs=60)
     assert found["waited"] == pytest.approx(1.0, abs=0.3)

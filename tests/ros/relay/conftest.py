@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,6 +17,8 @@ pytest.importorskip("rclpy")
 sys.path.insert(0, str(Path(__file__).parent.parent / "server"))  # the client of the server's tests
 
 from agent import Agent, agent_for
+
+PATIENCE_S = 20.0
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +66,22 @@ class Peer:
         """What a listener that is ready heard since it was last asked: time and number of each message."""
         self.tell()
         return [tuple(entry) for entry in self.line()]  # type: ignore[attr-defined]
+
+    def numbers(self, count: int) -> list[float]:
+        """The numbers that it heard since it was last asked, as soon as they are so many."""
+        return [number for _, number in self.until(lambda heard: len(heard) >= count)]
+
+    def until_zero(self) -> None:
+        """Wait until the last that it heard is a zero after other numbers; the first number of `talk` is 0, too."""
+        assert self.until(lambda heard: len(heard) > 1 and heard[-1][1] == 0.0)[-1][1] == 0.0
+
+    def until(self, is_enough: Callable[[list[tuple[float, float]]], bool]) -> list[tuple[float, float]]:
+        """All that it heard since it was last asked, as soon as that is enough, or patience has ended."""
+        deadline, heard = time.monotonic() + PATIENCE_S, self.heard()
+        while not is_enough(heard) and time.monotonic() < deadline:
+            time.sleep(0.02)
+            heard += self.heard()
+        return heard
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from typing import Any
 
 from agent import Refusal
 
-PATIENCE_S = 20.0
+PATIENCE_S = 40.0
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
