@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from agent import Agent, agent_for
+from agent import Agent, agent_for, at_best
 from mcp.shared.exceptions import MCPError
 from mcp.types import PromptReference, ResourceTemplateReference
 from prompt_steps import steps_of
@@ -52,7 +52,9 @@ class PromptAgent:
 
     def _complete(self, ref: Any, argument: str, typed: str, given: dict[str, str]) -> list[str]:
         asked = {"name": argument, "value": typed}
-        return self._run(partial(self._client.complete, ref, asked, context_arguments=given)).completion.values
+        complete = partial(self._client.complete, ref, asked, context_arguments=given)
+        # who types is given nothing where the robot does not answer within a second
+        return at_best(lambda: self._run(complete).completion.values, bool)
 
 
 @contextmanager
