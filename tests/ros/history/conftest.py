@@ -17,7 +17,7 @@ pytest.importorskip("rosidl_generator_py", reason="needs the interface generator
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "server"))  # the tests import their neighbours
 
-from agent import Agent, agent_for
+from agent import DISCOVERY_S, Agent, agent_for
 
 from ros2_mcp_interfaces import build, default_cache
 
@@ -45,12 +45,12 @@ def box_node(generation: int, environment: dict[str, str], prefixes: list[Path])
         yield
     finally:
         node.kill()
-        node.communicate(timeout=5)
+        node.communicate(timeout=30)
 
 
 def found(agent: Agent) -> Agent:
     """The client, as soon as its server has discovered the box."""
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + DISCOVERY_S
     while not agent.call("ros2_service_list", pattern="/get_messages")["services"]:
         assert time.monotonic() < deadline, "not discovered"
         time.sleep(0.1)

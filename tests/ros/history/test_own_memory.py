@@ -21,10 +21,12 @@ def test_a_recording_answers_while_it_runs_and_a_bag_once_it_is_opened(
     start_agent: Callable[..., Agent], tmp_path: Path
 ) -> None:
     agent = start_agent()
+    agent.call("ros2_log_read")  # waits until the server listens to the log, which is a subscription too
     assert "Nobody has kept messages of /said" in agent.refusal(TOOL, topic_name="/said")
     agent.call("ros2_topic_publish", topic_name="/said", message_type="std_msgs/msg/Int32", data={"data": 0})
+    before = agent.call("ros2_status")["subscriptions"]
     agent.call("ros2_record_start", topics=["/said"], name="mine")
-    until(lambda: agent.call("ros2_record_status")["recordings"][0]["topics"])
+    until(lambda: agent.call("ros2_status")["subscriptions"] == before + 1)
     publish(agent, 1, 2, 3)
     answer = until(lambda: kept(agent, 3))
     assert answer["source"] == "this server's recording mine"
@@ -51,7 +53,7 @@ def kept(agent: Agent, count: int) -> Any:
     return answer if answer["found"] >= count else None
 
 
-def until(check: Callable[[], Any], seconds: float = 10.0) -> Any:
+def until(check: Callable[[], Any], seconds: float = 30.0) -> Any:
     deadline = time.monotonic() + seconds
     while not (found := check()):
         assert time.monotonic() < deadline, "it never came true"

@@ -49,7 +49,7 @@ def start_peer(ros_environment: dict[str, str]) -> Iterator[StartPeer]:
 
     yield begin
     for peer in peers:
-        peer.communicate(timeout=10)
+        end(peer)
 
 
 @pytest.fixture
@@ -61,8 +61,13 @@ def robot(ros_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
     assert process.stdout.readline()
     yield process
     process.terminate()
+    end(process)
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    """Close its stdin and wait until it has left; a peer that does not is no fault of the server's."""
     try:
-        process.communicate(timeout=5)
+        process.communicate(timeout=10)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
