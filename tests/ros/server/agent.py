@@ -26,7 +26,7 @@ DISCOVERY_S = 30.0
 Measured = TypeVar("Measured")
 
 
-def at_best(measure: Callable[[], Measured], holds: Callable[[Measured], bool], times: int = 3) -> Measured:
+def at_best(measure: Callable[[], Measured], holds: Callable[[Measured], bool], times: int = 5) -> Measured:
     """What was measured: the first for which it holds, of at most so many; else the last.
 
     For speeds and rates: a machine that stalls spoils one measurement, a server that is slow spoils all of them.

@@ -42,7 +42,7 @@ def sourced() -> dict[str, str]:
 
 
 def opened(start: Callable[[], RawServer]) -> RawServer:
-    """A server that has introduced itself and listed its tools at once: the best of at most three."""
+    """A server that has introduced itself and listed its tools at once: the best of some."""
 
     def timed() -> tuple[RawServer, float]:
         started = time.monotonic()
