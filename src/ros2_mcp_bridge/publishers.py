@@ -125,7 +125,8 @@ class Repeat:
         end = self.started + duration_s
         while True:
             due += period
-            missed = int(max(0.0, time.monotonic() - due) / period)
+            behind_s = min(time.monotonic(), end) - due  # there are no periods after the end
+            missed = int(max(0.0, behind_s) / period + 1e-6)
             self.late += missed
             due += missed * period
             yield max(0.0, min(due, end) - time.monotonic())

@@ -18,7 +18,7 @@ from ros2_mcp_bridge.frames import PROTOCOL, FrameError
 
 START_S = 20.0
 MARGIN_S = 2.0
-_EXIT_S = 0.1
+_EXIT_S = 0.5
 _PING = 0
 _SHOWN_LINES = 5
 _BOUNDED_BY_THE_BRIDGE = ("call", "wait_endpoints")
