@@ -36,6 +36,7 @@ from test_msgs.action import Fibonacci, NestedMessage
 from test_msgs.srv import BasicTypes
 
 STEP_S = 0.05
+PATIENCE_S = 20.0
 
 
 class Peer:
@@ -46,6 +47,7 @@ class Peer:
         self.nodes = [self.node]
         self.group = ReentrantCallbackGroup()
         self.counts: Counter[str] = Counter()
+        self.released = threading.Event()
         self.velocities: list[tuple[float, float]] = []
         self._clients: dict[str, Any] = {}
         self._handles: dict[str, Any] = {}
@@ -79,7 +81,7 @@ class Peer:
     def send_goal(self, action: str, order: int) -> str:
         """Send a goal as any other client does; returns its id."""
         client = self._clients.setdefault(action, ActionClient(self.node, Fibonacci, action))
-        assert client.wait_for_server(timeout_sec=15.0)
+        assert client.wait_for_server(timeout_sec=PATIENCE_S)
         handle = _wait(client.send_goal_async(Fibonacci.Goal(order=order)))
         assert handle.accepted
         goal_id = bytes(handle.goal_id.uuid).hex()
@@ -98,18 +100,25 @@ class Peer:
     def call(self, service: str, data: bool) -> str:
         """Call a SetBool service of somebody else."""
         client = self.node.create_client(SetBool, service)
-        assert client.wait_for_service(timeout_sec=15.0)
+        assert client.wait_for_service(timeout_sec=PATIENCE_S)
         return _wait(client.call_async(SetBool.Request(data=data))).message
 
     def reaches(self, service: str) -> bool:
-        """Whether a SetBool service of somebody else answers."""
+        """Whether a SetBool service of somebody else answers; if so, it and this process know each other."""
         client, answered = self.node.create_client(SetBool, service), threading.Event()
-        if client.wait_for_service(timeout_sec=5.0):
-            client.call_async(SetBool.Request()).add_done_callback(lambda _: answered.set())
-        return answered.wait(5.0)
+        deadline = time.monotonic() + 10.0
+        while time.monotonic() < deadline and not answered.is_set():
+            if client.wait_for_service(timeout_sec=1.0):
+                client.call_async(SetBool.Request()).add_done_callback(lambda _: answered.set())
+                answered.wait(1.0)
+        return answered.is_set()
+
+    def release(self) -> None:
+        """Let the goals of `held` succeed."""
+        self.released.set()
 
 
-def _wait(future: Any, within_s: float = 10.0) -> Any:
+def _wait(future: Any, within_s: float = PATIENCE_S) -> Any:
     done = threading.Event()
     future.add_done_callback(lambda _: done.set())
     assert done.wait(within_s), "no answer"
@@ -156,7 +165,9 @@ def actions(peer: Peer) -> None:
     _action(peer, "reject", _count, goal=GoalResponse.REJECT)
     _action(peer, "abort", _abort)
     _action(peer, "refuse_cancel", _count, cancel=CancelResponse.REJECT)
+    _action(peer, "refuse_once", _until_refused, cancel=CancelResponse.REJECT)
     _action(peer, "ignore_cancel", _ignore_cancel)
+    _action(peer, "held", _held)
     _action(peer, "burst", _burst)
     _action(peer, "forget", _burst, result_timeout=1)
     _action(peer, "fatal", lambda _peer, _goal: os._exit(1))
@@ -185,7 +196,7 @@ def raw(peer: Peer) -> None:
 
 
 def late(peer: Peer) -> None:
-    """An action whose status tells at once that it has accepted a goal, and whose answer takes 5 s."""
+    """An action whose status tells at once that it has accepted a goal, and whose answer takes a minute."""
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     status = peer.node.create_publisher(GoalStatusArray, "late/_action/status", latched)
 
@@ -193,7 +204,7 @@ def late(peer: Peer) -> None:
         told = GoalStatus(status=GoalStatus.STATUS_EXECUTING)
         told.goal_info.goal_id, told.goal_info.stamp.sec = request.goal_id, 7
         status.publish(GoalStatusArray(status_list=[told]))
-        time.sleep(5.0)
+        time.sleep(60.0)
         response.accepted = True
         return response
 
@@ -303,8 +314,27 @@ def _abort(_peer: Peer, goal: Any) -> Fibonacci.Result:
     return Fibonacci.Result(sequence=[6])
 
 
+def _until_refused(peer: Peer, goal: Any) -> Fibonacci.Result:
+    """Succeeds as soon as every goal was asked to end, and refused to."""
+    _wait_until(lambda: peer.counts["refuse_once cancel"] >= peer.counts["refuse_once"])
+    goal.succeed()
+    return Fibonacci.Result(sequence=[5])
+
+
+def _held(peer: Peer, goal: Any) -> Fibonacci.Result:
+    peer.released.wait(PATIENCE_S)
+    goal.succeed()
+    return Fibonacci.Result(sequence=[3])
+
+
+def _wait_until(condition: Any) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(STEP_S)
+
+
 def _ignore_cancel(_peer: Peer, goal: Any) -> Fibonacci.Result:
-    time.sleep(goal.request.order * STEP_S)
+    _wait_until(lambda: goal.is_cancel_requested)
     goal.succeed()
     return Fibonacci.Result(sequence=[4])
 

@@ -19,7 +19,7 @@ from typing import Any
 from agent import Agent, Refusal
 
 HERE = Path(__file__).parent
-COMMAND_S = 30.0
+COMMAND_S = 60.0
 KNOWN_S = 20.0
 """How long the middleware may take until two processes know each other, on a busy machine."""
 SPARES = 6
@@ -48,7 +48,7 @@ class Nursery:
     def close(self) -> None:
         """End it; peers that are left end too, since nobody commands them any more."""
         self._socket.close()
-        self._process.wait(10)
+        self._process.wait(30)
         for spare in self._spares:
             spare.leave()
 
