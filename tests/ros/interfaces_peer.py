@@ -15,7 +15,7 @@ from shop.msg import Basket
 from shop.srv import Count
 from wares.msg import Item
 
-PATIENCE_S = 15.0
+PATIENCE_S = 30.0
 
 
 def main():

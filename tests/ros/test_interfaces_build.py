@@ -21,6 +21,9 @@ from ros2_mcp_interfaces.package import find_packages
 SHIPPED = Path(__file__).parents[2] / "src" / "ros2_mcp_demo" / "interfaces"
 TF_MESSAGE_HASH = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
 
+BUILD_S = 200
+pytestmark = pytest.mark.timeout(2 * BUILD_S)
+
 WARES = {
     "wares/msg/Item.msg": """# Größe “in” µm
 string<=12 label "naïve"  # ° and 日本
@@ -60,11 +63,11 @@ def quiet(line):
 def builder(directory, cache, **environment):
     command = [sys.executable, "-m", "ros2_mcp_interfaces", str(directory), "--cache", str(cache)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen(command, env={**os.environ, **environment}, **pipes)
+    return subprocess.Popen(command, env={**os.environ, **environment}, start_new_session=True, **pipes)
 
 
 def outcome(process):
-    out, err = process.communicate(timeout=40)
+    out, err = process.communicate(timeout=BUILD_S)
     assert process.returncode == 0, err
     return [Path(line) for line in out.splitlines()], err
 
@@ -89,7 +92,7 @@ def test_nodes_exchange_messages_requests_and_goals_of_a_built_package(shop, dom
     }
     peer = Path(__file__).with_name("interfaces_peer.py")
     command = [sys.executable, str(peer)]
-    run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=50, check=False)
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=BUILD_S, check=False)
     assert run.returncode == 0, run.stderr
     seen = json.loads(run.stdout)
     description = json.loads((prefixes[1] / "share" / "shop" / "msg" / "Basket.json").read_text())
@@ -161,8 +164,8 @@ def test_a_killed_build_leaves_nothing_that_the_next_one_could_mistake(tmp_path)
     sources, cache = write(tmp_path / "sources", WARES), tmp_path / "cache"
     killed = builder(sources, cache)
     assert "generating" in killed.stderr.readline()
-    killed.send_signal(signal.SIGKILL)
-    killed.communicate(timeout=10)
+    os.killpg(killed.pid, signal.SIGKILL)  # compilers that it has started would go on writing
+    killed.communicate(timeout=BUILD_S)
     assert [path for path in cache.iterdir() if path.is_dir()]
     ((prefix,), _) = outcome(builder(sources, cache))
     assert [path for path in cache.iterdir() if path.is_dir()] == [prefix]
@@ -241,7 +244,7 @@ def test_where_generators_are_missing_the_way_out_is_named(tmp_path, monkeypatch
 def test_the_command_tells_errors_on_stderr_and_nothing_on_stdout(tmp_path):
     write(tmp_path, {"bad/msg/Bad.msg": "float64\n"})
     process = builder(tmp_path / "bad", tmp_path / "cache")
-    out, err = process.communicate(timeout=40)
+    out, err = process.communicate(timeout=BUILD_S)
     assert (process.returncode, out) == (1, "")
     assert err.startswith("error: ")
     assert "Bad.msg line 1" in err
