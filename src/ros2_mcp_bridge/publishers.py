@@ -17,6 +17,8 @@ POLL_S = 0.002
 NO_MORE_MATCHES_S = 0.1
 FIRST_ACK_S = 0.5
 FINAL_ACK_S = 0.1
+# A subscriber gets to know a new publisher a moment later than this the subscriber.
+KNOWN_S = 0.1
 
 
 class Publisher:
@@ -62,6 +64,9 @@ class Publisher:
                 break
             yield POLL_S
         self._accepted = before
+        is_reliable = [info.qos_profile.reliability.name == "RELIABLE" for info in self._fitting_subscribers()]
+        if created and self.matched() and not all(is_reliable):
+            yield KNOWN_S  # a best-effort one would not ask for what it has missed
 
     def publish_acknowledged(self, data, wait_s):
         """Steps that publish one message after the other: returns the number of matches and `wait_acknowledged`."""

@@ -10,7 +10,7 @@ import math
 import time
 
 from . import qos
-from .publishers import FINAL_ACK_S, Publisher
+from .publishers import Publisher
 from .request import Cancelled, OperationError
 from .rhythm import Rhythm
 from .subscriptions import DEPTH_FOR_ALL, DRAIN_AT_MOST_S, DRAIN_PERIOD_S, LAST_DRAIN_S, RawSubscription
@@ -72,10 +72,10 @@ class Relay:
 
     def __init__(self, graph, loop, request):
         # A depth of 1 is acknowledged at once (see `Publisher`), which the final message needs; else a burst must fit.
-        self._has_final = self._is_unheard = bool(request.body)
+        self._is_unheard = bool(request.body)
         self._rhythm = Rhythm(request.rate()) if request.has("rate_hz") else None
         self._following = Following(graph, request) if request.has("source") else None
-        self._publisher = Publisher(graph, request, max_depth=1 if self._has_final else DEPTH)
+        self._publisher = Publisher(graph, request, max_depth=1 if self._is_unheard else DEPTH)
         self._loop = loop
         self._started = time.monotonic()
         self._final = b""
@@ -115,7 +115,7 @@ class Relay:
             yield 0.0
         counts = self.counts()
         self.send_final()
-        yield from self._publisher.wait_acknowledged(FINAL_ACK_S if self._has_final else LAST_ACK_S)
+        yield from self._publisher.wait_acknowledged(LAST_ACK_S)
         return {**counts, "final_sent": bool(self._final)}
 
     def send_final(self):

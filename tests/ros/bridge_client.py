@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 import subprocess
 import time
-from collections.abc import Callable
 from typing import Any
 
 from ros2_mcp_bridge import frames
@@ -15,16 +14,6 @@ BEST_EFFORT = {**RELIABLE, "reliability": "best_effort"}
 STRING = "std_msgs/msg/String"
 PATIENCE_S = 30.0
 """How long something may take that takes no time, or 4 s of discovery, where the machine is not held up."""
-
-
-def best_of_three(limit_s: float, take: Callable[[], float]) -> float:
-    """How many seconds something takes: a machine that stalls spoils one try, a bridge that is slow all of them."""
-    seconds = take()
-    for _ in range(2):
-        if seconds < limit_s:
-            break
-        seconds = take()
-    return seconds
 
 
 def cdr_string(text: str) -> bytes:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
-STOOD_STILL_S = 0.2
-PATIENCE_S = 60.0
+STOOD_STILL_S = 0.1
+TIMES = 5
 _LOOK_S = 0.02
 
 Measured = TypeVar("Measured")
@@ -39,10 +39,23 @@ def standstills() -> Iterator[list[tuple[float, float]]]:
 
 
 def undisturbed(measure: Callable[[], Measured]) -> Measured:
-    """What is measured in a time without a standstill; if there is none in a minute, what is measured last."""
-    deadline = time.monotonic() + PATIENCE_S
-    while True:
+    """What is measured while the machine does not stand still, of at most five measurements; else the last.
+
+    Whether it is measured again depends on this witness alone, never on what was measured.
+    """
+    for _ in range(TIMES - 1):
         with standstills() as found:
             measured = measure()
-        if not found or time.monotonic() > deadline:
+        if not found:
             return measured
+    return measure()
+
+
+async def undisturbed_async(measure: Callable[[], Awaitable[Measured]]) -> Measured:
+    """As `undisturbed`."""
+    for _ in range(TIMES - 1):
+        with standstills() as found:
+            measured = await measure()
+        if not found:
+            return measured
+    return await measure()

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bridge_client import BEST_EFFORT, PATIENCE_S, RELIABLE, STRING, Client, best_of_three, cdr_string
+from bridge_client import BEST_EFFORT, PATIENCE_S, RELIABLE, STRING, Client, cdr_string
+from standstill import undisturbed
 
 from ros2_mcp_bridge.participants import ports_of
 
@@ -120,7 +121,7 @@ def test_the_first_listing_is_whole(start, peer) -> None:
         assert sum(name[2:4] == "/t" and publishers == 1 for name, _, publishers, _ in listing["topics"]) == 40
         return time.monotonic() - started
 
-    assert best_of_three(5, listed_after) < 5
+    assert undisturbed(listed_after) < 5
 
 
 def test_endpoints_tell_node_type_hash_and_qos(bridge: Client, peer) -> None:
@@ -232,27 +233,29 @@ def test_a_publish_to_nobody_says_so(bridge: Client) -> None:
         assert (answer["matched"], answer["acked"]) == (0, None)
         return answer["waited_s"]
 
-    assert 0.3 <= best_of_three(0.6, waited_s) < 0.6
+    assert 0.3 <= undisturbed(waited_s) < 0.6
 
 
 def test_repeated_publishing_keeps_its_rate_and_ends_with_the_final_message(bridge: Client, peer) -> None:
     """A subscriber that is held up gets the newest command, not those before it: the depth is 1."""
-    listener, heard = peer("listen", "/said", "RELIABLE"), ["stop"]
-    for _ in range(3):  # a machine that stalls spoils one try
+    listener, stopped = peer("listen", "/said", "RELIABLE"), ["stop"]
+
+    def repeated() -> tuple[dict[str, Any], int]:
+        nonlocal stopped
         answer = bridge.answer(repeat(bridge, rate_hz=100, duration_s=1))[0]["ok"]
-        assert answer["sent"] + answer["late"] == 100
-        assert (answer["final_sent"], answer["cancelled"], answer["matched"]) == (True, False, 1)
+        heard = stopped
         while heard == ["stop"]:  # it is sent twice
             heard = [line(listener)]
         while heard[-1] != "stop":
             heard.append(line(listener))
-        count, heard = heard.count("go"), heard[-1:]
-        assert answer["elapsed_s"] > 0.95
-        assert count <= answer["sent"]
-        if answer["late"] < 50 and answer["elapsed_s"] < 1.3 and count >= 0.8 * answer["sent"]:
-            break
-    else:
-        raise AssertionError(f"the rate was not kept: {answer}, {count} heard")
+        stopped = heard[-1:]
+        return answer, heard.count("go")
+
+    answer, count = undisturbed(repeated)
+    assert answer["sent"] + answer["late"] == 100
+    assert (answer["final_sent"], answer["cancelled"], answer["matched"]) == (True, False, 1)
+    assert answer["late"] < 50 and 0.95 < answer["elapsed_s"] < 1.3
+    assert 0.8 * answer["sent"] <= count <= answer["sent"]
 
 
 def test_a_cancelled_repeat_says_what_it_sent(bridge: Client, peer) -> None:
@@ -281,7 +284,7 @@ def test_the_final_message_is_sent_whatever_ends_the_bridge(start, peer, ending:
         listener.wait(PATIENCE_S)
         return took
 
-    assert best_of_three(1, seconds) < 1
+    assert undisturbed(seconds) < 1
 
 
 def leaves(bridge: Client, ending: str) -> float:
@@ -318,7 +321,7 @@ def test_nothing_follows_the_final_message_of_a_relay_that_is_being_fed(bridge: 
         assert "go" not in heard[heard.index("stop") :] if "stop" in heard else "go" not in heard
         return took
 
-    assert best_of_three(ACKNOWLEDGED_S, seconds) < ACKNOWLEDGED_S
+    assert undisturbed(seconds) < ACKNOWLEDGED_S
 
 
 def stopped_after(bridge: Client, listener: subprocess.Popen[bytes], number: int) -> float:
@@ -368,7 +371,7 @@ def test_a_call_is_answered_with_the_bytes_of_the_response(bridge: Client, peer)
         response = bridge.answer(request)[1]
         assert response[4] == body[4]
         assert (b"asked True" if body == TRUE else b"asked False") in response
-    assert best_of_three(1, lambda: bridge.answer(call(bridge))[0]["ok"]["elapsed_s"]) < 1
+    assert undisturbed(lambda: bridge.answer(call(bridge))[0]["ok"]["elapsed_s"]) < 1
 
 
 def test_a_call_to_nobody_a_slow_server_or_of_an_unknown_type_has_its_own_error(bridge: Client, peer) -> None:
@@ -391,7 +394,7 @@ def test_a_server_that_leaves_ends_the_call_at_once(bridge: Client, peer) -> Non
         assert bridge.answer(request)[0]["error"]["kind"] == "server_gone"
         return time.monotonic() - started
 
-    assert best_of_three(1, seconds) < 1
+    assert undisturbed(seconds) < 1
 
 
 def test_a_cancelled_call_ends_at_once(bridge: Client, peer) -> None:
@@ -462,7 +465,7 @@ def test_nothing_but_frames_is_on_stdout(start) -> None:
             bridge.next_frame()
         return took
 
-    assert best_of_three(1, seconds) < 1
+    assert undisturbed(seconds) < 1
 
 
 def test_wrong_requests_are_answered_and_do_no_harm(bridge: Client) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import monotonic
 
 
@@ -15,6 +15,7 @@ class SentGoal:
     action: str
     action_type: str
     sent_at: float
+    is_accepted: bool = False
 
 
 class SentGoals:
@@ -36,6 +37,15 @@ class SentGoals:
             self.ended(oldest)
         self._ids[goal_id] = None
         self._open[goal_id] = SentGoal(goal_id, action, action_type, monotonic())
+
+    def accepted(self, goal_id: str) -> None:
+        """Notes that its server has taken it."""
+        if goal_id in self._open:
+            self._open[goal_id] = replace(self._open[goal_id], is_accepted=True)
+
+    def is_on_its_way(self, goal_id: str) -> bool:
+        """Whether its server has not said yet that it takes it, so that it may know nothing of it."""
+        return goal_id in self._open and not self._open[goal_id].is_accepted
 
     def ended(self, goal_id: str) -> None:
         """Forgets a goal that ended or was not accepted."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from time import monotonic
 from typing import Any
 
 from ros2_mcp.model import names
@@ -14,6 +16,7 @@ from ros2_mcp.robot import Robot
 
 UNKNOWN_GOAL = 2
 ENDED_ALREADY = 3
+_AGAIN_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +70,22 @@ async def cancel(
     code = int(response["return_code"])
     goals = [CancelledGoal(goal_id_hex(goal["goal_id"]["uuid"]), goal["stamp"]) for goal in response["goals_canceling"]]
     return Cancellation(service, code, CANCEL_CODES.get(code, str(code)), goals, _note(code, goals, cancel_all))
+
+
+async def cancel_sent(robot: Robot, action: str, goal_id: str, within_s: float) -> Cancellation:
+    """Cancels a goal of ours; asks again, for so long, while its server has yet to accept it and so does not know it.
+
+    Raises:
+        NotFound: if no such action is there.
+        TimedOut: if the server did not answer.
+    """
+    deadline = monotonic() + within_s
+    while True:
+        is_on_its_way = robot.goals.is_on_its_way(goal_id)
+        answer = await cancel(robot, action, goal_id)
+        if answer.return_code != UNKNOWN_GOAL or not is_on_its_way or monotonic() > deadline:
+            return answer
+        await asyncio.sleep(_AGAIN_S)
 
 
 def _note(code: int, goals: Sequence[CancelledGoal], cancel_all: bool) -> str:

@@ -22,7 +22,7 @@ from ros2_mcp.model.goals import (
 )
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.actions import action_types, resolve_type
-from ros2_mcp.ops.cancelling import cancel
+from ros2_mcp.ops.cancelling import cancel_sent
 from ros2_mcp.ops.goal_states import states_now
 from ros2_mcp.ops.results import Report, in_words, reporting, silent
 from ros2_mcp.robot import Answer, Listening, Robot
@@ -158,6 +158,7 @@ class _Goal:
         try:
             told = await self._told_before(calling)
             if told is not None:
+                self._robot.goals.accepted(self._id)
                 return True, told
             answer = await calling
         except NotFound as error:
@@ -172,7 +173,9 @@ class _Goal:
         finally:
             calling.cancel()
         response = self._robot.values.render(f"{service}_Response", answer.body).value
-        if not response["accepted"]:
+        if response["accepted"]:
+            self._robot.goals.accepted(self._id)
+        else:
             self._robot.goal_ended(self._id)
         return bool(response["accepted"]), response["stamp"]
 
@@ -191,7 +194,7 @@ class _Goal:
         """Cancels the goal, if it was sent and has not ended."""
         if self._id in self._robot.goals.open:
             with suppress(RobotError):
-                await cancel(self._robot, self._action, self._id)
+                await cancel_sent(self._robot, self._action, self._id, ACCEPT_S)
 
     def outcome(self, accepted: bool, stamp: dict[str, Any], **known: Any) -> GoalOutcome:
         """What became of it; `known` are the fields beyond those of a goal that is not waited for."""

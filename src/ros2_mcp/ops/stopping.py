@@ -120,7 +120,10 @@ async def _zero(robot: Robot, topic: str, kind: str) -> StoppedTopic:
 async def _cancel(robot: Robot, goal: SentGoal) -> StoppedGoal:
     """Cancels a goal and sees it end; one that its server does not know, or no longer, is not running."""
     try:
-        answer = await cancelling.cancel(robot, goal.action, goal.goal_id)
+        answer = await cancelling.cancel_sent(robot, goal.action, goal.goal_id, ENDED_S)
+        if answer.return_code == cancelling.UNKNOWN_GOAL and robot.goals.is_on_its_way(goal.goal_id):
+            undecided = f"The server of {goal.action} has not said whether it accepts goal {goal.goal_id}: stop again."
+            return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, error=undecided)
         ended = await goals.request_result(robot, goal.action, goal.action_type, goal.goal_id, timeout_s=ENDED_S)
     except NotFound as error:
         robot.goal_ended(goal.goal_id)

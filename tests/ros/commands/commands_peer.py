@@ -168,6 +168,7 @@ def actions(peer: Peer) -> None:
     _action(peer, "refuse_once", _until_refused, cancel=CancelResponse.REJECT)
     _action(peer, "ignore_cancel", _ignore_cancel)
     _action(peer, "held", _held)
+    _action(peer, "hesitate", _count, hesitation_s=1.0)
     _action(peer, "burst", _burst)
     _action(peer, "forget", _burst, result_timeout=1)
     _action(peer, "fatal", lambda _peer, _goal: os._exit(1))
@@ -272,9 +273,19 @@ def nested(peer: Peer) -> None:
     peer.keep(ActionServer(peer.node, NestedMessage, "nested", execute, goal_callback=accept))
 
 
-def _action(peer: Peer, name: str, execute: Any, *, goal: Any = None, cancel: Any = None, **options: Any) -> None:
+def _action(
+    peer: Peer,
+    name: str,
+    execute: Any,
+    *,
+    goal: Any = None,
+    cancel: Any = None,
+    hesitation_s: float = 0.0,
+    **options: Any,
+) -> None:
     def judge(_request: Any) -> Any:
         peer.counts[name] += 1
+        time.sleep(hesitation_s)
         return goal or GoalResponse.ACCEPT
 
     def judge_cancel(_request: Any) -> Any:

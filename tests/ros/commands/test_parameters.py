@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from agent import at_best
+from standstill import undisturbed
 
 ALL = {
     "speed": 0.5,
@@ -58,7 +58,7 @@ def test_parameters_of_several_nodes_are_listed_at_once_with_what_their_descript
         nodes = agent.call("ros2_parameter_list", node_names=wanted, pattern="s*")["nodes"]
         return time.monotonic() - started, nodes
 
-    took, (tuned, opened, dumb, nobody, deaf) = at_best(listed, lambda found: found[0] < 7)
+    took, (tuned, opened, dumb, nobody, deaf) = undisturbed(listed)
     assert took < 7
     found = {parameter["name"]: parameter for parameter in tuned["parameters"]}
     assert found["speed"] == {
@@ -153,18 +153,18 @@ def test_a_node_that_allows_undeclared_parameters_takes_new_ones(agent, robot) -
 
 
 def test_node_info_tells_parameters_lifecycle_services_and_actions(agent, robot) -> None:
-    tuned = answered(agent, robot.name("tuned"), "parameters")
+    tuned = answered(agent, robot.name("tuned"))
     assert (tuned["parameters"], tuned["lifecycle_state"]) == (len(get(agent, robot)["parameters"]), None)
-    valve = answered(agent, robot.name("valve"), "lifecycle_state")
+    valve = answered(agent, robot.name("valve"))
     assert (valve["is_lifecycle"], valve["lifecycle_state"]) == (True, "unconfigured")
     peer = agent.call("ros2_node_info", node_name=robot.name("peer"))
     assert {"name": robot.name("switch"), "type": "std_srvs/srv/SetBool"} in peer["services"]
     assert {"name": robot.name("count"), "type": "test_msgs/action/Fibonacci"} in peer["actions"]
 
 
-def answered(agent, node: str, what: str):
+def answered(agent, node: str):
     """The information about a node, which tells only what the node has answered at once."""
-    return at_best(lambda: agent.call("ros2_node_info", node_name=node), lambda info: info[what] is not None, 10)
+    return undisturbed(lambda: agent.call("ros2_node_info", node_name=node))
 
 
 def test_node_info_does_not_wait_long_for_a_node_that_does_not_answer(agent, robot) -> None:
@@ -173,7 +173,7 @@ def test_node_info_does_not_wait_long_for_a_node_that_does_not_answer(agent, rob
         info = agent.call("ros2_node_info", node_name=robot.name("deaf"))
         return time.monotonic() - started, info
 
-    took, deaf = at_best(asked, lambda found: found[0] < 0.6)
+    took, deaf = undisturbed(asked)
     assert took < 0.6
     assert (deaf["has_parameters"], deaf["parameters"]) == (True, None)
     dumb = agent.call("ros2_node_info", node_name=robot.name("dumb"))

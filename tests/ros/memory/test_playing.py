@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from agent import Agent, Refusal, agent_for
+from standstill import undisturbed
 
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
@@ -22,6 +23,7 @@ START_NS = 1_700_000_000_000_000_000
 NUMBERS = {"/a": range(10), "/b": range(100, 105)}
 PERIODS_NS = {"/a": 100_000_000, "/b": 200_000_000}
 HEARD = ("/a", "/b", "/c", "/live")
+PATIENCE_S = 30.0
 
 
 class Listener:
@@ -38,7 +40,7 @@ class Listener:
 
     def heard_so_many(self, counts: dict[str, int]) -> dict[str, list[tuple[int, float]]]:
         """What it has heard, as soon as there is so much of each topic; then all is forgotten."""
-        deadline = time.monotonic() + 5
+        deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             heard = self.heard("look")
             if all(len(heard[topic]) >= count for topic, count in counts.items()):
@@ -77,7 +79,9 @@ def listening(ros_environment: dict[str, str], agent: Agent) -> Iterator[Listene
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=ros_environment) as process:
         assert process.stdout and process.stdout.readline() == "ready\n"
-        agent.knows(*HEARD)
+        agent.knows(*HEARD, "/cmd_vel")
+        while "/memory_peer" not in str(agent.call("ros2_topic_info", topic_name="/cmd_vel")):
+            pass
         yield Listener(process)
         process.communicate(timeout=10)
 
@@ -90,11 +94,15 @@ def listener(listening: Listener) -> Listener:
 
 @pytest.mark.parametrize("rate", [1.0, 4.0])
 def test_a_bag_is_heard_whole_and_in_its_rhythm(agent: Agent, listener: Listener, rate: float) -> None:
-    played = agent.call("ros2_bag_play", bag="run", rate=rate)
-    assert (played["state"], played["progress"], played["loops"]) == ("ended", 1.0, 1)
     counts = {topic: len(numbers) for topic, numbers in NUMBERS.items()}
-    assert played["published"] == counts and not played["note"]
-    heard = listener.heard_so_many(counts)
+
+    def play() -> dict[str, list[tuple[int, float]]]:
+        played = agent.call("ros2_bag_play", bag="run", rate=rate)
+        assert (played["state"], played["progress"], played["loops"]) == ("ended", 1.0, 1)
+        assert played["published"] == counts and not played["note"]
+        return listener.heard_so_many(counts)
+
+    heard = undisturbed(play)
     for topic, numbers in NUMBERS.items():
         assert [number for number, _ in heard[topic]] == list(numbers)
         times = [at for _, at in heard[topic]]
@@ -112,7 +120,7 @@ def test_only_the_chosen_topics_of_the_chosen_time_are_played_under_other_names(
     played = agent.call(
         "ros2_bag_play", bag="run", topics=["/a"], start="first 0.3 s", end="first 0.6 s", remaps={"/a": "/c"}
     )
-    assert played["published"] == {"/c": 3} and played["elapsed_s"] < 2.5
+    assert played["published"] == {"/c": 3} and played["elapsed_s"] < 10  # and not the days until that time
     heard = listener.heard_so_many({"/c": 3})
     assert [number for number, _ in heard["/c"]] == [3, 4, 5]
     assert not heard["/a"] and not heard["/b"]
@@ -129,9 +137,9 @@ def test_a_loop_goes_on_until_it_is_stopped(agent: Agent, listener: Listener) ->
     assert f"/a ({begun['playback_id']})" in refusal  # two rhythms on one topic make no sense
     stopped = agent.call("ros2_bag_play_stop", playback_id=begun["playback_id"])
     assert stopped["state"] == "stopped"
-    listener.heard()
+    heard = listener.heard_so_many({"/a": stopped["published"]["/a"] - len(numbers)})["/a"]
     time.sleep(0.3)
-    assert not listener.heard()["/a"]
+    assert len(numbers) + len(heard) == stopped["published"]["/a"] and not listener.heard()["/a"]
     assert agent.call("ros2_bag_play_stop", playback_id=begun["playback_id"])["state"] == "stopped"
 
 
@@ -174,7 +182,7 @@ def test_a_playback_that_ros2_stop_ends_is_stopped_and_not_failed(agent: Agent, 
     begun = agent.call("ros2_bag_play", bag="run", topics=["/a"], loop=True, wait_sec=0)
     assert listener.numbers("/a", 2)
     agent.call("ros2_stop")
-    deadline = time.monotonic() + 5
+    deadline = time.monotonic() + PATIENCE_S
     while (state := told(agent, begun["playback_id"]))["state"] == "playing":
         assert time.monotonic() < deadline
         time.sleep(0.05)

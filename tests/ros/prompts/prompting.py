@@ -7,10 +7,11 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from agent import Agent, agent_for, at_best
+from agent import Agent, agent_for
 from mcp.shared.exceptions import MCPError
 from mcp.types import PromptReference, ResourceTemplateReference
 from prompt_steps import steps_of
+from standstill import undisturbed
 
 
 class PromptAgent:
@@ -54,7 +55,7 @@ class PromptAgent:
         asked = {"name": argument, "value": typed}
         complete = partial(self._client.complete, ref, asked, context_arguments=given)
         # who types is given nothing where the robot does not answer within a second
-        return at_best(lambda: self._run(complete).completion.values, bool)
+        return undisturbed(lambda: self._run(complete).completion.values)
 
 
 @contextmanager

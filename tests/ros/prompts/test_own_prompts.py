@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from agent import at_best
 from prompting import PromptAgent
 from raw_server import MODERN, RawServer
+from standstill import undisturbed
 
 HOW_TO = Path(__file__).parents[3] / "docs/how-to/prompts.md"
 HELLO = "---\nname: hello\n---\nHello.\n"
@@ -26,10 +26,7 @@ def test_the_example_of_the_how_to_works_as_written(
     agent = start_agent("--prompts", str(tmp_path))
     agent.agent.knows("/battery_state")
     assert agent.prompts()["battery-check"].arguments[0].name == "topic"
-    battery, rate = at_best(
-        lambda: agent.take("battery-check", seconds="1.5"),
-        lambda found: found[0]["received"] and found[1]["topics"][0]["count"] > 0,
-    )
+    battery, rate = undisturbed(lambda: agent.take("battery-check", seconds="1.5"))
     assert 0 < battery["message"]["percentage"] <= 1
     assert rate["topics"][0]["count"] > 0
     assert "seconds is '90'. Give a number from 1 to 30" in agent.refusal("battery-check", seconds="90")
@@ -84,7 +81,7 @@ def test_completions_are_the_live_names_and_quick(agent: PromptAgent) -> None:
         assert agent.complete(relay, "source_topic", "/od") == ["/odom"]
         return time.perf_counter() - started
 
-    elapsed = at_best(seconds, lambda took: took < 0.25)
+    elapsed = undisturbed(seconds)
     assert elapsed < 0.25  # 50 ms on an idle machine
     print(f"completion took {elapsed * 1000:.1f} ms")
     assert agent.complete(relay, "message_type", source_topic="scan")[0] == "sensor_msgs/msg/LaserScan"
@@ -124,7 +121,7 @@ def test_without_ros_prompts_are_there_and_completions_are_empty_within_a_second
         assert server.ask("completion/complete", ref=ref, argument=argument)["result"]["completion"]["values"] == []
         return time.perf_counter() - started
 
-    assert at_best(seconds, lambda took: took < 2) < 2
+    assert undisturbed(seconds) < 2
 
 
 def _names(server: RawServer) -> list[str]:

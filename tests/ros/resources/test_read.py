@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from agent import at_best
 from commanded import CommandedProcess
 from listener import Listener
+from standstill import undisturbed
 
 SAID = "ros2://topic/events/said"
 STATIC = ["graph", "topics", "nodes", "services", "actions", "diagnostics", "log"]
@@ -116,17 +116,12 @@ def test_what_is_not_there_is_an_error_that_helps(listener: Listener, uri: str, 
     assert said in error["message"]
 
 
-def has_values(completion: dict[str, Any]) -> bool:
-    """Who types is given nothing where the robot does not answer within a second."""
-    return bool(completion["values"])
-
-
 def test_variables_of_templates_are_completed_with_live_names(listener: Listener) -> None:
     def completed(template: str, name: str, typed: str) -> list[str]:
         ref = {"type": "ref/resource", "uri": f"ros2://{template}"}
         wanted = {"ref": ref, "argument": {"name": name, "value": typed}}
-        answer = at_best(lambda: listener.ask("completion/complete", **wanted)["result"]["completion"], has_values)
-        return answer["values"]
+        # who types is given nothing where the robot does not answer within a second
+        return undisturbed(lambda: listener.ask("completion/complete", **wanted)["result"]["completion"]["values"])
 
     assert completed("topic/{+name}", "name", "events/s") == ["/events/said"]
     assert completed("node/{+name}/parameters", "name", "events_p") == ["/events_peer"]

@@ -6,11 +6,11 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 from mcp import Client, StdioServerParameters
@@ -21,22 +21,6 @@ FULL = bool(os.environ.get("ROS2_MCP_FULL"))
 CALL_S = 60.0
 DISCOVERY_S = 30.0
 """Two participants that have just started may need several seconds to know all of each other."""
-
-
-Measured = TypeVar("Measured")
-
-
-def at_best(measure: Callable[[], Measured], holds: Callable[[Measured], bool], times: int = 5) -> Measured:
-    """What was measured: the first for which it holds, of at most so many; else the last.
-
-    For speeds and rates: a machine that stalls spoils one measurement, a server that is slow spoils all of them.
-    """
-    found = measure()
-    for _ in range(times - 1):
-        if holds(found):
-            break
-        found = measure()
-    return found
 
 
 class Refusal(Exception):

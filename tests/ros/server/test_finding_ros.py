@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from agent import at_best
 from raw_server import RawServer
+from standstill import undisturbed
 
 SITE_PACKAGES = Path(next(entry for entry in sys.path if entry.endswith("site-packages")))
 SLOW_S = 3.0
@@ -51,7 +51,7 @@ def opened(start: Callable[[], RawServer]) -> RawServer:
         assert len(server.ask("tools/list")["result"]["tools"]) > 20
         return server, time.monotonic() - started
 
-    server, seconds = at_best(timed, lambda found: found[1] < SLOW_S)
+    server, seconds = undisturbed(timed)
     assert seconds < SLOW_S
     return server
 
@@ -90,7 +90,7 @@ def test_none(start_raw, bare_python: str, tmp_path: Path) -> None:
         server = opened(lambda: start_raw(command=[bare_python, "-m", "ros2_mcp"], ROS2_MCP_ROS_ROOT=str(tmp_path)))
         return max(seconds_of_the_refusal(server) for _ in range(2))
 
-    assert at_best(slowest_of_two_calls, lambda seconds: seconds < 1) < 1
+    assert undisturbed(slowest_of_two_calls) < 1
 
 
 def seconds_of_the_refusal(server: RawServer) -> float:

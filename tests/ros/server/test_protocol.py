@@ -6,9 +6,9 @@ import time
 from itertools import chain, count
 
 import pytest
-from agent import at_best
 from mcp_types.version import KNOWN_PROTOCOL_VERSIONS
 from raw_server import MODERN, RawServer
+from standstill import undisturbed
 
 READING = {"topic_name": "/seldom_said", "duration": 60}
 
@@ -31,7 +31,7 @@ def test_a_session_lists_calls_refuses_and_cancels(server: RawServer, start_raw)
     assert_a_misspelt_argument_is_explained(server)
     assert_a_cancelled_read_ends_its_work(server)
     sessions = chain([server], (begun(start_raw(), server.version) for _ in count()))
-    assert at_best(lambda: next(sessions).close(), lambda seconds: seconds < 2) < 2
+    assert undisturbed(lambda: next(sessions).close()) < 2
 
 
 def begun(server: RawServer, version: str) -> RawServer:

@@ -9,8 +9,9 @@ import time
 from pathlib import Path
 
 import pytest
-from agent import FULL, at_best
+from agent import FULL
 from raw_server import RawServer, children, lives
+from standstill import undisturbed
 
 NOISE = """
 import atexit, ctypes, os, sys, threading, time
@@ -63,7 +64,7 @@ def test_whatever_prints_stdout_carries_only_protocol_lines(
 
 @pytest.mark.parametrize("ending", ["stdin closes", "stdin closes in a call", "SIGTERM", "SIGINT", "SIGKILL"])
 def test_server_and_bridge_are_gone_soon_after_the_end(start_raw, ending: str) -> None:
-    assert at_best(lambda: seconds_until_gone(start_raw(), ending), lambda seconds: seconds < 2) < 2
+    assert undisturbed(lambda: seconds_until_gone(start_raw(), ending)) < 2
 
 
 def seconds_until_gone(server: RawServer, ending: str) -> float:
