@@ -27,7 +27,8 @@ class Bridge:
     """The connection to one robot: starts the bridge process, watches it and starts it again.
 
     `hello` is how the running bridge introduced itself, `generation` the number of starts, `restarts` why each
-    former one was lost, `installation` what it runs in.
+    former one was lost, `installation` what it runs in. `nodes` are the names of all its nodes: the graph shows those
+    of lost ones for some seconds more.
     """
 
     def __init__(
@@ -45,6 +46,7 @@ class Bridge:
         self.installation: RosInstallation | None = None
         self.generation = 0
         self.restarts: list[str] = []
+        self.nodes: set[str] = set()
         self._launched: Child | RobotError | None = None
         self._connection: Connection | None = None
         self._supervisor: asyncio.Task[None] | None = None
@@ -215,6 +217,8 @@ class Bridge:
             reason = await connection.greet()
             if reason:
                 return False, reason
+            assert connection.hello
+            self.nodes.add(connection.hello.node)
             self._settle(connection)
             reason = await connection.run()
             self._outcome = asyncio.get_running_loop().create_future()

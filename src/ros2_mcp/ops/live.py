@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Collection, Sequence
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from dataclasses import replace
 from time import monotonic
@@ -115,7 +115,7 @@ class Live:
         topics = await graph.query("topics")
         nodes = await graph.query("nodes")
         services = await graph.query("services")
-        own = self._robot.bridge.hello.node if self._robot.bridge.hello else ""
+        own = self._robot.bridge.nodes
         limit = asyncio.Semaphore(_ASKED_AT_ONCE)
 
         async def endpoints(topic: str) -> TopicEndpoints:
@@ -126,7 +126,7 @@ class Live:
         full_names = [names.full_node_name(name, namespace) for name, namespace in nodes["nodes"]]
         return Scene(
             {each.topic: each for each in found if each.types},
-            sorted(name for name in full_names if name != own),
+            sorted(name for name in full_names if name not in own),
             sorted(str(name) for name, _ in services["services"]),
             bool(topics["settled"] and nodes["settled"]),
         )
@@ -228,9 +228,9 @@ def _nodes(publishers: Sequence[Endpoint]) -> list[str]:
     return sorted({publisher.node for publisher in publishers})
 
 
-def _without(node: str, present: TopicEndpoints) -> TopicEndpoints:
+def _without(nodes: Collection[str], present: TopicEndpoints) -> TopicEndpoints:
     return TopicEndpoints(
         present.topic,
-        [each for each in present.publishers if each.node != node],
-        [each for each in present.subscribers if each.node != node],
+        [each for each in present.publishers if each.node not in nodes],
+        [each for each in present.subscribers if each.node not in nodes],
     )

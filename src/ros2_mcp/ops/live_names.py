@@ -75,9 +75,8 @@ def _is_infrastructure(service_type: str) -> bool:
 
 
 async def _nodes(robot: Robot, within_s: float) -> list[str]:
-    own = robot.bridge.hello.node if robot.bridge.hello else ""
     every = {names.full_node_name(*entry) for entry in (await _query(robot, "nodes", within_s))["nodes"]}
-    return sorted(name for name in every if name.startswith("/") and name != own and not names.is_hidden(name))
+    return sorted(name for name in every - robot.bridge.nodes if name.startswith("/") and not names.is_hidden(name))
 
 
 async def _actions(robot: Robot, within_s: float) -> list[str]:

@@ -78,9 +78,9 @@ class NodeInfo:
 async def list_nodes(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> NodeList:
     """The nodes whose full names match the pattern, sorted; our own bridge is left out."""
     raw = await robot.graph.query("nodes")
-    own = robot.bridge.hello.node if robot.bridge.hello else ""
     every = [names.full_node_name(name, namespace) for name, namespace in raw["nodes"]]
-    visible = sorted(name for name in every if name != own and (include_hidden or not names.is_hidden(name)))
+    others = [name for name in every if name not in robot.bridge.nodes]
+    visible = sorted(name for name in others if include_hidden or not names.is_hidden(name))
     chosen = names.matching(visible, pattern)
     duplicates = [name for name, count in Counter(visible).items() if count > 1]
     notes = [f"{len(chosen)} match, the first {limit} are shown."] if len(chosen) > limit else []

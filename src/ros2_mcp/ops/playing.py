@@ -340,7 +340,7 @@ def _check_types(destinations: Collection[tuple[str, str]]) -> None:
 
 
 async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[str, StoredTopic]) -> None:
-    own = robot.bridge.hello.node if robot.bridge.hello else ""  # it keeps publishers ready that say nothing
+    own = robot.bridge.nodes  # it keeps publishers ready that say nothing
     ours = {to: each.id for each in playbacks(memory).values() if each.is_running for to in each.destinations}
     ours |= {relay.destination: relay.relay_id for relay in robot.relays.open}
     busy: list[str] = []
@@ -350,10 +350,10 @@ async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[s
         present = await robot.graph.endpoints(destination)
         if present.types and topic.type not in present.types:
             raise TypeConflict(f"{destination} has the type {present.types[0]}, the bag's {name} is a {topic.type}.")
-        others = [each.node for each in present.publishers if each.node != own]
+        others = [each.node for each in present.publishers if each.node not in own]
         others += [ours[destination]] if destination in ours else []
         busy += [f"{destination} ({others[0]})"] if others else []
-        moved = [each.node for each in present.subscribers if each.node != own and topic.type in VELOCITY_TYPES]
+        moved = [each.node for each in present.subscribers if each.node not in own and topic.type in VELOCITY_TYPES]
         driven += [f"{moved[0]} listens to {destination}"] if moved else []
     if busy and not wanted.force:
         raise Refused(

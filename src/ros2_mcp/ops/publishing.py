@@ -137,8 +137,7 @@ async def _note(robot: Robot, sent: Sent) -> str:
     notes: list[str] = []
     if not sent.matched:
         there = await robot.graph.endpoints(sent.topic)
-        own = robot.bridge.hello.node if robot.bridge.hello else ""
-        ours = [publisher for publisher in there.publishers if publisher.node == own]
+        ours = [publisher for publisher in there.publishers if publisher.node in robot.bridge.nodes]
         reasons = mismatches(ours, there.subscribers)
         notes.append("Nobody received it." if not reasons else f"Nobody received it: {' '.join(reasons)}")
         if not there.subscribers:

@@ -120,6 +120,8 @@ def test_a_bridge_that_is_killed_is_replaced_by_one_that_sends_zero(start_raw, f
         os.kill(pid, signal.SIGKILL)
     wait_until(lambda: last_is_zero(field))
     assert "BridgeLost" in server.answer(repeat)["result"]["content"][0]["text"]
+    stopped = server.call("ros2_stop")["structuredContent"]  # the graph still shows the dead one
+    assert (stopped["topics"][0]["others"], stopped["confirmed"]) == ([], True)
 
 
 def test_stop_waits_behind_nothing_and_says_what_was_confirmed(start_raw, start_peer, robot) -> None:

@@ -21,6 +21,7 @@ class MadeBridge:
     """
 
     hello = None
+    nodes = frozenset[str]()
     is_closed = False
 
     def __init__(self) -> None:
