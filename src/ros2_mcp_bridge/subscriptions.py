@@ -96,15 +96,26 @@ class Subscription(RawSubscription):
         super().__init__(graph, request.text("topic"), request.interface, profile)
         if not keeps_all:
             self.lost = None  # overwritten in the middleware, as asked for: not a loss to count
+        self._has_failed = False
 
     def drain_to(self, outbox, is_enough):
         """Move what the middleware holds to the outbox; returns False if `is_enough` ended it before all was taken."""
         samples = []
-        is_empty = self.drain(samples.append, is_enough)
+        try:
+            is_empty = self.drain(samples.append, is_enough)
+        except rclpy_implementation.RCLError as error:
+            is_empty = True  # this one is tried again, and the others go on
+            self._fail(error)
         if samples:
             self.check_publishers()
             outbox.add_samples(self.queue, samples)
         return is_empty
+
+    def _fail(self, error):
+        """What was lost is not known from now on; it is logged once."""
+        if not self._has_failed:
+            log_failure(None, error)
+        self._has_failed, self.lost = True, None
 
     def counts(self):
         """What became of the messages so far."""
