@@ -193,7 +193,10 @@ class Bridge:
             self._wanted.set()
 
     async def _supervise(self) -> None:
-        """Life after life: at once after one that had begun well, on demand and after a pause when none begins."""
+        """Life after life: at once after one that had begun well, on demand and after a pause when none begins.
+
+        A successor that does not begin is followed by others, for what was set in motion has yet to be stopped.
+        """
         failures = 0
         while True:
             begun, reason = await self._live()
@@ -201,8 +204,12 @@ class Bridge:
                 failures = 0
                 self.restarts = [*self.restarts, reason.message][-_KEPT_REASONS:]
                 continue
-            self._retry_at = time.monotonic() + _PAUSES_S[min(failures, len(_PAUSES_S) - 1)]
+            pause_s = _PAUSES_S[min(failures, len(_PAUSES_S) - 1)]
             failures += 1
+            if self.nodes and failures < len(_PAUSES_S):
+                await asyncio.sleep(pause_s)
+                continue
+            self._retry_at = time.monotonic() + pause_s
             self._wanted.clear()
             self._settle(reason)
             await self._wanted.wait()

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -115,8 +116,9 @@ class RawServer:
 
 def children(pid: int) -> list[int]:
     """The processes that a process has started, and theirs."""
-    listed = Path(f"/proc/{pid}/task/{pid}/children")
-    own = [int(child) for child in listed.read_text().split()] if listed.exists() else []
+    own: list[int] = []
+    with suppress(FileNotFoundError, ProcessLookupError):  # it is gone
+        own += map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
     return [*own, *(below for child in own for below in children(child))]
 
 
