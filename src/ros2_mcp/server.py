@@ -18,6 +18,7 @@ from ros2_mcp.binding import RobotTool, bind
 from ros2_mcp.completions import Wanted, offer_completions
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.prompts.arguments import shown
 from ros2_mcp.prompts.catalog import Catalog, code_of
@@ -58,6 +59,9 @@ class _Server(MCPServer[None]):
     async def call_tool(self, name: str, arguments: dict[str, Any], context: Context[None, Any] | None = None) -> Any:
         if name in self.not_offered:
             raise ToolError(f"{name} is not offered: {self.not_offered[name]}.")
+        known = [tool.name for tool in TOOLS]
+        if name not in known and name not in _OTHER_NAMES:
+            raise ToolError(f"There is no tool {name}. {did_you_mean(name, known, 'tools/list has them all.')}")
         return await super().call_tool(_OTHER_NAMES.get(name, name), arguments, context)
 
 
@@ -78,7 +82,7 @@ def build_server(
         name="ros2-mcp",
         title="ROS 2 robot",
         version=version("ros2-mcp"),
-        instructions=RECORDED.format(memory.subject_name) if memory and memory.subject else INSTRUCTIONS,
+        instructions=_instructions(robot, groups, memory),
         tools=list(build_tools(robot, groups, memory)),
         log_level=cast("Any", log_level),
         subscriptions=events,
@@ -118,6 +122,19 @@ def _offer_guidance(server: MCPServer[None], robot: Robot, events: SubscriptionB
 
     offer_prompts(server, catalog, events)
     offer_completions(server, robot, of_prompt=of_prompt, of_template=of_template)
+
+
+def _instructions(robot: Robot, groups: Sequence[str], memory: Memory | None) -> str:
+    if memory and memory.subject:
+        return RECORDED.format(memory.subject_name)
+    offered = chosen_tools(robot, groups)
+    more = {tool.group for tool in chosen_tools(robot, GROUPS) if tool not in offered}
+    if not more:
+        return INSTRUCTIONS
+    named = ", ".join(group for group in GROUPS if group in more)
+    return (
+        f"{INSTRUCTIONS}To keep the list short, some tools are left out ({named}): the option --tools all has them.\n"
+    )
 
 
 def _not_offered(robot: Robot, groups: Sequence[str]) -> dict[str, str]:

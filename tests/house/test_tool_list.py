@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
 from generate import REFERENCE, SNAPSHOT, reference, served_tools, snapshot
+from mcp.server import MCPServer
+from mcp.server.mcpserver.exceptions import ToolError
 
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.link.client import Bridge
@@ -14,12 +17,16 @@ from ros2_mcp.server import build_server
 from ros2_mcp.settings import Settings
 from ros2_mcp.tools import TOOLS
 
+LESS = ("measure", "pictures", "services", "actions", "parameters", "memory")
 OUT_OF_DATE = "run: python docs/generate.py, look at the difference, and commit it"
 
 
+def served(policy: Policy, *groups: str) -> MCPServer:
+    return build_server(Robot(Bridge(lambda: find_ros(Settings())), policy), groups=groups)
+
+
 def listed(policy: Policy, *groups: str) -> list[str]:
-    server = build_server(Robot(Bridge(lambda: find_ros(Settings())), policy), groups=groups)
-    return [tool.name for tool in asyncio.run(server.list_tools())]
+    return [tool.name for tool in asyncio.run(served(policy, *groups).list_tools())]
 
 
 def test_the_list_of_tools_is_as_its_snapshot() -> None:
@@ -54,3 +61,13 @@ def test_a_group_can_be_added_to_the_default_tools() -> None:
 
 def test_a_server_has_only_the_groups_that_were_chosen() -> None:
     assert listed(Policy(), "core") == [tool.name for tool in TOOLS if tool.group == "core"]
+
+
+def test_a_server_says_which_groups_have_tools_that_are_left_out() -> None:
+    assert "(lifecycle, relay)" in str(served(Policy(), "core", *LESS).instructions)
+    assert "left out" not in str(served(Policy(read_only=True), "all").instructions)
+
+
+def test_a_tool_that_there_is_not_is_refused_with_the_nearest_name() -> None:
+    with pytest.raises(ToolError, match=r"There is no tool ros2_topic_lists\. Did you mean ros2_topic_list\?"):
+        asyncio.run(served(Policy()).call_tool("ros2_topic_lists", {}))

@@ -119,7 +119,8 @@ class Connection:
         exited = self._last_words() if what.startswith("exited") else ""
         return BridgeLost(
             f"{self._name} {what} and is started again.{exited}",
-            "What was under way may or may not have happened: look at the robot's state, then call again.",
+            "What was under way may or may not have happened, and what this server drove is being stopped: look at the "
+            "robot's state, then call again.",
         )
 
     @property

@@ -29,9 +29,12 @@ class Diagnostic:
 
 @dataclass(slots=True)
 class DiagnosticTable:
-    """The newest word of every component."""
+    """The newest word of every component, and its worst one."""
 
     _newest: dict[tuple[str, str], tuple[int, Diagnostic]] = field(
+        default_factory=dict[tuple[str, str], tuple[int, Diagnostic]]
+    )
+    _worst: dict[tuple[str, str], tuple[int, Diagnostic]] = field(
         default_factory=dict[tuple[str, str], tuple[int, Diagnostic]]
     )
 
@@ -50,6 +53,11 @@ class DiagnosticTable:
         """All components, the worst first."""
         return [row for _, row in sorted(self._newest.values(), key=lambda entry: (-entry[0], entry[1].name))]
 
+    @property
+    def past(self) -> list[Diagnostic]:
+        """The worst words of components that have become better since."""
+        return [row for key, (level, row) in self._worst.items() if level > self._newest[key][0]]
+
     def _take_one(self, status: Any, received_ns: int) -> bool:
         key, level = (status.name, status.hardware_id), int(status.level)
         before = self._newest[key][0] if key in self._newest else 0
@@ -57,6 +65,8 @@ class DiagnosticTable:
         label = LEVELS[level] if level < len(LEVELS) else str(level)
         row = Diagnostic(status.name, status.hardware_id, label, status.message, values, iso_time(received_ns))
         self._newest[key] = (level, row)
+        if key not in self._worst or level > self._worst[key][0]:
+            self._worst[key] = (level, row)
         return level > before
 
 

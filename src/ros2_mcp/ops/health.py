@@ -10,12 +10,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from statistics import median
 from typing import Literal
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.ops.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results import Report, is_recorded, iso_time, silent
 from ros2_mcp.ops.topics import mismatches
 from ros2_mcp.ops.window import Missing, Scene, Source, Window
 from ros2_mcp.robot import TopicEndpoints
@@ -30,7 +31,7 @@ RATE_TOLERANCE = 0.9
 """A topic is slow below this share of the rate that is expected of it."""
 STOPPED_PERIODS = 10
 STOPPED_S = 1.0
-"""A topic has stopped if nothing came for so many of its mean periods, and for so long, at the end."""
+"""A stream is interrupted if nothing came for so many of its median periods, and for so long."""
 
 LARGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CompressedImage"})
 STREAM_TYPES = LARGE_TYPES | {
@@ -46,12 +47,13 @@ STREAM_TYPES = LARGE_TYPES | {
 }
 """Types of sensors that stream as long as they live. On any other topic silence may be what is meant."""
 _OPTIONAL_TRANSPORT = "/compressedDepth"  # image_transport offers it for every image, and sends it for depth only
+_LEAST_PERIODS = 3
 _DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _OF_EVERY_NODE = frozenset({"/rosout", "/parameter_events"})
 
 Severity = Literal["critical", "warning"]
 Verdict = Literal["HEALTHY", "DEGRADED", "CRITICAL"]
-State = Literal["OK", "MISSING", "SILENT", "STOPPED", "SLOW", "QUIET", "NOT MEASURED"]
+State = Literal["OK", "MISSING", "SILENT", "STOPPED", "INTERRUPTED", "SLOW", "QUIET", "NOT MEASURED"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,7 @@ class Finding:
 class TopicRow:
     """A topic in the table. `QUIET` is silence that is no fault by itself: of commands, events, latched data.
 
-    `STOPPED`: it came, and then no more for over a second and ten periods.
+    `INTERRUPTED`: messages came, then none for over a second and ten periods; `STOPPED` if none came after that.
     """
 
     topic_name: str
@@ -96,9 +98,9 @@ class Health:
     """A report on the robot.
 
     `CRITICAL`: something expected is missing or silent, or diagnostics report an error. `DEGRADED`: a sensor is silent,
-    has stopped or is slow, endpoints cannot match, nodes share a name, or diagnostics warn. Topics that nobody listens
-    to, or nobody publishes on, are told but are no fault by themselves. A `rate_hz` of null: fewer than two messages
-    came.
+    has stopped, was interrupted or is slow, endpoints cannot match, nodes share a name, or diagnostics warn; of a
+    recording also if they reported something that was over before its end. Topics that nobody listens to, or nobody
+    publishes on, are told but are no fault by themselves. A `rate_hz` of null: fewer than two messages came.
     `counts` tells how many there are where a list is cut; the worst come first.
     """
 
@@ -119,21 +121,25 @@ class Health:
 
 
 @dataclass(frozen=True, slots=True)
+class Silence:
+    """A time without messages after some had come, from a Unix time on; `is_end` if none came after it."""
+
+    from_ns: int
+    duration_s: float
+    is_end: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Flow:
     """What came on one topic in the time of measuring.
 
-    `most_hz` is the highest rate that its silences allow, `silence_s` how long nothing had come at the end.
+    `most_hz` is the highest rate that its silences allow. `silence` is where a stream was interrupted for longest.
     """
 
     count: int
     rate_hz: float | None
     most_hz: float
-    silence_s: float
-
-    @property
-    def has_stopped(self) -> bool:
-        """Whether it came, and then no more."""
-        return bool(self.rate_hz) and self.silence_s > max(STOPPED_PERIODS / self.rate_hz, STOPPED_S)
+    silence: Silence | None = None
 
 
 async def check_health(source: Source, expected: Expectations, report: Report = silent) -> Health:
@@ -153,18 +159,18 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
     )
     if any(_missing(scene, expected)):  # it may only just have appeared
         scene = await source.scene()
-    diagnostics = await asyncio.to_thread(_reported, [each for each in reported if isinstance(each, Window)])
+    told = await asyncio.to_thread(_reported, [each for each in reported if isinstance(each, Window)])
     flows = {window.topic: flow(window) for window in measured if isinstance(window, Window)}
     failed = [each for each in measured if isinstance(each, Missing)]
-    return _judge(source.words, scene, expected, flows, diagnostics, _note(scene, skipped, failed))
+    return _judge(source.words, scene, expected, flows, told, _note(scene, skipped, failed))
 
 
-def _reported(windows: Sequence[Window]) -> list[Diagnostic]:
+def _reported(windows: Sequence[Window]) -> DiagnosticTable:
     table = DiagnosticTable()
     for window in windows:
         for sample in window.samples if window.type == _DIAGNOSTICS_TYPE else ():
             table.take(window.decode(sample), sample.received_ns)
-    return table.rows
+    return table
 
 
 def _normalized(expected: Expectations) -> Expectations:
@@ -189,13 +195,26 @@ def to_measure(scene: Scene, expected: Expectations) -> tuple[list[str], list[st
 
 
 def flow(window: Window) -> Flow:
-    """The rate of a window's messages, and the highest that its longest silence allows."""
+    """The rate of a window's messages, the highest that its longest silence allows, and where it was interrupted."""
     times = [(sample.received_ns - window.start_ns) / 1e9 for sample in window.samples]
     edges = [0.0, *times, window.duration_s]
     longest = max(later - earlier for earlier, later in pairwise(edges))
     span = times[-1] - times[0] if len(times) > 1 else 0.0
     rate_hz = (len(times) - 1) / span if span > 0 else None
-    return Flow(len(times), rate_hz, 1 / longest if longest > 0 else 0.0, edges[-1] - edges[-2])
+    return Flow(len(times), rate_hz, 1 / longest if longest > 0 else 0.0, _interruption(window))
+
+
+def _interruption(window: Window) -> Silence | None:
+    """The longest silence after a message, if it is long for this stream."""
+    received_ns = [sample.received_ns for sample in window.samples]
+    periods_s = [(later - earlier) / 1e9 for earlier, later in pairwise([*received_ns, window.end_ns])]
+    if len(periods_s) < _LEAST_PERIODS:
+        return None
+    longest_s = max(periods_s)
+    last = len(periods_s) - 1 - periods_s[::-1].index(longest_s)
+    if longest_s <= max(STOPPED_PERIODS * median(periods_s), STOPPED_S):
+        return None
+    return Silence(received_ns[last], longest_s, is_end=last == len(periods_s) - 1)
 
 
 def _judge(
@@ -203,15 +222,17 @@ def _judge(
     scene: Scene,
     expected: Expectations,
     flows: Mapping[str, Flow],
-    diagnostics: Sequence[Diagnostic],
+    told: DiagnosticTable,
     note: str,
 ) -> Health:
+    diagnostics = told.rows
     rows = [_row(scene, name, flows.get(name), expected) for name in sorted({*scene.topics, *expected.topics})]
     findings = [
         *_missing(scene, expected),
         *(finding for row in rows for finding in _flow_finding(scene, row, flows.get(row.topic_name), expected)),
         *_graph_findings(scene),
         *(_diagnosis(status) for status in diagnostics if status.level != "OK"),
+        *(map(_past, told.past) if is_recorded(source) else ()),
     ]
     findings.sort(key=lambda finding: finding.severity)  # critical before warning
     severities = {finding.severity for finding in findings}
@@ -267,8 +288,8 @@ def _state(found: TopicEndpoints, measured: Flow | None, is_expected: bool, min_
         return "SILENT" if is_expected or _streams(found) else "QUIET"
     if _is_latched(found) or not (is_expected or _streams(found)):
         return "OK"
-    if measured.has_stopped:
-        return "STOPPED"
+    if measured.silence:
+        return "STOPPED" if measured.silence.is_end else "INTERRUPTED"
     rate_hz = measured.most_hz if measured.rate_hz is None else measured.rate_hz
     return "SLOW" if rate_hz < RATE_TOLERANCE * min_rate_hz else "OK"
 
@@ -292,18 +313,25 @@ def _missing(scene: Scene, expected: Expectations) -> Iterator[Finding]:
 
 
 def _flow_finding(scene: Scene, row: TopicRow, measured: Flow | None, expected: Expectations) -> Iterator[Finding]:
-    if row.state in ("SILENT", "STOPPED"):
+    if row.state in ("SILENT", "STOPPED", "INTERRUPTED"):
         by = ", ".join(sorted({each.node for each in scene.topics[row.topic_name].publishers}))
         advice = f"Look at {by}: its device, parameters and log."
         problem = f"Published by {by}, but nothing came."
-        if measured and measured.has_stopped:
-            problem = f"It has stopped: {row.rate_hz:.2f} Hz, then nothing in the last {measured.silence_s:.1f} s."
+        if measured and measured.silence:
+            problem = _interrupted(measured.silence)
         yield Finding("critical" if row.expected else "warning", row.topic_name, problem, advice)
     elif row.state == "SLOW":
         rate = "fewer than two messages came" if row.rate_hz is None else f"{row.rate_hz:.2f} Hz"
         problem = f"Slow: {rate}, at least {expected.min_rate_hz:g} Hz expected."
         advice = "Look at its publisher's load and rate parameter, or lower min_expected_rate_hz."
         yield Finding("warning", row.topic_name, problem, advice)
+
+
+def _interrupted(silence: Silence) -> str:
+    since = f"from {iso_time(silence.from_ns)} on"
+    if silence.is_end:
+        return f"It has stopped: nothing in the last {silence.duration_s:.1f} s, {since}."
+    return f"It was interrupted: nothing for {silence.duration_s:.1f} s {since}."
 
 
 def _graph_findings(scene: Scene) -> Iterator[Finding]:
@@ -322,6 +350,11 @@ def _graph_findings(scene: Scene) -> Iterator[Finding]:
 def _diagnosis(status: Diagnostic) -> Finding:
     severity: Severity = "critical" if status.level == "ERROR" else "warning"
     return Finding(severity, status.name, f"Diagnostics say {status.level}: {status.message}.", "See its values.")
+
+
+def _past(status: Diagnostic) -> Finding:
+    problem = f"Diagnostics said {status.level} at {status.received_at}: {status.message}."
+    return Finding("warning", status.name, problem, "It has become better since.")
 
 
 def _note(scene: Scene, skipped: Sequence[str], failed: Sequence[Missing]) -> str:

@@ -111,6 +111,8 @@ class Memory:
         for path in paths if name.strip("./") else ():
             if os.path.lexists(path):
                 return path
+        if name == BLACK_BOX:
+            raise NotFound("This server keeps no black box.", "It does with the option --black-box.")
         raise NotFound(
             f"There is no bag {name!r} in {self.bag_dir}.",
             did_you_mean(name, list(self.bag_names()), "ros2_bag_list shows what can be read."),

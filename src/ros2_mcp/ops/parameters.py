@@ -132,6 +132,8 @@ async def dump(robot: Robot, node: str, wanted: Sequence[str] | None = None) -> 
 async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atomic: bool = False) -> SetResult:
     """Sets parameters, after each value has been converted to the declared type; reads them back.
 
+    A read-only parameter may be among them with the value that it has, as in what was read.
+
     Raises:
         NotFound: if the node is not there.
         BadValue: if a value is not of its parameter's type or out of its range, or the parameter is read-only or not
@@ -140,14 +142,19 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
     node = names.absolute(node, "node")
     if not values:
         raise BadInput("No parameters are given.", 'Give an object such as {"max_speed": 0.5}.')
-    messages = await _messages(robot, node, values)
+    try:
+        messages = await _messages(robot, node, values)
+    except BadValue as error:
+        raise BadValue("", error.message, f"{error.hint} Nothing was set.".lstrip()) from error
     service = "set_parameters_atomically" if atomic else "set_parameters"
     response = await _call(robot, node, service, {"parameters": messages})
-    results = [response["result"]] * len(values) if atomic else response["results"]
+    results = [response["result"]] * len(messages) if atomic else response["results"]
+    result_of = {message["name"]: result for message, result in zip(messages, results, strict=True)}
     now = {parameter.name: parameter.value for parameter in await _read(robot, node, list(values))}
+    kept = {"successful": True, "reason": "it is read-only and has this value"}
     ones = [
         SetOne(name, result["successful"], result["reason"], now.get(name))
-        for name, result in zip(values, results, strict=True)
+        for name, result in ((name, result_of.get(name, kept)) for name in values)
     ]
     return SetResult(node, all(one.successful for one in ones), atomic, ones)
 
@@ -159,7 +166,16 @@ async def _messages(robot: Robot, node: str, values: Mapping[str, Any]) -> list[
         if name not in declared and not await _allows_undeclared(robot, node, name):
             hint = names.did_you_mean(name, known, f"It has: {', '.join(known[:20])}.")
             raise BadValue(name, f"{node} has no such parameter.", hint)
-    return [{"name": name, "value": _checked(name, value, declared.get(name))} for name, value in values.items()]
+    return [
+        {"name": name, "value": _checked(name, value, declared.get(name))}
+        for name, value in values.items()
+        if not _is_kept(value, declared.get(name))
+    ]
+
+
+def _is_kept(value: Any, parameter: Parameter | None) -> bool:
+    """Whether a read-only parameter is given the value that it has."""
+    return parameter is not None and parameter.read_only and bool(value == parameter.value)
 
 
 def _checked(name: str, value: Any, parameter: Parameter | None) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from ros2_mcp.model.pictures import Picture
 Report = Callable[[float, float, str], Awaitable[None]]
 """Told of progress: done so far, the whole, and a readable line."""
 
-_LINE_PART = 60
+_LINE_PART = 120
 
 HIDDEN = {"hidden": True}
 """Metadata of a result's field that is not part of its JSON, such as a picture."""

@@ -29,6 +29,8 @@ _MOST_SAMPLES = 3
 _GRID = 2000
 _NEAR_BEST = 0.98
 _ROUNDING = 1e-28
+_ROUNDING_STEP = 1e-5
+"""A step that is smaller than this part of the largest value is no jump of a robot, but of its arithmetic."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +96,8 @@ def jumps(times: Numbers, values: Numbers) -> list[Jump]:
     size = np.abs(steps)
     usual = _MAD_TO_SIGMA * float(np.median(np.abs(steps - np.median(steps))))
     if float(np.median(size)) > 0:
-        large = size > JUMP_FACTOR * max(usual, float(np.median(size)))
+        rounding = _ROUNDING_STEP * float(np.abs(values).max())
+        large = size > max(JUMP_FACTOR * max(usual, float(np.median(size))), rounding)
     else:
         large = size > 0
         if np.count_nonzero(large) > max(1, len(steps) // 100):

@@ -62,6 +62,8 @@ class Stopped:
 
     def summary(self) -> str:
         """One line."""
+        if not (self.repeats_stopped or self.relays_stopped or self.topics or self.goals):
+            return f"Nothing was stopped. {self.note}"
         cancelled = sum(goal.cancelled for goal in self.goals)
         return (
             f"{'Stopped' if self.confirmed else 'NOT confirmed'}: {self.repeats_stopped} repeated publication(s) and "
@@ -94,7 +96,7 @@ def _is_still(topic: StoppedTopic) -> bool:
 
 def _note(streams: int, topics: Sequence[StoppedTopic], ended: Sequence[StoppedGoal]) -> str:
     if not (streams or topics or ended):
-        return "This server had nothing in motion."
+        return "This server had nothing in motion; what others have set in motion goes on."
     unheard = [topic.topic_name for topic in topics if not topic.subscribers and not topic.error]
     errors = [entry.error for entry in (*topics, *ended) if entry.error]
     running = [f"Goal {goal.goal_id} has not ended yet." for goal in ended if not goal.confirmed and not goal.error]

@@ -6,12 +6,13 @@ import asyncio
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from time import monotonic
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.samples import Sample, header_stamp_ns
-from ros2_mcp.ops.results import Report, is_recorded, silent
+from ros2_mcp.ops.results import Report, is_recorded, iso_time, silent
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.window import Source, Stream
@@ -164,7 +165,18 @@ def _note(stream: Stream, flow: Flow, duration_s: float, silence_s: float, same_
         return "Nobody publishes on it."
     if not flow.sizes:
         return f"Published by {stream.nodes[0]}, but silent for {duration_s:g} s."
-    notes = [f"It has stopped: nothing came in the last {silence_s:.3g} s."] if silence_s else []
+    notes = [f"It has stopped: nothing came in the last {silence_s:.3g} s."] if silence_s else _interruption(flow)
     if flow.ages_s and not same_clock:
         notes.append("Its stamps are not from this clock (simulated time?), so ages are left out.")
     return " ".join(notes)
+
+
+def _interruption(flow: Flow) -> list[str]:
+    """When the longest silence between two messages was, if it was a long one."""
+    pairs = list(pairwise(flow.received_ns))
+    earlier, later = max(pairs, key=lambda pair: pair[1] - pair[0], default=(0, 0))
+    silence_s = (later - earlier) / 1e9
+    usual_s = statistics.median((b - a) / 1e9 for a, b in pairs) if pairs else 0.0
+    if len(pairs) <= 2 or silence_s <= max(_GAP_FACTOR * usual_s, _SILENCE_S):
+        return []
+    return [f"The longest silence is {silence_s:.3g} s from {iso_time(earlier)} on."]

@@ -56,7 +56,9 @@ async def ros2_health_check(
     expected_topics: Names = None,
     expected_services: Names = None,
     expected_nodes: Names = None,
-    check_rates: Annotated[Flag, Field(description="Listen to topics; else look at the graph only.")] = True,
+    check_rates: Annotated[
+        Flag, Field(description="Listen to topics; else look at the graph and diagnostics only.")
+    ] = True,
     rate_check_duration_sec: Annotated[Number, Field(ge=0.5, le=60, description="Listen for this long.")] = 3.0,
     min_expected_rate_hz: Annotated[Number, Field(ge=0, le=1000, description="Of sensors and expected topics.")] = 1.0,
     bag: FromBag = "",

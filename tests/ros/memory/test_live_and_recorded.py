@@ -226,7 +226,7 @@ def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
             "lidar: status",
         ]
         stopped = next(each["problem"] for each in health["findings"] if each["subject"] == "/scan")
-        assert re.fullmatch(r"It has stopped: \d+\.\d+ Hz, then nothing in the last \d+\.\d s\.", stopped)
+        assert re.match(r"It has stopped: nothing in the last \d+\.\d s, from ", stopped)
         (scan,) = call("ros2_topic_stats", topic_names=["/scan"])["topics"]
         assert "It has stopped" in scan["note"] and scan["longest_gap_s"] > 1.9
         end = call("ros2_health_check", start="last 1.5 s")

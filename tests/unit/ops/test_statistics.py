@@ -103,6 +103,12 @@ def test_a_jump_is_told_with_its_time(window: Make) -> None:
     assert only(floats(window, times, values)).anomalies == [f"jump from {values[59]:g} to {values[60]:g} at 3.000 s"]
 
 
+def test_what_is_only_the_rounding_of_a_robot_that_rests_is_no_jump(window: Make) -> None:
+    times = np.arange(0, 5, 0.05)
+    values = -1.34219 + np.where(times < 2, 3e-8, 0.0) + 1e-12 * np.random.default_rng(6).normal(0, 1, 100)
+    assert not any("jump" in line for line in only(floats(window, times, values)).anomalies)
+
+
 @pytest.mark.parametrize(
     "values",
     [
