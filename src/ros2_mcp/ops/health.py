@@ -10,13 +10,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from statistics import median
 from typing import Literal
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.ops.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
 from ros2_mcp.ops.results import Report, is_recorded, iso_time, silent
+from ros2_mcp.ops.silence import Silence, silence_in
 from ros2_mcp.ops.topics import mismatches
 from ros2_mcp.ops.window import Missing, Scene, Source, Window
 from ros2_mcp.robot import TopicEndpoints
@@ -47,7 +47,6 @@ STREAM_TYPES = LARGE_TYPES | {
 }
 """Types of sensors that stream as long as they live. On any other topic silence may be what is meant."""
 _OPTIONAL_TRANSPORT = "/compressedDepth"  # image_transport offers it for every image, and sends it for depth only
-_LEAST_PERIODS = 3
 _DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 _OF_EVERY_NODE = frozenset({"/rosout", "/parameter_events"})
 
@@ -121,19 +120,10 @@ class Health:
 
 
 @dataclass(frozen=True, slots=True)
-class Silence:
-    """A time without messages after some had come, from a Unix time on; `is_end` if none came after it."""
-
-    from_ns: int
-    duration_s: float
-    is_end: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Flow:
     """What came on one topic in the time of measuring.
 
-    `most_hz` is the highest rate that its silences allow. `silence` is where a stream was interrupted for longest.
+    `most_hz` is the highest rate that its silences allow. `silence` is where a stream stopped or was interrupted.
     """
 
     count: int
@@ -201,20 +191,9 @@ def flow(window: Window) -> Flow:
     longest = max(later - earlier for earlier, later in pairwise(edges))
     span = times[-1] - times[0] if len(times) > 1 else 0.0
     rate_hz = (len(times) - 1) / span if span > 0 else None
-    return Flow(len(times), rate_hz, 1 / longest if longest > 0 else 0.0, _interruption(window))
-
-
-def _interruption(window: Window) -> Silence | None:
-    """The longest silence after a message, if it is long for this stream."""
     received_ns = [sample.received_ns for sample in window.samples]
-    periods_s = [(later - earlier) / 1e9 for earlier, later in pairwise([*received_ns, window.end_ns])]
-    if len(periods_s) < _LEAST_PERIODS:
-        return None
-    longest_s = max(periods_s)
-    last = len(periods_s) - 1 - periods_s[::-1].index(longest_s)
-    if longest_s <= max(STOPPED_PERIODS * median(periods_s), STOPPED_S):
-        return None
-    return Silence(received_ns[last], longest_s, is_end=last == len(periods_s) - 1)
+    silence = silence_in(received_ns, window.end_ns, STOPPED_PERIODS, STOPPED_S)
+    return Flow(len(times), rate_hz, 1 / longest if longest > 0 else 0.0, silence)
 
 
 def _judge(

@@ -6,13 +6,13 @@ import asyncio
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from time import monotonic
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.samples import Sample, header_stamp_ns
 from ros2_mcp.ops.results import Report, is_recorded, iso_time, silent
+from ros2_mcp.ops.silence import Silence, silence_in
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.window import Source, Stream
@@ -133,9 +133,8 @@ def _evaluate(stream: Stream, flow: Flow, duration_s: float) -> TopicStats:
     periods = [(later - earlier) / 1e9 for earlier, later in zip(flow.received_ns, flow.received_ns[1:], strict=False)]
     median = statistics.median(periods) if periods else 0.0
     gaps = [period for period in periods if period > _GAP_FACTOR * median] if len(periods) > 2 else []
-    silence_s = (stream.end_ns() - flow.received_ns[-1]) / 1e9 if len(periods) > 2 else 0.0
-    has_stopped = silence_s > max(_GAP_FACTOR * median, _SILENCE_S)
-    gaps += [silence_s] if has_stopped else []
+    silence = silence_in(flow.received_ns, stream.end_ns(), _GAP_FACTOR, _SILENCE_S)
+    gaps += [silence.duration_s] if silence and silence.is_end else []
     span = sum(periods)
     same_clock = bool(flow.ages_s) and abs(statistics.fmean(flow.ages_s)) < _OTHER_CLOCK_S
     return TopicStats(
@@ -156,27 +155,22 @@ def _evaluate(stream: Stream, flow: Flow, duration_s: float) -> TopicStats:
         age_max_s=max(flow.ages_s) if same_clock else None,
         lost=counts.lost,
         dropped=counts.dropped,
-        note=_note(stream, flow, duration_s, silence_s if has_stopped else 0.0, same_clock),
+        note=_note(stream, flow, duration_s, silence, same_clock),
     )
 
 
-def _note(stream: Stream, flow: Flow, duration_s: float, silence_s: float, same_clock: bool) -> str:
+def _note(stream: Stream, flow: Flow, duration_s: float, silence: Silence | None, same_clock: bool) -> str:
     if not stream.publishers:
         return "Nobody publishes on it."
     if not flow.sizes:
         return f"Published by {stream.nodes[0]}, but silent for {duration_s:g} s."
-    notes = [f"It has stopped: nothing came in the last {silence_s:.3g} s."] if silence_s else _interruption(flow)
+    notes = [_in_words(silence)] if silence else []
     if flow.ages_s and not same_clock:
         notes.append("Its stamps are not from this clock (simulated time?), so ages are left out.")
     return " ".join(notes)
 
 
-def _interruption(flow: Flow) -> list[str]:
-    """When the longest silence between two messages was, if it was a long one."""
-    pairs = list(pairwise(flow.received_ns))
-    earlier, later = max(pairs, key=lambda pair: pair[1] - pair[0], default=(0, 0))
-    silence_s = (later - earlier) / 1e9
-    usual_s = statistics.median((b - a) / 1e9 for a, b in pairs) if pairs else 0.0
-    if len(pairs) <= 2 or silence_s <= max(_GAP_FACTOR * usual_s, _SILENCE_S):
-        return []
-    return [f"The longest silence is {silence_s:.3g} s from {iso_time(earlier)} on."]
+def _in_words(silence: Silence) -> str:
+    if silence.is_end:
+        return f"It has stopped: nothing came in the last {silence.duration_s:.3g} s."
+    return f"The longest silence is {silence.duration_s:.3g} s from {iso_time(silence.from_ns)} on."

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agent import Agent, Refusal
+from agent import Agent, Refusal, until
 
 TOOL = "ros2_get_messages"
 
@@ -51,11 +50,3 @@ def kept(agent: Agent, count: int) -> Any:
     except Refusal:
         return None
     return answer if answer["found"] >= count else None
-
-
-def until(check: Callable[[], Any], seconds: float = 30.0) -> Any:
-    deadline = time.monotonic() + seconds
-    while not (found := check()):
-        assert time.monotonic() < deadline, "it never came true"
-        time.sleep(0.1)
-    return found

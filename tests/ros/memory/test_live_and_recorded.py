@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from agent import Agent
+from agent import Agent, until
 from raw_server import RawServer
 from standstill import undisturbed
 
@@ -61,14 +61,6 @@ def check_that_numbers_are_the_same(live: dict[str, Any], ask: Callable[..., dic
         if not missing:
             return
     assert not missing, numbers(ask(topic_names=TOPICS, **window_of(live)))
-
-
-def until(check: Callable[[], Any], patience_s: float = 30.0) -> Any:
-    deadline = time.monotonic() + patience_s
-    while not (found := check()):
-        assert time.monotonic() < deadline, "it never came true"
-        time.sleep(0.05)
-    return found
 
 
 def has_begun(agent: Agent, recording: str, topics: list[str]) -> bool:

@@ -6,14 +6,13 @@ import importlib
 import os
 import signal
 import subprocess
-import time
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from agent import FULL, Agent
+from agent import FULL, Agent, until
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from test_msgs.message_fixtures import get_test_msg
@@ -25,14 +24,6 @@ StartPeer = Callable[..., "subprocess.Popen[str]"]
 COMMON = "actionlib diagnostic geometry nav sensor shape std stereo trajectory visualization".split()  # noqa: SIM905
 COMMANDS = {"/t/geometry_msgs/Twist", "/t/geometry_msgs/TwistStamped"}
 PACKAGES = ("test_msgs", *(f"{name}_msgs" for name in (COMMON if FULL else ("nav", "shape"))))
-
-
-def until(check: Callable[[], Any], seconds: float = 30.0) -> Any:
-    deadline = time.monotonic() + seconds
-    while not (found := check()):
-        assert time.monotonic() < deadline, "it never came true"
-        time.sleep(0.1)
-    return found
 
 
 def bodies(path: Path) -> dict[str, list[bytes]]:

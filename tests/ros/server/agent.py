@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
@@ -21,6 +21,15 @@ FULL = bool(os.environ.get("ROS2_MCP_FULL"))
 CALL_S = 60.0
 DISCOVERY_S = 30.0
 """Two participants that have just started may need several seconds to know all of each other."""
+
+
+def until(check: Callable[[], Any], seconds: float = 30.0) -> Any:
+    """What the check gives, as soon as that is true."""
+    deadline = time.monotonic() + seconds
+    while not (found := check()):
+        assert time.monotonic() < deadline, "it never came true"
+        time.sleep(0.05)
+    return found
 
 
 class Refusal(Exception):

@@ -70,6 +70,12 @@ def test_a_sensor_that_was_interrupted_degrades_and_it_is_told_when(window: Make
     assert found.findings[0].problem.startswith("It was interrupted: nothing for 3.0 s from ")
 
 
+def test_a_sensor_that_stopped_has_stopped_although_it_was_interrupted_for_longer_before(window: Make) -> None:
+    times = [at / 20 for at in (*range(1, 40), *range(140, 180))]
+    found = check([LIDAR], [window("/scan", SCAN, [(at, {}) for at in times], 12.0)])
+    assert found.topics[0].state == "STOPPED"
+
+
 def test_of_a_recording_it_is_told_what_a_component_said_that_is_well_again(window: Make) -> None:
     said = [(at, {"status": [{"level": level, "name": "lidar", "message": text}]}) for at, level, text in PASSING]
     there = topic("/diagnostics", [endpoint("/lidar", DIAGNOSTICS)])
