@@ -8,12 +8,12 @@ from pathlib import Path
 from time import monotonic
 
 from ros2_mcp.bags.latched import LatchedTopic
+from ros2_mcp.bags.qos import is_latched
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
 
 _PARTS = 16
-_LATCHED = "durability: 1"
 _CHANNEL_BYTES = 500
 """At most what a topic needs in a file beside its messages, definition and QoS, all of it twice."""
 
@@ -51,7 +51,7 @@ class RingWriter:
     def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
         """A topic that messages may follow for; of a latched one the last messages are in every file."""
         self._topics[topic.name] = topic
-        if _LATCHED in topic.qos:
+        if is_latched(topic.qos):
             self._latched.setdefault(topic.name, LatchedTopic(self._part_bytes // _PARTS))
         self._hashes[topic.name] = type_hash
         self.counts.setdefault(topic.name, 0)

@@ -1,4 +1,4 @@
-"""The folder that rosbag2 makes of a recording: `metadata.yaml` beside the files, and its text for QoS."""
+"""The folder that rosbag2 makes of a recording: `metadata.yaml` beside the files."""
 
 from __future__ import annotations
 
@@ -13,17 +13,10 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from ros2_mcp.bags.stored import StoredTopic
-from ros2_mcp.model.qos import QoS
 
 METADATA = "metadata.yaml"
 VERSION = 8
 """Of the metadata: the one of Iron, whose integers for QoS every later distribution reads too."""
-_INFINITE = (9223372036, 854775807)
-_HISTORY = {"keep_last": 1, "keep_all": 2}
-_RELIABILITY = {"reliable": 1, "best_effort": 2}
-_DURABILITY = {"transient_local": 1, "volatile": 2}
-_LIVELINESS = {"automatic": 1, "manual_by_topic": 3}
-_UNKNOWN = {"history": 3, "reliability": 3, "durability": 3, "liveliness": 4}
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +38,6 @@ class FolderFacts:
     compression_mode: str
     compression_format: str
     distro: str
-
-
-def qos_text(profiles: Sequence[QoS]) -> str:
-    """The publishers' QoS as rosbag2 keeps it (YAML with the numbers of `rmw`)."""
-    return _dumped([_profile(qos) for qos in profiles]) if profiles else ""
 
 
 def write_metadata(folder: Path, topics: Sequence[tuple[StoredTopic, str]], files: Sequence[FilePart]) -> None:
@@ -127,25 +115,6 @@ def _topic(topic: StoredTopic, type_hash: str) -> dict[str, Any]:
         },
         "message_count": topic.count or 0,
     }
-
-
-def _profile(qos: QoS) -> dict[str, Any]:
-    return {
-        "history": _HISTORY.get(qos.history, _UNKNOWN["history"]),
-        "depth": qos.depth or 0,
-        "reliability": _RELIABILITY.get(qos.reliability, _UNKNOWN["reliability"]),
-        "durability": _DURABILITY.get(qos.durability, _UNKNOWN["durability"]),
-        "deadline": _time(qos.deadline_ns),
-        "lifespan": _time(qos.lifespan_ns),
-        "liveliness": _LIVELINESS.get(qos.liveliness, _UNKNOWN["liveliness"]),
-        "liveliness_lease_duration": _time(qos.liveliness_lease_ns),
-        "avoid_ros_namespace_conventions": False,
-    }
-
-
-def _time(duration_ns: int | None) -> dict[str, int]:
-    sec, nsec = _INFINITE if duration_ns is None else divmod(duration_ns, 1_000_000_000)
-    return {"sec": sec, "nsec": nsec}
 
 
 def _dumped(value: object) -> str:

@@ -365,8 +365,9 @@ async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[s
 
 
 def _qos(topic: StoredTopic) -> QoS:
-    latched = "durability: 1" in topic.qos or "durability: transient_local" in topic.qos
-    return QoS("reliable", "transient_local" if latched else "volatile", depth=100)
+    from ros2_mcp.bags.qos import is_latched
+
+    return QoS("reliable", "transient_local" if is_latched(topic.qos) else "volatile", depth=100)
 
 
 def _next_batch(messages: Iterator[tuple[str, Sample]]) -> list[tuple[str, Sample]]:

@@ -29,7 +29,6 @@ MAX_SAMPLES = 200_000
 _BATCH = 256
 _BATCH_BYTES = 8_000_000
 _RECORDED = "(recorded)"
-_LATCHED = ("durability: 1", "durability: transient_local")
 
 
 class BagSource:
@@ -233,12 +232,16 @@ def _last(bag: Bag, topic: StoredTopic, span: Span, most: int) -> Iterator[Sampl
 
 
 def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
-    if not any(word in topic.qos for word in _LATCHED):
+    from ros2_mcp.bags.qos import is_latched
+
+    if not is_latched(topic.qos):
         return []
     return bag.last(topic.name, len(_publishers(topic)), replace(span, start_ns=0, end_ns=span.start_ns))
 
 
 def _publishers(topic: StoredTopic) -> list[Endpoint]:
-    durability = "transient_local" if any(word in topic.qos for word in _LATCHED) else "volatile"
-    profiles = max(topic.qos.count("history:"), 1)
-    return [Endpoint(_RECORDED, topic.type, "", "", QoS("unknown", durability, depth=None))] * profiles
+    from ros2_mcp.bags.qos import is_latched, parse_qos
+
+    durability = "transient_local" if is_latched(topic.qos) else "volatile"
+    publishers = max(len(parse_qos(topic.qos)), 1)
+    return [Endpoint(_RECORDED, topic.type, "", "", QoS("unknown", durability, depth=None))] * publishers

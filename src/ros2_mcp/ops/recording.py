@@ -291,7 +291,7 @@ class Recording:
         return self._robot.listen(name, joined.type, max_bytes=_WAITING_BYTES)
 
     def _describe(self, listening: Listening) -> None:
-        from ros2_mcp.bags.rosbag2 import qos_text
+        from ros2_mcp.bags.qos import qos_text
         from ros2_mcp.bags.schema import schema_text
         from ros2_mcp.bags.stored import StoredTopic
 

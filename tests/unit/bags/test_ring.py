@@ -10,9 +10,9 @@ import pytest
 
 from ros2_mcp.bags.bag import Bag
 from ros2_mcp.bags.latched import MOST_MESSAGES, LatchedTopic
+from ros2_mcp.bags.qos import qos_text
 from ros2_mcp.bags.recorder import Limits, Recorder
 from ros2_mcp.bags.ring import RingWriter
-from ros2_mcp.bags.rosbag2 import qos_text
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import MESSAGE_BYTES
 from ros2_mcp.model.qos import QoS

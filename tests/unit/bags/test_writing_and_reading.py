@@ -13,8 +13,8 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from ros2_mcp.bags.bag import Bag
+from ros2_mcp.bags.qos import qos_text
 from ros2_mcp.bags.recorder import Limits, Recorder
-from ros2_mcp.bags.rosbag2 import qos_text
 from ros2_mcp.bags.stored import Span, StoredTopic
 from ros2_mcp.bags.writer import BagWriter, fresh_folder
 from ros2_mcp.model.qos import QoS

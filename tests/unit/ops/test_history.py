@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from made_windows import encoded
 
+from ros2_mcp.bags.qos import qos_text
 from ros2_mcp.bags.recorder import Recorder
 from ros2_mcp.bags.ring import RingWriter
-from ros2_mcp.bags.rosbag2 import qos_text
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.binding import bind

@@ -12,7 +12,7 @@ import pytest
 from made_bridge import MadeBridge, robot_of
 
 from ros2_mcp.bags.bag import Bag
-from ros2_mcp.bags.rosbag2 import qos_text
+from ros2_mcp.bags.qos import qos_text
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound, TypeConflict

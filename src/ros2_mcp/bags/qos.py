@@ -1,0 +1,86 @@
+"""The text in which rosbag2 keeps the QoS of a topic's publishers: YAML, with the numbers or the words of `rmw`.
+
+A module of its own, imported where such a text is read or written: `rosbags.rosbag2` takes 55 ms to import, which
+opening a bag need not pay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+from functools import lru_cache
+from typing import TypeVar
+
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import ReaderError, metadata
+
+from ros2_mcp.model.qos import QoS
+
+_INFINITE = QosTime(9223372036, 854775807)  # 2^63 - 1 ns, as rmw writes it
+_INFINITE_FROM_S = 2147483647  # Fast DDS of earlier distributions wrote 2^31 - 1 s for infinite
+_Policy = TypeVar("_Policy", QosHistory, QosReliability, QosDurability, QosLiveliness)
+
+
+def qos_text(publishers: Sequence[QoS]) -> str:
+    """The publishers' QoS as rosbag2 keeps it; with the numbers, which every distribution since Foxy reads."""
+    return metadata.dump_qos_v8([_to_rosbags(qos) for qos in publishers])
+
+
+@lru_cache(maxsize=256)  # a text takes 2 ms to parse, and the topics of a robot have few different ones
+def parse_qos(text: str) -> tuple[QoS, ...]:
+    """The QoS of each publisher that the topic had, from rosbag2's text; empty if it says nothing, or is damaged."""
+    try:
+        return tuple(_from_rosbags(qos) for qos in metadata.parse_qos(text))
+    except (ReaderError, ValueError, TypeError, KeyError, AttributeError):  # what rosbags raises for other YAML
+        return ()
+
+
+def is_latched(text: str) -> bool:
+    """Whether a publisher of the topic kept its last messages for late subscribers (transient_local)."""
+    return any(qos.durability == "transient_local" for qos in parse_qos(text))
+
+
+def _to_rosbags(qos: QoS) -> Qos:
+    return Qos(
+        _policy(QosHistory, qos.history),
+        qos.depth or 0,
+        _policy(QosReliability, qos.reliability),
+        _policy(QosDurability, qos.durability),
+        _time(qos.deadline_ns),
+        _time(qos.lifespan_ns),
+        _policy(QosLiveliness, qos.liveliness),
+        _time(qos.liveliness_lease_ns),
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def _from_rosbags(qos: Qos) -> QoS:
+    return QoS(
+        reliability=_word(qos.reliability),
+        durability=_word(qos.durability),
+        history=_word(qos.history),
+        depth=qos.depth,
+        deadline_ns=_duration_ns(qos.deadline),
+        lifespan_ns=_duration_ns(qos.lifespan),
+        liveliness=_word(qos.liveliness),
+        liveliness_lease_ns=_duration_ns(qos.liveliness_lease_duration),
+    )
+
+
+def _policy(policies: type[_Policy], word: str) -> _Policy:
+    return policies.__members__.get(word.upper(), policies["UNKNOWN"])
+
+
+def _word(policy: Enum) -> str:
+    return policy.name.lower()
+
+
+def _time(duration_ns: int | None) -> QosTime:
+    return _INFINITE if duration_ns is None else QosTime(*divmod(duration_ns, 1_000_000_000))
+
+
+def _duration_ns(time: QosTime) -> int | None:
+    """None is infinite; so is zero, which rmw writes for a duration that nobody has set."""
+    if time.sec >= _INFINITE_FROM_S or time == (0, 0):
+        return None
+    return time.sec * 1_000_000_000 + time.nsec
