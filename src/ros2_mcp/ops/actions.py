@@ -40,12 +40,11 @@ async def list_actions(robot: Robot, pattern: str = "") -> ActionList:
 
 async def action_types(robot: Robot) -> dict[str, list[str]]:
     """Action → its types, of every action with a server or a client in the graph."""
-    services = (await robot.graph.query("services"))["services"]
     ending = "/_action/send_goal"
     return {
-        name.removesuffix(ending): [kind.removesuffix("_SendGoal") for kind in types]
-        for name, types in services
-        if name.endswith(ending)
+        row.name.removesuffix(ending): [kind.removesuffix("_SendGoal") for kind in row.types]
+        for row in await robot.graph.services()
+        if row.name.endswith(ending)
     }
 
 

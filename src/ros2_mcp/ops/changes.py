@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Iterable, Sequence
+from collections.abc import AsyncGenerator, Sequence
 from contextlib import aclosing, suppress
 from dataclasses import dataclass
 from typing import Any
@@ -78,7 +78,7 @@ class GraphParts:
                 yield None
 
     async def _look(self, robot: Robot) -> list[Any]:
-        return [_outline(part, (await robot.graph.query(part))[part]) for part in self.parts]
+        return [await _outline(robot, part) for part in self.parts]
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,13 +237,14 @@ def _over(robot: Robot, samples: Sequence[Sample]) -> set[str]:
     }
 
 
-def _outline(part: str, entries: Iterable[Sequence[Any]]) -> list[Any]:
-    """What of the graph counts as a change."""
+async def _outline(robot: Robot, part: str) -> list[Any]:
+    """What of a part of the graph counts as a change."""
     if part == "topics":
-        return sorted((name, types, publishers) for name, types, publishers, _ in entries if not is_hidden(name))
+        topics = [row for row in await robot.graph.topics() if not is_hidden(row.name)]
+        return sorted((row.name, row.types, row.publishers) for row in topics)
     if part == "services":
-        return sorted((name, types) for name, types in entries if not is_hidden(name))
-    return sorted(tuple(entry) for entry in entries)
+        return sorted(row for row in await robot.graph.services() if not is_hidden(row.name))
+    return sorted(await robot.graph.nodes())
 
 
 def _now() -> float:

@@ -135,11 +135,10 @@ class DataBlackBox:
 
 async def find_box(robot: Robot) -> DataBlackBox | None:
     """The Data Black Box of the graph; one at `/get_messages` before others, the second generation before the first."""
-    services: Sequence[tuple[str, Sequence[str]]] = (await robot.graph.query("services"))["services"]
     found = [
-        (name != "/get_messages", kind != SECOND_TYPE, name, kind)
-        for name, types in services
-        for kind in types
+        (row.name != "/get_messages", kind != SECOND_TYPE, row.name, kind)
+        for row in await robot.graph.services()
+        for kind in row.types
         if kind in (FIRST_TYPE, SECOND_TYPE)
     ]
     return DataBlackBox(robot, *min(found)[2:]) if found else None

@@ -14,6 +14,7 @@ from typing import Literal
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
+from ros2_mcp.model.graph import OF_EVERY_NODE
 from ros2_mcp.ops.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
 from ros2_mcp.ops.results import Report, is_recorded, iso_time, silent
 from ros2_mcp.ops.silence import Silence, silence_in
@@ -48,7 +49,6 @@ STREAM_TYPES = LARGE_TYPES | {
 """Types of sensors that stream as long as they live. On any other topic silence may be what is meant."""
 _OPTIONAL_TRANSPORT = "/compressedDepth"  # image_transport offers it for every image, and sends it for depth only
 _DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
-_OF_EVERY_NODE = frozenset({"/rosout", "/parameter_events"})
 
 Severity = Literal["critical", "warning"]
 Verdict = Literal["HEALTHY", "DEGRADED", "CRITICAL"]
@@ -215,7 +215,7 @@ def _judge(
     ]
     findings.sort(key=lambda finding: finding.severity)  # critical before warning
     severities = {finding.severity for finding in findings}
-    visible = [row for row in rows if not names.is_hidden(row.topic_name) and row.topic_name not in _OF_EVERY_NODE]
+    visible = [row for row in rows if not names.is_hidden(row.topic_name) and row.topic_name not in OF_EVERY_NODE]
     visible.sort(key=lambda row: (row.state in ("OK", "QUIET", "NOT MEASURED"), not row.expected))
     return Health(
         "CRITICAL" if "critical" in severities else "DEGRADED" if severities else "HEALTHY",
@@ -353,7 +353,7 @@ def _is_published(scene: Scene, topic: str) -> bool:
 
 
 def _is_measured(found: TopicEndpoints) -> bool:
-    is_of_ros = found.topic in _OF_EVERY_NODE or names.is_hidden(found.topic)
+    is_of_ros = found.topic in OF_EVERY_NODE or names.is_hidden(found.topic)
     return bool(found.publishers) and len(found.types) == 1 and not is_of_ros
 
 

@@ -55,7 +55,7 @@ async def list_interfaces(
     """The interfaces installed where the bridge runs."""
     if kind and kind not in KINDS:
         raise BadName(f"{kind!r} is not a kind of interface.", f"Give one of {', '.join(KINDS)}.")
-    every: list[str] = sorted((await robot.graph.ask("interfaces")).ok["interfaces"])
+    every = await robot.graph.interfaces()
     chosen = [
         name
         for name in names.matching(every, pattern)
@@ -96,9 +96,9 @@ async def _full_name(robot: Robot, type_name: str) -> str:
     if text.count("/") == 2:
         return names.interface_type(text, text.split("/")[1])
     candidates = [names.interface_type(text, kind) for kind in KINDS]
-    installed = set((await robot.graph.ask("interfaces")).ok["interfaces"])
+    installed = await robot.graph.interfaces()
     found = [name for name in candidates if name in installed]
     if not found:
-        near = names.did_you_mean(candidates[0], sorted(installed), "ros2_interface_list shows what is there.")
+        near = names.did_you_mean(candidates[0], installed, "ros2_interface_list shows what is there.")
         raise UnknownInterface(f"{type_name} is not installed where the bridge runs.", near)
     return found[0]

@@ -88,9 +88,9 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
 
 
 async def _lifecycle_nodes(robot: Robot) -> list[str]:
-    services = (await robot.graph.query("services"))["services"]
     ending, kind = "/change_state", "lifecycle_msgs/srv/ChangeState"
-    return sorted(name.removesuffix(ending) for name, types in services if name.endswith(ending) and kind in types)
+    services = [row for row in await robot.graph.services() if row.name.endswith(ending)]
+    return sorted(row.name.removesuffix(ending) for row in services if kind in row.types)
 
 
 async def _state_or_error(robot: Robot, node: str) -> LifecycleState:

@@ -112,23 +112,22 @@ class Live:
     async def scene(self) -> Scene:
         """The graph now, without ourselves."""
         graph = self._robot.graph
-        topics = await graph.query("topics")
-        nodes = await graph.query("nodes")
-        services = await graph.query("services")
-        own = self._robot.bridge.nodes
+        topics = await graph.topics()
+        nodes = await graph.nodes()
+        services = await graph.services()
+        own = graph.own_nodes
         limit = asyncio.Semaphore(_ASKED_AT_ONCE)
 
         async def endpoints(topic: str) -> TopicEndpoints:
             async with limit:
                 return _without(own, await self._named(topic))
 
-        found = await asyncio.gather(*(endpoints(str(entry[0])) for entry in topics["topics"]))
-        full_names = [names.full_node_name(name, namespace) for name, namespace in nodes["nodes"]]
+        found = await asyncio.gather(*(endpoints(row.name) for row in topics))
         return Scene(
             {each.topic: each for each in found if each.types},
-            sorted(name for name in full_names if name not in own),
-            sorted(str(name) for name, _ in services["services"]),
-            bool(topics["settled"] and nodes["settled"]),
+            sorted(row.name for row in nodes if row.name not in own),
+            sorted(row.name for row in services),
+            topics.settled and nodes.settled,
         )
 
     async def _named(self, topic: str) -> TopicEndpoints:

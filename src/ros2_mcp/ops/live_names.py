@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
-from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.graph import OF_EVERY_NODE
 from ros2_mcp.robot import Robot
 
 PATIENCE_S = 1.0
 """Nobody who types waits longer."""
-_SETTLING = 0.8
-"""The part of the waiting that discovery may take; then what is known so far is told."""
-_OF_EVERY_NODE = ("/parameter_events", "/rosout")
 _ACTION_SERVICE = "/_action/send_goal"
 
 
@@ -40,34 +37,26 @@ async def live_names(robot: Robot, kind: str, within_s: float = PATIENCE_S) -> l
 async def topic_types(robot: Robot, topic: str) -> list[str]:
     """The types of one topic; nothing where it is not known within `PATIENCE_S`."""
     try:
-        raw = await asyncio.wait_for(_query(robot, "topics", PATIENCE_S), PATIENCE_S)
-        wanted = names.absolute(topic)
+        found = await asyncio.wait_for(robot.graph.topics(PATIENCE_S), PATIENCE_S)
+        full_name = names.absolute(topic)
     except (TimeoutError, asyncio.TimeoutError, RobotError):
         return []
-    found: list[list[str]] = [entry[1] for entry in raw["topics"] if entry[0] == wanted]
-    return found[0] if found else []
+    return [kind for row in found if row.name == full_name for kind in row.types]
 
 
 def is_of_every_node(topic: str) -> bool:
     """Whether every ROS system has the topic, so that it tells nothing of this robot."""
-    return topic in _OF_EVERY_NODE
-
-
-async def _query(robot: Robot, op: str, within_s: float) -> Mapping[str, Any]:
-    return (await robot.graph.ask(op, settle_s=_SETTLING * within_s, timeout_s=within_s)).ok
+    return topic in OF_EVERY_NODE
 
 
 async def _topics(robot: Robot, within_s: float) -> list[str]:
-    visible = [
-        entry[0] for entry in (await _query(robot, "topics", within_s))["topics"] if not names.is_hidden(entry[0])
-    ]
+    visible = [row.name for row in await robot.graph.topics(within_s) if not names.is_hidden(row.name)]
     return sorted(visible, key=lambda name: (is_of_every_node(name), name))
 
 
 async def _services(robot: Robot, within_s: float) -> list[str]:
-    every = (await _query(robot, "services", within_s))["services"]
-    visible = [(name, types[0]) for name, types in every if not names.is_hidden(name)]
-    return [name for name, _ in sorted(visible, key=lambda entry: (_is_infrastructure(entry[1]), entry[0]))]
+    visible = [row for row in await robot.graph.services(within_s) if not names.is_hidden(row.name)]
+    return [row.name for row in sorted(visible, key=lambda row: (_is_infrastructure(row.types[0]), row.name))]
 
 
 def _is_infrastructure(service_type: str) -> bool:
@@ -75,25 +64,24 @@ def _is_infrastructure(service_type: str) -> bool:
 
 
 async def _nodes(robot: Robot, within_s: float) -> list[str]:
-    every = {names.full_node_name(*entry) for entry in (await _query(robot, "nodes", within_s))["nodes"]}
-    return sorted(name for name in every - robot.bridge.nodes if name.startswith("/") and not names.is_hidden(name))
+    every = {row.name for row in await robot.graph.nodes(within_s)}.difference(robot.graph.own_nodes)
+    return sorted(name for name in every if name.startswith("/") and not names.is_hidden(name))
 
 
 async def _actions(robot: Robot, within_s: float) -> list[str]:
-    every = (await _query(robot, "services", within_s))["services"]
-    return sorted(name.removesuffix(_ACTION_SERVICE) for name, _ in every if name.endswith(_ACTION_SERVICE))
+    every = [row.name for row in await robot.graph.services(within_s)]
+    return sorted(name.removesuffix(_ACTION_SERVICE) for name in every if name.endswith(_ACTION_SERVICE))
 
 
 async def _message_types(robot: Robot, within_s: float) -> list[str]:
     """The types that the topics have, then every other message type that is installed."""
-    in_use = sorted({kind for entry in (await _query(robot, "topics", within_s))["topics"] for kind in entry[1]})
+    in_use = sorted({kind for row in await robot.graph.topics(within_s) for kind in row.types})
     installed = [name for name in await _interfaces(robot, within_s) if "/msg/" in name]
     return [*in_use, *(name for name in installed if name not in set(in_use))]
 
 
 async def _interfaces(robot: Robot, within_s: float) -> list[str]:
-    every = (await robot.graph.ask("interfaces", timeout_s=within_s)).ok["interfaces"]
-    return sorted(every)
+    return await robot.graph.interfaces(within_s)
 
 
 _LISTS: Mapping[str, Callable[[Robot, float], Awaitable[list[str]]]] = {

@@ -192,7 +192,7 @@ def has_text(text: str, pattern: str) -> bool:
 async def _listening(robot: Robot) -> None:
     """Begins to listen, if nobody has yet, and gives nodes the time to tell what they said lately."""
     robot.log.start()
-    await robot.bridge.ready()
+    await robot.graph.ready()
     await robot.log.wait_listening(_READY_S)
     await robot.graph.endpoints(TOPIC)  # after discovery has settled
     young_s = (time.time_ns() - robot.log.since_ns) / 1e9

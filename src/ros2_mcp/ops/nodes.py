@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.model.graph import NamedTypes, NodeEndpoints
 from ros2_mcp.robot import Robot
 
 ANSWER_S = 0.4
@@ -77,15 +78,14 @@ class NodeInfo:
 
 async def list_nodes(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> NodeList:
     """The nodes whose full names match the pattern, sorted; our own bridge is left out."""
-    raw = await robot.graph.query("nodes")
-    every = [names.full_node_name(name, namespace) for name, namespace in raw["nodes"]]
-    others = [name for name in every if name not in robot.bridge.nodes]
+    found = await robot.graph.nodes()
+    others = [row.name for row in found if row.name not in robot.graph.own_nodes]
     visible = sorted(name for name in others if include_hidden or not names.is_hidden(name))
     chosen = names.matching(visible, pattern)
     duplicates = [name for name, count in Counter(visible).items() if count > 1]
     notes = [f"{len(chosen)} match, the first {limit} are shown."] if len(chosen) > limit else []
-    notes += ["Discovery had not settled yet: ask again."] if not raw["settled"] else []
-    return NodeList(chosen[:limit], len(visible), raw["settled"], duplicates, " ".join(notes))
+    notes += ["Discovery had not settled yet: ask again."] if not found.settled else []
+    return NodeList(chosen[:limit], len(visible), found.settled, duplicates, " ".join(notes))
 
 
 async def node_info(robot: Robot, node: str) -> NodeInfo:
@@ -94,22 +94,20 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
     Raises:
         NotFound: if no such node is in the graph.
     """
-    name, namespace = names.node_name(node)
+    full = names.absolute(node, "node")
     try:
-        raw = await robot.graph.query("node", name=name, namespace=namespace)
+        found = await robot.graph.node(full)
     except NotFound as error:
         known = await list_nodes(robot, include_hidden=True)
-        full = names.full_node_name(name, namespace)
         hint = names.did_you_mean(full, known.nodes, "ros2_node_list shows what is there.")
         raise NotFound(f"There is no node {full}.", hint) from error
-    full = names.full_node_name(name, namespace)
-    served = {name for name, _ in raw["servers"]}
+    served = {entry.name for entry in found.servers}
     listed, current = await asyncio.gather(
         _ask(robot, served, f"{full}/list_parameters", "rcl_interfaces/srv/ListParameters"),
         _ask(robot, served, f"{full}/get_state", "lifecycle_msgs/srv/GetState"),
     )
     parameters = None if listed is None else len(listed["result"]["names"])
-    return _assemble(full, raw, parameters, None if current is None else current["current_state"]["label"])
+    return _assemble(full, found, parameters, None if current is None else current["current_state"]["label"])
 
 
 async def _ask(robot: Robot, served: set[str], service: str, kind: str) -> dict[str, Any] | None:
@@ -125,18 +123,18 @@ async def _ask(robot: Robot, served: set[str], service: str, kind: str) -> dict[
     return robot.values.render(f"{kind}_Response", answer.body, RenderOptions(exact=True)).value
 
 
-def _assemble(node: str, raw: Mapping[str, Any], parameters: int | None, lifecycle_state: str | None) -> NodeInfo:
-    servers = _offers(raw["servers"])
+def _assemble(node: str, found: NodeEndpoints, parameters: int | None, lifecycle_state: str | None) -> NodeInfo:
+    servers = _offers(found.servers)
     own_parameters = {f"{node}/{service}" for service in _PARAMETER_SERVICES}
     served = {offer.name for offer in servers}
     return NodeInfo(
         node,
-        publishes=_visible(_offers(raw["publishers"])),
-        subscribes=_visible(_offers(raw["subscribers"])),
+        publishes=_visible(_offers(found.publishers)),
+        subscribes=_visible(_offers(found.subscribers)),
         services=[offer for offer in _visible(servers) if offer.name not in own_parameters],
-        service_clients=_visible(_offers(raw["clients"])),
+        service_clients=_visible(_offers(found.clients)),
         actions=_actions(servers),
-        action_clients=_actions(_offers(raw["clients"])),
+        action_clients=_actions(_offers(found.clients)),
         has_parameters=own_parameters <= served,
         is_lifecycle=f"{node}/change_state" in served,
         parameters=parameters,
@@ -144,8 +142,8 @@ def _assemble(node: str, raw: Mapping[str, Any], parameters: int | None, lifecyc
     )
 
 
-def _offers(raw: Sequence[tuple[str, list[str]]]) -> list[Offer]:
-    return [Offer(name, " | ".join(types)) for name, types in sorted(raw)]
+def _offers(rows: Sequence[NamedTypes]) -> list[Offer]:
+    return [Offer(row.name, " | ".join(row.types)) for row in sorted(rows)]
 
 
 def _visible(offers: Sequence[Offer]) -> list[Offer]:

@@ -250,8 +250,7 @@ def _range(descriptor: Mapping[str, Any]) -> dict[str, Any] | None:
 
 async def _time_to_appear(robot: Robot) -> float:
     """How long a service may take to be seen: the younger the bridge, the longer. Services come after their nodes."""
-    uptime_s = float((await robot.graph.ask("stats")).ok["uptime_s"])
-    return max(_APPEAR_S, _DISCOVERY_S - uptime_s)
+    return max(_APPEAR_S, _DISCOVERY_S - (await robot.graph.bridge_status()).uptime_s)
 
 
 async def _call(robot: Robot, node: str, service: str, request: Mapping[str, Any]) -> dict[str, Any]:

@@ -340,7 +340,7 @@ def _check_types(destinations: Collection[tuple[str, str]]) -> None:
 
 
 async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[str, StoredTopic]) -> None:
-    own = robot.bridge.nodes  # it keeps publishers ready that say nothing
+    own = robot.graph.own_nodes  # it keeps publishers ready that say nothing
     ours = {to: each.id for each in playbacks(memory).values() if each.is_running for to in each.destinations}
     ours |= {relay.destination: relay.relay_id for relay in robot.relays.open}
     busy: list[str] = []

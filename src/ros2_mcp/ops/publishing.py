@@ -137,7 +137,7 @@ async def _note(robot: Robot, sent: Sent) -> str:
     notes: list[str] = []
     if not sent.matched:
         there = await robot.graph.endpoints(sent.topic)
-        ours = [publisher for publisher in there.publishers if publisher.node in robot.bridge.nodes]
+        ours = [publisher for publisher in there.publishers if publisher.node in robot.graph.own_nodes]
         reasons = mismatches(ours, there.subscribers)
         notes.append("Nobody received it." if not reasons else f"Nobody received it: {' '.join(reasons)}")
         if not there.subscribers:
@@ -160,6 +160,6 @@ async def _note(robot: Robot, sent: Sent) -> str:
 
 async def _likely_typo(robot: Robot, topic: str) -> str:
     """The topic with subscribers that was most likely meant; nothing if none is near."""
-    listened_to = [name for name, _, _, subscribers in (await robot.graph.query("topics"))["topics"] if subscribers]
+    listened_to = [row.name for row in await robot.graph.topics() if row.subscribers]
     near = names.nearest(topic, [name for name in listened_to if name != topic])
     return f"Did you mean {near}?" if near else ""

@@ -5,16 +5,17 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ros2_mcp.guard.policy import Policy
-from ros2_mcp.link.client import Bridge, Reply
+from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.errors import RosNotFound, UnknownInterface
+from ros2_mcp.model.graph import Rows, TopicEndpoints, TopicRow
 from ros2_mcp.model.names import defining_type, did_you_mean
 from ros2_mcp.ops.bags import definitions_of
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.recorded import open_source
-from ros2_mcp.robot import Robot, TopicEndpoints
+from ros2_mcp.robot import Robot
 from ros2_mcp.robot.graph import REQUEST_S, Graph
 from ros2_mcp.robot.values import Values
 
@@ -44,20 +45,20 @@ class RecordedGraph(Graph):
         super().__init__(bridge)
         self._memory = memory
 
-    async def ask(self, op: str, body: bytes = b"", *, timeout_s: float = REQUEST_S, **arguments: Any) -> Reply:
-        """Answers `topics` and `interfaces`; for anything else there is no robot."""
-        if op == "topics":
-            topics = [[each.topic, each.types, len(each.publishers), 0] for each in (await self._topics()).values()]
-            return Reply({"topics": topics, "settled": True}, b"")
-        if op == "interfaces":
-            return Reply({"interfaces": sorted(await recorded_definitions(self._memory))}, b"")
-        return await super().ask(op, body, timeout_s=timeout_s, **arguments)
+    async def topics(self, within_s: float | None = None) -> Rows[TopicRow]:  # noqa: ARG002 - nothing has to settle
+        """The recorded topics."""
+        recorded = (await self._recorded_topics()).values()
+        return Rows([TopicRow(found.topic, found.types, len(found.publishers), 0) for found in recorded], settled=True)
+
+    async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:  # noqa: ARG002 - a file does not make us wait
+        """The types of the recorded topics, with those that they refer to."""
+        return sorted(await recorded_definitions(self._memory))
 
     async def endpoints(self, topic: str) -> TopicEndpoints:
         """The publishers of a topic, without names; empty where the recording does not have it."""
-        return (await self._topics()).get(topic, TopicEndpoints(topic, (), ()))
+        return (await self._recorded_topics()).get(topic, TopicEndpoints(topic, (), ()))
 
-    async def _topics(self) -> Mapping[str, TopicEndpoints]:
+    async def _recorded_topics(self) -> Mapping[str, TopicEndpoints]:
         return (await (await open_source(self._memory, self._memory.subject_name)).scene()).topics
 
 

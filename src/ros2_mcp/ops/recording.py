@@ -222,7 +222,8 @@ class Recording:
 
     async def _look(self) -> None:
         """Joins new topics that are wanted; joins those anew whose publishers now need another QoS."""
-        for name, types, publishers, _ in (await self._robot.graph.query("topics"))["topics"]:
+        for row in await self._robot.graph.topics():
+            name, types, publishers = row.name, row.types, row.publishers
             if not publishers or self._stopping or not self._wanted.chooses(name):
                 continue
             joined = self._topics.get(name)

@@ -9,7 +9,7 @@ from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import NotFound, TimedOut, TypeConflict, UnknownInterface
+from ros2_mcp.model.errors import BadName, NotFound, TimedOut, TypeConflict, UnknownInterface
 from ros2_mcp.ops.results import Report, in_words, reporting, silent
 from ros2_mcp.robot import Robot
 
@@ -64,8 +64,8 @@ class ServiceAnswer:
 
 async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> ServiceList:
     """The services whose names match the pattern. Those that every node has are shown with `include_hidden`."""
-    raw = await robot.graph.query("services")
-    every: dict[str, list[str]] = dict(raw["services"])
+    found = await robot.graph.services()
+    every = {row.name: row.types for row in found}
     visible = [name for name in sorted(every) if include_hidden or not _is_infrastructure(name, every[name])]
     chosen = names.matching(visible, pattern)
     providers, fields = await asyncio.gather(
@@ -75,8 +75,8 @@ async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = 
         ServiceEntry(name, every[name][0], fields.get(every[name][0], {}), providers.get(name, []))
         for name in chosen[:limit]
     ]
-    note = _list_note(len(every) - len(visible), len(chosen), limit, raw["settled"])
-    return ServiceList(entries, len(every), raw["settled"], note)
+    note = _list_note(len(every) - len(visible), len(chosen), limit, found.settled)
+    return ServiceList(entries, len(every), found.settled, note)
 
 
 async def call(
@@ -139,8 +139,7 @@ async def _resolve_type(robot: Robot, service: str, asked: str) -> str:
         NotFound: if it is not there and no type is asked for.
     """
     wanted = names.interface_type(asked, "srv") if asked else ""
-    known = dict((await robot.graph.query("services"))["services"])
-    types: list[str] = known.get(service, [])
+    types = next((row.types for row in await robot.graph.services() if row.name == service), ())
     if wanted and types and wanted not in types:
         raise TypeConflict(f"{service} has the type {' and '.join(types)}, not {wanted}.", "Leave the type out.")
     if len(types) == 1:
@@ -155,26 +154,27 @@ async def _resolve_type(robot: Robot, service: str, asked: str) -> str:
 
 
 async def _suggest(robot: Robot, service: str) -> str:
-    every = (await robot.graph.query("services"))["services"]
-    known = [name for name, types in every if name != service and not _is_infrastructure(name, types)]
+    others = [row for row in await robot.graph.services() if row.name != service]
+    known = [row.name for row in others if not _is_infrastructure(row.name, row.types)]
     return names.did_you_mean(service, known, "ros2_service_list shows what is there.")
 
 
 async def _providers(robot: Robot) -> dict[str, list[str]]:
     """Service → the full names of the nodes that serve it."""
-    nodes = (await robot.graph.query("nodes"))["nodes"]
-    answers = await asyncio.gather(*(_served_by(robot, name, namespace) for name, namespace in nodes))
+    nodes = [row.name for row in await robot.graph.nodes()]
+    answers = await asyncio.gather(*(_served_by(robot, node) for node in nodes))
     providers: dict[str, list[str]] = {}
-    for (name, namespace), services in zip(nodes, answers, strict=True):
+    for node, services in zip(nodes, answers, strict=True):
         for service in services:
-            providers.setdefault(service, []).append(names.full_node_name(name, namespace))
+            providers.setdefault(service, []).append(node)
     return providers
 
 
-async def _served_by(robot: Robot, name: str, namespace: str) -> list[str]:
+async def _served_by(robot: Robot, node: str) -> list[str]:
+    """The services of a node; none of one that has gone meanwhile, or that the middleware has no name for."""
     try:
-        return [entry[0] for entry in (await robot.graph.query("node", name=name, namespace=namespace))["servers"]]
-    except NotFound:
+        return [entry.name for entry in (await robot.graph.node(node)).servers]
+    except (NotFound, BadName):
         return []
 
 

@@ -44,36 +44,29 @@ async def status(robot: Robot) -> Status:
     Raises:
         LinkError: saying what is missing, if there is no bridge.
     """
-    stats = (await robot.graph.ask("stats")).ok
-    hello = robot.bridge.hello
-    assert hello is not None
+    bridge = await robot.graph.bridge_status()
+    limitations = list(robot.limitations)
+    if robot.policy.read_only:
+        limitations.append("Tools that write are absent: the server was started read-only.")
+    if bridge.executor == "SingleThreadedExecutor":
+        limitations.append("This rclpy has no EventsExecutor: service calls take a little longer.")
     return Status(
         server_version=version("ros2-mcp"),
         python=platform.python_version(),
-        distro=hello.distro,
-        rmw=hello.rmw,
-        domain_id=hello.domain_id,
-        bridge_node=hello.node,
-        bridge_python=hello.python,
-        bridge_pid=hello.pid,
-        bridge_starts=robot.bridge.generation,
-        bridge_restarts=list(robot.bridge.restarts)[-5:],
-        bridge_uptime_s=stats["uptime_s"],
-        bridge_memory_bytes=stats["rss_bytes"],
-        subscriptions=stats["subscriptions"],
-        publishers=stats["publishers"],
-        service_clients=stats["clients"],
+        distro=bridge.distro,
+        rmw=bridge.rmw,
+        domain_id=bridge.domain_id,
+        bridge_node=bridge.node,
+        bridge_python=bridge.python,
+        bridge_pid=bridge.pid,
+        bridge_starts=bridge.starts,
+        bridge_restarts=bridge.restarts[-5:],
+        bridge_uptime_s=bridge.uptime_s,
+        bridge_memory_bytes=bridge.memory_bytes,
+        subscriptions=bridge.subscriptions,
+        publishers=bridge.publishers,
+        service_clients=bridge.clients,
         read_only=robot.policy.read_only,
-        ros_found=robot.bridge.installation.why if robot.bridge.installation else "",
-        limitations=_limitations(robot),
+        ros_found=bridge.found,
+        limitations=limitations,
     )
-
-
-def _limitations(robot: Robot) -> list[str]:
-    limits = list(robot.limitations)
-    if robot.policy.read_only:
-        limits.append("Tools that write are absent: the server was started read-only.")
-    hello = robot.bridge.hello
-    if hello is not None and hello.executor == "SingleThreadedExecutor":
-        limits.append("This rclpy has no EventsExecutor: service calls take a little longer.")
-    return limits

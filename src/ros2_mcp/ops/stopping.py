@@ -114,7 +114,7 @@ async def _zero(robot: Robot, topic: str, kind: str) -> StoppedTopic:
         there = await robot.graph.endpoints(topic)
     except RobotError as error:
         return StoppedTopic(topic, 0, False, error=str(error))
-    others = sorted({publisher.node for publisher in there.publishers if publisher.node not in robot.bridge.nodes})
+    others = sorted({publisher.node for publisher in there.publishers if publisher.node not in robot.graph.own_nodes})
     return StoppedTopic(topic, sent.matched, sent.acked, others)
 
 

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ros2_mcp.model import names, qos
+from ros2_mcp.model.graph import OF_EVERY_NODE, TopicRow
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.robot import Robot
-
-_OF_EVERY_NODE = {"/parameter_events", "/rosout"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,22 +73,23 @@ class TopicInfo:
 
 async def list_topics(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> TopicList:
     """The topics whose names match the pattern (a glob, or any part of a name), sorted by name."""
-    raw = await robot.graph.query("topics")
-    visible = {entry[0]: entry for entry in raw["topics"] if include_hidden or not names.is_hidden(entry[0])}
+    found = await robot.graph.topics()
+    visible = {row.name: row for row in found if include_hidden or not names.is_hidden(row.name)}
     chosen = names.matching(sorted(visible), pattern)
-    topics = [_entry(*visible[name]) for name in chosen[:limit]]
-    note = _list_note(len(topics), len(chosen), raw["settled"])
-    if visible.keys() <= _OF_EVERY_NODE:
+    topics = [_entry(visible[name]) for name in chosen[:limit]]
+    note = _list_note(len(topics), len(chosen), found.settled)
+    if visible.keys() <= OF_EVERY_NODE:
         note = f"{note} {_alone(robot)}".strip()
-    return TopicList(topics, len(visible), raw["settled"], note)
+    return TopicList(topics, len(visible), found.settled, note)
 
 
-def _entry(name: str, types: list[str], publishers: int, subscribers: int) -> TopicEntry:
-    return TopicEntry(name, types[0], publishers, subscribers, types if len(types) > 1 else ())
+def _entry(row: TopicRow) -> TopicEntry:
+    types = row.types if len(row.types) > 1 else ()
+    return TopicEntry(row.name, row.types[0], row.publishers, row.subscribers, types)
 
 
 def _alone(robot: Robot) -> str:
-    domain = f"domain {robot.bridge.hello.domain_id}" if robot.bridge.hello else "this domain"
+    domain = "this domain" if robot.graph.domain_id is None else f"domain {robot.graph.domain_id}"
     return (
         f"No topic of a robot is seen in {domain}: is the robot on, in the same domain (ROS_DOMAIN_ID), and reachable "
         "from here?"

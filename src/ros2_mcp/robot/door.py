@@ -12,7 +12,8 @@ from ros2_mcp.guard.running import Driven, SentGoals
 from ros2_mcp.model import names, qos
 from ros2_mcp.model.errors import TypeConflict
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request
-from ros2_mcp.robot.exchange import Answer, Listening, Outgoing, Sent, TopicEndpoints
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.robot.exchange import Answer, Listening, Outgoing, Sent
 from ros2_mcp.robot.graph import REQUEST_S, Graph
 from ros2_mcp.robot.log import LogRing
 from ros2_mcp.robot.values import Values

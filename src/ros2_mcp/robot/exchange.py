@@ -14,20 +14,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class TopicEndpoints:
-    """Who publishes and who subscribes on one topic."""
-
-    topic: str
-    publishers: Sequence[Endpoint]
-    subscribers: Sequence[Endpoint]
-
-    @property
-    def types(self) -> list[str]:
-        """Every type in use on the topic, sorted."""
-        return sorted({endpoint.type for endpoint in (*self.publishers, *self.subscribers)})
-
-
-@dataclass(frozen=True, slots=True)
 class Listening:
     """A subscription with what is known about it."""
 

@@ -73,7 +73,7 @@ def test_a_recording_that_fails_to_begin_for_another_reason_is_ended(tmp_path: P
     async def scenario() -> None:
         bridge, memory = MadeBridge(), Memory(tmp_path)
         bridge.topics = lambda: [["not", "as", "foreseen"]]
-        with pytest.raises(ValueError, match="unpack"):
+        with pytest.raises(TypeError, match="TopicRow"):
             await recording.start(robot_of(bridge), memory, Wanted())
         assert not any(each.is_running for each in recordings(memory).values())
 

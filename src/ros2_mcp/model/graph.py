@@ -1,0 +1,136 @@
+"""The rows in which the graph is told: topics, services, nodes and their endpoints, and how the bridge itself is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from ros2_mcp.model.qos import Endpoint
+
+Row = TypeVar("Row")
+
+OF_EVERY_NODE = frozenset({"/parameter_events", "/rosout"})
+"""Topics that every ROS system has, so that they tell nothing of one robot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rows(Generic[Row]):
+    """One answer of the graph; `settled` is false if discovery was still under way when the wait for it ended."""
+
+    rows: Sequence[Row]
+    settled: bool
+
+    def __iter__(self) -> Iterator[Row]:
+        return iter(self.rows)
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class TopicRow:
+    """A topic with the types in use on it and the numbers of its endpoints."""
+
+    name: str
+    types: Sequence[str]
+    publishers: int
+    subscribers: int
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class ServiceRow:
+    """A service with its types; more than one is a fault of the system."""
+
+    name: str
+    types: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class NodeRow:
+    """A node by its full name; several nodes may share one, which is a fault."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class NamedTypes:
+    """A topic or service that a node uses, with the types it uses it with."""
+
+    name: str
+    types: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True)
+class NodeEndpoints:
+    """What one node publishes, subscribes to, serves and calls."""
+
+    publishers: Sequence[NamedTypes]
+    subscribers: Sequence[NamedTypes]
+    servers: Sequence[NamedTypes]
+    clients: Sequence[NamedTypes]
+
+
+@dataclass(frozen=True, slots=True)
+class TopicEndpoints:
+    """Who publishes and who subscribes on one topic."""
+
+    topic: str
+    publishers: Sequence[Endpoint]
+    subscribers: Sequence[Endpoint]
+
+    @property
+    def types(self) -> list[str]:
+        """Every type in use on the topic, sorted."""
+        return sorted({endpoint.type for endpoint in (*self.publishers, *self.subscribers)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RelayCounts:
+    """What became of the messages of one relay in the bridge so far.
+
+    `lost` is None where the middleware cannot tell. `matched` subscribers and `publishers` are those of now. Of a
+    relay that has ended: `final_sent`, whether its zero command was sent; `cancelled`, whether it ended before its
+    time.
+    """
+
+    running: bool = False
+    passed: int = 0
+    dropped: int = 0
+    lost: int | None = 0
+    publishers: int = 0
+    matched: int = 0
+    elapsed_s: float = 0.0
+    final_sent: bool = False
+    cancelled: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BridgeStatus:
+    """The running bridge: how it introduced itself, and what it holds now.
+
+    `starts` counts the bridges of this server, `restarts` are the reasons why former ones were lost, `found` says why
+    this ROS installation was chosen.
+    """
+
+    python: str
+    distro: str
+    rmw: str
+    domain_id: int
+    node: str
+    pid: int
+    executor: str
+    starts: int
+    restarts: Sequence[str]
+    found: str
+    uptime_s: float
+    memory_bytes: int
+    subscriptions: int
+    publishers: int
+    clients: int
+
+
+def endpoints_from(topic: str, raw: Mapping[str, Sequence[Mapping[str, object]]]) -> TopicEndpoints:
+    """From the bridge's `endpoints` answer."""
+    return TopicEndpoints(
+        topic,
+        [Endpoint.parse(endpoint) for endpoint in raw["publishers"]],
+        [Endpoint.parse(endpoint) for endpoint in raw["subscribers"]],
+    )
