@@ -8,6 +8,7 @@ counted by the gaps in the publishers' sequence numbers: ours in the file, once 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import os
 import subprocess
 import sys
@@ -15,8 +16,9 @@ import tempfile
 import time
 from pathlib import Path
 
+from .stdio import StdioClient
+
 TOPICS, RATE_HZ, CAMERA_HZ = 20, 50.0, 15.0
-SOURCES = Path(__file__).parent.parent / "src"
 
 MINIMAL = """
 import signal, sys, time, rclpy
@@ -87,24 +89,23 @@ def start(code: str, *arguments: str) -> subprocess.Popen[str]:
     return process
 
 
-def main(seconds: float) -> None:
-    sys.path.insert(0, str(SOURCES.parent / "tests" / "ros" / "server"))
-    from agent import agent_for
-
+async def main(seconds: float) -> None:
     with tempfile.TemporaryDirectory() as folder:
         robot = start(ROBOT)
         try:
-            with agent_for(dict(os.environ), "--tools", "all", "--record-dir", folder) as agent:
-                agent.call("ros2_topic_list")
+            options = ("--tools", "all", "--record-dir", folder)
+            async with StdioClient([sys.executable, "-m", "ros2_mcp", *options], os.environ) as client:
+                await client.greet()
+                await client.call("ros2_topic_list")
                 minimal = start(MINIMAL, str(Path(folder) / "minimal.mcap"))
-                agent.call("ros2_record_start", patterns=["/imu_*", "/camera"], name="ours")
-                time.sleep(1.0)
-                server, minimal_before = server_pid(), cpu_s(minimal.pid)
+                await client.call("ros2_record_start", patterns=["/imu_*", "/camera"], name="ours")
+                await asyncio.sleep(1.0)
+                server, minimal_before = client.pid, cpu_s(minimal.pid)
                 before, begun = cpu_s(server), time.monotonic()
-                time.sleep(seconds)
+                await asyncio.sleep(seconds)
                 ours, theirs = cpu_s(server) - before, cpu_s(minimal.pid) - minimal_before
                 elapsed = time.monotonic() - begun
-                state = agent.call("ros2_record_stop", recording_id="ours")
+                state = await client.call("ros2_record_stop", recording_id="ours")
                 minimal.terminate()
                 minimal_lost = minimal.communicate(timeout=20)[0].strip()
             missing = gaps(Path(folder) / "ours")
@@ -133,16 +134,7 @@ def gaps(bag_path: Path) -> dict[str, int]:
     return {topic: count for topic, count in missing.items() if count}
 
 
-def server_pid() -> int:
-    """The server that the client in this process has started."""
-    for task in Path("/proc/self/task").iterdir():
-        for pid in (task / "children").read_text().split():
-            if b"ros2_mcp\0" in Path(f"/proc/{pid}/cmdline").read_bytes():
-                return int(pid)
-    raise RuntimeError("there is no server")
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser("bench.recording", description=__doc__)
     parser.add_argument("seconds", nargs="?", type=float, default=10.0, help="for how long (default: 10)")
-    main(parser.parse_args().seconds)
+    asyncio.run(main(parser.parse_args().seconds))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import ast
 import re
 
-from source import ROOT, trees
-
 from ros2_mcp.model import errors
+from support.source import ROOT, trees
 
 MAY_PRINT = ("src/ros2_mcp/commands/", "src/ros2_mcp_demo/", "src/ros2_mcp/cli.py")
 

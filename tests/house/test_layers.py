@@ -11,7 +11,8 @@ from collections.abc import Iterator, Mapping, Set
 from graphlib import CycleError, TopologicalSorter
 
 import pytest
-from source import trees
+
+from support.source import trees
 
 BEYOND_THE_STANDARD_LIBRARY = {
     "ros2_mcp_bridge": {"rclpy", "rpyutils"},

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 
-from source import ROOT, committed_texts
-
 from ros2_mcp.tools import TOOLS
+from support.source import ROOT, committed_texts
 
 OF_ONE_MACHINE = re.compile(r"(?<![\w.])/(?:root|home/\w+|work|Users/\w+)/|/tmp/w/")
 REGISTRY = re.compile(r"https?://[\w.-]*(?:pypi|pythonhosted|npmjs|registry)[\w.-]*", re.IGNORECASE)

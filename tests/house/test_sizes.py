@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 
-from source import functions, lines_of_code, modules
+from support.source import functions, lines_of_code, modules
 
 FORBIDDEN = ("manager", "handler", "helper", "util")
 

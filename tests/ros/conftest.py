@@ -13,11 +13,10 @@ from pathlib import Path
 
 import pytest
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # the tests import their neighbours
-SOURCES = HERE.parent.parent / "src"
+from support.processes import peer_command, python_path
+
 END_S = 10.0
-os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(HERE / "quiet_fast_dds.xml"))
+os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("quiet_fast_dds.xml")))
 
 DOMAIN_IDS = (1 + 3 * number % 99 for number in itertools.count(os.getpid()))
 
@@ -38,24 +37,25 @@ def ros_environment(domain_id: int) -> dict[str, str]:
         "ROS_DOMAIN_ID": str(domain_id),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_LOG_DIR": tempfile.gettempdir(),
-        "PYTHONPATH": os.pathsep.join([str(SOURCES), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep),
+        "PYTHONPATH": python_path(),
         "PYTHONUNBUFFERED": "1",
     }
 
 
 @pytest.fixture
 def start(ros_environment: dict[str, str]) -> Iterator[Start]:
-    """Start Python processes, `start("peer.py", "argument", env={...})`; all are ended after the test.
+    """Start Python processes, `start("bridge_peer.py", "argument", env={...})`; all are ended after the test.
 
-    A name that ends in .py is a script of tests/ros; anything else is a module. stdin and stdout are pipes.
+    A name that ends in .py is a script of support/peers; anything else is a module. stdin and stdout are pipes.
     A process that does not end within 10 s of SIGTERM fails the test.
     """
     processes: list[subprocess.Popen[bytes]] = []
 
     def start_process(program: str, *arguments: str, env: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
-        target = [str(HERE / program)] if program.endswith(".py") else ["-m", program]
+        is_script = program.endswith(".py")
+        command = peer_command(program.removesuffix(".py")) if is_script else [sys.executable, "-m", program]
         process = subprocess.Popen(
-            [sys.executable, *target, *arguments],
+            [*command, *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**ros_environment, **(env or {})},

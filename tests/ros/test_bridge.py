@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bridge_client import BEST_EFFORT, PATIENCE_S, RELIABLE, STRING, Client, cdr_string
-from standstill import undisturbed
 
 from ros2_mcp_bridge.participants import ports_of
+from support.bridge_client import BEST_EFFORT, PATIENCE_S, RELIABLE, STRING, Client, cdr_string
+from support.standstill import undisturbed
 
 SET_BOOL = "std_srvs/srv/SetBool"
 TRUE, FALSE = b"\0\1\0\0\1", b"\0\1\0\0\0"

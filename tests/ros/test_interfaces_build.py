@@ -17,6 +17,7 @@ from ros2_mcp_interfaces import BuildError, build, default_cache
 from ros2_mcp_interfaces.cache import content_name
 from ros2_mcp_interfaces.installation import find_installation
 from ros2_mcp_interfaces.package import find_packages
+from support.processes import peer_command
 
 SHIPPED = Path(__file__).parents[2] / "src" / "ros2_mcp_demo" / "interfaces"
 TF_MESSAGE_HASH = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
@@ -90,8 +91,7 @@ def test_nodes_exchange_messages_requests_and_goals_of_a_built_package(shop, dom
         "ROS_DOMAIN_ID": str(domain_id),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
-    peer = Path(__file__).with_name("interfaces_peer.py")
-    command = [sys.executable, str(peer)]
+    command = peer_command("interfaces_peer")
     run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=BUILD_S, check=False)
     assert run.returncode == 0, run.stderr
     seen = json.loads(run.stdout)

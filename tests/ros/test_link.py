@@ -13,13 +13,13 @@ from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
 import pytest
-from standstill import undisturbed_async
 
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.link.environment import find_ros, rclpy_below
 from ros2_mcp.link.installation import WHEEL_GUARD
 from ros2_mcp.model.errors import BridgeLost, BridgeRefused, LinkError, RosNotFound
 from ros2_mcp.settings import Settings
+from support.standstill import undisturbed_async
 
 ENV = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 SETTINGS = Settings(domain_id=111)

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy")
 
-sys.path.insert(0, str(Path(__file__).parent))  # the tests import their neighbours
-sys.path.insert(0, str(Path(__file__).parent.parent / "server"))
-
-from agent import Agent, agent_for
-from peer_process import Nursery, PeerProcess, reachable
-from raw_server import RawServer
+from support.agent import Agent, agent_for
+from support.peer_process import Nursery, PeerProcess, reachable
+from support.raw_server import RawServer
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 
 import pytest
-from agent import FULL, Refusal
-from standstill import undisturbed
+
+from support.agent import FULL, Refusal
+from support.standstill import undisturbed
 
 ROUNDS = 200 if FULL else 3
 PROCESSES = 200 if FULL else 1

@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 
 import pytest
-from agent import FULL
-from standstill import undisturbed
+
+from support.agent import FULL
+from support.standstill import undisturbed
 
 FIBONACCI = "test_msgs/action/Fibonacci"
 UNKNOWN_ID = "0123456789abcdef" * 2

@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from agent import agent_for
+
+from support.agent import agent_for
 
 pytest.importorskip("rosidl_generator_py", reason="needs the interface generators of the ROS 2 wheels")
 

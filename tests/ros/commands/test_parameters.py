@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 
 import pytest
-from standstill import undisturbed
+
+from support.standstill import undisturbed
 
 ALL = {
     "speed": 0.5,

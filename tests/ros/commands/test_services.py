@@ -6,8 +6,9 @@ import time
 from concurrent.futures import wait
 
 import pytest
-from agent import FULL
-from standstill import undisturbed
+
+from support.agent import FULL
+from support.standstill import undisturbed
 
 SWITCH = "std_srvs/srv/SetBool"
 SLOW = "test_msgs/srv/BasicTypes"

@@ -8,10 +8,11 @@ import time
 from collections.abc import Callable
 
 import pytest
-from agent import FULL
-from peer_process import reachable
-from raw_server import MODERN, RawServer, children
-from standstill import undisturbed
+
+from support.agent import FULL
+from support.peer_process import reachable
+from support.raw_server import MODERN, RawServer, children
+from support.standstill import undisturbed
 
 ROUNDS = 50 if FULL else 1
 MOVING = {"linear": {"x": 0.5}}

@@ -4,7 +4,8 @@ import math
 from itertools import cycle
 
 import pytest
-from standstill import undisturbed
+
+from support.standstill import undisturbed
 
 pytest.importorskip("rclpy")
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data

@@ -5,15 +5,12 @@ from __future__ import annotations
 import asyncio
 import sys
 from collections.abc import Awaitable, Callable, Iterator
-from pathlib import Path
 
 import pytest
 from anyio.from_thread import start_blocking_portal
 from mcp import Client, StdioServerParameters
 
-sys.path.insert(0, str(Path(__file__).parent))  # the tests import their neighbours
-
-from trouble import Agent, Peer
+from support.trouble import Agent, Peer
 
 Scenario = Callable[[Agent], Awaitable[None]]
 LIMIT_S = 50.0

@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 
 import pytest
-from trouble import FULL, Agent
+
+from support.trouble import FULL, Agent
 
 PROCESSES = 4
 

@@ -6,7 +6,8 @@ import base64
 from typing import Any
 
 import pytest
-from trouble import FULL, Agent, count_threads_and_files, parent_of
+
+from support.trouble import FULL, Agent, count_threads_and_files, parent_of
 
 
 @pytest.mark.parametrize(

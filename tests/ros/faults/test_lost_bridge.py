@@ -8,8 +8,9 @@ import signal
 import time
 
 import pytest
-from standstill import undisturbed_async
-from trouble import Agent, ToolFailed
+
+from support.standstill import undisturbed_async
+from support.trouble import Agent, ToolFailed
 
 
 @pytest.mark.parametrize(

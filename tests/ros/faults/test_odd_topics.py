@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from standstill import undisturbed_async
-from trouble import Agent, ToolFailed
+
+from support.standstill import undisturbed_async
+from support.trouble import Agent, ToolFailed
 
 ROOT = Path(__file__).parents[3]
 

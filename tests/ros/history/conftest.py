@@ -15,11 +15,9 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rosidl_generator_py", reason="needs the interface generators of the ROS 2 wheels")
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "server"))  # the tests import their neighbours
-
-from agent import DISCOVERY_S, Agent, agent_for
-
 from ros2_mcp_interfaces import build, default_cache
+from support.agent import DISCOVERY_S, Agent, agent_for
+from support.processes import peer_command
 
 HERE = Path(__file__).parent
 
@@ -38,7 +36,7 @@ def box_node(generation: int, environment: dict[str, str], prefixes: list[Path])
         "AMENT_PREFIX_PATH": os.pathsep.join(map(str, [*prefixes, sys.prefix])),
         "PYTHONPATH": os.pathsep.join([*(str(each / "site-packages") for each in prefixes), environment["PYTHONPATH"]]),
     }
-    command = [sys.executable, str(HERE / "box_peer.py"), str(generation)]
+    command = peer_command("box_peer", str(generation))
     node = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=known)
     try:
         assert node.stdout and node.stdout.readline() == "ready\n"

@@ -8,7 +8,8 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from agent import Agent
+
+from support.agent import Agent
 
 TOOL = "ros2_get_messages"
 OLD_NAME = "ros2_get_messages_stored_in_influx_data_base"

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from agent import Agent, Refusal, until
+from support.agent import Agent, Refusal, until
 
 TOOL = "ros2_get_messages"
 

@@ -6,17 +6,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "server"))  # the tests import their neighbours
-
-from agent import Agent, agent_for
-
-HERE = Path(__file__).parent
+from support.agent import Agent, agent_for
+from support.processes import peer_command
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +24,8 @@ def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
 
 @pytest.fixture(scope="module")
 def signals(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
-    """The node of `signal_peer.py`, discovered."""
-    with peer(ros_environment, str(HERE / "signal_peer.py")) as process:
+    """The node of `signal_peer`, discovered."""
+    with peer(ros_environment, *peer_command("signal_peer")) as process:
         agent.knows("/signal", "/signal_late", "/signal_wave", "/signal_copy", "/signal_steady", "/sensor", "/pulse")
         yield process
 
@@ -37,7 +33,7 @@ def signals(ros_environment: dict[str, str], agent: Agent) -> Iterator[subproces
 @pytest.fixture(scope="module")
 def robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
     """The simulated robot, discovered."""
-    with peer(ros_environment, "-m", "ros2_mcp_demo") as process:
+    with peer(ros_environment, sys.executable, "-m", "ros2_mcp_demo") as process:
         agent.knows("/scan", "/odom", "/map", "/imu", "/diagnostics")
         while not agent.call("ros2_service_list", pattern="/self_test")["services"]:
             pass
@@ -46,16 +42,16 @@ def robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.
 
 @pytest.fixture
 def stranger(ros_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """The node of `stranger_peer.py`."""
-    with peer(ros_environment, str(HERE / "stranger_peer.py")) as process:
+    """The node of `stranger_peer`."""
+    with peer(ros_environment, *peer_command("stranger_peer")) as process:
         yield process
 
 
 @contextmanager
 def peer(environment: dict[str, str], *command: str) -> Iterator[subprocess.Popen[str]]:
-    """A Python process that has said something; asked to end, and killed if it does not."""
+    """A process that has said something; asked to end, and killed if it does not."""
     pipe = subprocess.PIPE
-    process = subprocess.Popen([sys.executable, *command], stdin=pipe, stdout=pipe, text=True, env=environment)
+    process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment)
     try:
         assert process.stdout
         assert process.stdout.readline(), f"{command} died"

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from agent import CALL_S, DISCOVERY_S, Agent
-from standstill import undisturbed
+from support.agent import CALL_S, DISCOVERY_S, Agent
+from support.standstill import undisturbed
 
 
 @contextmanager

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from agent import CALL_S, Agent
-from standstill import undisturbed
+
+from support.agent import CALL_S, Agent
+from support.standstill import undisturbed
 
 GAP = re.compile(r"nothing for (\S+) s from (\S+) s on")
 

@@ -12,10 +12,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent / "server"))  # the tests import their neighbours
-
-from agent import Agent, agent_for  # noqa: E402
+from support.agent import Agent, agent_for
+from support.processes import peer_command
 
 StartAgent = Callable[..., Agent]
 StartPeer = Callable[..., "subprocess.Popen[str]"]
@@ -35,11 +33,11 @@ def start_agent(ros_environment: dict[str, str], tmp_path: Path) -> Iterator[Sta
 
 @pytest.fixture
 def start_peer(ros_environment: dict[str, str]) -> Iterator[StartPeer]:
-    """Start `memory_peer.py`; it is ready when this returns."""
+    """Start `memory_peer`; it is ready when this returns."""
     peers: list[subprocess.Popen[str]] = []
 
     def begin(*arguments: str) -> subprocess.Popen[str]:
-        command = [sys.executable, str(HERE / "memory_peer.py"), *arguments]
+        command = peer_command("memory_peer", *arguments)
         pipe = subprocess.PIPE
         peer = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=ros_environment)
         peers.append(peer)

@@ -18,11 +18,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from agent import FULL, Agent, Refusal, agent_for
-from standstill import standstills
 
 from ros2_mcp.bags.bag import Bag
 from ros2_mcp.model.samples import Sample
+from support.agent import FULL, Agent, Refusal, agent_for
+from support.standstill import standstills
 
 StartPeer = Callable[..., "subprocess.Popen[str]"]
 KILLS = 200 if FULL else 2

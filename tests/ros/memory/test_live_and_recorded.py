@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from agent import Agent, until
-from raw_server import RawServer
-from standstill import undisturbed
 
 from ros2_mcp.bags.bag import Bag
+from support.agent import Agent, until
+from support.raw_server import RawServer
+from support.standstill import undisturbed
 
 StartAgent = Callable[..., Agent]
 SAME = ("count", "min", "max", "mean", "std", "first", "last", "zeros", "not_finite")

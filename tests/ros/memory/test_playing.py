@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import pytest
-from agent import Agent, Refusal, agent_for
-from standstill import undisturbed
 
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
+from support.agent import Agent, Refusal, agent_for
+from support.processes import peer_command
+from support.standstill import undisturbed
 
 START_NS = 1_700_000_000_000_000_000
 NUMBERS = {"/a": range(10), "/b": range(100, 105)}
@@ -75,7 +74,7 @@ def agent(ros_environment: dict[str, str], tmp_path_factory: pytest.TempPathFact
 
 @pytest.fixture(scope="module")
 def listening(ros_environment: dict[str, str], agent: Agent) -> Iterator[Listener]:
-    command = [sys.executable, str(Path(__file__).parent / "memory_peer.py"), "listen", *HEARD]
+    command = peer_command("memory_peer", "listen", *HEARD)
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=ros_environment) as process:
         assert process.stdout and process.stdout.readline() == "ready\n"

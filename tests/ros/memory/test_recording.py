@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from agent import FULL, Agent, until
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from test_msgs.message_fixtures import get_test_msg
 
 from ros2_mcp.bags.bag import Bag
+from support.agent import FULL, Agent, until
 
 StartAgent = Callable[..., Agent]
 StartPeer = Callable[..., "subprocess.Popen[str]"]

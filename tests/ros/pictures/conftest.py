@@ -5,15 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "server"))  # the tests import their neighbours
-
-from agent import Agent, agent_for
+from support.agent import Agent, agent_for
+from support.processes import peer_command
 
 
 @pytest.fixture(scope="module")
@@ -26,12 +24,11 @@ def agent(ros_environment: dict[str, str], tmp_path_factory: pytest.TempPathFact
 
 @pytest.fixture(scope="module", autouse=True)
 def nodes(ros_environment: dict[str, str], agent: Agent) -> Iterator[None]:
-    """The simulated robot and the node of `cloud_peer.py`, both discovered."""
-    commands = (["-m", "ros2_mcp_demo"], [str(Path(__file__).parent / "cloud_peer.py")])
+    """The simulated robot and the node of `cloud_peer`, both discovered."""
+    commands = ([sys.executable, "-m", "ros2_mcp_demo"], peer_command("cloud_peer"))
     pipe = subprocess.PIPE
     processes = [
-        subprocess.Popen([sys.executable, *command], stdin=pipe, stdout=pipe, text=True, env=ros_environment)
-        for command in commands
+        subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=ros_environment) for command in commands
     ]
     try:
         for process in processes:

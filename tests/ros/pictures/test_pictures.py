@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from agent import Agent
 from PIL import Image
-from standstill import undisturbed
+
+from support.agent import Agent
+from support.standstill import undisturbed
 
 
 def seen(agent: Agent, tool: str, **arguments: Any) -> tuple[dict[str, Any], np.ndarray]:

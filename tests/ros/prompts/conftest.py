@@ -7,19 +7,16 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
 
-HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "server"), str(HERE.parents[1] / "unit/prompts")]
+from support.processes import SOURCES
+from support.prompting import PromptAgent, prompt_agent
+from support.raw_server import RawServer
 
-from prompting import PromptAgent, prompt_agent  # noqa: E402
-from raw_server import RawServer  # noqa: E402
-
-ROBOT_INTERFACES = HERE.parents[2] / "src/ros2_mcp_demo/interfaces"
+ROBOT_INTERFACES = SOURCES / "ros2_mcp_demo/interfaces"
 
 
 @pytest.fixture(scope="module")

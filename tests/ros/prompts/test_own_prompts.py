@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from prompting import PromptAgent
-from raw_server import MODERN, RawServer
-from standstill import undisturbed
+
+from support.prompting import PromptAgent
+from support.raw_server import MODERN, RawServer
+from support.standstill import undisturbed
 
 HOW_TO = Path(__file__).parents[3] / "docs/how-to/prompts.md"
 HELLO = "---\nname: hello\n---\nHello.\n"

@@ -6,9 +6,10 @@ import time
 from collections.abc import Callable
 
 import pytest
-from faults import FAULTS
-from prompting import PromptAgent
-from standstill import undisturbed
+
+from support.faults import FAULTS
+from support.prompting import PromptAgent
+from support.standstill import undisturbed
 
 ECHO, RELAY = "base.ros2-topic-echo-and-analyze", "base.ros2-topic-relay"
 HEALTH, DIFF = "base.ros2-node-health-check", "base.ros2-topic-diff-monitor"

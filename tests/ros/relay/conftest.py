@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "server"))  # the client of the server's tests
-
-from agent import Agent, agent_for
+from support.agent import Agent, agent_for
 
 PATIENCE_S = 20.0
 
@@ -40,7 +36,7 @@ def start_agent(ros_environment: dict[str, str]) -> Iterator[Callable[..., Agent
 
 
 class Peer:
-    """One process of relay_peer.py."""
+    """One process of `relay_peer`."""
 
     def __init__(self, role: str, process: subprocess.Popen[bytes]) -> None:
         self.process = process
@@ -87,4 +83,4 @@ class Peer:
 @pytest.fixture
 def peer(start) -> Callable[..., Peer]:
     """Start an independent node: `peer("talk", "/topic", "String", "RELIABLE", "200", "1000")`."""
-    return lambda role, *arguments: Peer(role, start("relay/relay_peer.py", role, *arguments))
+    return lambda role, *arguments: Peer(role, start("relay_peer.py", role, *arguments))

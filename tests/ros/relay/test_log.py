@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from agent import Refusal
+from support.agent import Refusal
 
 PATIENCE_S = 40.0
 

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from agent import FULL, Agent, Refusal, agent_for
-from raw_server import MODERN, RawServer
+
+from support.agent import FULL, Agent, Refusal, agent_for
+from support.raw_server import MODERN, RawServer
 
 SECONDS = 60 if FULL else 5
 PATIENCE_S = 40.0

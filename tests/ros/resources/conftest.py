@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import cache
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
-HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE), str(HERE.parent / "server")]  # the tests import their neighbours
-
-from agent import FULL  # noqa: E402
-from commanded import CommandedProcess  # noqa: E402
-from listener import HANDSHAKE, MODERN, PATIENCE_S, Listener  # noqa: E402
+from support.agent import FULL
+from support.commanded import CommandedProcess
+from support.listener import HANDSHAKE, MODERN, PATIENCE_S, Listener
 
 
 @pytest.fixture(scope="module")
 def events(ros_environment: dict[str, str]) -> Iterator[CommandedProcess]:
     """A robot to which things happen on command."""
-    peer = CommandedProcess(HERE / "events_peer.py", ros_environment)
+    peer = CommandedProcess("events_peer", ros_environment)
     yield peer
     peer.kill()
 

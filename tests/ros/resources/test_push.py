@@ -12,11 +12,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from agent import FULL
-from commanded import CommandedProcess
-from listener import MODERN, PATIENCE_S, Listener
-from raw_server import children
-from standstill import undisturbed
+
+from support.agent import FULL
+from support.commanded import CommandedProcess
+from support.listener import MODERN, PATIENCE_S, Listener
+from support.raw_server import children
+from support.standstill import undisturbed
 
 WITHIN_S = 0.5
 TIMES = 20 if FULL else 2

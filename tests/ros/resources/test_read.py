@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from commanded import CommandedProcess
-from listener import Listener
-from standstill import undisturbed
+
+from support.commanded import CommandedProcess
+from support.listener import Listener
+from support.standstill import undisturbed
 
 SAID = "ros2://topic/events/said"
 STATIC = ["graph", "topics", "nodes", "services", "actions", "diagnostics", "log"]

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy")
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))  # the tests import their neighbours
-
-from agent import Agent, agent_for  # noqa: E402
-from commanded import CommandedProcess  # noqa: E402
-from raw_server import RawServer  # noqa: E402
+from support.agent import Agent, agent_for
+from support.commanded import CommandedProcess
+from support.processes import peer_command
+from support.raw_server import RawServer
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +26,7 @@ def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
 @pytest.fixture(scope="module")
 def peer(ros_environment: dict[str, str], agent: Agent) -> Iterator[CommandedProcess]:
     """An independent node that all tests share, discovered."""
-    process = CommandedProcess(HERE / "server_peer.py", ros_environment)
+    process = CommandedProcess("server_peer", ros_environment)
     process.offer(topic="/peer_is_here", kind="std_msgs/msg/String", seed=1)
     agent.knows("/peer_is_here")
     process.forget(topic="/peer_is_here")
@@ -66,8 +62,7 @@ def start_raw(ros_environment: dict[str, str]) -> Iterator[Callable[..., RawServ
 @pytest.fixture(scope="module")
 def small_robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
     """A node with services and an action, discovered."""
-    script = HERE / "server_robot.py"
-    process = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True, env=ros_environment)
+    process = subprocess.Popen(peer_command("server_robot"), stdout=subprocess.PIPE, text=True, env=ros_environment)
     assert process.stdout
     assert process.stdout.readline() == "ready\n"
     while not all(name in str(agent.call("ros2_service_list")) for name in ("/set_lamp", "/slow_lamp")):

@@ -8,8 +8,9 @@ from statistics import median
 from typing import Any
 
 import pytest
-from agent import FULL
-from standstill import undisturbed
+
+from support.agent import FULL
+from support.standstill import undisturbed
 
 STRING = "std_msgs/msg/String"
 LIGHTS_ON = {"service_name": "/set_lamp", "service_type": "std_srvs/srv/SetBool", "fields": {"data": True}}

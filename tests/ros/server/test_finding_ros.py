@@ -11,8 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from raw_server import RawServer
-from standstill import undisturbed
+
+from support.raw_server import RawServer
+from support.standstill import undisturbed
 
 SITE_PACKAGES = Path(next(entry for entry in sys.path if entry.endswith("site-packages")))
 SLOW_S = 3.0

@@ -7,8 +7,9 @@ from itertools import chain, count
 
 import pytest
 from mcp_types.version import KNOWN_PROTOCOL_VERSIONS
-from raw_server import MODERN, RawServer
-from standstill import undisturbed
+
+from support.raw_server import MODERN, RawServer
+from support.standstill import undisturbed
 
 READING = {"topic_name": "/seldom_said", "duration": 60}
 

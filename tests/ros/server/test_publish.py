@@ -7,8 +7,8 @@ import time
 from itertools import count
 from typing import Any
 
-from agent import FULL, agent_for
-from standstill import undisturbed
+from support.agent import FULL, agent_for
+from support.standstill import undisturbed
 
 STRING = "std_msgs/msg/String"
 TIMES = 950 if FULL else 60

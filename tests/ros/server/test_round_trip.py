@@ -7,8 +7,9 @@ from itertools import count
 from typing import Any
 
 import pytest
-import ros_values
-from agent import FULL
+
+from support import ros_values
+from support.agent import FULL
 
 SEEDS = range(10) if FULL else range(2)
 MEGABYTE = {

@@ -9,9 +9,10 @@ import time
 from pathlib import Path
 
 import pytest
-from agent import FULL
-from raw_server import RawServer, children, lives
-from standstill import undisturbed
+
+from support.agent import FULL
+from support.raw_server import RawServer, children, lives
+from support.standstill import undisturbed
 
 NOISE = """
 import atexit, ctypes, os, sys, threading, time

@@ -1,14 +1,10 @@
 """Runs each scenario in an event loop of its own, and fails it if it leaves a task behind."""
 
 import asyncio
-import sys
 from collections.abc import Callable, Coroutine
-from pathlib import Path
 from typing import Any
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture

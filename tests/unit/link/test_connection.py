@@ -6,7 +6,6 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
-from peer import Peer, connected
 
 from ros2_mcp.link.connection import Connection
 from ros2_mcp.link.framing import FrameReader, pack
@@ -14,6 +13,7 @@ from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BridgeLost, BridgeRefused, LinkError
 from ros2_mcp.model.samples import Counts
 from ros2_mcp_bridge.frames import FrameError
+from support.stream_peer import Peer, connected
 
 Play = Callable[[Coroutine[Any, Any, None]], None]
 

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))  # the tests import their neighbours
-
-from made_windows import CODEC, START_NS, Make, encoded
-
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.window import Window
+from support.made_windows import CODEC, START_NS, Make, encoded
 
 
 @pytest.fixture

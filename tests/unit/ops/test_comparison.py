@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 import pytest
-from made_windows import Make, Recorded
 
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
 from ros2_mcp.ops.comparison import compare, evaluate
+from support.made_windows import Make, Recorded
 
 FLOAT = "std_msgs/msg/Float64"
 POINT = "geometry_msgs/msg/PointStamped"

@@ -7,11 +7,11 @@ import string
 import time
 
 import pytest
-from made_windows import decoded
 
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.ops.expression import condition
+from support.made_windows import decoded
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 JOINTS = "sensor_msgs/msg/JointState"

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
-from made_windows import Make, Recorded
 
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.health import Expectations, Health, check_health, to_measure
 from ros2_mcp.ops.window import Scene, Window
 from ros2_mcp.robot import TopicEndpoints
+from support.made_windows import Make, Recorded
 
 SCAN = "sensor_msgs/msg/LaserScan"
 TWIST = "geometry_msgs/msg/Twist"

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from made_windows import encoded
 
 from ros2_mcp.bags.qos import qos_text
 from ros2_mcp.bags.recorder import Recorder
@@ -29,6 +28,7 @@ from ros2_mcp.ops.reading import View
 from ros2_mcp.ops.recorded_robot import recorded_robot
 from ros2_mcp.ops.recording import Recording, Wanted
 from ros2_mcp.tools import DECLARED
+from support.made_windows import encoded
 
 START_NS = 1_700_000_000_123_456_789
 SECOND = 10**9

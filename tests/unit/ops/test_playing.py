@@ -9,13 +9,13 @@ from pathlib import Path
 
 import anyio
 import pytest
-from made_bridge import NUMBER, MadeBridge, robot_of, soon
 
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.playing import MAX_PLAYBACKS, PlaybackState, Wanted, play, playbacks, status, stop
+from support.made_bridge import NUMBER, MadeBridge, robot_of, soon
 
 START_NS = 1_700_000_000_000_000_000
 GOAL = Wanted("run", topics=["/goal"])

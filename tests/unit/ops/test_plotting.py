@@ -8,12 +8,12 @@ import math
 
 import numpy as np
 import pytest
-from made_windows import Make, Recorded
 from PIL import Image
 
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
 from ros2_mcp.ops.picturing import map_picture
 from ros2_mcp.ops.plotting import Look, Plot, plot
+from support.made_windows import Make, Recorded
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 FLOAT = "std_msgs/msg/Float64"

@@ -9,7 +9,6 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from made_bridge import MadeBridge, robot_of
 
 from ros2_mcp.bags.bag import Bag
 from ros2_mcp.bags.qos import qos_text
@@ -23,6 +22,7 @@ from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.moments import moment_ns, span_of
 from ros2_mcp.ops.recorded import open_source
 from ros2_mcp.ops.window import Missing, Source, Window
+from support.made_bridge import MadeBridge, robot_of
 
 START_NS = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000

@@ -11,7 +11,6 @@ from typing import Any
 
 import anyio
 import pytest
-from made_bridge import NUMBER, MadeBridge, robot_of, soon
 
 from ros2_mcp.bags.bag import Bag
 from ros2_mcp.bags.recorder import Recorder
@@ -26,6 +25,7 @@ from ros2_mcp.ops.reading import View
 from ros2_mcp.ops.recorded import open_source
 from ros2_mcp.ops.recording import Recording, Wanted, recordings
 from ros2_mcp.settings import Settings
+from support.made_bridge import NUMBER, MadeBridge, robot_of, soon
 
 SECOND = 1_000_000_000
 

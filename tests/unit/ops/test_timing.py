@@ -6,10 +6,10 @@ import asyncio
 from collections.abc import Sequence
 
 import pytest
-from made_windows import Make, Recorded
 
 from ros2_mcp.ops.timing import TopicStats, measure
 from ros2_mcp.ops.window import Scene
+from support.made_windows import Make, Recorded
 
 FLOAT = "std_msgs/msg/Float64"
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from made_windows import Make, Recorded
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.ops.waiting import wait_until
+from support.made_windows import Make, Recorded
 
 FLOAT = "std_msgs/msg/Float64"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,8 +14,6 @@ from ros2_mcp.prompts.folder import PromptFolder
 from ros2_mcp.prompts.mistakes import Mistake
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
-
-sys.path.insert(0, str(Path(__file__).parent))  # the tests import their neighbours
 
 MakeFolder = Callable[..., tuple[PromptFolder, list[Mistake]]]
 

@@ -8,12 +8,12 @@ from typing import Any
 import jsonschema
 import pytest
 from generate import served_tools
-from prompt_steps import steps_of
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.prompts.base import base_prompts
 from ros2_mcp.prompts.prompt import Prompt
 from ros2_mcp.robot import Robot
+from support.prompt_steps import steps_of
 
 CONTRACT: dict[str, dict[str, Any]] = {
     "base.ros2-topic-echo-and-analyze": {"topic_name": "", "duration_sec": 5.0, "analysis_type": "all"},

@@ -9,13 +9,13 @@ from typing import Any
 import jsonschema
 import pytest
 from generate import served_tools
-from prompt_steps import steps_of
 
 from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions, DefinitionText
 from ros2_mcp.prompts.folder import PromptFolder
 from ros2_mcp.prompts.mistakes import Mistake
 from ros2_mcp.tools import TOOLS
+from support.prompt_steps import steps_of
 
 EXAMPLES = Path(__file__).parents[3] / "examples/prompts"
 MAVROS = {

@@ -6,13 +6,13 @@ import asyncio
 import contextlib
 import os
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 from mcp import Client
 
-HERE = Path(__file__).parent
+from support.processes import peer_command
+
 FULL = os.environ.get("ROS2_MCP_FULL") == "1"
 
 
@@ -44,11 +44,11 @@ class Agent:
 
 
 class Peer:
-    """A node of `faulty_peer.py`."""
+    """A node of `faulty_peer`."""
 
     def __init__(self, environment: dict[str, str], arguments: tuple[str, ...]) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, str(HERE / "faulty_peer.py"), *arguments],
+            peer_command("faulty_peer", *arguments),
             env=environment,
             stdout=subprocess.PIPE,
             text=True,

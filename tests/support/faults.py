@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from pathlib import Path
 from typing import Any
 
-from prompting import PromptAgent
+from support.processes import peer_command
+from support.prompting import PromptAgent
 
 
 @contextmanager
@@ -22,8 +21,7 @@ def _parameter(agent: PromptAgent, node: str, name: str, broken: Any, sound: Any
 
 @contextmanager
 def _deaf_subscriber(agent: PromptAgent, environment: dict[str, str]) -> Iterator[None]:
-    script = Path(__file__).with_name("deaf_subscriber.py")
-    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, env=environment) as peer:
+    with subprocess.Popen(peer_command("deaf_subscriber"), stdout=subprocess.PIPE, env=environment) as peer:
         assert peer.stdout
         assert peer.stdout.readline()
         while not agent.agent.call("ros2_topic_info", topic_name="/imu")["mismatches"]:

@@ -1,4 +1,4 @@
-"""The peers of the tests: processes forked by `commands_peer.py`."""
+"""The peers of the tests: processes forked by `commands_peer`."""
 
 from __future__ import annotations
 
@@ -8,17 +8,15 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
-from agent import Agent, Refusal
+from support.agent import Agent, Refusal
+from support.processes import peer_command
 
-HERE = Path(__file__).parent
 COMMAND_S = 60.0
 KNOWN_S = 20.0
 """How long the middleware may take until two processes know each other, on a busy machine."""
@@ -35,8 +33,7 @@ class Nursery:
     def __init__(self, environment: dict[str, str]) -> None:
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            command = [sys.executable, str(HERE / "commands_peer.py")]
-            self._process = subprocess.Popen(command, stdin=theirs, env=environment)
+            self._process = subprocess.Popen(peer_command("commands_peer"), stdin=theirs, env=environment)
         self._spares = deque(self._fork() for _ in range(SPARES))
 
     def start(self, *roles: str, namespace: str = "", is_new: bool = False) -> PeerProcess:

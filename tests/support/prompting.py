@@ -7,11 +7,12 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from agent import Agent, agent_for
 from mcp.shared.exceptions import MCPError
 from mcp.types import PromptReference, ResourceTemplateReference
-from prompt_steps import steps_of
-from standstill import undisturbed
+
+from support.agent import Agent, agent_for
+from support.prompt_steps import steps_of
+from support.standstill import undisturbed
 
 
 class PromptAgent:

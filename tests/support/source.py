@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from support.processes import ROOT
+
 PACKAGES = ("ros2_mcp", "ros2_mcp_bridge", "ros2_mcp_demo", "ros2_mcp_interfaces")
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from raw_server import MODERN, RawServer
+from support.raw_server import MODERN, RawServer
 
 HANDSHAKE = "2025-11-25"
 UPDATED = "notifications/resources/updated"

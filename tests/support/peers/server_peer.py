@@ -12,10 +12,11 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
-import ros_values
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message
+
+from support import ros_values
 
 PATIENCE_S = 20.0
 
