@@ -10,11 +10,13 @@ from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.relays import Relays
 from ros2_mcp.guard.running import Driven, SentGoals
 from ros2_mcp.model import names, qos
+from ros2_mcp.model.commands import LOCAL
 from ros2_mcp.model.errors import TypeConflict
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.robot.exchange import Answer, Listening, Outgoing, Sent
 from ros2_mcp.robot.graph import REQUEST_S, Graph
+from ros2_mcp.robot.jobs import Jobs
 from ros2_mcp.robot.log import LogRing
 from ros2_mcp.robot.values import Values
 from ros2_mcp.robot.wills import Will, Wills
@@ -50,6 +52,8 @@ class Robot:
         self.driven = Driven()
         self.service_types: dict[str, str] = {}
         self.relays = Relays()
+        self.jobs = Jobs()
+        self.principal = LOCAL
         self.log = LogRing(bridge)
 
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────

@@ -1,0 +1,307 @@
+"""One registry of everything that outlives a call: recordings, playbacks, relays, repeats, goals.
+
+A new kind of job is one subclass of `Job` and nothing else: `Jobs` starts it, finds it, bounds how many there are, and
+stops it with all others. Every job runs in one task group, so that none is ever loose.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import secrets
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from time import monotonic
+from typing import ClassVar, Literal, TypeVar
+
+import anyio
+from anyio.abc import TaskGroup
+
+from ros2_mcp.model.commands import Principal
+from ros2_mcp.model.errors import NotFound, Refused, RobotError
+from ros2_mcp.model.names import did_you_mean
+
+State = Literal["starting", "running", "ended", "stopped", "failed"]
+_logger = logging.getLogger(__name__)
+
+
+class Job(ABC):
+    """Work that goes on after the call that began it has returned.
+
+    `state` is `starting`, `running`, `ended` (by itself), `stopped` (somebody stopped it) or `failed` (`failure` says
+    why). `owner` is who began it. `moves` are the topics and actions that it may move something on: `ros2_stop` ends
+    all jobs that have some, and leaves the others.
+
+    Started and awaited with `Jobs`; neither the state nor the id survives this process.
+    """
+
+    kind: ClassVar[str]
+    """What it is in a word; the id begins with it, and messages name it."""
+    most_running: ClassVar[int] = 4
+    """How many may run at the same time, so that a client that never stops its jobs cannot exhaust the robot."""
+    most_kept: ClassVar[int] = 20
+    """How many that have ended are still known, so that their last state can be asked for."""
+    is_displaced: ClassVar[bool] = False
+    """Whether a new one makes the oldest one forgotten when too many run, instead of being refused itself."""
+    listed_by: ClassVar[str] = ""
+    """The tool that lists them, for the hints of errors."""
+    stopped_by: ClassVar[str] = "ros2_stop"
+    """The tool that stops one, for the hints of errors."""
+    patience_s: ClassVar[float] = 5.0
+    """How long `wind_down` and the end that it asks for may take before the work is cancelled."""
+
+    def __init__(self, *, owner: Principal, moves: Sequence[str] = (), job_id: str = "") -> None:
+        # Random, because what another client's job is called must not be guessed, and no id may mean another job
+        # after a restart of the server.
+        self.id = job_id or f"{self.kind}_{secrets.token_hex(4)}"
+        self.owner = owner
+        self.moves = tuple(moves)
+        self.state: State = "starting"
+        self.failure: Exception | None = None
+        self.outcome: State | None = None
+        self._started_at = monotonic()
+        self._ended_at = 0.0
+        self._scope: anyio.CancelScope | None = None
+        self._settled = asyncio.Event()
+        self._over = asyncio.Event()
+        self._is_told_to_stop = False
+
+    @abstractmethod
+    async def run(self) -> None:
+        """The whole work. Calls `begun()` as soon as it runs, and cleans up when it is cancelled, wherever it is.
+
+        What must be awaited while it cleans up stands under `anyio.CancelScope(shield=True)`. A job that knows better
+        than whether `stop` was called how it ended sets `outcome`.
+        """
+
+    async def wind_down(self) -> None:
+        """Asks the work to end in good order; without it, `stop` cancels the work at once."""
+        self.cancel()
+
+    def begun(self) -> None:
+        """Notes that the work runs, so that the call that began it returns."""
+        if self.state == "starting":
+            self.state = "running"
+        self._settled.set()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it has not ended; true from the moment at which it is known."""
+        return self.state in ("starting", "running")
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether somebody has asked it to end."""
+        return self._is_told_to_stop
+
+    @property
+    def elapsed_s(self) -> float:
+        """How long it has run, or ran."""
+        return (self._ended_at or monotonic()) - self._started_at
+
+    async def stop(self) -> None:
+        """Ends it, also while it is still beginning, and returns when it has ended; without effect on one that has.
+
+        Raises:
+            RobotError: what kept it from ending in good order; it was cancelled then, and has ended all the same.
+        """
+        if not self.is_running:
+            return
+        is_first, self._is_told_to_stop = not self._is_told_to_stop, True
+        try:
+            with anyio.move_on_after(self.patience_s):
+                if is_first:
+                    await self.wind_down()
+                await self._over.wait()
+        finally:
+            self.cancel()
+            with anyio.CancelScope(shield=True):
+                await self._over.wait()
+
+    def cancel(self) -> None:
+        """Tells the work to end at once, without waiting for it."""
+        self._is_told_to_stop = True
+        if self._scope:
+            self._scope.cancel()
+
+    async def wait(self, timeout_s: float = math.inf) -> bool:
+        """Waits until it has ended, at most that long; whether it has. Leaves it running when cancelled."""
+        with anyio.move_on_after(timeout_s):
+            await self._over.wait()
+        return not self.is_running
+
+    async def _supervise(self) -> None:
+        """Runs it, and lets no failure out: the other jobs in the task group go on."""
+        assert self._scope
+        try:
+            with self._scope:
+                await self.run()
+        except asyncio.CancelledError:  # not by its scope: the event loop ends, and this process with it
+            self._is_told_to_stop = True
+            raise
+        except Exception as error:  # whatever it is, it ends this job and no other
+            self.failure = _single(error)
+            if self._settled.is_set() and not isinstance(self.failure, RobotError):
+                _logger.exception("%s %s failed", self.kind, self.id)
+        finally:
+            ended: State = "stopped" if self._is_told_to_stop else "ended"
+            self.state = "failed" if self.failure else self.outcome or ended
+            self._ended_at = monotonic()
+            self._over.set()
+            self._settled.set()
+
+
+_Job = TypeVar("_Job", bound=Job)
+
+
+class Jobs:
+    """All jobs of a server: those that run, and the last of each kind that ended."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, Job] = {}
+        self._group: TaskGroup | None = None
+        self._group_is_open = asyncio.Event()
+        self._host_may_end = asyncio.Event()
+        self._host: asyncio.Task[None] | None = None
+        self._is_closed = False
+
+    async def start(self, job: Job, *, within_s: float = math.inf) -> None:
+        """Starts a job, and returns when it runs, has ended, or `within_s` is over; ends it if that is cancelled.
+
+        Raises:
+            Refused: if too many of its kind run, or the server is ending.
+            Exception: whatever kept it from beginning.
+        """
+        group = await self._task_group()
+        self._make_room(type(job))
+        job._scope = anyio.CancelScope()  # pyright: ignore[reportPrivateUsage] - the two classes are one subject
+        self._known[job.id] = job
+        group.start_soon(job._supervise, name=job.id)  # pyright: ignore[reportPrivateUsage]
+        try:
+            with anyio.move_on_after(within_s):
+                await job._settled.wait()  # pyright: ignore[reportPrivateUsage]
+        except BaseException:  # cancelled: who began it will never learn its id
+            with anyio.CancelScope(shield=True):
+                await job.stop()
+            raise
+        if job.failure:
+            raise job.failure
+
+    async def run(self, job: Job) -> None:
+        """Starts a job and waits for its end, for those that one call awaits; ends it if that is cancelled.
+
+        Raises:
+            Exception: as `start`, and whatever it failed with.
+        """
+        await self.start(job)
+        try:
+            await job.wait()
+        except BaseException:  # cancelled
+            with anyio.CancelScope(shield=True):
+                await job.stop()
+            raise
+        if job.failure:
+            raise job.failure
+
+    # ── who is there ───────────────────────────────────────────────────────────────────────────────────────────
+
+    def all(self, kind: type[_Job]) -> list[_Job]:
+        """Those of a kind that are known, in the order of their start. Threads may ask, too."""
+        return [job for job in list(self._known.values()) if isinstance(job, kind)]
+
+    def running(self, kind: type[_Job]) -> list[_Job]:
+        """Those of a kind that have not ended."""
+        return [job for job in self.all(kind) if job.is_running]
+
+    def find(self, kind: type[_Job], job_id: str) -> _Job:
+        """One by its id.
+
+        Raises:
+            NotFound: with the nearest id.
+        """
+        known = {job.id: job for job in self.all(kind)}
+        if job_id not in known:
+            hint = f"{kind.listed_by} shows them." if kind.listed_by else f"Known are: {', '.join(known) or 'none'}."
+            raise NotFound(f"There is no {kind.kind} {job_id!r}.", did_you_mean(job_id, list(known), hint))
+        return known[job_id]
+
+    def chosen(self, kind: type[_Job], job_id: str) -> list[_Job]:
+        """The one of that id, or all of the kind where the id is empty; raises as `find`."""
+        return [self.find(kind, job_id)] if job_id else self.all(kind)
+
+    def require_room(self, kind: type[Job]) -> None:
+        """Raises `Refused` if no other of that kind may start now."""
+        if len(self.running(kind)) >= kind.most_running and not kind.is_displaced:
+            raise Refused(f"{kind.most_running} {kind.kind}s run already.", f"Stop one with {kind.stopped_by}.")
+
+    # ── ending ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def stop(self, kind: type[_Job], job_id: str) -> _Job:
+        """Stops one, and returns it with its last state; raises as `find`, and as `Job.stop`."""
+        job = self.find(kind, job_id)
+        await job.stop()
+        return job
+
+    async def stop_moving(self) -> list[Job]:
+        """Stops all that may move something, at the same time; returns those that ran."""
+        return await self._stop(job for job in self._known.values() if job.moves)
+
+    async def stop_owned(self, owner: Principal) -> list[Job]:
+        """Stops all of one owner, who is gone; returns those that ran."""
+        return await self._stop(job for job in self._known.values() if job.owner == owner)
+
+    async def close(self) -> None:
+        """Stops all, and starts no other: the end of the server. Safe to call twice."""
+        self._is_closed = True
+        await self._stop(self._known.values())
+        self._host_may_end.set()
+        if self._host:
+            await asyncio.wait({self._host})
+
+    async def _stop(self, jobs: Iterable[Job]) -> list[Job]:
+        running = [job for job in jobs if job.is_running]
+        async with anyio.create_task_group() as group:
+            for job in running:
+                group.start_soon(_stop_or_log, job)
+        return running
+
+    def _make_room(self, kind: type[Job]) -> None:
+        self.require_room(kind)
+        running = self.running(kind)
+        if len(running) >= kind.most_running:
+            running[0].cancel()
+        ended = [job for job in self.all(kind) if not job.is_running]
+        for job in ended[: max(0, len(ended) - kind.most_kept)]:
+            del self._known[job.id]
+
+    async def _task_group(self) -> TaskGroup:
+        """The group in which all jobs run; it belongs to no call, so that no call's end is theirs."""
+        if self._is_closed:
+            raise Refused("This server is ending.", "Start it again.")
+        if self._host is None or self._host.done():
+            self._group_is_open, self._host_may_end = asyncio.Event(), asyncio.Event()
+            self._host = asyncio.create_task(self._host_group())
+        await self._group_is_open.wait()
+        assert self._group
+        return self._group
+
+    async def _host_group(self) -> None:
+        async with anyio.create_task_group() as group:
+            self._group = group
+            self._group_is_open.set()
+            await self._host_may_end.wait()
+
+
+async def _stop_or_log(job: Job) -> None:
+    try:
+        await job.stop()
+    except Exception as error:  # noqa: BLE001 - it has ended; that it was not in good order keeps no other from ending
+        _logger.warning("%s %s did not end in good order: %s", job.kind, job.id, error)
+
+
+def _single(error: Exception) -> Exception:
+    """The one error of which a task group of the job has made a group."""
+    while isinstance(inner := getattr(error, "exceptions", (None,))[0], Exception):
+        error = inner
+    return error
