@@ -1,10 +1,15 @@
-"""Everything that the command line and the environment can set."""
+"""Everything that can be set, declared once.
+
+Each field of `Settings` but the last is declared with `_option`: from that follow the command line and its help
+(`cli.py`), the environment variable, the texts of errors, what `ros2-mcp doctor` says of what is set and from where,
+and `docs/reference/settings.md`. Nothing else lists the options.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,54 +17,336 @@ from ros2_mcp.model.errors import BadInput
 
 Transport = Literal["stdio", "sse", "streamable-http"]
 
-TRANSPORTS = ("stdio", "sse", "streamable-http")
-LOG_LEVELS = ("debug", "info", "warning", "error")
+# DDS reckons its UDP ports from the domain id (7400 + 250 per domain): from 233 on they would lie beyond 65535.
 MAX_DOMAIN_ID = 232
+# Fewer bytes leave no room for a message and the account of what was cut. One desktop client refuses results beyond
+# 1 MiB; the upper bound is for those that do not, and guards our memory.
+_RESULT_BYTES = (1000, 10_000_000)
+# It is kept in 16 files, each with the definitions of its types: below a megabyte there is hardly room for messages.
+# The upper bound only catches slips of the finger.
+_BLACK_BOX_BYTES = (1_000_000, 10**13)
+# From half a minute, which is still a memory, to more than a year, which only the bytes bound.
+_BLACK_BOX_HOURS = (0.01, 10_000)
 
-_YES = ("1", "true", "yes", "on")
-_NO = ("", "0", "false", "no", "off")
+
+class Kind:
+    """What values an option takes: `values` says it in words, `metavar` in the command line's help."""
+
+    metavar = "TEXT"
+    values = "text"
+
+    def parse(self, text: str) -> Any:
+        """The value that a text means; raises `ValueError` if it means none."""
+        return text
+
+    def allows(self, value: Any) -> bool:  # noqa: ARG002
+        """Whether a value is within the bounds."""
+        return True
+
+    def written(self, value: Any) -> str:
+        """The value as a user would write it."""
+        return str(value)
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
-    """What one server was asked to be.
+class Text(Kind):
+    """Any text."""
 
-    `domain_id` and `rmw` are None where ROS itself shall decide from the bridge's environment. `tools` names the
-    groups to offer; empty means all. `result_bytes` bounds the text of one result. `ros_root` is where the
-    installations of ROS 2 stand (`<ros_root>/<distro>/setup.bash`). `interface_prefixes` are built interface
-    packages that the bridge shall find besides those of its installation. `prompts` is a folder of prompts in Markdown.
-    `custom_prompts` lets prompts in Python code be loaded: of installed packages, or, with `prompts_local`, of the
-    module `prompts_module` in the folder `prompts_path`. Recordings are written below `record_dir`; bags are read there
-    and below `bag_dir`. `bag` is a recording that stands for the robot. `black_box` names the topics that are always
-    kept (none: all with small messages), at most so many bytes and hours of them; None keeps nothing.
+    metavar: str = "TEXT"
+    values: str = "text"
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf(Kind):
+    """One of a few words."""
+
+    choices: tuple[str, ...]
+
+    @property
+    def metavar(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The choices in braces, as argparse writes them."""
+        return f"{{{','.join(self.choices)}}}"
+
+    @property
+    def values(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The choices in words."""
+        return f"{', '.join(self.choices[:-1])} or {self.choices[-1]}"
+
+    def allows(self, value: Any) -> bool:
+        """Whether it is one of the choices."""
+        return value in self.choices
+
+
+@dataclass(frozen=True, slots=True)
+class Number(Kind):
+    """A number between two bounds, both included."""
+
+    low: float
+    high: float
+    type: type[int] | type[float] = int
+    metavar: str = "N"
+
+    @property
+    def values(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The bounds in words."""
+        return f"a {'whole ' if self.type is int else ''}number from {self.low} to {self.high}"
+
+    def parse(self, text: str) -> Any:
+        """The number; raises `ValueError`."""
+        return self.type(text)
+
+    def allows(self, value: Any) -> bool:
+        """Whether it lies within the bounds; NaN does not."""
+        return self.low <= value <= self.high
+
+    def written(self, value: Any) -> str:
+        """Without a needless fraction."""
+        return f"{value:.15g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Switch(Kind):
+    """On or off."""
+
+    metavar: str = "true|false"
+    values: str = "1 (on) or 0 (off)"
+
+    def parse(self, text: str) -> Any:
+        """True or False; raises `ValueError` for what is neither."""
+        if text.lower() not in ("1", "true", "yes", "on", "0", "false", "no", "off"):
+            raise ValueError(text)
+        return text.lower() in ("1", "true", "yes", "on")
+
+    def written(self, value: Any) -> str:
+        """As in a configuration file."""
+        return "true" if value else "false"
+
+
+@dataclass(frozen=True, slots=True)
+class Names(Kind):
+    """Names with commas between them."""
+
+    metavar: str
+    values: str = "names with commas between them"
+
+    def parse(self, text: str) -> Any:
+        """The names, without what is around them."""
+        return tuple(name.strip() for name in text.split(",") if name.strip())
+
+    def written(self, value: Any) -> str:
+        """With commas."""
+        return ",".join(value)
+
+
+@dataclass(frozen=True, slots=True)
+class File(Kind):
+    """A file or a folder; `must_exist` already."""
+
+    metavar: str = "DIR"
+    must_exist: bool = False
+
+    @property
+    def values(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """What it has to be."""
+        return "a file or folder that exists" if self.must_exist else "a path"
+
+    def parse(self, text: str) -> Any:
+        """The path, with ~ resolved."""
+        return Path(text).expanduser()
+
+    def allows(self, value: Any) -> bool:
+        """Whether it is there, if it must be."""
+        return not self.must_exist or value.expanduser().exists()
+
+
+@dataclass(frozen=True, slots=True)
+class Files(Kind):
+    """Several folders: the option is given again for each, the variable has them joined as PATH is."""
+
+    metavar: str = "DIR"
+    values: str = f"paths (several: the option again, or {os.pathsep!r} between them in the variable)"
+
+    def parse(self, text: str) -> Any:
+        """The paths, with ~ resolved."""
+        return tuple(Path(entry).expanduser() for entry in text.split(os.pathsep) if entry)
+
+    def written(self, value: Any) -> str:
+        """As in the variable."""
+        return os.pathsep.join(map(str, value))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Option:
+    """The declaration of one setting.
+
+    `name` is the field's, `flag` the command line's, `variable` the environment's. `alone` is the text that the flag
+    stands for when nothing follows it; None: a value must follow. `takes_value` False: nothing may follow. `unset` says
+    what happens by default, where the default value does not.
     """
 
-    transport: Transport = "stdio"
-    host: str = "127.0.0.1"
-    port: int = 8123
-    read_only: bool = False
-    distro: str | None = None
-    workspaces: tuple[Path, ...] = ()
-    domain_id: int | None = None
-    rmw: str | None = None
-    bridge_python: Path | None = None
-    tools: tuple[str, ...] = ()
-    log_level: str = "warning"
-    result_bytes: int = 32_000
-    ros_root: Path = Path("/opt/ros")
-    interface_prefixes: tuple[Path, ...] = ()
-    cache_dir: Path = Path("~/.cache/ros2-mcp")
-    record_dir: Path = Path("~/ros2-mcp/recordings")
-    bag_dir: Path | None = None
-    bag: Path | None = None
-    black_box: tuple[str, ...] | None = None
-    black_box_bytes: int = 1_000_000_000
-    black_box_hours: float = 24.0
-    custom_prompts: bool = False
-    prompts: Path | None = None
-    prompts_local: bool = False
-    prompts_path: Path | None = None
-    prompts_module: str = "extension_prompts"
+    name: str = ""
+    default: Any
+    flag: str
+    variable: str
+    group: str
+    kind: Kind
+    help: str
+    unset: str = ""
+    alone: str | None = None
+    takes_value: bool = True
+
+    @property
+    def title(self) -> str:
+        """Both names under which it can be set."""
+        return f"{self.flag} ({self.variable})"
+
+    @property
+    def repeatable(self) -> bool:
+        """Whether the flag may be given several times."""
+        return isinstance(self.kind, Files)
+
+    @property
+    def default_text(self) -> str:
+        """What holds when it is not set, in words; empty where nothing is to be said."""
+        return self.unset or ("" if self.default in (None, ()) else self.kind.written(self.default))
+
+    def parse(self, text: str) -> Any:
+        """The value that a text of the command line or of the environment means.
+
+        Raises:
+            BadInput: if it means none, or one beyond the bounds.
+        """
+        try:
+            value = self.kind.parse(text)
+        except ValueError:
+            raise self._refusal(repr(text)) from None
+        return self.checked(value)
+
+    def checked(self, value: Any) -> Any:
+        """The value, if it is within the bounds; raises `BadInput` otherwise."""
+        if not self.kind.allows(value):
+            raise self._refusal(self.kind.written(value))
+        return value
+
+    def _refusal(self, shown: str) -> BadInput:
+        return BadInput(f"{self.title} is {shown}.", f"It must be {self.kind.values}.")
+
+
+def _option(default: Any, flag: str, variable: str, group: str, kind: Kind, help: str, **more: Any) -> Any:  # noqa: A002
+    declared = Option(default=default, flag=flag, variable=variable, group=group, kind=kind, help=help, **more)
+    return field(default=default, metadata={"option": declared})
+
+
+_ROS, _SERVING, _PROMPTS, _MEMORY = "ROS 2", "serving", "prompts", "memory"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """What one server was asked to be. Paths may begin with `~` where they are defaults: expand them before use."""
+
+    # One option is read more easily in two or three lines than in eight.
+    # fmt: off
+    distro: str | None = _option(
+        None, "--distro", "ROS2_MCP_DISTRO", _ROS, Text("NAME"), "distribution to use, such as jazzy",
+        unset="the sourced one, else the newest installed",
+    )
+    workspaces: tuple[Path, ...] = _option(
+        (), "--workspace", "ROS2_MCP_WORKSPACE", _ROS, Files(), "overlay to source on top",
+    )
+    domain_id: int | None = _option(
+        None, "--domain-id", "ROS_DOMAIN_ID", _ROS, Number(0, MAX_DOMAIN_ID), "DDS domain", unset="ROS's own, 0",
+    )
+    rmw: str | None = _option(
+        None, "--rmw", "RMW_IMPLEMENTATION", _ROS, Text("NAME"), "middleware, such as rmw_cyclonedds_cpp",
+        unset="ROS's own choice",
+    )
+    ros_root: Path = _option(
+        Path("/opt/ros"), "--ros-root", "ROS2_MCP_ROS_ROOT", _ROS, File(),
+        "where the installations are, each as DIR/<distro>/setup.bash",
+    )
+    bridge_python: Path | None = _option(
+        None, "--bridge-python", "ROS2_MCP_BRIDGE_PYTHON", _ROS, File("FILE"), "the Python that runs the bridge",
+        unset="that of the installation",
+    )
+    interface_prefixes: tuple[Path, ...] = _option(
+        (), "--interfaces", "ROS2_MCP_INTERFACES", _ROS, Files(),
+        "built interface packages that the bridge shall find besides those of its installation",
+    )
+    cache_dir: Path = _option(
+        Path("~/.cache/ros2-mcp"), "--cache-dir", "ROS2_MCP_CACHE_DIR", _ROS, File(),
+        "for interface packages that are built here", unset="ros2-mcp below XDG_CACHE_HOME, else ~/.cache",
+    )
+
+    transport: Transport = _option(
+        "stdio", "--transport", "ROS2_MCP_TRANSPORT", _SERVING, OneOf(("stdio", "sse", "streamable-http")),
+        "how clients reach this server",
+    )
+    host: str = _option("127.0.0.1", "--host", "ROS2_MCP_HOST", _SERVING, Text("ADDRESS"), "address for HTTP")
+    port: int = _option(8123, "--port", "ROS2_MCP_PORT", _SERVING, Number(1, 65535), "port for HTTP")
+    read_only: bool = _option(
+        False, "--read-only", "ROS2_MCP_READONLY", _SERVING, Switch(), "leave out tools that write",
+        takes_value=False,
+    )
+    tools: tuple[str, ...] = _option(
+        (), "--tools", "ROS2_MCP_TOOLS", _SERVING, Names("GROUPS"),
+        "groups of tools, such as default,lifecycle, or all", unset="the default ones",
+    )
+    # About 10,000 tokens: what one terminal client takes at most is 25,000, and a model should have room for others.
+    result_bytes: int = _option(
+        32_000, "--result-bytes", "ROS2_MCP_RESULT_BYTES", _SERVING, Number(*_RESULT_BYTES),
+        "bound on the text of one result",
+    )
+    log_level: str = _option(
+        "warning", "--log-level", "ROS2_MCP_LOG_LEVEL", _SERVING, OneOf(("debug", "info", "warning", "error")),
+        "what is told on stderr; debug has the bridge's own log too",
+    )
+
+    prompts: Path | None = _option(
+        None, "--prompts", "ROS2_MCP_PROMPTS", _PROMPTS, File(), "folder of your prompts in Markdown",
+    )
+    # The three names that begin with MCP_ are those under which WiseVision's servers know these settings.
+    custom_prompts: bool = _option(
+        False, "--custom-prompts", "MCP_CUSTOM_PROMPTS", _PROMPTS, Switch(), "load prompts of Python packages",
+        alone="true",
+    )
+    prompts_local: bool = _option(
+        False, "--prompts-local", "MCP_PROMPTS_LOCAL", _PROMPTS, Switch(),
+        "with --custom-prompts: load a module instead", alone="true",
+    )
+    prompts_path: Path | None = _option(
+        None, "--prompts-path", "MCP_PROMPTS_PATH", _PROMPTS, File(), "folder of that module",
+    )
+    prompts_module: str = _option(
+        "extension_prompts", "--prompts-module", "MCP_PROMPTS_MODULE", _PROMPTS, Text("NAME"), "name of that module",
+    )
+
+    record_dir: Path = _option(
+        Path("~/ros2-mcp/recordings"), "--record-dir", "ROS2_MCP_RECORD_DIR", _MEMORY, File(), "for recordings",
+    )
+    bag_dir: Path | None = _option(
+        None, "--bag-dir", "ROS2_MCP_BAG_DIR", _MEMORY, File(), "where bags are read, besides the recordings",
+    )
+    bag: Path | None = _option(
+        None, "--bag", "ROS2_MCP_BAG", _MEMORY, File("FILE", must_exist=True),
+        "a recording in the place of the robot; needs no ROS",
+    )
+    black_box: tuple[str, ...] | None = _option(
+        None, "--black-box", "ROS2_MCP_BLACK_BOX", _MEMORY, Names("TOPICS"),
+        "always keep these topics; alone: all that have small messages", unset="nothing is kept", alone="",
+    )
+    # What the disk of a robot's computer can spare without being asked.
+    black_box_bytes: int = _option(
+        1_000_000_000, "--black-box-bytes", "ROS2_MCP_BLACK_BOX_BYTES", _MEMORY, Number(*_BLACK_BOX_BYTES),
+        "at most so many bytes of it",
+    )
+    black_box_hours: float = _option(
+        24.0, "--black-box-hours", "ROS2_MCP_BLACK_BOX_HOURS", _MEMORY, Number(*_BLACK_BOX_HOURS, float, "H"),
+        "at most so many hours of it",
+    )
+
+    # fmt: on
+    origins: Mapping[str, str] = field(default_factory=dict[str, str], compare=False, repr=False)
+    """What was set: the name of the field, and the flag or variable that set it."""
 
     @property
     def debug(self) -> bool:
@@ -76,107 +363,30 @@ class Settings:
         """The settings of this environment; an override that is not None wins over it.
 
         Raises:
-            BadInput: naming the variable or option whose value cannot be used, and what would be right.
+            BadInput: naming the variable and option whose value cannot be used, and what would be right.
         """
-        unknown = set(overrides) - {field.name for field in fields(cls)}
+        unknown = set(overrides) - set(OPTIONS)
         if unknown:
             raise BadInput(f"There is no setting {sorted(unknown)[0]!r}.")
-        given = {name: value for name, value in overrides.items() if value is not None}
-        return _checked(replace(_from_variables(env, given), **given))
+        values: dict[str, Any] = {"cache_dir": _cache_dir(env)}
+        origins: dict[str, str] = {}
+        for name, option in OPTIONS.items():
+            # A variable that an option overrides is not even looked at: it may be wrong.
+            if overrides.get(name) is not None:
+                values[name], origins[name] = option.checked(overrides[name]), option.flag
+            elif text := env.get(option.variable, "").strip():
+                values[name], origins[name] = option.parse(text), option.variable
+        return cls(**values, origins=origins)
 
 
-def _from_variables(env: Mapping[str, str], given: Mapping[str, Any]) -> Settings:
-    """The settings that the variables make; one that an option overrides is not even looked at."""
-    values: dict[str, Any] = {"cache_dir": _cache_dir(env)}
-    for variable, (name, parse) in _VARIABLES.items():
-        text = env.get(variable, "")
-        if text.strip() and name not in given:
-            values[name] = parse(variable, text.strip())
-    return Settings(**values)
+OPTIONS: Mapping[str, Option] = {
+    each.name: replace(each.metadata["option"], name=each.name)
+    for each in fields(Settings)
+    if "option" in each.metadata
+}
+"""Every option by the name of its field, in the order of `--help`."""
 
 
 def _cache_dir(env: Mapping[str, str]) -> Path:
     base = Path(env.get("XDG_CACHE_HOME") or Path(env.get("HOME") or "~") / ".cache")
     return base / "ros2-mcp"
-
-
-def _checked(settings: Settings) -> Settings:
-    _require_one_of("--transport (ROS2_MCP_TRANSPORT)", settings.transport, TRANSPORTS)
-    _require_one_of("--log-level (ROS2_MCP_LOG_LEVEL)", settings.log_level, LOG_LEVELS)
-    _require_between("--port (ROS2_MCP_PORT)", settings.port, 1, 65535)
-    _require_between("--result-bytes (ROS2_MCP_RESULT_BYTES)", settings.result_bytes, 1000, 10_000_000)
-    _require_between("--black-box-bytes (ROS2_MCP_BLACK_BOX_BYTES)", settings.black_box_bytes, 1_000_000, 10**13)
-    if not 0.01 <= settings.black_box_hours <= 10_000:
-        raise BadInput(f"--black-box-hours is {settings.black_box_hours:g}.", "It must be from 0.01 to 10000.")
-    if settings.bag is not None and not settings.bag.expanduser().exists():
-        raise BadInput(f"--bag (ROS2_MCP_BAG): there is no {settings.bag}.", "Give a bag's file or folder.")
-    if settings.domain_id is not None:
-        _require_between("--domain-id (ROS_DOMAIN_ID)", settings.domain_id, 0, MAX_DOMAIN_ID)
-    return settings
-
-
-def _require_one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise BadInput(f"{name} is {value!r}.", f"It can be {', '.join(allowed[:-1])} or {allowed[-1]}.")
-
-
-def _require_between(name: str, value: int, low: int, high: int) -> None:
-    if not low <= value <= high:
-        raise BadInput(f"{name} is {value}.", f"It must be a whole number from {low} to {high}.")
-
-
-def _text(_variable: str, text: str) -> str:
-    return text
-
-
-def _number(variable: str, text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise BadInput(f"{variable} is {text!r}.", "It must be a whole number.") from None
-
-
-def _switch(variable: str, text: str) -> bool:
-    if text.lower() not in _YES + _NO:
-        raise BadInput(f"{variable} is {text!r}.", "It must be 1 (on) or 0 (off).")
-    return text.lower() in _YES
-
-
-def _names(_variable: str, text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def _path(_variable: str, text: str) -> Path:
-    return Path(text).expanduser()
-
-
-def _paths(_variable: str, text: str) -> tuple[Path, ...]:
-    return tuple(Path(entry).expanduser() for entry in text.split(os.pathsep) if entry)
-
-
-_VARIABLES: Mapping[str, tuple[str, Any]] = {
-    "ROS2_MCP_TRANSPORT": ("transport", _text),
-    "ROS2_MCP_HOST": ("host", _text),
-    "ROS2_MCP_PORT": ("port", _number),
-    "ROS2_MCP_READONLY": ("read_only", _switch),
-    "ROS2_MCP_DISTRO": ("distro", _text),
-    "ROS2_MCP_WORKSPACE": ("workspaces", _paths),
-    "ROS_DOMAIN_ID": ("domain_id", _number),
-    "RMW_IMPLEMENTATION": ("rmw", _text),
-    "ROS2_MCP_BRIDGE_PYTHON": ("bridge_python", _path),
-    "ROS2_MCP_TOOLS": ("tools", _names),
-    "ROS2_MCP_LOG_LEVEL": ("log_level", _text),
-    "ROS2_MCP_RESULT_BYTES": ("result_bytes", _number),
-    "ROS2_MCP_ROS_ROOT": ("ros_root", _path),
-    "ROS2_MCP_INTERFACES": ("interface_prefixes", _paths),
-    "ROS2_MCP_PROMPTS": ("prompts", _path),
-    "ROS2_MCP_RECORD_DIR": ("record_dir", _path),
-    "ROS2_MCP_BAG_DIR": ("bag_dir", _path),
-    "ROS2_MCP_BAG": ("bag", _path),
-    "ROS2_MCP_BLACK_BOX": ("black_box", _names),
-    "ROS2_MCP_BLACK_BOX_BYTES": ("black_box_bytes", _number),
-    "MCP_CUSTOM_PROMPTS": ("custom_prompts", _switch),
-    "MCP_PROMPTS_LOCAL": ("prompts_local", _switch),
-    "MCP_PROMPTS_PATH": ("prompts_path", _path),
-    "MCP_PROMPTS_MODULE": ("prompts_module", _text),
-}

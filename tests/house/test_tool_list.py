@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from generate import REFERENCE, SNAPSHOT, reference, served_tools, snapshot
+from generate import REFERENCE, SETTINGS, SNAPSHOT, reference, served_tools, settings_reference, snapshot
 from mcp.server import MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
 
@@ -35,6 +35,10 @@ def test_the_list_of_tools_is_as_its_snapshot() -> None:
 
 def test_the_reference_describes_the_tools_as_they_are() -> None:
     assert REFERENCE.read_text(encoding="utf-8") == reference(served_tools()), OUT_OF_DATE
+
+
+def test_the_reference_describes_the_settings_as_they_are() -> None:
+    assert SETTINGS.read_text(encoding="utf-8") == settings_reference(), OUT_OF_DATE
 
 
 def test_every_tool_is_described_in_the_reference() -> None:

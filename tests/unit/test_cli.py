@@ -6,8 +6,9 @@ import pytest
 
 from ros2_mcp.cli import CLIENTS, parser, run, settings_from
 from ros2_mcp.commands.call import parse_assignments
+from ros2_mcp.commands.doctor import what_is_set
 from ros2_mcp.model.errors import BadInput
-from ros2_mcp.settings import Settings
+from ros2_mcp.settings import OPTIONS, Settings, Switch
 
 
 def settings(*argv: str) -> Settings:
@@ -29,6 +30,49 @@ def test_options_become_settings() -> None:
     assert (made.read_only, made.domain_id) == (True, 7)
     assert tuple(made.workspaces) == (Path("/a"), Path("/b"))
     assert tuple(made.tools) == ("core", "x")
+
+
+def test_every_setting_has_an_option_that_sets_it() -> None:
+    texts = {"transport": "sse", "log_level": "info", "bag": "/"}
+    for name, option in OPTIONS.items():
+        value = getattr(option.kind, "low", None)
+        text = texts.get(name, "true" if isinstance(option.kind, Switch) else str(value) if value else "1")
+        made = settings(option.flag, *([text] if option.takes_value else []))
+        assert getattr(made, name) == option.parse(text)
+        assert made.origins == {name: option.flag}
+
+
+def test_options_that_may_stand_alone_say_what_they_mean() -> None:
+    assert settings("--black-box").black_box == ()
+    assert settings("--black-box", "/odom,/scan").black_box == ("/odom", "/scan")
+    assert settings("--custom-prompts").custom_prompts is True
+    assert settings("--custom-prompts", "false").custom_prompts is False
+
+
+def test_a_wrong_value_of_an_option_is_told_as_that_of_its_variable_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["--port", "many", "doctor"]) == 1
+    of_option = capsys.readouterr().err
+    monkeypatch.setenv("ROS2_MCP_PORT", "many")
+    assert run(["doctor"]) == 1
+    assert capsys.readouterr().err == of_option
+    assert of_option == "ros2-mcp: --port (ROS2_MCP_PORT) is 'many'. It must be a whole number from 1 to 65535.\n"
+
+
+def test_the_doctor_says_what_is_set_and_by_what_and_names_misspelt_variables() -> None:
+    env = {"ROS2_MCP_PORT": "9000", "ROS2_MCP_READ_ONLY": "1"}
+    made = Settings.from_environment(env, domain_id=7)
+    told = [(finding.title, finding.detail, finding.fix) for finding in what_is_set(made, env)]
+    assert told == [
+        ("Setting --domain-id", "7 (DDS domain)", ""),
+        ("Setting ROS2_MCP_PORT", "9000 (port for HTTP)", ""),
+        (
+            "ROS2_MCP_READ_ONLY",
+            "is set, but is none of this server's variables",
+            "Did you mean ROS2_MCP_READONLY?",
+        ),
+    ]
 
 
 def test_an_option_wins_over_a_variable(monkeypatch: pytest.MonkeyPatch) -> None:

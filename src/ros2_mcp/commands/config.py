@@ -12,6 +12,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from ros2_mcp.settings import OPTIONS, File, Files
+
 NAME = "ros2"
 _PASSED_ON = ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS")
 _PLACES = {
@@ -46,9 +48,10 @@ def configuration(client: str, command: str, options: Sequence[str], variables: 
 
 
 def absolute_paths(options: Sequence[str]) -> list[str]:
-    """The options with workspaces as absolute paths: a client starts the server in a folder of its own."""
+    """The options with absolute paths: a client starts the server in a folder of its own."""
+    with_paths = [option.flag for option in OPTIONS.values() if isinstance(option.kind, (File, Files))]
     return [
-        str(Path(word).expanduser().resolve()) if before == "--workspace" else word
+        str(Path(word).expanduser().resolve()) if before in with_paths else word
         for before, word in zip(("", *options), options, strict=False)
     ]
 

@@ -1,11 +1,13 @@
 """What environment and command line make of the settings."""
 
+import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from ros2_mcp.model.errors import BadInput
-from ros2_mcp.settings import Settings
+from ros2_mcp.settings import OPTIONS, Settings
 
 
 def test_the_environment_sets_what_it_names() -> None:
@@ -43,3 +45,38 @@ def test_an_option_wins_over_its_variable_even_if_that_is_wrong() -> None:
 def test_a_bad_value_names_its_variable_and_what_would_be_right(variable: str, value: str, right: str) -> None:
     with pytest.raises(BadInput, match=f"{variable}.*{value}.*{right}"):
         Settings.from_environment({variable: value})
+
+
+def test_every_setting_has_a_flag_and_a_variable_of_its_own() -> None:
+    assert [field.name for field in fields(Settings)] == [*OPTIONS, "origins"]
+    assert len({option.flag for option in OPTIONS.values()}) == len(OPTIONS)
+    assert len({option.variable for option in OPTIONS.values()}) == len(OPTIONS)
+    assert [option.flag for option in OPTIONS.values() if not re.fullmatch(r"--[a-z]+(-[a-z]+)*", option.flag)] == []
+    assert [option.variable for option in OPTIONS.values() if not re.fullmatch(r"[A-Z0-9_]+", option.variable)] == []
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_every_default_is_among_the_values_that_are_accepted(name: str) -> None:
+    default = getattr(Settings(), name)
+    assert default is None or OPTIONS[name].checked(default) == default
+
+
+def test_settings_know_what_set_them() -> None:
+    env = {"ROS_DOMAIN_ID": "7", "ROS2_MCP_PORT": "9000", "ROS2_MCP_BLACK_BOX_HOURS": "0.5"}
+    settings = Settings.from_environment(env, port=9001)
+    assert settings.origins == {
+        "domain_id": "ROS_DOMAIN_ID",
+        "port": "--port",
+        "black_box_hours": "ROS2_MCP_BLACK_BOX_HOURS",
+    }
+    assert settings.black_box_hours == 0.5
+
+
+def test_a_bound_holds_for_an_option_and_for_its_variable(tmp_path: Path) -> None:
+    wrong = r"--black-box-hours \(ROS2_MCP_BLACK_BOX_HOURS\) is 'nan'|is nan\. It must be a number from 0.01 to 10000\."
+    with pytest.raises(BadInput, match=wrong):
+        Settings.from_environment({"ROS2_MCP_BLACK_BOX_HOURS": "nan"})
+    with pytest.raises(BadInput, match=wrong):
+        Settings.from_environment({}, black_box_hours=float("nan"))
+    with pytest.raises(BadInput, match=r"--bag \(ROS2_MCP_BAG\) is .*It must be a file or folder that exists\."):
+        Settings.from_environment({"ROS2_MCP_BAG": str(tmp_path / "none")})
