@@ -1,16 +1,50 @@
-"""What needs many rounds, long times or a quiet machine is run only when it is asked for."""
+"""How every test is run: async ones on asyncio, watched for tasks that they leave; long ones only when asked for."""
 
 from __future__ import annotations
 
+import asyncio
+import inspect
 import os
+from collections.abc import AsyncIterator
 
 import pytest
 
+from support.tasks import running_tasks
+
+TASKS_END_S = 1.0
+"""A task that was cancelled needs a few rounds of the loop until it has ended; a busy machine stretches them."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pycollect_makeitem(collector: pytest.Module, name: str, obj: object) -> None:
+    """Every async test is anyio's to run, without a mark of its own."""
+    if collector.istestfunction(obj, name) and inspect.iscoroutinefunction(obj):
+        pytest.mark.anyio(obj)
+        pytest.mark.usefixtures("no_task_is_left")(obj)
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What needs many rounds, long times or a quiet machine is skipped unless it is asked for."""
     if os.environ.get("ROS2_MCP_FULL"):
         return
     skip = pytest.mark.skip(reason="set ROS2_MCP_FULL=1 on a quiet machine")
     for item in items:
         if item.get_closest_marker("full"):
             item.add_marker(skip)
+
+
+@pytest.fixture(scope="session")
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture
+async def no_task_is_left(anyio_backend: str) -> AsyncIterator[None]:
+    """Fails the test if a task runs on that it has begun; those of fixtures of the whole file may."""
+    before = running_tasks()
+    yield
+    loop = asyncio.get_running_loop()
+    deadline = loop.time() + TASKS_END_S
+    while (left := running_tasks() - before) and loop.time() < deadline:
+        await asyncio.sleep(0.01)
+    assert not left, left

@@ -9,7 +9,8 @@ import subprocess
 import sys
 import time
 import venv
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from ros2_mcp.link.installation import WHEEL_GUARD
 from ros2_mcp.model.errors import BridgeLost, BridgeRefused, LinkError, RosNotFound
 from ros2_mcp.settings import Settings
 from support.standstill import undisturbed_async
+from support.tasks import running_tasks
 
 ENV = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 SETTINGS = Settings(domain_id=111)
@@ -28,83 +30,77 @@ PATIENCE_S = 30.0
 STRING = b"\x00\x01\x00\x00\x06\x00\x00\x00hello\x00"
 
 
-def play(scenario: Callable[[Bridge], Awaitable[None]], settings: Settings = SETTINGS) -> Bridge:
-    """Plays a scenario with a bridge, and fails it if a process or task is left behind."""
+@asynccontextmanager
+async def launched(settings: Settings = SETTINGS) -> AsyncIterator[Bridge]:
+    """A bridge for a block, whose process has gone and which has no task left after it."""
+    before = running_tasks()
+    bridge = Bridge(lambda: find_ros(settings, ENV))
+    bridge.launch()
+    try:
+        yield bridge
+    finally:
+        pid = bridge.pid
+        await bridge.close()
+    assert running_tasks() == before
+    assert pid is None or not _lives(pid)
 
-    async def run() -> Bridge:
-        bridge = Bridge(lambda: find_ros(settings, ENV))
-        bridge.launch()
-        try:
-            await asyncio.wait_for(scenario(bridge), 100)
-        finally:
-            pid = bridge.pid
-            await bridge.close()
-        assert asyncio.all_tasks() == {asyncio.current_task()}
-        assert pid is None or not _lives(pid)
-        return bridge
 
-    return asyncio.run(run())
+@pytest.fixture
+async def bridge() -> AsyncIterator[Bridge]:
+    async with launched() as bridge:
+        yield bridge
 
 
 def _lives(pid: int) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-def test_a_launched_bridge_answers_and_leaves_when_closed() -> None:
-    async def scenario(bridge: Bridge) -> None:
-        reply = await bridge.request("topics", settle_s=2.0, timeout_s=PATIENCE_S)
-        assert isinstance(reply.ok["topics"], list)
-        assert bridge.hello
-        assert bridge.hello.domain_id == 111
-
-    play(scenario)
+async def test_a_launched_bridge_answers_and_leaves_when_closed(bridge: Bridge) -> None:
+    reply = await bridge.request("topics", settle_s=2.0, timeout_s=PATIENCE_S)
+    assert isinstance(reply.ok["topics"], list)
+    assert bridge.hello
+    assert bridge.hello.domain_id == 111
 
 
-def test_what_is_published_arrives_at_a_subscription_byte_for_byte() -> None:
-    async def scenario(bridge: Bridge) -> None:
-        topic, kind = "/link_test", "std_msgs/msg/String"
-        async with await bridge.subscribe(
-            topic, kind, QOS, keep="all", max_samples=100, max_bytes=10_000_000
-        ) as subscription:
-            sent = await bridge.request(
-                "publish", STRING, timeout_s=PATIENCE_S, topic=topic, type=kind, qos=QOS, wait_match_s=10, wait_ack_s=10
+async def test_what_is_published_arrives_at_a_subscription_byte_for_byte(bridge: Bridge) -> None:
+    topic, kind = "/link_test", "std_msgs/msg/String"
+    async with await bridge.subscribe(
+        topic, kind, QOS, keep="all", max_samples=100, max_bytes=10_000_000
+    ) as subscription:
+        sent = await bridge.request(
+            "publish", STRING, timeout_s=PATIENCE_S, topic=topic, type=kind, qos=QOS, wait_match_s=10, wait_ack_s=10
+        )
+        assert sent.ok["matched"] >= 1
+        taken = await subscription.take(PATIENCE_S)
+        assert [sample.data[: len(STRING)] for sample in taken] == [STRING]
+    assert subscription.counts.received == 1
+
+
+async def test_a_large_body_goes_both_ways_without_holding_up_other_requests(bridge: Bridge) -> None:
+    topic, kind, size = "/link_large", "std_msgs/msg/UInt8MultiArray", 10_000_000
+    body = b"\x00\x01\x00\x00" + bytes(4) + bytes(4) + size.to_bytes(4, "little") + os.urandom(size)
+    async with await bridge.subscribe(
+        topic, kind, QOS, keep="all", max_samples=10, max_bytes=50_000_000
+    ) as subscription:
+        publish = asyncio.ensure_future(
+            bridge.request(
+                "publish", body, timeout_s=40, topic=topic, type=kind, qos=QOS, wait_match_s=10, wait_ack_s=10
             )
-            assert sent.ok["matched"] >= 1
-            taken = await subscription.take(PATIENCE_S)
-            assert [sample.data[: len(STRING)] for sample in taken] == [STRING]
-        assert subscription.counts.received == 1
-
-    play(scenario)
-
-
-def test_a_large_body_goes_both_ways_without_holding_up_other_requests() -> None:
-    async def scenario(bridge: Bridge) -> None:
-        topic, kind, size = "/link_large", "std_msgs/msg/UInt8MultiArray", 10_000_000
-        body = b"\x00\x01\x00\x00" + bytes(4) + bytes(4) + size.to_bytes(4, "little") + os.urandom(size)
-        async with await bridge.subscribe(
-            topic, kind, QOS, keep="all", max_samples=10, max_bytes=50_000_000
-        ) as subscription:
-            publish = asyncio.ensure_future(
-                bridge.request(
-                    "publish", body, timeout_s=40, topic=topic, type=kind, qos=QOS, wait_match_s=10, wait_ack_s=10
-                )
-            )
-            await bridge.request("ping", timeout_s=PATIENCE_S)
-            await publish
-            taken = await subscription.take(PATIENCE_S)
-            assert [sample.data[: len(body)] for sample in taken] == [body]
-        assert bridge.restarts == []
-
-    play(scenario)
+        )
+        await bridge.request("ping", timeout_s=PATIENCE_S)
+        await publish
+        taken = await subscription.take(PATIENCE_S)
+        assert [sample.data[: len(body)] for sample in taken] == [body]
+    assert bridge.restarts == []
 
 
 @pytest.mark.parametrize(
     ("number", "words"), [(signal.SIGKILL, "died with signal SIGKILL"), (signal.SIGSTOP, "was stopped")]
 )
-def test_a_lost_bridge_fails_the_call_within_a_second_and_the_next_call_works(
-    number: signal.Signals, words: str
+async def test_a_lost_bridge_fails_the_call_within_a_second_and_the_next_call_works(
+    bridge: Bridge, number: signal.Signals, words: str
 ) -> None:
-    async def lost_after(bridge: Bridge) -> float:
+    async def lost_after() -> float:
         first, generation = (await bridge.ready()).pid, bridge.generation
         waiting = asyncio.ensure_future(
             bridge.request("wait_endpoints", topic="/nobody", publishers=1, subscribers=0, timeout_s=90)
@@ -126,41 +122,33 @@ def test_a_lost_bridge_fails_the_call_within_a_second_and_the_next_call_works(
         assert not _lives(first)
         return took
 
-    async def scenario(bridge: Bridge) -> None:
-        assert await undisturbed_async(lambda: lost_after(bridge)) < 1.0
-
-    assert words in play(scenario).restarts[0]
+    assert await undisturbed_async(lost_after) < 1.0
+    assert words in bridge.restarts[0]
 
 
-def test_a_cancelled_call_and_a_cancelled_subscribe_leave_nothing_in_the_bridge() -> None:
-    async def scenario(bridge: Bridge) -> None:
-        await bridge.ready()
-        for delay_s in (0.0, 0.0005, 0.002, 0.01):
-            ask = asyncio.ensure_future(
-                bridge.subscribe("/brief", "std_msgs/msg/String", QOS, keep="all", max_samples=10, max_bytes=1000)
-            )
-            await asyncio.sleep(delay_s)
-            if not ask.cancel():
-                await ask.result().close()
-            await asyncio.wait({ask})
-        deadline = time.monotonic() + PATIENCE_S
-        while (await bridge.request("stats", timeout_s=PATIENCE_S)).ok["subscriptions"]:
-            assert time.monotonic() < deadline
-            await asyncio.sleep(0.02)
-
-    play(scenario)
+async def test_a_cancelled_call_and_a_cancelled_subscribe_leave_nothing_in_the_bridge(bridge: Bridge) -> None:
+    await bridge.ready()
+    for delay_s in (0.0, 0.0005, 0.002, 0.01):
+        ask = asyncio.ensure_future(
+            bridge.subscribe("/brief", "std_msgs/msg/String", QOS, keep="all", max_samples=10, max_bytes=1000)
+        )
+        await asyncio.sleep(delay_s)
+        if not ask.cancel():
+            await ask.result().close()
+        await asyncio.wait({ask})
+    deadline = time.monotonic() + PATIENCE_S
+    while (await bridge.request("stats", timeout_s=PATIENCE_S)).ok["subscriptions"]:
+        assert time.monotonic() < deadline
+        await asyncio.sleep(0.02)
 
 
-def test_a_refusal_of_the_bridge_arrives_with_its_kind() -> None:
-    async def scenario(bridge: Bridge) -> None:
-        with pytest.raises(BridgeRefused) as refused:
-            await bridge.request("node", name="nobody", namespace="/", settle_s=0.0, timeout_s=PATIENCE_S)
-        assert refused.value.kind == "not_found"
-
-    play(scenario)
+async def test_a_refusal_of_the_bridge_arrives_with_its_kind(bridge: Bridge) -> None:
+    with pytest.raises(BridgeRefused) as refused:
+        await bridge.request("node", name="nobody", namespace="/", settle_s=0.0, timeout_s=PATIENCE_S)
+    assert refused.value.kind == "not_found"
 
 
-def test_without_ros_every_request_says_what_is_missing_and_it_is_looked_for_again(tmp_path: Path) -> None:
+async def test_without_ros_every_request_says_what_is_missing_and_it_is_looked_for_again(tmp_path: Path) -> None:
     there = False
 
     def find():  # type: ignore[no-untyped-def]
@@ -168,33 +156,27 @@ def test_without_ros_every_request_says_what_is_missing_and_it_is_looked_for_aga
             raise RosNotFound("No ROS 2 found.", "Run: this")
         return find_ros(SETTINGS, ENV)
 
-    async def scenario() -> None:
-        nonlocal there
-        async with Bridge(find) as bridge:
-            for _ in range(2):
-                with pytest.raises(RosNotFound, match="Run: this"):
-                    await bridge.request("ping", timeout_s=PATIENCE_S)
-            there = True
-            deadline = time.monotonic() + PATIENCE_S
-            while bridge.hello is None and time.monotonic() < deadline:
-                try:
-                    await bridge.request("ping", timeout_s=PATIENCE_S)
-                except RosNotFound:
-                    await asyncio.sleep(0.1)
-            assert bridge.hello
-
-    asyncio.run(scenario())
+    async with Bridge(find) as bridge:
+        for _ in range(2):
+            with pytest.raises(RosNotFound, match="Run: this"):
+                await bridge.request("ping", timeout_s=PATIENCE_S)
+        there = True
+        deadline = time.monotonic() + PATIENCE_S
+        while bridge.hello is None and time.monotonic() < deadline:
+            try:
+                await bridge.request("ping", timeout_s=PATIENCE_S)
+            except RosNotFound:
+                await asyncio.sleep(0.1)
+        assert bridge.hello
 
 
-def test_a_python_without_rclpy_is_reported_with_what_it_said(tmp_path: Path) -> None:
+async def test_a_python_without_rclpy_is_reported_with_what_it_said(tmp_path: Path) -> None:
     venv.create(tmp_path / "empty", with_pip=False)
     settings = Settings(bridge_python=tmp_path / "empty" / "bin" / "python", domain_id=111)
 
-    async def scenario(bridge: Bridge) -> None:
+    async with launched(settings) as bridge:
         with pytest.raises(LinkError, match="rclpy"):
             await bridge.request("ping", timeout_s=PATIENCE_S)
-
-    play(scenario, settings)
 
 
 # ── the server under one Python, ROS under another ─────────────────────────────────────────────────────────────
@@ -250,18 +232,18 @@ def _write_setup(distro: Path, prefix: Path) -> None:
 
 
 @pytest.mark.timeout(360)
-def test_the_bridge_runs_under_the_python_of_an_unsourced_ros_whatever_ours_is(other_ros: tuple[Path, str]) -> None:
+async def test_the_bridge_runs_under_the_python_of_an_unsourced_ros_whatever_ours_is(
+    other_ros: tuple[Path, str],
+) -> None:
     root, version = other_ros
 
-    async def scenario(bridge: Bridge) -> None:
+    async with launched(Settings(ros_root=root, distro="jazzy", domain_id=112)) as bridge:
         hello = await bridge.ready()
         assert bridge.installation
         assert bridge.installation.kind == "unsourced"
         assert hello.python.startswith(version + ".")
         assert not hello.python.startswith(f"3.{sys.version_info.minor}.")
         assert (await bridge.request("interfaces", timeout_s=PATIENCE_S)).ok["interfaces"]
-
-    play(scenario, Settings(ros_root=root, distro="jazzy", domain_id=112))
 
 
 # ── the end of the server ──────────────────────────────────────────────────────────────────────────────────────
@@ -302,19 +284,16 @@ def test_the_bridge_leaves_when_its_server_dies(number: signal.Signals) -> None:
 
 
 @pytest.mark.full
-def test_twenty_lost_bridges_leave_no_open_files_behind() -> None:
-    async def scenario(bridge: Bridge) -> None:
-        await bridge.ready()
-        before = _open_files()
-        for _ in range(20):
-            os.kill((await bridge.ready()).pid, signal.SIGKILL)
-            with pytest.raises(BridgeLost):
-                await bridge.request("topics", settle_s=0.0, timeout_s=PATIENCE_S)
-            await bridge.request("ping", timeout_s=PATIENCE_S)
-        assert _open_files() == before
-        assert (bridge.generation, len(bridge.restarts)) == (21, 20)
-
-    play(scenario)
+async def test_twenty_lost_bridges_leave_no_open_files_behind(bridge: Bridge) -> None:
+    await bridge.ready()
+    before = _open_files()
+    for _ in range(20):
+        os.kill((await bridge.ready()).pid, signal.SIGKILL)
+        with pytest.raises(BridgeLost):
+            await bridge.request("topics", settle_s=0.0, timeout_s=PATIENCE_S)
+        await bridge.request("ping", timeout_s=PATIENCE_S)
+    assert _open_files() == before
+    assert (bridge.generation, len(bridge.restarts)) == (21, 20)
 
 
 def _open_files() -> int:

@@ -2,46 +2,33 @@
 
 from __future__ import annotations
 
-import asyncio
 import sys
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 
 import pytest
-from anyio.from_thread import start_blocking_portal
 from mcp import Client, StdioServerParameters
 
 from support.trouble import Agent, Peer
 
-Scenario = Callable[[Agent], Awaitable[None]]
-LIMIT_S = 50.0
-
 
 @pytest.fixture(scope="module")
-def play(ros_environment: dict[str, str]) -> Iterator[Callable[..., None]]:
-    """Plays a scenario with the server that all tests of the file share, `play(scenario)`."""
-    with (
-        start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(Client(server(ros_environment))) as client,
-    ):
-
-        async def bounded(scenario: Scenario) -> None:
-            await asyncio.wait_for(scenario(Agent(client)), LIMIT_S)
-
-        yield lambda scenario: portal.call(bounded, scenario)
+async def agent(anyio_backend: str, ros_environment: dict[str, str]) -> AsyncIterator[Agent]:
+    """A client of the server that all tests of the file share."""
+    async with Client(server(ros_environment)) as client:
+        yield Agent(client)
 
 
 @pytest.fixture
-def play_anew(ros_environment: dict[str, str]) -> Callable[..., None]:
-    """Plays a scenario with a server of its own, `play_anew(scenario, limit_s=50)`."""
+def start_agent(ros_environment: dict[str, str]) -> Callable[[], AbstractAsyncContextManager[Agent]]:
+    """A client of a server of its own for a block: `async with start_agent() as agent`."""
 
-    def run(scenario: Scenario, limit_s: float = LIMIT_S) -> None:
-        async def talk() -> None:
-            async with Client(server(ros_environment)) as client:
-                await asyncio.wait_for(scenario(Agent(client)), limit_s)
+    @asynccontextmanager
+    async def begin() -> AsyncIterator[Agent]:
+        async with Client(server(ros_environment)) as client:
+            yield Agent(client)
 
-        asyncio.run(talk())
-
-    return run
+    return begin
 
 
 def server(environment: dict[str, str]) -> StdioServerParameters:

@@ -14,28 +14,27 @@ from support.trouble import FULL, Agent, count_threads_and_files, parent_of
     ("rate_hz", "seconds", "size"),
     [pytest.param(5000, 10 if FULL else 1, 40, id="small and fast"), pytest.param(300, 1.2, 256_000, id="large")],
 )
-def test_every_message_of_a_flood_is_received_or_counted(play, peer, rate_hz: int, seconds: float, size: int) -> None:
+async def test_every_message_of_a_flood_is_received_or_counted(
+    agent: Agent, peer, rate_hz: int, seconds: float, size: int
+) -> None:
     count = int(rate_hz * seconds)
 
     topic, spare_s = f"/flood_{size}", 5
     flood = peer("flood", topic, rate_hz, count, size)
 
-    async def scenario(agent: Agent) -> None:
-        await agent.knows(topic)
-        duration = seconds + spare_s
-        result = await agent.call("ros2_topic_subscribe", topic_name=topic, duration=duration, fields=["data[0:4]"])
-        assert int(flood.line()) == count
-        numbers = [_number(message) for message in result["messages"]]
-        assert result["received"] + result["lost"] == count
-        assert numbers == sorted(set(numbers))
-        assert numbers[-1] == count - 1
-        if not result["dropped"] and not result["lost"]:
-            assert numbers[0] == 0
-        if size > 100_000:
-            assert result["dropped"] > 0, "64 MB are kept at most"
-            assert numbers[0] >= result["dropped"]
-
-    play(scenario)
+    await agent.knows(topic)
+    duration = seconds + spare_s
+    result = await agent.call("ros2_topic_subscribe", topic_name=topic, duration=duration, fields=["data[0:4]"])
+    assert int(flood.line()) == count
+    numbers = [_number(message) for message in result["messages"]]
+    assert result["received"] + result["lost"] == count
+    assert numbers == sorted(set(numbers))
+    assert numbers[-1] == count - 1
+    if not result["dropped"] and not result["lost"]:
+        assert numbers[0] == 0
+    if size > 100_000:
+        assert result["dropped"] > 0, "64 MB are kept at most"
+        assert numbers[0] >= result["dropped"]
 
 
 def _number(message: dict[str, Any]) -> int:
@@ -46,17 +45,15 @@ def _number(message: dict[str, Any]) -> int:
 
 @pytest.mark.full
 @pytest.mark.timeout(1800 if FULL else 60)
-def test_reading_again_and_again_leaves_no_entities_threads_or_files(play_anew, peer) -> None:
+async def test_reading_again_and_again_leaves_no_entities_threads_or_files(start_agent, peer) -> None:
     peer("repeat", "/steady", "std_msgs/msg/String", 500)
 
-    async def scenario(agent: Agent) -> None:
+    async with start_agent() as agent:
         await agent.knows("/steady")
         await read(agent, 20)
         before = await everything_open(agent)
         await read(agent, 10_000 if FULL else 300)
         assert await everything_open(agent) == before
-
-    play_anew(scenario, limit_s=1800 if FULL else 50)
 
 
 async def read(agent: Agent, times: int) -> None:

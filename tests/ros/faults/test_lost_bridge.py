@@ -16,8 +16,8 @@ from support.trouble import Agent, ToolFailed
 @pytest.mark.parametrize(
     ("number", "words"), [(signal.SIGKILL, "died with signal SIGKILL"), (signal.SIGSTOP, "was stopped")]
 )
-def test_a_bridge_lost_during_a_read_is_told_within_a_second_and_the_next_read_works(
-    play, peer, number: signal.Signals, words: str
+async def test_a_bridge_lost_during_a_read_is_told_within_a_second_and_the_next_read_works(
+    agent: Agent, peer, number: signal.Signals, words: str
 ) -> None:
     topic = f"/steady_{number:d}"
     peer("repeat", topic, "std_msgs/msg/String", 100)
@@ -40,31 +40,25 @@ def test_a_bridge_lost_during_a_read_is_told_within_a_second_and_the_next_read_w
         assert words in status["bridge_restarts"][-1]
         return told_after
 
-    async def scenario(agent: Agent) -> None:
-        await agent.knows(topic)
-        assert await undisturbed_async(lambda: told_after_s(agent)) < 1.0
-
-    play(scenario)
+    await agent.knows(topic)
+    assert await undisturbed_async(lambda: told_after_s(agent)) < 1.0
 
 
-def test_all_calls_under_way_hear_of_a_lost_bridge_and_none_hangs(play, peer) -> None:
+async def test_all_calls_under_way_hear_of_a_lost_bridge_and_none_hangs(agent: Agent, peer) -> None:
     peer("repeat", "/busy", "std_msgs/msg/String", 100)
 
-    async def scenario(agent: Agent) -> None:
-        await agent.knows("/busy")
-        calls = [
-            agent.call("ros2_topic_echo_wait", topic_name="/never", message_type="std_msgs/msg/String", timeout=30),
-            agent.call("ros2_topic_stats", topic_names=["/busy"], duration=30),
-            agent.call("ros2_topic_subscribe", topic_name="/busy", duration=30),
-        ]
-        before = await agent.call("ros2_status")
-        waiting = asyncio.gather(*calls, return_exceptions=True)
-        while (await agent.call("ros2_status"))["subscriptions"] < before["subscriptions"] + 2:  # two share one
-            await asyncio.sleep(0.02)
-        os.kill((await agent.call("ros2_status"))["bridge_pid"], signal.SIGKILL)
-        failed, measured, read = await asyncio.wait_for(waiting, 15)
-        assert "died with signal SIGKILL" in str(failed)
-        assert "died with signal SIGKILL" in measured["topics"][0]["error"]
-        assert "died with signal SIGKILL" in str(read)
-
-    play(scenario)
+    await agent.knows("/busy")
+    calls = [
+        agent.call("ros2_topic_echo_wait", topic_name="/never", message_type="std_msgs/msg/String", timeout=30),
+        agent.call("ros2_topic_stats", topic_names=["/busy"], duration=30),
+        agent.call("ros2_topic_subscribe", topic_name="/busy", duration=30),
+    ]
+    before = await agent.call("ros2_status")
+    waiting = asyncio.gather(*calls, return_exceptions=True)
+    while (await agent.call("ros2_status"))["subscriptions"] < before["subscriptions"] + 2:  # two share one
+        await asyncio.sleep(0.02)
+    os.kill((await agent.call("ros2_status"))["bridge_pid"], signal.SIGKILL)
+    failed, measured, read = await asyncio.wait_for(waiting, 15)
+    assert "died with signal SIGKILL" in str(failed)
+    assert "died with signal SIGKILL" in measured["topics"][0]["error"]
+    assert "died with signal SIGKILL" in str(read)

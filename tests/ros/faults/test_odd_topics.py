@@ -41,47 +41,41 @@ def built_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {"AMENT_PREFIX_PATH": f"{prefix}:{sys.prefix}", "PYTHONPATH": f"{prefix}/site-packages"}
 
 
-def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(play, peer, built_elsewhere) -> None:
+async def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(agent: Agent, peer, built_elsewhere) -> None:
     peer("repeat", "/thing", "nobody_msgs/msg/Thing", 20, **built_elsewhere)
 
-    async def scenario(agent: Agent) -> None:
-        info = await agent.knows("/thing")
-        assert info["topic_types"] == ["nobody_msgs/msg/Thing"]
+    info = await agent.knows("/thing")
+    assert info["topic_types"] == ["nobody_msgs/msg/Thing"]
 
-        async def refused_after() -> float:
-            begun = time.monotonic()
-            with pytest.raises(ToolFailed, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
-                await agent.call("ros2_topic_subscribe", topic_name="/thing", duration=10)
-            with pytest.raises(ToolFailed, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
-                await agent.call("ros2_topic_publish", topic_name="/thing", data={"number": 1})
-            return time.monotonic() - begun
+    async def refused_after() -> float:
+        begun = time.monotonic()
+        with pytest.raises(ToolFailed, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
+            await agent.call("ros2_topic_subscribe", topic_name="/thing", duration=10)
+        with pytest.raises(ToolFailed, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
+            await agent.call("ros2_topic_publish", topic_name="/thing", data={"number": 1})
+        return time.monotonic() - begun
 
-        assert await undisturbed_async(refused_after) < 1.0
-        assert (await agent.call("ros2_topic_stats", topic_names=["/thing"], duration=0.5))["topics"][0]["error"]
-        await agent.call("ros2_status")
-
-    play(scenario)
+    assert await undisturbed_async(refused_after) < 1.0
+    assert (await agent.call("ros2_topic_stats", topic_names=["/thing"], duration=0.5))["topics"][0]["error"]
+    await agent.call("ros2_status")
 
 
-def test_a_topic_with_two_types_names_both_and_each_can_be_read(play, peer) -> None:
+async def test_a_topic_with_two_types_names_both_and_each_can_be_read(agent: Agent, peer) -> None:
     types = ["std_msgs/msg/String", "std_msgs/msg/UInt64"]
     for kind in types:
         peer("repeat", "/both", kind, 50)
 
-    async def scenario(agent: Agent) -> None:
-        await agent.knows("/both", publishers=2)
-        with pytest.raises(ToolFailed, match=r"2 types: std_msgs/msg/String, std_msgs/msg/UInt64.*type you mean"):
-            await agent.call("ros2_topic_subscribe", topic_name="/both")
-        for kind in types:
-            reading = await agent.call("ros2_topic_subscribe", topic_name="/both", msg_type=kind)
-            assert (reading["count"], reading["topic_type"], len(reading["publishers"])) == (1, kind, 1)
-        with pytest.raises(ToolFailed, match="not std_msgs/msg/Bool"):
-            await agent.call("ros2_topic_subscribe", topic_name="/both", msg_type="std_msgs/msg/Bool")
-
-    play(scenario)
+    await agent.knows("/both", publishers=2)
+    with pytest.raises(ToolFailed, match=r"2 types: std_msgs/msg/String, std_msgs/msg/UInt64.*type you mean"):
+        await agent.call("ros2_topic_subscribe", topic_name="/both")
+    for kind in types:
+        reading = await agent.call("ros2_topic_subscribe", topic_name="/both", msg_type=kind)
+        assert (reading["count"], reading["topic_type"], len(reading["publishers"])) == (1, kind, 1)
+    with pytest.raises(ToolFailed, match="not std_msgs/msg/Bool"):
+        await agent.call("ros2_topic_subscribe", topic_name="/both", msg_type="std_msgs/msg/Bool")
 
 
-def test_policies_that_keep_third_parties_apart_are_told_in_words(play, peer) -> None:
+async def test_policies_that_keep_third_parties_apart_are_told_in_words(agent: Agent, peer) -> None:
     pairs = {
         "/reliability": ({"reliability": "BEST_EFFORT"}, {}, "best_effort"),
         "/durability": ({}, {"durability": "TRANSIENT_LOCAL"}, "transient_local"),
@@ -90,31 +84,27 @@ def test_policies_that_keep_third_parties_apart_are_told_in_words(play, peer) ->
     peer("endpoints", "publishers", json.dumps({topic: offered for topic, (offered, _, _) in pairs.items()}))
     peer("endpoints", "subscriptions", json.dumps({topic: asked for topic, (_, asked, _) in pairs.items()}))
 
-    async def scenario(agent: Agent) -> None:
-        for topic, (_, _, word) in pairs.items():
-            info = await agent.knows(topic, publishers=1, subscribers=1)
-            assert len(info["mismatches"]) == 1
-            assert word in info["mismatches"][0]
-
-    play(scenario)
+    for topic, (_, _, word) in pairs.items():
+        info = await agent.knows(topic, publishers=1, subscribers=1)
+        assert len(info["mismatches"]) == 1
+        assert word in info["mismatches"][0]
 
 
-def test_a_publish_that_a_policy_keeps_from_its_subscriber_says_which(play, peer) -> None:
+async def test_a_publish_that_a_policy_keeps_from_its_subscriber_says_which(agent: Agent, peer) -> None:
     peer("endpoints", "subscriptions", json.dumps({"/strict": {"deadline_ns": 100_000_000}}))
 
-    async def scenario(agent: Agent) -> None:
-        await agent.knows("/strict", publishers=0, subscribers=1)
-        begun = time.monotonic()
-        sent = await agent.call("ros2_topic_publish", topic_name="/strict", data={"data": 1})
-        assert time.monotonic() - begun < 15.0
-        assert sent["status"] == "nobody_listening", sent
-        assert "deadline" in sent["note"], sent
-
-    play(scenario)
+    await agent.knows("/strict", publishers=0, subscribers=1)
+    begun = time.monotonic()
+    sent = await agent.call("ros2_topic_publish", topic_name="/strict", data={"data": 1})
+    assert time.monotonic() - begun < 15.0
+    assert sent["status"] == "nobody_listening", sent
+    assert "deadline" in sent["note"], sent
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_publisher_that_dies_during_a_read_is_told_with_what_had_come(play, peer, number: signal.Signals) -> None:
+async def test_a_publisher_that_dies_during_a_read_is_told_with_what_had_come(
+    agent: Agent, peer, number: signal.Signals
+) -> None:
     attempts = count()
 
     async def told(agent: Agent) -> tuple[dict[str, Any], float]:
@@ -129,13 +119,10 @@ def test_a_publisher_that_dies_during_a_read_is_told_with_what_had_come(play, pe
         publisher.process.send_signal(number)
         return await reading, time.monotonic() - begun
 
-    async def scenario(agent: Agent) -> None:
-        result, took_s = await undisturbed_async(lambda: told(agent))
-        assert took_s < 4.0
-        assert 20 < result["received"] < 150
-        assert "the last came at" in result["note"], result["note"]
-        if number == signal.SIGTERM:
-            assert "1 publisher(s) left" in result["note"]
-        await agent.call("ros2_status")
-
-    play(scenario)
+    result, took_s = await undisturbed_async(lambda: told(agent))
+    assert took_s < 4.0
+    assert 20 < result["received"] < 150
+    assert "the last came at" in result["note"], result["note"]
+    if number == signal.SIGTERM:
+        assert "1 publisher(s) left" in result["note"]
+    await agent.call("ros2_status")

@@ -32,222 +32,174 @@ def test_a_frame_larger_than_allowed_is_refused_before_it_is_collected() -> None
         list(FrameReader().feed(b"\xff" * 8))
 
 
-def test_answers_find_their_askers_in_any_order(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        asks = [asyncio.ensure_future(connection.request("topics", b"", 5, {"n": n})) for n in range(3)]
-        requests = [await peer.next("topics") for _ in asks]
-        for request in reversed(requests):
-            peer.say({"id": request["id"], "ok": {"n": request["n"]}}, b"b" * request["n"])
-        replies = await asyncio.gather(*asks)
-        assert [(reply.ok["n"], reply.body) for reply in replies] == [(0, b""), (1, b"b"), (2, b"bb")]
-
-    play(scenario())
+async def test_answers_find_their_askers_in_any_order() -> None:
+    connection, peer = await connected()
+    asks = [asyncio.ensure_future(connection.request("topics", b"", 5, {"n": n})) for n in range(3)]
+    requests = [await peer.next("topics") for _ in asks]
+    for request in reversed(requests):
+        peer.say({"id": request["id"], "ok": {"n": request["n"]}}, b"b" * request["n"])
+    replies = await asyncio.gather(*asks)
+    assert [(reply.ok["n"], reply.body) for reply in replies] == [(0, b""), (1, b"b"), (2, b"bb")]
 
 
-def test_a_refusal_keeps_its_kind_message_and_hint(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        ask = asyncio.ensure_future(connection.request("node", b"", 5, {}))
-        error = {"kind": "not_found", "message": "no such node", "hint": "look"}
-        peer.say({"id": (await peer.next("node"))["id"], "error": error})
-        with pytest.raises(BridgeRefused) as refused:
-            await ask
-        assert (refused.value.kind, str(refused.value)) == ("not_found", "no such node look")
-
-    play(scenario())
-
-
-def test_cancelling_the_asker_cancels_that_request(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        ask = asyncio.ensure_future(connection.request("call", b"x", 5, {}))
-        request = await peer.next("call")
-        ask.cancel()
-        assert (await peer.next("cancel"))["request"] == request["id"]
-        assert request["timeout_s"] == 5
-
-    play(scenario())
-
-
-def test_a_subscription_whose_asker_was_cancelled_is_ended_when_its_answer_comes(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        ask = asyncio.ensure_future(connection.subscribe(subscription_of(connection), 5, {}))
-        request = await peer.next("subscribe")
-        ask.cancel()
-        await peer.next("cancel")
-        peer.say({"id": request["id"], "ok": {"sub": 9}})
-        assert (await peer.next("unsubscribe"))["sub"] == 9
-
-    play(scenario())
-
-
-def test_a_subscription_answered_in_the_moment_of_the_cancel_is_ended_too(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        ask = asyncio.ensure_future(connection.subscribe(subscription_of(connection), 5, {}))
-        request = await peer.next("subscribe")
-        peer.say({"id": request["id"], "ok": {"sub": 9}})
-        ask.cancel()
-        assert (await peer.next("unsubscribe"))["sub"] == 9
-
-    play(scenario())
-
-
-def test_samples_that_follow_in_the_same_breath_as_the_answer_are_kept(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        subscription = subscription_of(connection)
-        ask = asyncio.ensure_future(connection.subscribe(subscription, 5, {}))
-        request = await peer.next("subscribe")
-        peer.say_at_once(({"id": request["id"], "ok": {"sub": 3}}, b""), samples(3, [b"ab", b"c"], 2))
+async def test_a_refusal_keeps_its_kind_message_and_hint() -> None:
+    connection, peer = await connected()
+    ask = asyncio.ensure_future(connection.request("node", b"", 5, {}))
+    error = {"kind": "not_found", "message": "no such node", "hint": "look"}
+    peer.say({"id": (await peer.next("node"))["id"], "error": error})
+    with pytest.raises(BridgeRefused) as refused:
         await ask
-        assert [sample.data for sample in await subscription.take(1)] == [b"ab", b"c"]
-
-    play(scenario())
+    assert (refused.value.kind, str(refused.value)) == ("not_found", "no such node look")
 
 
-def test_every_sample_is_taken_or_counted_as_dropped(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        subscription = await subscribed(connection, peer, max_samples=10, max_bytes=35)
-        peer.say(*samples(3, [b"12345"] * 20, received=25, dropped=5))
-        taken = await subscription.take(1)
-        assert len(taken) == 7  # 35 bytes are the tighter bound
-        assert subscription.counts == Counts(received=25, dropped=5 + 13, lost=0)
-        peer.say(*samples(3, [bytes(100)], received=26, dropped=5))
-        assert [len(sample.data) for sample in await subscription.take(1)] == [100]
-
-    play(scenario())
+async def test_cancelling_the_asker_cancels_that_request() -> None:
+    connection, peer = await connected()
+    ask = asyncio.ensure_future(connection.request("call", b"x", 5, {}))
+    request = await peer.next("call")
+    ask.cancel()
+    assert (await peer.next("cancel"))["request"] == request["id"]
+    assert request["timeout_s"] == 5
 
 
-def test_the_latest_only_means_one_sample(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        subscription = await subscribed(connection, peer, keep="latest")
-        peer.say(*samples(3, [b"old", b"new"], received=2))
-        assert [sample.data for sample in await subscription.take(1)] == [b"new"]
-        assert subscription.counts.dropped == 1
-        assert await subscription.take(0.01) == []
-
-    play(scenario())
+async def test_a_subscription_whose_asker_was_cancelled_is_ended_when_its_answer_comes() -> None:
+    connection, peer = await connected()
+    ask = asyncio.ensure_future(connection.subscribe(subscription_of(connection), 5, {}))
+    request = await peer.next("subscribe")
+    ask.cancel()
+    await peer.next("cancel")
+    peer.say({"id": request["id"], "ok": {"sub": 9}})
+    assert (await peer.next("unsubscribe"))["sub"] == 9
 
 
-def test_closing_takes_in_the_last_samples_and_the_final_counts(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        subscription = await subscribed(connection, peer)
-        closing = asyncio.ensure_future(subscription.close())
-        request = await peer.next("unsubscribe")
-        peer.say(*samples(3, [b"last"], received=8))
-        peer.say({"id": request["id"], "ok": {"received": 8, "dropped": 7, "lost": None}})
-        assert await closing == Counts(8, 7, None)
-        assert [sample.data for sample in await subscription.take(1)] == [b"last"]
-
-    play(scenario())
+async def test_a_subscription_answered_in_the_moment_of_the_cancel_is_ended_too() -> None:
+    connection, peer = await connected()
+    ask = asyncio.ensure_future(connection.subscribe(subscription_of(connection), 5, {}))
+    request = await peer.next("subscribe")
+    peer.say({"id": request["id"], "ok": {"sub": 9}})
+    ask.cancel()
+    assert (await peer.next("unsubscribe"))["sub"] == 9
 
 
-def test_a_peer_that_dies_fails_everything_under_way_and_says_how(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        life = asyncio.ensure_future(connection.run())
-        subscription = await subscribed(connection, peer)
-        take = asyncio.ensure_future(subscription.take(5))
-        asks = [asyncio.ensure_future(connection.request("call", b"", 5, {})) for _ in range(3)]
-        await asyncio.sleep(0.01)
-        peer.die(-9)
-        for waiting in (take, *asks):
-            with pytest.raises(BridgeLost, match="died with signal SIGKILL"):
-                await waiting
-        assert "SIGKILL" in str(await life)
-        assert await subscription.close() == Counts()
-
-    play(scenario())
+async def test_samples_that_follow_in_the_same_breath_as_the_answer_are_kept() -> None:
+    connection, peer = await connected()
+    subscription = subscription_of(connection)
+    ask = asyncio.ensure_future(connection.subscribe(subscription, 5, {}))
+    request = await peer.next("subscribe")
+    peer.say_at_once(({"id": request["id"], "ok": {"sub": 3}}, b""), samples(3, [b"ab", b"c"], 2))
+    await ask
+    assert [sample.data for sample in await subscription.take(1)] == [b"ab", b"c"]
 
 
-def test_a_peer_that_falls_silent_is_given_up_after_four_seconds(play: Play) -> None:
-    async def scenario() -> None:
-        connection, _ = await connected()
-        life = asyncio.ensure_future(connection.run())
-        ask = asyncio.ensure_future(connection.request("call", b"", 30, {}))
-        begun, late = asyncio.get_running_loop().time(), [0.0]
-        clock = asyncio.ensure_future(lateness(late))
-        with pytest.raises(BridgeLost, match=r"stopped answering for 4\.0 s"):
-            await ask
-        assert 3.9 < asyncio.get_running_loop().time() - begun < 4.5 + late[0]
-        clock.cancel()
-        await life
-
-    play(scenario())
+async def test_every_sample_is_taken_or_counted_as_dropped() -> None:
+    connection, peer = await connected()
+    subscription = await subscribed(connection, peer, max_samples=10, max_bytes=35)
+    peer.say(*samples(3, [b"12345"] * 20, received=25, dropped=5))
+    taken = await subscription.take(1)
+    assert len(taken) == 7  # 35 bytes are the tighter bound
+    assert subscription.counts == Counts(received=25, dropped=5 + 13, lost=0)
+    peer.say(*samples(3, [bytes(100)], received=26, dropped=5))
+    assert [len(sample.data) for sample in await subscription.take(1)] == [100]
 
 
-def test_a_peer_that_wants_to_run_but_gets_no_processor_is_waited_for_longer(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected(pid=os.getpid())  # running, as everyone who looks at itself
-        life = asyncio.ensure_future(connection.run())
-        await asyncio.sleep(1.2)
-        assert not life.done()
-        peer.die(0)
-        await life
-
-    play(scenario())
+async def test_the_latest_only_means_one_sample() -> None:
+    connection, peer = await connected()
+    subscription = await subscribed(connection, peer, keep="latest")
+    peer.say(*samples(3, [b"old", b"new"], received=2))
+    assert [sample.data for sample in await subscription.take(1)] == [b"new"]
+    assert subscription.counts.dropped == 1
+    assert await subscription.take(0.01) == []
 
 
-def test_our_own_lateness_is_not_taken_for_the_silence_of_the_peer(play: Play) -> None:
-    async def scenario() -> None:
-        import time
-
-        connection, peer = await connected()
-        life = asyncio.ensure_future(connection.run())
-        await asyncio.sleep(0.1)
-        time.sleep(1.2)  # noqa: ASYNC251 - a loop that is blocked is what this is about
-        await asyncio.sleep(0.3)
-        assert not life.done()
-        peer.die(0)
-        await life
-
-    play(scenario())
+async def test_closing_takes_in_the_last_samples_and_the_final_counts() -> None:
+    connection, peer = await connected()
+    subscription = await subscribed(connection, peer)
+    closing = asyncio.ensure_future(subscription.close())
+    request = await peer.next("unsubscribe")
+    peer.say(*samples(3, [b"last"], received=8))
+    peer.say({"id": request["id"], "ok": {"received": 8, "dropped": 7, "lost": None}})
+    assert await closing == Counts(8, 7, None)
+    assert [sample.data for sample in await subscription.take(1)] == [b"last"]
 
 
-def test_a_ros_thread_that_hangs_ends_the_life_of_the_bridge(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        life = asyncio.ensure_future(connection.run())
-        await asyncio.sleep(0.01)
-        peer.say({"id": 0, "ok": {"ros_idle_s": 4.4}})
-        assert "its ROS thread hangs since 4.4 s" in str(await life)
+async def test_a_peer_that_dies_fails_everything_under_way_and_says_how() -> None:
+    connection, peer = await connected()
+    life = asyncio.ensure_future(connection.run())
+    subscription = await subscribed(connection, peer)
+    take = asyncio.ensure_future(subscription.take(5))
+    asks = [asyncio.ensure_future(connection.request("call", b"", 5, {})) for _ in range(3)]
+    await asyncio.sleep(0.01)
+    peer.die(-9)
+    for waiting in (take, *asks):
+        with pytest.raises(BridgeLost, match="died with signal SIGKILL"):
+            await waiting
+    assert "SIGKILL" in str(await life)
+    assert await subscription.close() == Counts()
 
-    play(scenario())
+
+async def test_a_peer_that_falls_silent_is_given_up_after_four_seconds() -> None:
+    connection, _ = await connected()
+    life = asyncio.ensure_future(connection.run())
+    ask = asyncio.ensure_future(connection.request("call", b"", 30, {}))
+    begun, late = asyncio.get_running_loop().time(), [0.0]
+    clock = asyncio.ensure_future(lateness(late))
+    with pytest.raises(BridgeLost, match=r"stopped answering for 4\.0 s"):
+        await ask
+    assert 3.9 < asyncio.get_running_loop().time() - begun < 4.5 + late[0]
+    clock.cancel()
+    await life
 
 
-def test_bytes_that_are_no_frame_end_the_connection(play: Play) -> None:
-    async def scenario() -> None:
-        connection, peer = await connected()
-        life = asyncio.ensure_future(connection.run())
-        peer.say_raw(b"Hello from a print statement")
-        assert "not part of the protocol" in str(await life)
+async def test_a_peer_that_wants_to_run_but_gets_no_processor_is_waited_for_longer() -> None:
+    connection, peer = await connected(pid=os.getpid())  # running, as everyone who looks at itself
+    life = asyncio.ensure_future(connection.run())
+    await asyncio.sleep(1.2)
+    assert not life.done()
+    peer.die(0)
+    await life
 
-    play(scenario())
+
+async def test_our_own_lateness_is_not_taken_for_the_silence_of_the_peer() -> None:
+    import time
+
+    connection, peer = await connected()
+    life = asyncio.ensure_future(connection.run())
+    await asyncio.sleep(0.1)
+    time.sleep(1.2)  # noqa: ASYNC251 - a loop that is blocked is what this is about
+    await asyncio.sleep(0.3)
+    assert not life.done()
+    peer.die(0)
+    await life
+
+
+async def test_a_ros_thread_that_hangs_ends_the_life_of_the_bridge() -> None:
+    connection, peer = await connected()
+    life = asyncio.ensure_future(connection.run())
+    await asyncio.sleep(0.01)
+    peer.say({"id": 0, "ok": {"ros_idle_s": 4.4}})
+    assert "its ROS thread hangs since 4.4 s" in str(await life)
+
+
+async def test_bytes_that_are_no_frame_end_the_connection() -> None:
+    connection, peer = await connected()
+    life = asyncio.ensure_future(connection.run())
+    peer.say_raw(b"Hello from a print statement")
+    assert "not part of the protocol" in str(await life)
 
 
 @pytest.mark.parametrize("how", ["failed", "exit"])
-def test_a_bridge_that_cannot_begin_says_why(play: Play, how: str) -> None:
-    async def scenario() -> None:
-        peer = Peer()
-        greeting = asyncio.ensure_future(Connection(peer).greet())  # type: ignore[arg-type]
-        await asyncio.sleep(0)
-        if how == "failed":
-            peer.say({"event": "failed", "kind": "no_rclpy", "message": "No module named 'rclpy'"})
-        else:
-            peer.stderr.feed(b"No module named 'rclpy'\n")
-            peer.die(1)
-        reason = await greeting
-        assert isinstance(reason, LinkError)
-        assert "No module named 'rclpy'" in reason.message
-        assert how == "failed" or "exited with code 1" in reason.message
-
-    play(scenario())
+async def test_a_bridge_that_cannot_begin_says_why(how: str) -> None:
+    peer = Peer()
+    greeting = asyncio.ensure_future(Connection(peer).greet())  # type: ignore[arg-type]
+    await asyncio.sleep(0)
+    if how == "failed":
+        peer.say({"event": "failed", "kind": "no_rclpy", "message": "No module named 'rclpy'"})
+    else:
+        peer.stderr.feed(b"No module named 'rclpy'\n")
+        peer.die(1)
+    reason = await greeting
+    assert isinstance(reason, LinkError)
+    assert "No module named 'rclpy'" in reason.message
+    assert how == "failed" or "exited with code 1" in reason.message
 
 
 async def lateness(late: list[float]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,19 +13,24 @@ import pytest
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops import playing
 from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.playing import MAX_PLAYBACKS, PlaybackState, Wanted, play, playbacks, status, stop
+from ros2_mcp.ops.playing import MAX_PLAYBACKS, PlaybackState, Wanted, playbacks, status, stop
 from support.made_bridge import NUMBER, MadeBridge, robot_of, soon
 
 START_NS = 1_700_000_000_000_000_000
 GOAL = Wanted("run", topics=["/goal"])
 Play = Callable[..., Awaitable[PlaybackState]]
-Scenario = Callable[[MadeBridge, Memory, Play], Awaitable[None]]
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> Callable[[Scenario], None]:
-    """Runs a scenario with a bag of 0.6 s, whose /goal has one message at its beginning; no task may be left."""
+def bridge() -> MadeBridge:
+    return MadeBridge()
+
+
+@pytest.fixture
+async def memory(tmp_path: Path, bridge: MadeBridge) -> AsyncIterator[Memory]:
+    """With a bag of 0.6 s, whose /goal has one message at its beginning; after the test no relay may be open."""
     (tmp_path / "run").mkdir()
     writer = BagWriter(tmp_path / "run", "run")
     for topic, at_ms in (("/goal", 0), ("/odom", 0), ("/odom", 600)):
@@ -33,111 +38,95 @@ def run(tmp_path: Path) -> Callable[[Scenario], None]:
         writer.write(topic, Sample(START_NS + at_ms * 1_000_000, 0, None, b"\0\1\0\0\0\0\0\0"))
     writer.close()
 
-    async def whole(scenario: Scenario) -> None:
-        bridge, memory = MadeBridge(), Memory(tmp_path)
-        robot = robot_of(bridge)
-        await scenario(bridge, memory, lambda wanted, wait_s=5.0: play(robot, memory, wanted, wait_s))
-        await memory.close()
-        await soon(lambda: asyncio.all_tasks() == {asyncio.current_task()} and not bridge.relays)
+    memory = Memory(tmp_path)
+    yield memory
+    await memory.close()
+    await soon(lambda: not bridge.relays)
 
-    return lambda scenario: asyncio.run(whole(scenario))
+
+@pytest.fixture
+def play(bridge: MadeBridge, memory: Memory) -> Play:
+    robot = robot_of(bridge)
+    return lambda wanted, wait_s=5.0: playing.play(robot, memory, wanted, wait_s)
 
 
 def times_of(bridge: MadeBridge) -> list[float]:
     return [at for topic, at in bridge.heard if topic == "/goal"]
 
 
-def test_a_loop_lasts_as_long_as_the_bag_even_if_its_topic_has_one_message(run: Callable[[Scenario], None]) -> None:
-    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
-        state = await play(Wanted("run", rate=2.0, topics=["/goal"], loop=True), 0.75)
-        assert state.state == "playing" and 2 <= len(times_of(bridge)) <= 3
-        assert min(b - a for a, b in pairwise(times_of(bridge))) > 0.25
-
-    run(scenario)
-
-
-def test_the_loop_of_a_single_moment_lasts_a_tenth_of_a_second(run: Callable[[Scenario], None]) -> None:
-    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
-        end = "2023-11-14T22:13:20Z"
-        await play(Wanted("run", topics=["/goal"], end=end, loop=True), 0.45)
-        assert 2 <= len(times_of(bridge)) <= 5
-
-    run(scenario)
+async def test_a_loop_lasts_as_long_as_the_bag_even_if_its_topic_has_one_message(
+    bridge: MadeBridge, play: Play
+) -> None:
+    state = await play(Wanted("run", rate=2.0, topics=["/goal"], loop=True), 0.75)
+    assert state.state == "playing" and 2 <= len(times_of(bridge)) <= 3
+    assert min(b - a for a, b in pairwise(times_of(bridge))) > 0.25
 
 
-def test_a_play_of_nothing_ends_and_says_so(run: Callable[[Scenario], None]) -> None:
-    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
-        for loop in (False, True):
-            state = await play(Wanted("run", topics=["/goal"], start="0.3 s in", loop=loop))
-            assert state.state == "ended" and not bridge.heard
-            assert "Nothing was published" in state.note and "Nothing was published" in state.summary()
-
-    run(scenario)
+async def test_the_loop_of_a_single_moment_lasts_a_tenth_of_a_second(bridge: MadeBridge, play: Play) -> None:
+    end = "2023-11-14T22:13:20Z"
+    await play(Wanted("run", topics=["/goal"], end=end, loop=True), 0.45)
+    assert 2 <= len(times_of(bridge)) <= 5
 
 
-def test_a_play_that_is_cancelled_before_it_began_leaves_nothing(run: Callable[[Scenario], None]) -> None:
-    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
-        bridge.ready = False
-        for _ in range(MAX_PLAYBACKS):
-            with anyio.move_on_after(0.05) as scope:  # as the MCP server cancels: again and again
-                await play(GOAL)
-            assert scope.cancelled_caught
-            await soon(lambda: not bridge.relays)
-        assert not any(each.is_running for each in playbacks(memory).values())
-        bridge.ready = True
-        assert (await play(GOAL)).state == "ended"
-
-    run(scenario)
+async def test_a_play_of_nothing_ends_and_says_so(bridge: MadeBridge, play: Play) -> None:
+    for loop in (False, True):
+        state = await play(Wanted("run", topics=["/goal"], start="0.3 s in", loop=loop))
+        assert state.state == "ended" and not bridge.heard
+        assert "Nothing was published" in state.note and "Nothing was published" in state.summary()
 
 
-def test_whatever_keeps_a_play_from_beginning_closes_it(run: Callable[[Scenario], None]) -> None:
-    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
-        bridge.trouble = ValueError("not foreseen")
-        with pytest.raises(ValueError, match="not foreseen"):
+async def test_a_play_that_is_cancelled_before_it_began_leaves_nothing(
+    bridge: MadeBridge, memory: Memory, play: Play
+) -> None:
+    bridge.ready = False
+    for _ in range(MAX_PLAYBACKS):
+        with anyio.move_on_after(0.05) as scope:  # as the MCP server cancels: again and again
             await play(GOAL)
-        [state] = (await status(memory)).playbacks
-        assert (state.state, state.note) == ("failed", "It did not begin.") and not bridge.relays
+        assert scope.cancelled_caught
+        await soon(lambda: not bridge.relays)
+    assert not any(each.is_running for each in playbacks(memory).values())
+    bridge.ready = True
+    assert (await play(GOAL)).state == "ended"
 
-    run(scenario)
+
+async def test_whatever_keeps_a_play_from_beginning_closes_it(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+    bridge.trouble = ValueError("not foreseen")
+    with pytest.raises(ValueError, match="not foreseen"):
+        await play(GOAL)
+    [state] = (await status(memory)).playbacks
+    assert (state.state, state.note) == ("failed", "It did not begin.") and not bridge.relays
 
 
-def test_a_playback_can_be_stopped_while_it_is_beginning(run: Callable[[Scenario], None]) -> None:
-    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
-        bridge.ready = False
-        playing = asyncio.ensure_future(play(GOAL))
-        await soon(lambda: bool(bridge.relays))
-        assert (await stop(memory, next(iter(playbacks(memory))))).state == "stopped"
-        assert not bridge.relays and (await playing).state == "stopped"
-
-    run(scenario)
+async def test_a_playback_can_be_stopped_while_it_is_beginning(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+    bridge.ready = False
+    beginning = asyncio.ensure_future(play(GOAL))
+    await soon(lambda: bool(bridge.relays))
+    assert (await stop(memory, next(iter(playbacks(memory))))).state == "stopped"
+    assert not bridge.relays and (await beginning).state == "stopped"
 
 
 @pytest.mark.parametrize("cancelled", [True, False])
-def test_a_play_goes_on_after_its_waiting_but_not_after_a_cancel(
-    run: Callable[[Scenario], None], cancelled: bool
+async def test_a_play_goes_on_after_its_waiting_but_not_after_a_cancel(
+    bridge: MadeBridge, memory: Memory, play: Play, cancelled: bool
 ) -> None:
-    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
-        endless = Wanted("run", rate=6.0, topics=["/goal"], loop=True)
-        with anyio.move_on_after(0.7 if cancelled else 5.0):
-            await play(endless, 5.0 if cancelled else 0.15)
-        [playback] = playbacks(memory).values()
-        if cancelled:
-            await soon(lambda: not bridge.relays)
-            assert playback.state().state == "stopped"
-        else:
-            heard = len(bridge.heard)
-            await soon(lambda: len(bridge.heard) > heard + 2)
-            assert playback.is_running
-
-    run(scenario)
+    endless = Wanted("run", rate=6.0, topics=["/goal"], loop=True)
+    with anyio.move_on_after(0.7 if cancelled else 5.0):
+        await play(endless, 5.0 if cancelled else 0.15)
+    [playback] = playbacks(memory).values()
+    if cancelled:
+        await soon(lambda: not bridge.relays)
+        assert playback.state().state == "stopped"
+    else:
+        heard = len(bridge.heard)
+        await soon(lambda: len(bridge.heard) > heard + 2)
+        assert playback.is_running
 
 
-def test_a_playback_whose_bridge_is_lost_has_failed_and_is_not_called_stopped(run: Callable[[Scenario], None]) -> None:
-    async def scenario(bridge: MadeBridge, memory: Memory, play: Play) -> None:
-        await play(Wanted("run", rate=6.0, topics=["/goal"], loop=True), 0.0)
-        [playback] = playbacks(memory).values()
-        bridge.lose_relays()
-        await soon(lambda: not playback.is_running)
-        assert (playback.state().state, playback.state().note) == ("failed", "The bridge was lost.")
-
-    run(scenario)
+async def test_a_playback_whose_bridge_is_lost_has_failed_and_is_not_called_stopped(
+    bridge: MadeBridge, memory: Memory, play: Play
+) -> None:
+    await play(Wanted("run", rate=6.0, topics=["/goal"], loop=True), 0.0)
+    [playback] = playbacks(memory).values()
+    bridge.lose_relays()
+    await soon(lambda: not playback.is_running)
+    assert (playback.state().state, playback.state().note) == ("failed", "The bridge was lost.")

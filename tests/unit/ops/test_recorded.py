@@ -221,7 +221,7 @@ def test_an_end_that_is_a_time_includes_what_it_names(end: str, end_ns: int) -> 
     assert span_of("", end, 0, 100 * SECOND).end_ns == end_ns
 
 
-def test_what_is_read_between_the_times_that_were_shown_is_everything(tmp_path: Path) -> None:
+async def test_what_is_read_between_the_times_that_were_shown_is_everything(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     writer = BagWriter(tmp_path / "run", "run")
     writer.add_topic(StoredTopic("/count", "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n"))
@@ -230,16 +230,13 @@ def test_what_is_read_between_the_times_that_were_shown_is_everything(tmp_path: 
         writer.write("/count", Sample(at_ns, at_ns, number + 1, number_at(number)))
     writer.close()
 
-    async def scenario() -> None:
-        memory, view = Memory(tmp_path), reading.View()
-        shown = await bags.info(memory, "run")
-        asked = bags.Asked("run", "/count", shown.start, shown.end)
-        assert (await bags.read(robot_of(MadeBridge()), memory, asked, view)).count == 20
-        source = await open_source(memory, "run", shown.start, shown.end)
-        assert (await timing.measure(source, ["/count"])).topics[0].count == 20
-        await memory.close()
-
-    asyncio.run(scenario())
+    memory, view = Memory(tmp_path), reading.View()
+    shown = await bags.info(memory, "run")
+    asked = bags.Asked("run", "/count", shown.start, shown.end)
+    assert (await bags.read(robot_of(MadeBridge()), memory, asked, view)).count == 20
+    source = await open_source(memory, "run", shown.start, shown.end)
+    assert (await timing.measure(source, ["/count"])).topics[0].count == 20
+    await memory.close()
 
 
 @pytest.mark.parametrize(
