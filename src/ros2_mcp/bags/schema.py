@@ -82,7 +82,7 @@ def _lines(structure: Structure) -> Iterator[str]:
         yield f"{constant.type} {constant.name}={_constant_text(constant)}"
     for field in structure.fields:
         comment = f" # {field.comment}" if field.comment else ""
-        yield f"{_type_text(field.type)} {field.name}{comment}"
+        yield f"{_type_text(str(field.type))} {field.name}{comment}"
 
 
 def _constant_text(constant: Constant) -> str:

@@ -54,13 +54,13 @@ class Codec:
         """How many sequences and wide strings it has: rclpy's `serialize_message` only estimates their
         size, and appends up to four bytes of garbage for each."""
         fields = self.definitions.structure(type_name).fields
-        return sum(self._estimates_in(field.shape, getattr(message, attribute(field.name))) for field in fields)
+        return sum(self._estimates_in(field.type, getattr(message, attribute(field.name))) for field in fields)
 
-    def _estimates_in(self, shape: FieldType, value: Any) -> int:
-        own = int(shape.shape == "sequence")
-        elements = [value] if shape.shape == "single" else value
-        if shape.base == "wstring":
+    def _estimates_in(self, field_type: FieldType, value: Any) -> int:
+        own = int(field_type.arity == "sequence")
+        elements = [value] if field_type.arity == "single" else value
+        if field_type.base == "wstring":
             return own + len(elements)
-        if shape.is_message:
-            return own + sum(self._estimates(shape.base, element) for element in elements)
+        if field_type.is_message:
+            return own + sum(self._estimates(field_type.base, element) for element in elements)
         return own

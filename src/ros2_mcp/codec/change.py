@@ -92,9 +92,9 @@ def _checked(codec: Codec, type_name: str, tolerances: Mapping[str, float]) -> d
 def _check_path(codec: Codec, type_name: str, path: str) -> None:
     steps = parse_fields(codec.definitions, type_name, [path])[0].steps
     last = steps[-1].field
-    if "[" in path or any(step.field.shape.shape != "single" for step in steps[:-1]):
+    if "[" in path or any(step.field.type.arity != "single" for step in steps[:-1]):
         raise BadValue(path, "a tolerance cannot be given for elements.", "Give the whole field.")
-    if not last.shape.is_number:
+    if not last.type.is_number:
         raise BadValue(path, f"{last.type} has no numbers to compare.", "Give a field made of numbers.")
 
 
@@ -103,9 +103,9 @@ def _stamp_paths(codec: Codec, type_name: str, path: str) -> list[str]:
     found: list[str] = []
     for field in codec.definitions.structure(type_name).fields:
         here = f"{path}.{field.name}".removeprefix(".")
-        if field.shape.shape != "single" or not field.shape.is_message:
+        if field.type.arity != "single" or not field.type.is_message:
             continue
-        found += [f"{here}.stamp"] if field.shape.base == _HEADER else _stamp_paths(codec, field.shape.base, here)
+        found += [f"{here}.stamp"] if field.type.base == _HEADER else _stamp_paths(codec, field.type.base, here)
     return found
 
 
@@ -115,9 +115,9 @@ def _stamps_blank(codec: Codec, type_name: str) -> list[_Blank]:
         return [_blank_stamp]
     found: list[_Blank] = []
     for field in codec.definitions.structure(type_name).fields:
-        below = _stamps_blank(codec, field.shape.base) if field.shape.is_message else []
+        below = _stamps_blank(codec, field.type.base) if field.type.is_message else []
         if below:
-            found.append(_inside(attribute(field.name), field.shape.shape != "single", below))
+            found.append(_inside(attribute(field.name), field.type.arity != "single", below))
     return found
 
 

@@ -45,7 +45,7 @@ class _Check:
         structure = self._definitions.structure(type_name)
         given = _object(structure, value, path)
         values = [
-            self._value(field.shape, given[field.name], _below(path, field.name))
+            self._value(field.type, given[field.name], _below(path, field.name))
             if field.name in given
             else self._missing(field, path)
             for field in structure.fields
@@ -56,39 +56,39 @@ class _Check:
         if not self._partial:
             raise BadValue(_below(path, field.name), f"is missing, {field.type} expected.")
         if field.default is not None:
-            return self._value(field.shape, field.default, _below(path, field.name))
-        return self._zero(field.shape)
+            return self._value(field.type, field.default, _below(path, field.name))
+        return self._zero(field.type)
 
-    def _zero(self, shape: FieldType) -> Any:
-        if shape.shape == "single":
-            return self._zero_element(shape)
-        length = shape.size if shape.shape == "array" else 0
-        if shape.is_message or shape.base in TEXTS:
-            return [self._zero_element(shape) for _ in range(length)]
-        return zeros(shape.base, length)
+    def _zero(self, field_type: FieldType) -> Any:
+        if field_type.arity == "single":
+            return self._zero_element(field_type)
+        length = field_type.size if field_type.arity == "array" else 0
+        if field_type.is_message or field_type.base in TEXTS:
+            return [self._zero_element(field_type) for _ in range(length)]
+        return zeros(field_type.base, length)
 
-    def _zero_element(self, shape: FieldType) -> Any:
-        if shape.is_message:
-            return self.message(shape.base, {}, "")
-        return "" if shape.base in TEXTS else zeros(shape.base, 1)[0].item()
+    def _zero_element(self, field_type: FieldType) -> Any:
+        if field_type.is_message:
+            return self.message(field_type.base, {}, "")
+        return "" if field_type.base in TEXTS else zeros(field_type.base, 1)[0].item()
 
-    def _value(self, shape: FieldType, value: object, path: str) -> Any:
-        if shape.shape != "single":
-            return self._several(shape, value, path)
-        if shape.is_message:
-            return self.message(shape.base, value, path)
-        return scalar(shape, value, path)
+    def _value(self, field_type: FieldType, value: object, path: str) -> Any:
+        if field_type.arity != "single":
+            return self._several(field_type, value, path)
+        if field_type.is_message:
+            return self.message(field_type.base, value, path)
+        return scalar(field_type, value, path)
 
-    def _several(self, shape: FieldType, value: object, path: str) -> list[Any] | NDArray[Any]:
-        if shape.base in OCTETS and isinstance(value, str):
+    def _several(self, field_type: FieldType, value: object, path: str) -> list[Any] | NDArray[Any]:
+        if field_type.base in OCTETS and isinstance(value, str):
             data = octets(value, path)
-            _check_length(shape, len(data), path)
+            _check_length(field_type, len(data), path)
             return data
-        values = _list(shape, value, path)
-        _check_length(shape, len(values), path)
-        if shape.is_message or shape.base in TEXTS:
-            return [self._value(shape.element, item, f"{path}[{index}]") for index, item in enumerate(values)]
-        return numbers(shape, values, path)
+        values = _list(field_type, value, path)
+        _check_length(field_type, len(values), path)
+        if field_type.is_message or field_type.base in TEXTS:
+            return [self._value(field_type.element, item, f"{path}[{index}]") for index, item in enumerate(values)]
+        return numbers(field_type, values, path)
 
 
 def _object(structure: Structure, value: object, path: str) -> Mapping[str, object]:
@@ -111,22 +111,22 @@ def _unknown_field(structure: Structure, name: str, known: Sequence[str], path: 
     return BadValue(_below(path, str(name)[:80]), f"{structure.type} has no such field.", hint + fields)
 
 
-def _list(shape: FieldType, value: object, path: str) -> Sequence[object]:
+def _list(field_type: FieldType, value: object, path: str) -> Sequence[object]:
     if is_summary(value):
         raise summary_error(path)
     if isinstance(value, np.ndarray):
         return cast("Sequence[object]", value.tolist())
     if isinstance(value, (list, tuple)):
         return cast("Sequence[object]", value)
-    hint = "Give bytes as a list of 0 to 255 or as base64." if shape.base in OCTETS else "Give a list."
-    raise BadValue(path, f"{excerpt(value)} given, {shape} expected.", hint)
+    hint = "Give bytes as a list of 0 to 255 or as base64." if field_type.base in OCTETS else "Give a list."
+    raise BadValue(path, f"{excerpt(value)} given, {field_type} expected.", hint)
 
 
-def _check_length(shape: FieldType, length: int, path: str) -> None:
-    if shape.shape == "array" and length != shape.size:
-        raise BadValue(path, f"{length} elements given, {shape} takes exactly {shape.size}.")
-    if shape.size and length > shape.size:
-        raise BadValue(path, f"{length} elements given, {shape} takes at most {shape.size}.")
+def _check_length(field_type: FieldType, length: int, path: str) -> None:
+    if field_type.arity == "array" and length != field_type.size:
+        raise BadValue(path, f"{length} elements given, {field_type} takes exactly {field_type.size}.")
+    if field_type.size and length > field_type.size:
+        raise BadValue(path, f"{length} elements given, {field_type} takes at most {field_type.size}.")
 
 
 def _below(path: str, name: str) -> str:

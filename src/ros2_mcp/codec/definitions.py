@@ -12,7 +12,7 @@ from ros2_mcp.codec.example import example_of
 from ros2_mcp.codec.sources import ALWAYS_KNOWN, SIDES, kind_of, structures_of, types_of
 from ros2_mcp.codec.store import MessageStore, type_hash
 from ros2_mcp.model.errors import UnknownInterface
-from ros2_mcp.model.interfaces import DefinitionText, Interface, Section, Structure
+from ros2_mcp.model.interfaces import DefinitionText, FieldType, Interface, Section, Structure
 from ros2_mcp.model.names import did_you_mean
 
 __all__ = ["DefinitionText", "Definitions"]
@@ -67,7 +67,7 @@ class Definitions:
         """The type's hash as it travels on the wire (`RIHS01_…`); empty where it cannot be computed."""
         with self._lock:
             every = self._known.reachable(type_name)
-        if any(field.shape.base == "wstring" for each in every.values() for field in each.fields):
+        if any(field.type.base == "wstring" for each in every.values() for field in each.fields):
             return ""
         return type_hash(type_name, every)
 
@@ -78,7 +78,7 @@ class Definitions:
     def starts_with_header(self, type_name: str) -> bool:
         """Whether the first field is a std_msgs/msg/Header, so that the message begins with a stamp."""
         fields = self.structure(type_name).fields
-        return bool(fields) and fields[0].type == "std_msgs/msg/Header"
+        return bool(fields) and fields[0].type == FieldType("std_msgs/msg/Header")
 
     def compiled(self, type_name: str) -> MessageStore:
         """A store that can read and write the type."""
@@ -147,5 +147,5 @@ class _Known:
             return
         found[type_name] = self.load(type_name)
         for field in found[type_name].fields:
-            if field.shape.is_message:
-                self._collect(field.shape.base, found, (*inside, type_name))
+            if field.type.is_message:
+                self._collect(field.type.base, found, (*inside, type_name))

@@ -16,25 +16,25 @@ def example_of(structure_of: Callable[[str], Structure], type_name: str) -> dict
 
 
 def _value(structure_of: Callable[[str], Structure], field: Field) -> Any:
-    shape = field.shape
+    field_type = field.type
     if field.default is not None:
         return _default(field)
-    if shape.shape == "single":
-        return _element(structure_of, shape)
-    length = shape.size if shape.shape == "array" else 0
-    if shape.is_message or shape.base in TEXTS:
-        return [_element(structure_of, shape) for _ in range(length)]
-    return json_numbers(shape, zeros(shape.base, length))
+    if field_type.arity == "single":
+        return _element(structure_of, field_type)
+    length = field_type.size if field_type.arity == "array" else 0
+    if field_type.is_message or field_type.base in TEXTS:
+        return [_element(structure_of, field_type) for _ in range(length)]
+    return json_numbers(field_type, zeros(field_type.base, length))
 
 
 def _default(field: Field) -> Any:
-    default, base = field.default, field.shape.base
+    default, base = field.default, field.type.base
     if isinstance(default, (list, tuple)):
-        return list(default) if base in TEXTS else json_numbers(field.shape, numbers(field.shape, default, field.name))
+        return list(default) if base in TEXTS else json_numbers(field.type, numbers(field.type, default, field.name))
     return default if base in TEXTS else json_number(base, default)
 
 
-def _element(structure_of: Callable[[str], Structure], shape: FieldType) -> Any:
-    if shape.is_message:
-        return example_of(structure_of, shape.base)
-    return "" if shape.base in TEXTS else zeros(shape.base, 1)[0].item()
+def _element(structure_of: Callable[[str], Structure], field_type: FieldType) -> Any:
+    if field_type.is_message:
+        return example_of(structure_of, field_type.base)
+    return "" if field_type.base in TEXTS else zeros(field_type.base, 1)[0].item()

@@ -59,7 +59,7 @@ class FieldMapping:
 
 def _check_paths(codec: Codec, type_name: str, paths: list[str]) -> None:
     for selection in parse_fields(codec.definitions, type_name, paths):
-        if "[" in selection.path or any(step.field.shape.shape != "single" for step in selection.steps[:-1]):
+        if "[" in selection.path or any(step.field.type.arity != "single" for step in selection.steps[:-1]):
             raise BadValue(selection.path, "elements of arrays cannot be mapped.", "Map the whole field.")
 
 

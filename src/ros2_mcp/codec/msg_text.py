@@ -10,11 +10,11 @@ from ros2_mcp.model.interfaces import (
     FLOATS,
     INTEGERS,
     PRIMITIVES,
+    Arity,
     Constant,
     Field,
     FieldType,
     Literals,
-    Shape,
     Structure,
 )
 
@@ -84,18 +84,18 @@ def _read_line(type_name: str, package: str, code: str, comment: str) -> Field |
         if match := _CONSTANT.fullmatch(code):
             return _read_constant(read_type(package, match["type"]), match["name"], match["value"], comment)
         if match := _FIELD.fullmatch(code):
-            shape = read_type(package, match["type"])
-            default = None if match["default"] is None else _read_default(shape, match["default"].strip())
-            return Field(match["name"], shape, default, comment)
+            field_type = read_type(package, match["type"])
+            default = None if match["default"] is None else _read_default(field_type, match["default"].strip())
+            return Field(match["name"], field_type, default, comment)
         raise ValueError("neither a field nor a constant")
     except ValueError as error:
         raise UnknownInterface(f"The definition of {type_name} cannot be read: {code[:80]!r}: {error}.") from error
 
 
-def _read_constant(shape: FieldType, name: str, value: str, comment: str) -> Constant:
-    if shape.shape != "single" or shape.is_message:
+def _read_constant(field_type: FieldType, name: str, value: str, comment: str) -> Constant:
+    if field_type.arity != "single" or field_type.is_message:
         raise ValueError("a constant is one primitive value")
-    return Constant(name, str(shape), _read_literal(shape.base, value.strip()), comment)
+    return Constant(name, str(field_type), _read_literal(field_type.base, value.strip()), comment)
 
 
 def read_type(package: str, text: str) -> FieldType:
@@ -110,10 +110,10 @@ def read_type(package: str, text: str) -> FieldType:
     base = _full_name(package, match["base"])
     if match["text_bound"] and base not in ("string", "wstring"):
         raise ValueError("only strings have such a bound")
-    shape: Shape = "single"
+    arity: Arity = "single"
     if match["array"]:
-        shape = "array" if match["size"] and not match["at_most"] else "sequence"
-    return FieldType(base, shape, int(match["size"] or 0), int(match["text_bound"] or 0))
+        arity = "array" if match["size"] and not match["at_most"] else "sequence"
+    return FieldType(base, arity, int(match["size"] or 0), int(match["text_bound"] or 0))
 
 
 def _full_name(package: str, name: str) -> str:
@@ -127,14 +127,14 @@ def _full_name(package: str, name: str) -> str:
     return f"{package}/msg/{name}" if len(parts) == 1 else f"{parts[0]}/msg/{parts[1]}"
 
 
-def _read_default(shape: FieldType, text: str) -> Literals:
-    if shape.is_message:
+def _read_default(field_type: FieldType, text: str) -> Literals:
+    if field_type.is_message:
         raise ValueError("a message has no default")
-    if shape.shape == "single":
-        return _read_literal(shape.base, text)
+    if field_type.arity == "single":
+        return _read_literal(field_type.base, text)
     if not (text.startswith("[") and text.endswith("]")):
         raise ValueError("the default of an array is written in brackets")
-    return tuple(_read_literal(shape.base, item) for item in _items(text[1:-1]))
+    return tuple(_read_literal(field_type.base, item) for item in _items(text[1:-1]))
 
 
 def _items(text: str) -> Iterator[str]:

@@ -130,33 +130,33 @@ class _Render:
         result: dict[str, Any] = {}
         for field in self._definitions.structure(type_name).fields:
             below = f"{path}.{field.name}" if path else field.name
-            result[field.name] = self._value(field.shape, getattr(message, attribute(field.name)), below, depth - 1)
+            result[field.name] = self._value(field.type, getattr(message, attribute(field.name)), below, depth - 1)
         return result
 
-    def _value(self, shape: FieldType, value: Any, path: str, depth: int) -> Any:
-        if shape.shape != "single":
-            return self._several(shape, value, path, depth, self._limits.array)
-        if shape.is_message:
-            return self._message(shape.base, value, path, depth)
-        if shape.base in TEXTS:
+    def _value(self, field_type: FieldType, value: Any, path: str, depth: int) -> Any:
+        if field_type.arity != "single":
+            return self._several(field_type, value, path, depth, self._limits.array)
+        if field_type.is_message:
+            return self._message(field_type.base, value, path, depth)
+        if field_type.base in TEXTS:
             return self._text(value, path, self._limits.string)
-        return json_number(shape.base, value)
+        return json_number(field_type.base, value)
 
-    def _several(self, shape: FieldType, values: Any, path: str, depth: int, most: int) -> Any:
-        if shape.is_message or shape.base in TEXTS:
-            return self._list(shape, values, path, depth, most)
+    def _several(self, field_type: FieldType, values: Any, path: str, depth: int, most: int) -> Any:
+        if field_type.is_message or field_type.base in TEXTS:
+            return self._list(field_type, values, path, depth, most)
         if len(values) <= most:
-            return json_numbers(shape, values)
+            return json_numbers(field_type, values)
         self._cut(path)
-        return numbers_summary(shape, values, most)
+        return numbers_summary(field_type, values, most)
 
-    def _list(self, shape: FieldType, values: list[Any], path: str, depth: int, most: int) -> Any:
-        element = shape.element
+    def _list(self, field_type: FieldType, values: list[Any], path: str, depth: int, most: int) -> Any:
+        element = field_type.element
         first = [self._value(element, value, f"{path}[*]", depth) for value in values[:most]]
         if len(values) <= most:
             return first
         self._cut(path)
-        return list_summary(shape, len(values), first)
+        return list_summary(field_type, len(values), first)
 
     def _text(self, text: str, path: str, most: int) -> Any:
         if len(text) > most:
@@ -170,19 +170,19 @@ class _Render:
     def _follow(self, path: str, steps: tuple[Step, ...], value: Any) -> Any:
         """What a selected path leads to; beyond a slice, a list with what the rest of the path leads to in each."""
         step, rest = steps[0], steps[1:]
-        shape, value = step.field.shape, getattr(value, attribute(step.field.name))
+        field_type, value = step.field.type, getattr(value, attribute(step.field.name))
         if isinstance(step.pick, int):
-            shape, value = shape.element, element_at(value, step.pick, path)
+            field_type, value = field_type.element, element_at(value, step.pick, path)
         elif step.pick is not None:
             value = value[step.pick]
             if rest:
                 return self._follow_each(path, rest, value)
-            return self._several(_part_of(shape), value, path, self._limits.depth, self._limits.slice)
+            return self._several(_part_of(field_type), value, path, self._limits.depth, self._limits.slice)
         if rest:
             return self._follow(path, rest, value)
-        if shape.shape == "single" and shape.base in TEXTS:
+        if field_type.arity == "single" and field_type.base in TEXTS:
             return self._text(value, path, self._limits.slice)
-        return self._value(shape, value, path, self._limits.depth)
+        return self._value(field_type, value, path, self._limits.depth)
 
     def _follow_each(self, path: str, rest: tuple[Step, ...], values: Sequence[Any]) -> Any:
         most = self._limits.slice
@@ -190,11 +190,11 @@ class _Render:
         if len(values) <= most:
             return first
         self._cut(path)
-        return list_summary(FieldType(rest[-1].field.shape.base, "sequence"), len(values), first)
+        return list_summary(FieldType(rest[-1].field.type.base, "sequence"), len(values), first)
 
     def _cut(self, path: str) -> None:
         self._truncated[path] = None
 
 
-def _part_of(shape: FieldType) -> FieldType:
-    return FieldType(shape.base, "sequence", 0, shape.text_bound)
+def _part_of(field_type: FieldType) -> FieldType:
+    return FieldType(field_type.base, "sequence", 0, field_type.text_bound)

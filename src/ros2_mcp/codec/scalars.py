@@ -39,7 +39,7 @@ def zeros(base: str, length: int) -> NDArray[Any]:
     return np.zeros(length, _DTYPES[base])
 
 
-def scalar(shape: FieldType, value: object, path: str) -> bool | int | float | str:
+def scalar(field_type: FieldType, value: object, path: str) -> bool | int | float | str:
     """The value as exactly what the primitive type holds.
 
     Raises:
@@ -47,38 +47,38 @@ def scalar(shape: FieldType, value: object, path: str) -> bool | int | float | s
     """
     if is_summary(value):
         raise summary_error(path)
-    if shape.base == "bool":
+    if field_type.base == "bool":
         return _boolean(value, path)
-    if shape.base in INTEGERS:
-        return _integer(shape.base, value, path)
-    if shape.base in FLOATS:
-        return _float(shape.base, value, path)
-    return _text(shape, value, path)
+    if field_type.base in INTEGERS:
+        return _integer(field_type.base, value, path)
+    if field_type.base in FLOATS:
+        return _float(field_type.base, value, path)
+    return _text(field_type, value, path)
 
 
-def numbers(shape: FieldType, values: Sequence[object], path: str) -> NDArray[Any]:
+def numbers(field_type: FieldType, values: Sequence[object], path: str) -> NDArray[Any]:
     """A list as an array of the numeric type, or of booleans; raises `BadValue` as `scalar` does."""
     kinds = set(map(type, values))
-    if shape.base in FLOATS and kinds <= {float}:
-        return _floats(shape, values, path)
-    if shape.base in INTEGERS and kinds == {int} and _all_in_range(shape.base, values):
-        return np.array(values, _DTYPES[shape.base])
-    return _one_by_one(shape, values, path)
+    if field_type.base in FLOATS and kinds <= {float}:
+        return _floats(field_type, values, path)
+    if field_type.base in INTEGERS and kinds == {int} and _all_in_range(field_type.base, values):
+        return np.array(values, _DTYPES[field_type.base])
+    return _one_by_one(field_type, values, path)
 
 
-def _floats(shape: FieldType, values: Sequence[Any], path: str) -> NDArray[Any]:
+def _floats(field_type: FieldType, values: Sequence[Any], path: str) -> NDArray[Any]:
     exact = np.array(values, np.float64)
-    if shape.base == "float64":
+    if field_type.base == "float64":
         return exact
     with np.errstate(over="ignore"):
         rounded = exact.astype(np.float32)
     if np.array_equal(np.isinf(rounded), np.isinf(exact)):
         return rounded
-    return _one_by_one(shape, values, path)
+    return _one_by_one(field_type, values, path)
 
 
-def _one_by_one(shape: FieldType, values: Sequence[object], path: str) -> NDArray[Any]:
-    element, dtype = shape.element, _DTYPES[shape.base]
+def _one_by_one(field_type: FieldType, values: Sequence[object], path: str) -> NDArray[Any]:
+    element, dtype = field_type.element, _DTYPES[field_type.base]
     return np.array([scalar(element, value, f"{path}[{index}]") for index, value in enumerate(values)], dtype)
 
 
@@ -178,13 +178,13 @@ def _exact_float(base: str, value: int, path: str) -> float:
     return number
 
 
-def _text(shape: FieldType, value: object, path: str) -> str:
+def _text(field_type: FieldType, value: object, path: str) -> str:
     if not isinstance(value, str):
-        raise _wrong(path, value, str(shape), "Write it in quotes." if isinstance(value, (int, float)) else "")
+        raise _wrong(path, value, str(field_type), "Write it in quotes." if isinstance(value, (int, float)) else "")
     if not is_unicode(value):
         raise BadValue(path, f"{excerpt(value)} has half a character (a lone surrogate), which cannot be encoded.")
-    length = len(value.encode()) if shape.base == "string" else len(value.encode("utf-16-le")) // 2
-    if shape.text_bound and length > shape.text_bound:
-        unit = "bytes" if shape.base == "string" else "characters"
-        raise BadValue(path, f"a text of {length} {unit} given, {shape} expected.", "Shorten it.")
+    length = len(value.encode()) if field_type.base == "string" else len(value.encode("utf-16-le")) // 2
+    if field_type.text_bound and length > field_type.text_bound:
+        unit = "bytes" if field_type.base == "string" else "characters"
+        raise BadValue(path, f"a text of {length} {unit} given, {field_type} expected.", "Shorten it.")
     return value

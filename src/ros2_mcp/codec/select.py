@@ -54,11 +54,11 @@ def numeric_fields(definitions: Definitions, type_name: str) -> list[str]:
     """The paths of all single numbers, nested ones included: `twist.linear.x`; none inside arrays, no booleans."""
     paths: list[str] = []
     for field in definitions.structure(type_name).fields:
-        if field.shape.shape != "single":
+        if field.type.arity != "single":
             continue
-        if field.shape.is_message:
-            paths += [f"{field.name}.{below}" for below in numeric_fields(definitions, field.shape.base)]
-        elif field.shape.is_number:
+        if field.type.is_message:
+            paths += [f"{field.name}.{below}" for below in numeric_fields(definitions, field.type.base)]
+        elif field.type.is_number:
             paths.append(field.name)
     return paths
 
@@ -84,19 +84,19 @@ def _parse(definitions: Definitions, type_name: str, path: str) -> Selection:
             )
         step = _step(definitions, path, inside, match["name"], match["brackets"][1:-1] if match["brackets"] else None)
         steps.append(step)
-        inside = step.field.shape if step.pick is None else step.field.shape.element
+        inside = step.field.type if step.pick is None else step.field.type.element
     return Selection(path.strip(), tuple(steps))
 
 
 def _step(definitions: Definitions, path: str, inside: FieldType, name: str, index: str | None) -> Step:
-    if inside.shape != "single":
+    if inside.arity != "single":
         raise BadValue(path, f"{inside} is a list; {name!r} is a field of its elements.", _NOT_AN_INDEX)
     if not inside.is_message:
         raise BadValue(path, f"{inside} has no fields, so {name!r} cannot be one.")
     field = _field(definitions, path, inside.base, name)
     if index is None:
         return Step(field)
-    if field.shape.shape == "single":
+    if field.type.arity == "single":
         raise BadValue(path, f"{name} is a single {field.type}, not a list.")
     return Step(field, _pick(path, index))
 

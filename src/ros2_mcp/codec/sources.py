@@ -110,5 +110,5 @@ def _idl_type(field: str, node: Any) -> FieldType:
             raise ValueError(f"the field {field} is a {base}, which ROS messages cannot carry")
         return FieldType(base, text_bound=bound)
     element = _idl_type(field, rest[0])
-    shape = "array" if kind == Nodetype.ARRAY else "sequence"
-    return FieldType(element.base, shape, rest[1], element.text_bound)
+    arity = "array" if kind == Nodetype.ARRAY else "sequence"
+    return FieldType(element.base, arity, rest[1], element.text_bound)

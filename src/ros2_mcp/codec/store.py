@@ -34,7 +34,7 @@ class MessageStore(Typestore):
 
     def add(self, structures: Iterable[Structure]) -> None:
         """Makes the message classes; what these structures refer to must be among them or known."""
-        self.register({s.type: ([], [(f.name, _node(f.shape)) for f in s.fields]) for s in structures})
+        self.register({s.type: ([], [(f.name, _node(f.type)) for f in s.fields]) for s in structures})
 
     def get_msgdef(self, typename: str) -> Msgdef[object]:
         """Compiles the CDR functions of a type at its first use (and not the ROS 1 functions that rosbags adds)."""
@@ -79,34 +79,34 @@ def type_hash(type_name: str, structures: Mapping[str, Structure]) -> str:
     bare = Typestore()
     bare.fielddefs.update(
         {
-            name: ([], [(f.name, _tree(f.shape, _hashed_element(f.shape))) for f in structure.fields])
+            name: ([], [(f.name, _tree(f.type, _hashed_element(f.type))) for f in structure.fields])
             for name, structure in structures.items()
         }
     )
     return bare.hash_rihs01(type_name)
 
 
-def _hashed_element(shape: FieldType) -> Any:
-    if shape.is_message:
-        return (Nodetype.NAME, shape.base)
-    return (Nodetype.BASE, ("uint8" if shape.base == "char" else shape.base, shape.text_bound))
+def _hashed_element(field_type: FieldType) -> Any:
+    if field_type.is_message:
+        return (Nodetype.NAME, field_type.base)
+    return (Nodetype.BASE, ("uint8" if field_type.base == "char" else field_type.base, field_type.text_bound))
 
 
-def _stored_element(shape: FieldType) -> Any:
-    if shape.is_message or shape.base in TEXTS:
-        return (Nodetype.NAME, shape.base)
-    return (Nodetype.BASE, ("uint8" if shape.base in OCTETS else shape.base, 0))
+def _stored_element(field_type: FieldType) -> Any:
+    if field_type.is_message or field_type.base in TEXTS:
+        return (Nodetype.NAME, field_type.base)
+    return (Nodetype.BASE, ("uint8" if field_type.base in OCTETS else field_type.base, 0))
 
 
-def _tree(shape: FieldType, element: Any) -> Any:
+def _tree(field_type: FieldType, element: Any) -> Any:
     """The node of rosbags' parse tree for a type made of such elements."""
-    if shape.shape == "single":
+    if field_type.arity == "single":
         return element
-    return (Nodetype.ARRAY if shape.shape == "array" else Nodetype.SEQUENCE, (element, shape.size))
+    return (Nodetype.ARRAY if field_type.arity == "array" else Nodetype.SEQUENCE, (element, field_type.size))
 
 
-def _node(shape: FieldType) -> Any:
-    return _tree(shape, _stored_element(shape))
+def _node(field_type: FieldType) -> Any:
+    return _tree(field_type, _stored_element(field_type))
 
 
 def _definition(
@@ -144,8 +144,8 @@ def _string_type() -> Msgdef[object]:
 
         return read
 
-    shape = [("length", _node(FieldType("uint32"))), ("last", _node(FieldType("uint8")))]
-    return _definition("string", shape, str, 0, getsize, write, reader("le"), reader("be"))
+    layout = [("length", _node(FieldType("uint32"))), ("last", _node(FieldType("uint8")))]
+    return _definition("string", layout, str, 0, getsize, write, reader("le"), reader("be"))
 
 
 def _wide_string_type() -> Msgdef[object]:
@@ -173,5 +173,5 @@ def _wide_string_type() -> Msgdef[object]:
 
         return read
 
-    shape = [("length", _node(FieldType("uint32")))]
-    return _definition("wstring", shape, str, 0, getsize, write, reader("le"), reader("be"))
+    layout = [("length", _node(FieldType("uint32")))]
+    return _definition("wstring", layout, str, 0, getsize, write, reader("le"), reader("be"))

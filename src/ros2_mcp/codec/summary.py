@@ -36,31 +36,31 @@ def json_number(base: str, value: Any) -> Any:
     return value
 
 
-def json_numbers(shape: FieldType, values: NDArray[Any]) -> list[Any] | str:
+def json_numbers(field_type: FieldType, values: NDArray[Any]) -> list[Any] | str:
     """A whole array, exactly."""
-    if shape.base in OCTETS and len(values) > BYTES_AS_LIST:
+    if field_type.base in OCTETS and len(values) > BYTES_AS_LIST:
         return base64.b64encode(values.tobytes()).decode()
     plain: list[Any] = values.tolist()
-    if shape.base == "float32" or shape.base.endswith("64"):
-        return [json_number(shape.base, value) for value in plain]
+    if field_type.base == "float32" or field_type.base.endswith("64"):
+        return [json_number(field_type.base, value) for value in plain]
     return plain
 
 
-def numbers_summary(shape: FieldType, values: NDArray[Any], first: int) -> dict[str, Any]:
+def numbers_summary(field_type: FieldType, values: NDArray[Any], first: int) -> dict[str, Any]:
     """An array as its length, first values and statistics over its finite values; bytes as their number only."""
-    summary: dict[str, Any] = {SUMMARY: str(shape), "length": len(values)}
-    if shape.base in OCTETS:
+    summary: dict[str, Any] = {SUMMARY: str(field_type), "length": len(values)}
+    if field_type.base in OCTETS:
         return summary
-    summary["first"] = json_numbers(shape, values[:first])
+    summary["first"] = json_numbers(field_type, values[:first])
     summary["omitted"] = len(values) - len(values[:first])
-    if shape.base == "bool":
+    if field_type.base == "bool":
         return {**summary, "true": int(np.count_nonzero(values))}
-    return {**summary, **_statistics(shape.base, values)}
+    return {**summary, **_statistics(field_type.base, values)}
 
 
-def list_summary(shape: FieldType, length: int, first: Sequence[Any]) -> dict[str, Any]:
+def list_summary(field_type: FieldType, length: int, first: Sequence[Any]) -> dict[str, Any]:
     """A list of messages or texts as its length and its first elements."""
-    return {SUMMARY: str(shape), "length": length, "first": first, "omitted": length - len(first)}
+    return {SUMMARY: str(field_type), "length": length, "first": first, "omitted": length - len(first)}
 
 
 def text_summary(text: str, first: int) -> dict[str, Any]:

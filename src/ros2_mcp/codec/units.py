@@ -22,7 +22,7 @@ def unit_of(definitions: Definitions, type_name: str, path: str) -> str:
     for step in selection.steps:
         name = step.field.name
         found = _UNITS.get(f"{inside}.{name}") or found
-        inside = step.field.shape.base
+        inside = step.field.type.base
     return found or next((unit for suffix, unit in _SUFFIXES.items() if _ends(path, suffix)), "")
 
 

@@ -19,7 +19,7 @@ OCTETS = frozenset({"uint8", "byte", "char"})
 PRIMITIVES = frozenset({"bool", *INTEGERS, *FLOATS, *TEXTS})
 
 Literals: TypeAlias = "bool | int | float | str | Sequence[bool | int | float | str]"
-Shape: TypeAlias = Literal["single", "array", "sequence"]
+Arity: TypeAlias = Literal["single", "array", "sequence"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class FieldType:
     """
 
     base: str
-    shape: Shape = "single"
+    arity: Arity = "single"
     size: int = 0
     text_bound: int = 0
 
@@ -60,9 +60,9 @@ class FieldType:
 
     def __str__(self) -> str:
         text = f"{self.base}<={self.text_bound}" if self.text_bound else self.base
-        if self.shape == "single":
+        if self.arity == "single":
             return text
-        if self.shape == "array":
+        if self.arity == "array":
             return f"{text}[{self.size}]"
         return f"{text}[<={self.size}]" if self.size else f"{text}[]"
 
@@ -72,14 +72,9 @@ class Field:
     """A field: its type, its default (None where the definition gives none) and the comment written beside it."""
 
     name: str
-    shape: FieldType
+    type: FieldType
     default: Literals | None = None
     comment: str = ""
-
-    @property
-    def type(self) -> str:
-        """The type as written in definitions, such as `float64[36]`."""
-        return str(self.shape)
 
 
 @dataclass(frozen=True, slots=True)

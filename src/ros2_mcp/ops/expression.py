@@ -233,12 +233,12 @@ def _kind_of(found: Reading) -> tuple[str, str, str]:
     return (kind := _single_kind(found.type)), f"a {kind} ({found.type})", ""
 
 
-def _single_kind(shape: FieldType) -> str:
-    if shape.is_message:
+def _single_kind(field_type: FieldType) -> str:
+    if field_type.is_message:
         return "message"
-    if shape.base == "bool":
+    if field_type.base == "bool":
         return "truth"
-    return "text" if shape.base in TEXTS else "number"
+    return "text" if field_type.base in TEXTS else "number"
 
 
 def _reader(found: Reading, kind: str) -> Evaluate:

@@ -39,9 +39,9 @@ def reading(definitions: Definitions, type_name: str, path: str) -> Reading:
     """
     (selection,) = parse_fields(definitions, type_name, [path])
     last = selection.steps[-1]
-    shape = last.field.shape if last.pick is None else last.field.shape.element
-    is_list = shape.shape != "single" or any(isinstance(step.pick, slice) for step in selection.steps)
-    return Reading(selection.path, shape, is_list, selection)
+    field_type = last.field.type if last.pick is None else last.field.type.element
+    is_list = field_type.arity != "single" or any(isinstance(step.pick, slice) for step in selection.steps)
+    return Reading(selection.path, field_type, is_list, selection)
 
 
 def measurable(definitions: Definitions, type_name: str, chosen: Sequence[str] = ()) -> list[Reading]:
@@ -61,7 +61,7 @@ def _chosen(definitions: Definitions, type_name: str, path: str) -> list[str]:
     if found.type.is_number or found.type.base == "bool":
         return [found.path]
     below = _numbers(definitions, found.type.base) if found.type.is_message else iter(())
-    paths = [f"{found.path}{'[*]' * (found.type.shape != 'single')}.{each}" for each in below]
+    paths = [f"{found.path}{'[*]' * (found.type.arity != 'single')}.{each}" for each in below]
     if not paths:
         raise BadValue(path, f"it is {found.type}, which has no numbers to measure.")
     return paths
@@ -69,11 +69,11 @@ def _chosen(definitions: Definitions, type_name: str, path: str) -> list[str]:
 
 def _numbers(definitions: Definitions, type_name: str) -> Iterator[str]:
     for field in definitions.structure(type_name).fields:
-        shape = field.shape
-        if shape.is_number and (shape.shape == "single" or shape.base not in OCTETS):
+        field_type = field.type
+        if field_type.is_number and (field_type.arity == "single" or field_type.base not in OCTETS):
             yield field.name
-        elif shape.is_message and shape.shape == "single" and shape.base != _TIME:
-            yield from (f"{field.name}.{below}" for below in _numbers(definitions, shape.base))
+        elif field_type.is_message and field_type.arity == "single" and field_type.base != _TIME:
+            yield from (f"{field.name}.{below}" for below in _numbers(definitions, field_type.base))
 
 
 def _follow(selection: Selection, start: int, value: Any) -> Any:

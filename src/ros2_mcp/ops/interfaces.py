@@ -87,7 +87,7 @@ async def define(robot: Robot, type_name: str) -> Definition:
 
 def _fields(interface: Interface) -> dict[str, Any]:
     """Name → type of the top-level fields; one level deeper for a service's and an action's sides."""
-    sides = {section.name: {f.name: f.type for f in section.fields} for section in interface.sections}
+    sides = {section.name: {f.name: str(f.type) for f in section.fields} for section in interface.sections}
     return sides["message"] if interface.kind == "msg" else sides
 
 

@@ -104,4 +104,4 @@ class Values:
 
     def field_types(self, type_name: str) -> dict[str, Any]:
         """Name → type of the top-level fields of a learnt message type."""
-        return {field.name: field.type for field in self.definitions.interface(type_name).sections[0].fields}
+        return {field.name: str(field.type) for field in self.definitions.interface(type_name).sections[0].fields}
