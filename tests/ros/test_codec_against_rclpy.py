@@ -20,7 +20,7 @@ from rosidl_parser import definition as idl
 from ros2_mcp.codec.cdr import Codec
 from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions, DefinitionText
-from ros2_mcp.codec.render import RenderOptions, render
+from ros2_mcp.codec.render import RenderOptions, example_of, render
 
 EXACT = RenderOptions(exact=True)
 LIMITS = {
@@ -157,7 +157,7 @@ def test_every_installed_type_makes_the_round_trip(codec: Codec, name: str) -> N
 @pytest.mark.parametrize("name", sorted(TEXTS))
 def test_every_installed_type_has_the_same_defaults(codec: Codec, name: str) -> None:
     for part, cls in _classes_of(name).items():
-        example = codec.definitions.example(part)
+        example = example_of(codec.definitions, part)
         ours = codec.encode(part, check(codec.definitions, part, {}))
         assert _same(cls(), deserialize_message(ours, cls)), part
         assert codec.encode(part, check(codec.definitions, part, example)) == ours

@@ -1,27 +1,33 @@
-"""Message objects → JSON, bounded: what is too long is summarised, never cut in the middle."""
+"""Message objects → JSON, bounded: what is too long is summarised, never cut in the middle.
+
+Numbers are shown exactly. NaN and the infinities are the strings `"nan"`, `"inf"`, `"-inf"` (see `_json_number`).
+"""
 
 from __future__ import annotations
 
+import base64
 import json
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any, NamedTuple
 
-from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.scalars import SUMMARY
-from ros2_mcp.codec.select import Selection, Step, element_at, parse_fields
-from ros2_mcp.codec.store import attribute
-from ros2_mcp.codec.summary import (
-    json_number,
-    json_numbers,
-    list_summary,
-    numbers_summary,
-    text_problem,
-    text_summary,
-)
-from ros2_mcp.codec.text import is_unicode
-from ros2_mcp.model.interfaces import TEXTS, FieldType
+import numpy as np
+from numpy.typing import NDArray
 
+from ros2_mcp.codec.check import check
+from ros2_mcp.codec.definitions import Definitions
+from ros2_mcp.codec.select import FieldPath, Step, element_at, parse_fields
+from ros2_mcp.codec.store import attribute
+from ros2_mcp.codec.text import escaped_bytes, is_unicode
+from ros2_mcp.model.interfaces import FLOATS, OCTETS, TEXTS, FieldType
+from ros2_mcp.model.values import EXACT_INTEGER, SUMMARY
+
+_BYTES_AS_LIST = 64
+"""Bytes up to this many are shown as a list, more as base64."""
+
+_FLOAT32 = Struct("<f")
 _ARRAY_STEPS = (16, 4, 0)
 _STRING_STEPS = (256, 64)
 _DEPTH_STEPS = (4, 3, 2, 1, 0)
@@ -94,6 +100,11 @@ def render(definitions: Definitions, type_name: str, message: object, *, options
     return result
 
 
+def example_of(definitions: Definitions, type_name: str) -> dict[str, Any]:
+    """A value with every field at its default, else zero, ready to fill in; `check` accepts it unchanged."""
+    return render(definitions, type_name, check(definitions, type_name, {}), options=RenderOptions(exact=True)).value
+
+
 def _attempts(options: RenderOptions) -> Iterator[_Limits]:
     """Limits to try, each tighter than the one before."""
     if options.exact:
@@ -115,7 +126,7 @@ class _Render:
         self._limits = limits
         self._truncated: dict[str, None] = {}
 
-    def whole(self, type_name: str, message: object, selections: Sequence[Selection] | None) -> Rendered:
+    def whole(self, type_name: str, message: object, selections: Sequence[FieldPath] | None) -> Rendered:
         if selections is None:
             value = self._message(type_name, message, "", self._limits.depth)
         else:
@@ -140,15 +151,15 @@ class _Render:
             return self._message(field_type.base, value, path, depth)
         if field_type.base in TEXTS:
             return self._text(value, path, self._limits.string)
-        return json_number(field_type.base, value)
+        return _json_number(field_type.base, value)
 
     def _several(self, field_type: FieldType, values: Any, path: str, depth: int, most: int) -> Any:
         if field_type.is_message or field_type.base in TEXTS:
             return self._list(field_type, values, path, depth, most)
         if len(values) <= most:
-            return json_numbers(field_type, values)
+            return _json_numbers(field_type, values)
         self._cut(path)
-        return numbers_summary(field_type, values, most)
+        return _numbers_summary(field_type, values, most)
 
     def _list(self, field_type: FieldType, values: list[Any], path: str, depth: int, most: int) -> Any:
         element = field_type.element
@@ -156,16 +167,16 @@ class _Render:
         if len(values) <= most:
             return first
         self._cut(path)
-        return list_summary(field_type, len(values), first)
+        return _list_summary(field_type, len(values), first)
 
     def _text(self, text: str, path: str, most: int) -> Any:
         if len(text) > most:
             self._cut(path)
-            return text_summary(text, most)
+            return _text_summary(text, most)
         if text.isascii() or is_unicode(text):
             return text
         self._cut(path)
-        return text_problem(text)
+        return _text_problem(text)
 
     def _follow(self, path: str, steps: tuple[Step, ...], value: Any) -> Any:
         """What a selected path leads to; beyond a slice, a list with what the rest of the path leads to in each."""
@@ -190,7 +201,7 @@ class _Render:
         if len(values) <= most:
             return first
         self._cut(path)
-        return list_summary(FieldType(rest[-1].field.type.base, "sequence"), len(values), first)
+        return _list_summary(FieldType(rest[-1].field.type.base, "sequence"), len(values), first)
 
     def _cut(self, path: str) -> None:
         self._truncated[path] = None
@@ -198,3 +209,86 @@ class _Render:
 
 def _part_of(field_type: FieldType) -> FieldType:
     return FieldType(field_type.base, "sequence", 0, field_type.text_bound)
+
+
+# ── numbers and texts, exactly or as a summary ────────────────────────────────────────────────────────────────────
+
+
+def _json_number(base: str, value: Any) -> Any:
+    """One boolean or number: not finite as text, a float32 with as few digits as tell it from all others."""
+    if base in FLOATS:
+        if not math.isfinite(value):
+            return str(value)  # Python writes them as `NOT_FINITE` does, also a NaN with a sign
+        return _short(value) if base == "float32" else value
+    return str(value) if base in ("int64", "uint64") and abs(value) > EXACT_INTEGER else value
+
+
+def _json_numbers(field_type: FieldType, values: NDArray[Any]) -> list[Any] | str:
+    """A whole array, exactly."""
+    if field_type.base in OCTETS and len(values) > _BYTES_AS_LIST:
+        return base64.b64encode(values.tobytes()).decode()
+    plain: list[Any] = values.tolist()
+    if field_type.base == "float32" or field_type.base.endswith("64"):
+        return [_json_number(field_type.base, value) for value in plain]
+    return plain
+
+
+def _numbers_summary(field_type: FieldType, values: NDArray[Any], first: int) -> dict[str, Any]:
+    """An array as its length, first values and statistics over its finite values; bytes as their number only."""
+    summary: dict[str, Any] = {SUMMARY: str(field_type), "length": len(values)}
+    if field_type.base in OCTETS:
+        return summary
+    summary["first"] = _json_numbers(field_type, values[:first])
+    summary["omitted"] = len(values) - len(values[:first])
+    if field_type.base == "bool":
+        return {**summary, "true": int(np.count_nonzero(values))}
+    return {**summary, **_statistics(field_type.base, values)}
+
+
+def _list_summary(field_type: FieldType, length: int, first: Sequence[Any]) -> dict[str, Any]:
+    """A list of messages or texts as its length and its first elements."""
+    return {SUMMARY: str(field_type), "length": length, "first": first, "omitted": length - len(first)}
+
+
+def _text_summary(text: str, first: int) -> dict[str, Any]:
+    """A text as its length in characters and its beginning."""
+    return {SUMMARY: "string", "length": len(text), "first": escaped_bytes(text[:first])}
+
+
+def _text_problem(text: str) -> dict[str, Any]:
+    """A text that JSON cannot carry exactly, because it is not UTF-8 (or has half a character)."""
+    return {SUMMARY: "string", "not_utf8": escaped_bytes(text)}
+
+
+def _statistics(base: str, values: NDArray[Any]) -> dict[str, Any]:
+    if base not in ("float32", "float64"):
+        return _extremes(base, values)
+    finite = values[np.isfinite(values)]
+    result = _extremes(base, finite) if len(finite) else {"min": None, "max": None, "mean": None}
+    if len(finite) < len(values):
+        nan = int(np.count_nonzero(np.isnan(values)))
+        result |= {"nan": nan, "inf": len(values) - len(finite) - nan}
+    return result
+
+
+def _extremes(base: str, values: NDArray[Any]) -> dict[str, Any]:
+    low, high = values.min().item(), values.max().item()
+    with np.errstate(over="ignore"):
+        mean = float(f"{values.mean(dtype=np.float64):.6g}")
+    return {
+        "min": _json_number(base, low),
+        "max": _json_number(base, high),
+        "mean": mean if math.isfinite(mean) else str(mean),
+    }
+
+
+def _short(value: float) -> float:
+    """The shortest decimal that is read back as the same float32; `value` is one."""
+    for digits in ("%.7g", "%.8g", "%.9g"):
+        short = float(digits % value)
+        try:
+            if _FLOAT32.unpack(_FLOAT32.pack(short))[0] == value:
+                return short
+        except OverflowError:
+            continue
+    return value

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import attrgetter
@@ -14,12 +14,13 @@ import numpy as np
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.store import attribute
 from ros2_mcp.model.errors import BadValue
-from ros2_mcp.model.interfaces import Field, FieldType
+from ros2_mcp.model.interfaces import OCTETS, Field, FieldType
 from ros2_mcp.model.names import nearest
 
 _PART = re.compile(r"(?P<name>[A-Za-z]\w*)(?P<brackets>(?:\[[^\[\]]*\])?)", re.ASCII)
 _INDEX = re.compile(r"-?\d+", re.ASCII)
 _SLICE = re.compile(r"(-?\d+)?:(-?\d+)?(?::([1-9]\d*))?", re.ASCII)
+_TIME = "builtin_interfaces/msg/Time"
 _NOT_AN_INDEX = "Write [3], [-1], [0:10], [::5] or [*]."
 
 Pick: TypeAlias = "int | slice | None"
@@ -32,22 +33,62 @@ class Step:
     field: Field
     pick: Pick = None
 
+    @property
+    def type(self) -> FieldType:
+        """The type of the field, or of one element where some are picked."""
+        return self.field.type if self.pick is None else self.field.type.element
+
 
 @dataclass(frozen=True, slots=True)
-class Selection:
-    """A path that fits the definition."""
+class FieldPath:
+    """A path that fits the definition; made with `parse_field`."""
 
     path: str
     steps: tuple[Step, ...]
 
+    @property
+    def type(self) -> FieldType:
+        """The type at the end of the path; of one element where several are picked."""
+        return self.steps[-1].type
 
-def parse_fields(definitions: Definitions, type_name: str, paths: Sequence[str]) -> list[Selection]:
-    """Reads paths and checks them against the definition.
+    @property
+    def is_list(self) -> bool:
+        """Whether it stands for several values."""
+        return self.type.arity != "single" or any(isinstance(step.pick, slice) for step in self.steps)
+
+    def value_in(self, message: object) -> Any:
+        """The value in a message; beyond a slice, a flat list of all that the path leads to.
+
+        Raises:
+            BadValue: where a list has no such element.
+        """
+        if all(step.pick is None for step in self.steps):
+            return value_at(message, self.path)
+        return _follow(self.path, self.steps, message)
+
+
+def parse_field(definitions: Definitions, type_name: str, path: str) -> FieldPath:
+    """Reads a path and checks it against the definition.
 
     Raises:
         BadValue: for a path that does not exist, with the nearest that does.
     """
-    return [_parse(definitions, type_name, path) for path in paths]
+    steps: list[Step] = []
+    inside = FieldType(type_name)
+    for part in path.strip().split("."):
+        match = _PART.fullmatch(part)
+        if match is None:
+            raise BadValue(
+                path, f"{part!r} is not a field.", f"A path is like pose.position or ranges[0:10]. {_NOT_AN_INDEX}"
+            )
+        steps.append(_step(definitions, path, inside, match["name"], match["brackets"]))
+        inside = steps[-1].type
+    return FieldPath(path.strip(), tuple(steps))
+
+
+def parse_fields(definitions: Definitions, type_name: str, paths: Sequence[str]) -> list[FieldPath]:
+    """Several paths, as `parse_field` reads them."""
+    return [parse_field(definitions, type_name, path) for path in paths]
 
 
 def numeric_fields(definitions: Definitions, type_name: str) -> list[str]:
@@ -73,32 +114,17 @@ def _getter(path: str) -> attrgetter[Any]:
     return attrgetter(".".join(map(attribute, path.split("."))))
 
 
-def _parse(definitions: Definitions, type_name: str, path: str) -> Selection:
-    steps: list[Step] = []
-    inside = FieldType(type_name)
-    for part in path.strip().split("."):
-        match = _PART.fullmatch(part)
-        if match is None:
-            raise BadValue(
-                path, f"{part!r} is not a field.", f"A path is like pose.position or ranges[0:10]. {_NOT_AN_INDEX}"
-            )
-        step = _step(definitions, path, inside, match["name"], match["brackets"][1:-1] if match["brackets"] else None)
-        steps.append(step)
-        inside = step.field.type if step.pick is None else step.field.type.element
-    return Selection(path.strip(), tuple(steps))
-
-
-def _step(definitions: Definitions, path: str, inside: FieldType, name: str, index: str | None) -> Step:
+def _step(definitions: Definitions, path: str, inside: FieldType, name: str, brackets: str) -> Step:
     if inside.arity != "single":
         raise BadValue(path, f"{inside} is a list; {name!r} is a field of its elements.", _NOT_AN_INDEX)
     if not inside.is_message:
         raise BadValue(path, f"{inside} has no fields, so {name!r} cannot be one.")
     field = _field(definitions, path, inside.base, name)
-    if index is None:
+    if not brackets:
         return Step(field)
     if field.type.arity == "single":
         raise BadValue(path, f"{name} is a single {field.type}, not a list.")
-    return Step(field, _pick(path, index))
+    return Step(field, _pick(path, brackets[1:-1]))
 
 
 def _field(definitions: Definitions, path: str, type_name: str, name: str) -> Field:
@@ -127,3 +153,55 @@ def element_at(values: Any, index: int, path: str) -> Any:
         raise BadValue(path, f"there is no element {index}, it has {len(values)}.")
     element = values[index]
     return cast("Any", element).item() if isinstance(element, np.generic) else element
+
+
+def _follow(path: str, steps: Sequence[Step], value: Any) -> Any:
+    for index, step in enumerate(steps, 1):
+        value = getattr(value, attribute(step.field.name))
+        if isinstance(step.pick, int):
+            value = element_at(value, step.pick, path)
+        elif step.pick is not None:
+            value = value[step.pick]
+            if index < len(steps):
+                return [leaf for element in value for leaf in _leaves(_follow(path, steps[index:], element))]
+    return value
+
+
+def _leaves(value: Any) -> Sequence[Any]:
+    return cast("Sequence[Any]", value) if hasattr(value, "__len__") and not isinstance(value, str) else [value]
+
+
+# ── what can be measured ─────────────────────────────────────────────────────────────────────────────────────────
+
+
+def measurable(definitions: Definitions, type_name: str, chosen: Sequence[str] = ()) -> list[FieldPath]:
+    """The chosen fields, or all: single numbers, and arrays of numbers as one each; without stamps and bytes.
+
+    A chosen message stands for all its fields; booleans count as 0 and 1 where they are chosen.
+
+    Raises:
+        BadValue: for a chosen path that does not exist or has no number in it.
+    """
+    if not chosen:
+        return parse_fields(definitions, type_name, list(_numbers(definitions, type_name)))
+    found = [parse_field(definitions, type_name, path) for path in chosen]
+    return [path for field_path in found for path in _measurable_at(definitions, type_name, field_path)]
+
+
+def _measurable_at(definitions: Definitions, type_name: str, chosen: FieldPath) -> list[FieldPath]:
+    if chosen.type.is_number or chosen.type.base == "bool":
+        return [chosen]
+    below = _numbers(definitions, chosen.type.base) if chosen.type.is_message else ()
+    start = chosen.path + "[*]" * (chosen.type.arity != "single")
+    if paths := [f"{start}.{name}" for name in below]:
+        return parse_fields(definitions, type_name, paths)
+    raise BadValue(chosen.path, f"it is {chosen.type}, which has no numbers to measure.")
+
+
+def _numbers(definitions: Definitions, type_name: str) -> Iterator[str]:
+    for field in definitions.structure(type_name).fields:
+        field_type = field.type
+        if field_type.is_number and (field_type.arity == "single" or field_type.base not in OCTETS):
+            yield field.name
+        elif field_type.is_message and field_type.arity == "single" and field_type.base != _TIME:
+            yield from (f"{field.name}.{below}" for below in _numbers(definitions, field_type.base))

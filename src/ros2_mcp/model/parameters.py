@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from ros2_mcp.model.errors import BadValue
+from ros2_mcp.model.values import EXACT_INTEGER, NOT_FINITE
 
 TYPES = (
     "not_set",
@@ -23,8 +24,6 @@ TYPES = (
 """Names of the types by their codes in rcl_interfaces/msg/ParameterType."""
 
 _FIELDS = ("", *(f"{name}_value" for name in TYPES[1:]))
-_NOT_FINITE = ("nan", "inf", "-inf")
-_EXACT = 2**53
 _INTEGER = re.compile(r"-?[0-9]{1,19}")
 
 
@@ -104,7 +103,7 @@ def _scalar(path: str, value: Any, kind: str) -> Any:
         return value
     if kind == "string" and isinstance(value, str):
         return value
-    if kind == "double" and (is_number or value in _NOT_FINITE):
+    if kind == "double" and (is_number or (isinstance(value, str) and value in NOT_FINITE)):
         return value
     whole = _whole(value) if kind == "integer" else None
     if whole is None:
@@ -116,7 +115,7 @@ def _scalar(path: str, value: Any, kind: str) -> Any:
 
 def _whole(value: Any) -> int | None:
     """The integer that the value is exactly, None where it is none."""
-    if isinstance(value, str) and _INTEGER.fullmatch(value) and abs(int(value)) > _EXACT:
+    if isinstance(value, str) and _INTEGER.fullmatch(value) and abs(int(value)) > EXACT_INTEGER:
         return int(value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None

@@ -16,7 +16,7 @@ from ros2_mcp.ops.statistics import seconds
 from ros2_mcp.ops.window import Missing, Source, Window
 
 if TYPE_CHECKING:
-    from ros2_mcp.ops.fields import Reading
+    from ros2_mcp.codec.select import FieldPath
     from ros2_mcp.ops.signals import Numbers
 
 SIMILAR_PERCENT = 5.0
@@ -116,14 +116,14 @@ async def compare(
 
 def common_fields(
     source: Source | Window, types: Sequence[str], fields: Sequence[str]
-) -> list[tuple[Reading, Reading]]:
+) -> list[tuple[FieldPath, FieldPath]]:
     """What is compared: the chosen fields, or all numeric ones that both types have.
 
     Raises:
         BadInput: if there is none.
         BadValue: if a chosen one is not in both.
     """
-    from ros2_mcp.ops.fields import measurable
+    from ros2_mcp.codec.select import measurable
 
     first, second = (
         {each.path: each for each in measurable(source.codec.definitions, type_name, fields)} for type_name in types
@@ -192,7 +192,7 @@ def _rises(stamps: Sequence[int]) -> bool:
 
 
 def _compare_field(
-    readings: tuple[Reading, Reading],
+    readings: tuple[FieldPath, FieldPath],
     messages: Sequence[Sequence[object]],
     times: tuple[Numbers, Numbers],
     partners: Sequence[tuple[int, int]],
@@ -230,11 +230,11 @@ def _compare_field(
         )
 
 
-def _value(reading: Reading, message: object) -> Numbers:
+def _value(reading: FieldPath, message: object) -> Numbers:
     from ros2_mcp.ops.signals import flat
 
     try:
-        return flat(reading.of(message))
+        return flat(reading.value_in(message))
     except BadValue:
         return flat([])
 

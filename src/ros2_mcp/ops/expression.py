@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from typing import Any, cast
 
 from ros2_mcp.codec.definitions import Definitions
+from ros2_mcp.codec.select import FieldPath, parse_field
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.interfaces import TEXTS, FieldType
-from ros2_mcp.ops.fields import Reading, reading
 
 MAX_LENGTH = 1000
 MAX_DEPTH = 40
@@ -201,7 +201,7 @@ class _Compiler:
             known = {**_CONSTANTS, **constants}
             if node.id in known:
                 return _constant(known[node.id])
-        found = reading(self.definitions, self.type_name, path)
+        found = parse_field(self.definitions, self.type_name, path)
         self.fields[found.path] = None
         kind, words, element = _kind_of(found)
         return _Term(kind, _reader(found, kind), words, element)
@@ -227,7 +227,7 @@ def _constant(value: object) -> _Term:
     raise BadInput(f"{str(value)[:40]} cannot be used here.", _ALLOWED) from None
 
 
-def _kind_of(found: Reading) -> tuple[str, str, str]:
+def _kind_of(found: FieldPath) -> tuple[str, str, str]:
     if found.is_list:
         return "list", f"a list ({found.type})", _single_kind(found.type.element)
     return (kind := _single_kind(found.type)), f"a {kind} ({found.type})", ""
@@ -241,10 +241,10 @@ def _single_kind(field_type: FieldType) -> str:
     return "text" if field_type.base in TEXTS else "number"
 
 
-def _reader(found: Reading, kind: str) -> Evaluate:
+def _reader(found: FieldPath, kind: str) -> Evaluate:
     def read(message: object) -> Any:
         try:
-            value = found.of(message)
+            value = found.value_in(message)
         except BadValue as error:
             raise Undecided from error
         return bool(value) if kind == "truth" else value

@@ -80,7 +80,7 @@ async def define(robot: Robot, type_name: str) -> Definition:
         interface.kind,
         _fields(interface),
         interface.text(),
-        {side: robot.values.definitions.example(name) for side, name in sides.items()},
+        {side: robot.values.example(name) for side, name in sides.items()},
         robot.values.definitions.hash(full) if interface.kind == "msg" else "",
     )
 

@@ -115,8 +115,8 @@ def _parted(series: str) -> tuple[str, str]:
 
 async def _check_fields(source: Source, parts: Sequence[tuple[str, str]]) -> None:
     """Raises the error of a field that does not exist before any time is spent; missing topics are told later."""
+    from ros2_mcp.codec.select import measurable
     from ros2_mcp.model.errors import NotFound
-    from ros2_mcp.ops.fields import measurable
 
     for topic, field in parts:
         try:
@@ -147,8 +147,8 @@ class _Values:
 
 def _values_of(window: Window, field: str, most: int | None) -> Iterator[_Values]:
     """The values of each number that a path stands for, of lists of each element; at most so many fields."""
+    from ros2_mcp.codec.select import measurable
     from ros2_mcp.codec.units import unit_of
-    from ros2_mcp.ops.fields import measurable
     from ros2_mcp.ops.signals import flat
 
     readings = measurable(window.definitions, window.type, [field] if field else ())
@@ -167,7 +167,7 @@ def _values_of(window: Window, field: str, most: int | None) -> Iterator[_Values
 def _value(reading: Any, message: object) -> Any:
     """The value in a message, or None where a list has no such element."""
     try:
-        return reading.of(message)
+        return reading.value_in(message)
     except BadValue:
         return None
 

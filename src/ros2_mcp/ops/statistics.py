@@ -12,7 +12,7 @@ from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.window import Missing, Source, Window
 
 if TYPE_CHECKING:
-    from ros2_mcp.ops.fields import Reading
+    from ros2_mcp.codec.select import FieldPath
     from ros2_mcp.ops.signals import Numbers
 
 MAX_TOPICS = 20
@@ -125,7 +125,7 @@ def check_topics(topics: Sequence[str]) -> None:
 
 async def _check_fields(source: Source, topics: Sequence[str], fields: Sequence[str]) -> None:
     """Raises the error of a field that no topic has, before any time is spent on measuring."""
-    from ros2_mcp.ops.fields import measurable
+    from ros2_mcp.codec.select import measurable
 
     types: list[str] = []
     for topic in topics if fields else ():
@@ -197,10 +197,10 @@ def seconds(window: Window) -> Numbers:
     return flat([(sample.received_ns - window.start_ns) / 1e9 for sample in window.samples])
 
 
-def _readings(window: Window, fields: Sequence[str], most: int) -> tuple[list[Reading], str]:
-    from ros2_mcp.ops.fields import measurable
+def _readings(window: Window, fields: Sequence[str], most: int) -> tuple[list[FieldPath], str]:
+    from ros2_mcp.codec.select import measurable
 
-    found: list[Reading] = []
+    found: list[FieldPath] = []
     for chosen in fields:
         try:
             found += measurable(window.definitions, window.type, [chosen])
@@ -228,7 +228,7 @@ def _gap_lines(window: Window, times: Numbers) -> list[str]:
     return lines + ([f"{len(found) - len(shown)} shorter gaps"] if len(found) > len(shown) else [])
 
 
-def _field(reading: Reading, messages: Sequence[object], times: Numbers) -> FieldStatistics:
+def _field(reading: FieldPath, messages: Sequence[object], times: Numbers) -> FieldStatistics:
     import numpy as np
 
     from ros2_mcp.ops import signals
@@ -285,10 +285,10 @@ def _of_lists(times: Numbers, values: Sequence[Any]) -> tuple[Numbers, Numbers, 
     return numbers, flat([time for time, _ in kept]), flat([mean for _, mean in kept]), constant
 
 
-def _values(reading: Reading, message: object) -> list[Any]:
+def _values(reading: FieldPath, message: object) -> list[Any]:
     """The value in a message, or nothing where a list has no such element."""
     try:
-        value = reading.of(message)
+        value = reading.value_in(message)
     except BadValue:
         return []
     return [value] if not reading.is_list or len(value) else []

@@ -96,6 +96,12 @@ class Values:
             self.definitions, type_name, self.codec.decode(type_name, body), options=options or RenderOptions()
         )
 
+    def example(self, type_name: str) -> dict[str, Any]:
+        """A value of a learnt type with every field at its default, ready to fill in."""
+        from ros2_mcp.codec.render import example_of
+
+        return example_of(self.definitions, type_name)
+
     def missing_fields(self, type_name: str, value: Mapping[str, Any]) -> list[str]:
         """Top-level fields of a learnt type that the value does not give."""
         from ros2_mcp.codec.check import missing_fields

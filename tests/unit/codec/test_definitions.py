@@ -23,7 +23,7 @@ module geo {
 
 
 def fields(definitions: Definitions, name: str) -> dict[str, str]:
-    return {field.name: field.type for field in definitions.structure(name).fields}
+    return {field.name: str(field.type) for field in definitions.structure(name).fields}
 
 
 def test_an_interface_tells_fields_defaults_constants_and_comments(definitions: Definitions) -> None:

@@ -8,7 +8,7 @@ import pytest
 from ros2_mcp.codec.cdr import Codec
 from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.render import Rendered, RenderOptions, render
+from ros2_mcp.codec.render import Rendered, RenderOptions, example_of, render
 from ros2_mcp.codec.text import visible
 from ros2_mcp.model.errors import BadValue
 
@@ -163,7 +163,7 @@ def test_statistics_of_extreme_numbers_do_not_fail(definitions: Definitions) -> 
 
 
 def test_an_example_is_whole_and_accepted(codec: Codec) -> None:
-    example = codec.definitions.example(LISTS)
+    example = example_of(codec.definitions, LISTS)
     assert example["three"] == [1.0, 2.5, -3.0] and example["id"] == [0] * 16 and example["numbers"] == []
     there_and_back(codec, LISTS, example)
 
