@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import inspect
 import json
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,13 +17,13 @@ from pydantic import ConfigDict, PrivateAttr, ValidationError, create_model
 
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.model.text import visible
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report, as_json, at_most_every
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import ToolDeclaration
 from ros2_mcp.tools.schema import argument_schema, result_schema
 
-_UNSEEN = re.compile("[\u00ad\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\U000e0000-\U000e007f]")
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
 _MAX_TEXT = 40_000
 _PROGRESS_S = 0.5
@@ -124,12 +123,10 @@ def answer(result: Any) -> CallToolResult:
 
 def _shown(text: str) -> str:
     """Text with invisible characters made visible, within the limit of what clients take."""
-    visible = _UNSEEN.sub(lambda found: found[0].encode("unicode-escape").decode(), text)
-    if len(visible) <= _MAX_TEXT:
-        return visible
-    return (
-        visible[:_MAX_TEXT] + f"… (cut after {_MAX_TEXT} characters: ask for less, with a pattern, a limit or fields)"
-    )
+    text = visible(text, keep="\n\t")
+    if len(text) <= _MAX_TEXT:
+        return text
+    return text[:_MAX_TEXT] + f"… (cut after {_MAX_TEXT} characters: ask for less, with a pattern, a limit or fields)"
 
 
 def _explain(tool: str, error: ValidationError, schema: Mapping[str, Any]) -> str:

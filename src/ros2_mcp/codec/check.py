@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.text import excerpt, is_unicode
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.interfaces import FLOATS, INTEGERS, OCTETS, TEXTS, Field, FieldType, Structure
 from ros2_mcp.model.names import nearest
+from ros2_mcp.model.text import excerpt, is_unicode
 from ros2_mcp.model.values import EXACT_INTEGER, NOT_FINITE, SUMMARY
 
 _FLOAT32 = Struct("<f")

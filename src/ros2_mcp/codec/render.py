@@ -20,8 +20,8 @@ from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.select import FieldPath, Step, element_at, parse_fields
 from ros2_mcp.codec.store import attribute
-from ros2_mcp.codec.text import escaped_bytes, is_unicode
 from ros2_mcp.model.interfaces import FLOATS, OCTETS, TEXTS, FieldType
+from ros2_mcp.model.text import escaped_bytes, is_unicode
 from ros2_mcp.model.values import EXACT_INTEGER, SUMMARY
 
 _BYTES_AS_LIST = 64

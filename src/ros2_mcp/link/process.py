@@ -15,6 +15,7 @@ from pathlib import Path
 
 from ros2_mcp.link.installation import Command
 from ros2_mcp.model.errors import LinkError
+from ros2_mcp.model.text import visible
 
 _KEPT_LINES = 50
 _MAX_LINE = 2000
@@ -211,8 +212,7 @@ def describe_exit(code: int | None) -> str:
 
 
 def _plain(line: bytes) -> str:
-    text = line[-_MAX_LINE:].decode(errors="replace").rstrip()
-    return "".join(character if character.isprintable() else " " for character in text)
+    return visible(line[-_MAX_LINE:].decode(errors="replace").rstrip(), keep="\t")
 
 
 def _enlarge(pipe: int) -> None:

@@ -32,7 +32,9 @@ def again(type_name: str) -> Definitions:
 
 
 def fields(definitions: Definitions, type_name: str) -> list[tuple[str, str]]:
-    named = [(field.name, field.type.replace("char", "uint8")) for field in definitions.structure(type_name).fields]
+    named = [
+        (field.name, str(field.type).replace("char", "uint8")) for field in definitions.structure(type_name).fields
+    ]
     constants = [(constant.name, str(constant.value)) for constant in definitions.structure(type_name).constants]
     return named + constants
 

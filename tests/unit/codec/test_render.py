@@ -9,8 +9,8 @@ from ros2_mcp.codec.cdr import Codec
 from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.render import Rendered, RenderOptions, example_of, render
-from ros2_mcp.codec.text import visible
 from ros2_mcp.model.errors import BadValue
+from ros2_mcp.model.text import visible
 
 LISTS = "odd_msgs/msg/Lists"
 SCAN = "sensor_msgs/msg/LaserScan"
