@@ -15,8 +15,8 @@ from typing import Any
 
 from mcp.types import Tool
 
+from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
-from ros2_mcp.link.environment import find_ros
 from ros2_mcp.robot import Robot
 from ros2_mcp.server import build_server
 from ros2_mcp.settings import OPTIONS, Option, Settings
@@ -73,7 +73,7 @@ def setting(option: Option) -> Sequence[str]:
 
 def served_tools() -> list[Tool]:
     """Every tool as a client sees it. No bridge is started."""
-    robot = Robot(Bridge(lambda: find_ros(Settings())))
+    robot = Robot(Bridge(lambda: start_carrier(Settings())))
     return asyncio.run(build_server(robot, groups=("all",)).list_tools())
 
 

@@ -11,12 +11,13 @@ import time
 from functools import partial
 from typing import Any
 
-from . import definitions, frames, interfaces
+from . import definitions, interfaces
 from .loop import Loop, log_failure
+from .packets import PacketError
 from .request import Request
-from .stream import Outbox, claim_standard_streams, read_frames
+from .stream import Outbox, claim_standard_streams, read_packets
 
-FINALS_AFTER_S = 0.3
+FAILSAFES_AFTER_S = 0.3
 GIVE_UP_AFTER_S = 1.0
 
 
@@ -39,7 +40,7 @@ class Bridge:
         self._operations: Any = None
         self._ending = threading.Lock()
         self._start_thread(self._read, incoming)
-        self._writer = self._start_thread(self._outbox.write_frames, outgoing)
+        self._writer = self._start_thread(self._outbox.write_packets, outgoing)
         self._start_thread(signal.sigwait, {signal.SIGTERM})
 
     def run(self):
@@ -66,7 +67,7 @@ class Bridge:
         def work_then_end():
             try:
                 work(argument)
-            except frames.FrameError as error:
+            except PacketError as error:
                 sys.stderr.write(f"the stream from the server is broken: {error}\n")
             finally:
                 self._end()
@@ -78,12 +79,12 @@ class Bridge:
     def _end(self):
         if self._ending.acquire(blocking=False):
             signal.setitimer(signal.ITIMER_REAL, GIVE_UP_AFTER_S)  # ends the process, even where nothing of Python runs
-            threading.Timer(FINALS_AFTER_S, self._last_deeds).start()
+            threading.Timer(FAILSAFES_AFTER_S, self._carry_out_failsafes).start()
             self._loop.end()
 
-    def _last_deeds(self):
+    def _carry_out_failsafes(self):
         if self._operations is not None:
-            self._operations.wills.carry_out()
+            self._operations.failsafes.carry_out()
 
     def _fail(self, kind, error):
         log_failure(None, error)
@@ -98,7 +99,7 @@ class Bridge:
         os._exit(status)
 
     def _read(self, incoming):
-        for header, body in read_frames(incoming):
+        for header, body in read_packets(incoming):
             request = Request(header, body)
             try:
                 self._accept(request)

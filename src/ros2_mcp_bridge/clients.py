@@ -28,9 +28,9 @@ MANY_AT_ONCE = QoSProfile(depth=500, reliability=QoSReliabilityPolicy.RELIABLE)
 class Clients:
     """Pooled clients of services, those of actions included."""
 
-    def __init__(self, node, wills):
+    def __init__(self, node, failsafes):
         self._node = node
-        self._wills = wills
+        self._failsafes = failsafes
         self.pool = Pool(node.destroy_client)
         self._paces = WeakKeyDictionary()
 
@@ -62,10 +62,10 @@ class Clients:
         """The services that we have a client of and nobody serves: pairs of name and type."""
         return {key for key, client in self.pool.entities().items() if not client.service_is_ready()}
 
-    def will(self, request):
+    def failsafe(self, request):
         """A request to send at the end, if its server is there, unless this request is cancelled before."""
         with self._use(request) as (client, message):
-            return (yield from self._wills.hold(request, partial(_call_if_ready, client, message)))
+            return (yield from self._failsafes.until_cancelled(request, partial(_call_if_ready, client, message)))
 
     @contextmanager
     def _use(self, request):

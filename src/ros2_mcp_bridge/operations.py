@@ -13,17 +13,17 @@ from pathlib import Path
 
 from . import shared_memory
 from .clients import Clients
+from .failsafes import FailSafes
 from .graph import Graph
 from .loop import log_failure
 from .publishers import Publishers
 from .relay import Relays
 from .request import OperationError
 from .subscriptions import Subscriptions
-from .wills import Wills
 
 EXPIRE_EVERY_S = 5.0
 HEARING_CHECKED_EVERY_S = 2.0
-LAST_DEEDS_S = 0.3
+ARRIVAL_S = 0.3
 
 
 class Operations:
@@ -35,12 +35,12 @@ class Operations:
         self._outbox = outbox
         self._started = time.monotonic()
         self._requests = {}
-        self.wills = Wills()
+        self.failsafes = FailSafes()
         self._graph = Graph(node)
         self._subscriptions = Subscriptions(self._graph, loop, outbox)
-        self._clients = Clients(node, self.wills)
-        self._publishers = Publishers(self._graph, self.wills)
-        self._relays = Relays(self._graph, loop, self.wills)
+        self._clients = Clients(node, self.failsafes)
+        self._publishers = Publishers(self._graph, self.failsafes)
+        self._relays = Relays(self._graph, loop, self.failsafes)
         self._table = {
             "cancel": self._cancel,
             "topics": self._graph.topics,
@@ -58,8 +58,8 @@ class Operations:
             "relay_stop": self._stop,
             "relays": self._relays.counts,
             "call": self._clients.call,
-            "will_publish": self._publishers.will,
-            "will_call": self._clients.will,
+            "failsafe_publish": self._publishers.failsafe,
+            "failsafe_call": self._clients.failsafe,
             "stop": self._stop,
             "stats": self._stats,
         }
@@ -83,8 +83,8 @@ class Operations:
 
     def end(self, executor):
         """Stop everything, sending what must be sent last."""
-        pending = [*self.wills.carry_out(), *self._publishers.pool.entities().values()]
-        deadline = time.monotonic() + LAST_DEEDS_S
+        pending = [*self.failsafes.carry_out(), *self._publishers.pool.entities().values()]
+        deadline = time.monotonic() + ARRIVAL_S
         while time.monotonic() < deadline and not all(each.done() for each in pending):
             executor.spin_once(timeout_sec=0.005)
         for kind in (self._publishers.pool, self._relays, self._subscriptions, self._clients.pool):
@@ -127,7 +127,7 @@ class Operations:
             "threads": _count("/proc/self/task"),
             "open_files": _count("/proc/self/fd") - 1,
             "rss_bytes": int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"),
-            "repeats": self.wills.count("repeat"),
+            "repeats": self.failsafes.count("repeat"),
             "uptime_s": round(time.monotonic() - self._started, 3),
         }
 

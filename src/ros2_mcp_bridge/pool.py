@@ -6,6 +6,8 @@ from __future__ import annotations
 import time
 from contextlib import contextmanager
 
+from .limits import MAX_POOLED
+
 
 class _Entry:
     def __init__(self, entity):
@@ -17,7 +19,7 @@ class _Entry:
 class Pool:
     """Entities by key. Those in use are never destroyed; of the others the least recently used go first."""
 
-    def __init__(self, destroy, limit=64, idle_s=60.0):
+    def __init__(self, destroy, limit=MAX_POOLED, idle_s=60.0):
         self._destroy = destroy
         self._limit = limit
         self._idle_s = idle_s

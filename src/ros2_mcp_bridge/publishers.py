@@ -147,9 +147,9 @@ class Repeat:
 class Publishers:
     """Pooled publishers and what is done with them."""
 
-    def __init__(self, graph, wills):
+    def __init__(self, graph, failsafes):
         self._graph = graph
-        self._wills = wills
+        self._failsafes = failsafes
         self.pool = Pool(lambda publisher: publisher.destroy())
 
     def publish(self, request):
@@ -174,7 +174,7 @@ class Publishers:
             repeat, cancelled = Repeat(publisher, message), False
             try:
                 yield from publisher.wait_match(created, wait_match_s)
-                with self._wills.held(request, partial(publisher.publish_last, final)):
+                with self._failsafes.in_force(request, partial(publisher.publish_last, final)):
                     yield from repeat.run(rate_hz, duration_s)
             except Cancelled:
                 cancelled = True
@@ -193,10 +193,10 @@ class Publishers:
             "cancelled": cancelled,
         }
 
-    def will(self, request):
+    def failsafe(self, request):
         """A message to publish at the end, unless the request is cancelled before."""
         with self._use(request) as (publisher, _):
-            return (yield from self._wills.hold(request, partial(publisher.publish_last, request.body)))
+            return (yield from self._failsafes.until_cancelled(request, partial(publisher.publish_last, request.body)))
 
     def _use(self, request):
         """The pooled publisher that a request names: a context of it and whether it was created for it."""

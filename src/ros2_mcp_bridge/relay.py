@@ -23,7 +23,7 @@ FIRST_ACK_S = 1.0
 LAST_ACK_S = 3.5
 
 
-class Following:
+class FollowedSource:
     """The subscription of a relay as publishers come and go: made when the first is there, and made anew for others.
 
     Its QoS is the strongest that every publisher offers.
@@ -74,7 +74,7 @@ class Relay:
         # A depth of 1 is acknowledged at once (see `Publisher`), which the final message needs; else a burst must fit.
         self._is_unheard = bool(request.body)
         self._rhythm = Rhythm(request.rate()) if request.has("rate_hz") else None
-        self._following = Following(graph, request) if request.has("source") else None
+        self._source = FollowedSource(graph, request) if request.has("source") else None
         self._publisher = Publisher(graph, request, max_depth=1 if self._is_unheard else DEPTH)
         self._loop = loop
         self._started = time.monotonic()
@@ -125,7 +125,7 @@ class Relay:
 
     def counts(self):
         """What became of the messages so far."""
-        source = self._following.source if self._following else None
+        source = self._source.source if self._source else None
         return {
             "running": self.is_running,
             "passed": self.passed,
@@ -138,16 +138,16 @@ class Relay:
 
     def destroy(self):
         """End it."""
-        if self._following is not None:
-            self._following.destroy()
+        if self._source is not None:
+            self._source.destroy()
         self._publisher.destroy()
 
     def _relay_waiting(self):
         """Relay what the middleware holds, from whoever publishes; returns when to come again, in seconds."""
-        if self._following is None:
+        if self._source is None:
             return FED_PERIOD_S
-        self._following.look()
-        source, started = self._following.source, time.monotonic()
+        self._source.look()
+        source, started = self._source.source, time.monotonic()
         if source is None:
             return DRAIN_PERIOD_S
         if not source.drain(self._take_in, self._loop.turn_of(DRAIN_AT_MOST_S)):
@@ -167,10 +167,10 @@ class Relay:
 class Relays:
     """All relays of the bridge, by the names that the server gave them."""
 
-    def __init__(self, graph, loop, wills):
+    def __init__(self, graph, loop, failsafes):
         self._graph = graph
         self._loop = loop
-        self._wills = wills
+        self._failsafes = failsafes
         self._open = {}
 
     def relay(self, request):
@@ -180,7 +180,7 @@ class Relays:
             raise OperationError("bad_request", f"There is a relay {name!r} already.")
         relay = self._open[name] = Relay(self._graph, self._loop, request)
         try:
-            with self._wills.held(request, relay.send_final):
+            with self._failsafes.in_force(request, relay.send_final):
                 try:
                     yield from relay.run(request, duration_s)
                 except Cancelled:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-MAX_RATE_HZ = 1000
+from .limits import MAX_RATE_HZ
 
 
 class OperationError(Exception):
@@ -71,7 +71,7 @@ class Request:
 
     def rate(self):
         """The required `rate_hz`."""
-        expected = f"a number above 0, up to {MAX_RATE_HZ}"
+        expected = f"a number above 0, up to {MAX_RATE_HZ:g}"
         return self._required("rate_hz", expected, lambda value: _is_number(value) and 0 < value <= MAX_RATE_HZ)
 
     def sizes(self, name):

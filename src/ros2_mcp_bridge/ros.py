@@ -14,7 +14,8 @@ from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from . import frames, participants
+from . import participants
+from .protocol import PROTOCOL
 
 MORE_CANDIDATES = 2
 ANSWERED_S = 0.2
@@ -50,7 +51,7 @@ def hello(node, executor):
     """The event that tells the server who we are."""
     return {
         "event": "hello",
-        "protocol": frames.PROTOCOL,
+        "protocol": PROTOCOL,
         "python": platform.python_version(),
         "distro": os.environ.get("ROS_DISTRO") or _distro_of_wheels(),
         "rmw": get_rmw_implementation_identifier(),

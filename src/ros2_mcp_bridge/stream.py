@@ -1,5 +1,5 @@
 # pyright: basic
-"""The bridge's end of the stream: frames come in on one thread and go out on another, replies before samples."""
+"""The bridge's end of the stream: packets come in on one thread and go out on another, replies before samples."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import threading
 import traceback
 from collections import deque
 
-from . import frames
+from .limits import BATCH_BYTES, MAX_BODY_BYTES
+from .packets import PacketError, PacketReader, pack
 from .request import OperationError
 
-BATCH_BYTES = 1024 * 1024
+# As much as a pipe of the local carrier holds; a pipe that holds less gives less.
+READ_BYTES = 1024 * 1024
 
 
 def claim_standard_streams():
@@ -28,17 +30,13 @@ def claim_standard_streams():
     return incoming, outgoing
 
 
-def read_frames(descriptor):
-    """Yield header and body of every frame until the stream ends; raises `FrameError` when it breaks."""
-    with os.fdopen(descriptor, "rb") as stream:
-        while prefix := stream.read(frames.LENGTHS_SIZE):
-            if len(prefix) < frames.LENGTHS_SIZE:
-                raise frames.FrameError("the stream ended inside a frame")
-            header_length, body_length = frames.unpack_lengths(prefix)
-            header, body = stream.read(header_length), stream.read(body_length)
-            if len(header) + len(body) < header_length + body_length:
-                raise frames.FrameError("the stream ended inside a frame")
-            yield frames.unpack_header(header), body
+def read_packets(descriptor):
+    """Yield every packet until the stream ends; raises `PacketError` when it breaks."""
+    reader = PacketReader()
+    while piece := os.read(descriptor, READ_BYTES):
+        yield from reader.feed(piece)
+    if reader.is_inside_packet:
+        raise PacketError("the stream ended inside a packet")
 
 
 class SampleQueue:
@@ -53,7 +51,7 @@ class SampleQueue:
         self.received = 0
         self.dropped = 0
         self.waiting = deque()
-        self.last_frame = None
+        self.last_packet = None
         self._bytes = 0
         self._max_samples = max_samples
         self._max_bytes = max_bytes
@@ -62,7 +60,7 @@ class SampleQueue:
         """Append and keep the bounds; the newest sample stays even if it is larger than `max_bytes` alone."""
         for sample in samples:
             self.received += 1
-            if len(sample[3]) > frames.MAX_BODY_BYTES:  # no frame can carry it
+            if len(sample[3]) > MAX_BODY_BYTES:  # no packet can carry it
                 self.dropped += 1
                 continue
             self.waiting.append(sample)
@@ -72,7 +70,7 @@ class SampleQueue:
                 self.dropped += 1
 
     def take_batch(self):
-        """Remove the oldest samples, up to `BATCH_BYTES` or one, and return their frame."""
+        """Remove the oldest samples, up to `BATCH_BYTES` or one, and return their packet."""
         batch = [self._pop()]
         size = len(batch[0][3])
         while self.waiting and size + len(self.waiting[0][3]) <= BATCH_BYTES:
@@ -86,7 +84,7 @@ class SampleQueue:
             "dropped": self.dropped,
             "lost": batch[-1][4],
         }
-        return frames.pack(header, b"".join(sample[3] for sample in batch))
+        return pack(header, b"".join(sample[3] for sample in batch))
 
     def _pop(self):
         sample = self.waiting.popleft()
@@ -99,11 +97,11 @@ class Outbox:
 
     def __init__(self):
         self._changed = threading.Condition()
-        self._frames = deque()
+        self._packets = deque()
         self._queues = deque()
 
     def send(self, header, body=b""):
-        """Send a reply or an event; one that no frame can carry is replaced by an error."""
+        """Send a reply or an event; one that no packet can carry is replaced by an error."""
         self._append(_pack(header, body))
 
     def reply(self, request_id, ok, body=b""):
@@ -128,48 +126,48 @@ class Outbox:
 
     def reply_after_samples(self, queue, request_id, ok):
         """Answer a request as soon as the queue's samples have been sent."""
-        frame = _pack({"id": request_id, "ok": ok}, b"")
+        packet = _pack({"id": request_id, "ok": ok}, b"")
         with self._changed:
             if queue.waiting:
-                queue.last_frame = frame
+                queue.last_packet = packet
                 return
-        self._append(frame)
+        self._append(packet)
 
     def finish(self):
-        """Let `write_frames` return when it has written what waits now."""
+        """Let `write_packets` return when it has written what waits now."""
         self._append(b"")
 
-    def write_frames(self, descriptor):
+    def write_packets(self, descriptor):
         """Write until `finish`, or until the other side closes the stream."""
         try:
-            while frame := self._next_frame():
-                rest = memoryview(frame)
+            while packet := self._next_packet():
+                rest = memoryview(packet)
                 while rest:
                     rest = rest[os.write(descriptor, rest) :]
         except OSError as error:
             sys.stderr.write(f"the stream to the server is broken: {error}\n")
 
-    def _append(self, frame):
+    def _append(self, packet):
         with self._changed:
-            self._frames.append(frame)
+            self._packets.append(packet)
             self._changed.notify()
 
-    def _next_frame(self):
+    def _next_packet(self):
         with self._changed:
-            self._changed.wait_for(lambda: self._frames or self._queues)
-            if self._frames:
-                return self._frames.popleft()
+            self._changed.wait_for(lambda: self._packets or self._queues)
+            if self._packets:
+                return self._packets.popleft()
             queue = self._queues.popleft()
-            frame = queue.take_batch()
+            packet = queue.take_batch()
             if queue.waiting:
                 self._queues.append(queue)
-            elif queue.last_frame:
-                self._frames.append(queue.last_frame)
-            return frame
+            elif queue.last_packet:
+                self._packets.append(queue.last_packet)
+            return packet
 
 
 def _pack(header, body):
     try:
-        return frames.pack(header, body)
-    except frames.FrameError as error:
-        return frames.pack({"id": header.get("id"), "error": OperationError("ros_error", str(error)).as_json()})
+        return pack(header, body)
+    except PacketError as error:
+        return pack({"id": header.get("id"), "error": OperationError("ros_error", str(error)).as_json()})

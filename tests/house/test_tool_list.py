@@ -10,8 +10,8 @@ from mcp.server import MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
 
 from ros2_mcp.guard.policy import Policy
+from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
-from ros2_mcp.link.environment import find_ros
 from ros2_mcp.robot import Robot
 from ros2_mcp.server import build_server
 from ros2_mcp.settings import Settings
@@ -22,7 +22,7 @@ OUT_OF_DATE = "run: python docs/generate.py, look at the difference, and commit 
 
 
 def served(policy: Policy, *groups: str) -> MCPServer:
-    return build_server(Robot(Bridge(lambda: find_ros(Settings())), policy), groups=groups)
+    return build_server(Robot(Bridge(lambda: start_carrier(Settings())), policy), groups=groups)
 
 
 def listed(policy: Policy, *groups: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""The bridge as its server sees it: raw frames to a real process, checked against independent ROS nodes."""
+"""The bridge as its server sees it: raw packets to a real process, checked against independent ROS nodes."""
 
 from __future__ import annotations
 
@@ -345,7 +345,7 @@ def stopped_after(bridge: Client, listener: subprocess.Popen[bytes], number: int
 
 def test_a_will_that_is_withdrawn_is_answered_and_not_carried_out(bridge: Client, peer) -> None:
     listener = peer("listen", "/said", "RELIABLE")
-    will = bridge.send("will_publish", cdr_string("last"), topic="/said", type=STRING, qos=RELIABLE)
+    will = bridge.send("failsafe_publish", cdr_string("last"), topic="/said", type=STRING, qos=RELIABLE)
     publish(bridge, "first")
     bridge.ok("cancel", request=will)
     assert bridge.answer(will)[0]["ok"] == {"cancelled": True}
@@ -453,7 +453,7 @@ def test_a_bridge_that_others_cannot_reach_any_more_leaves(bridge: Client, domai
     assert bridge.process.wait(PATIENCE_S) in (0, -signal.SIGALRM)  # which ends it where it is held up as it leaves
 
 
-def test_nothing_but_frames_is_on_stdout(start) -> None:
+def test_nothing_but_packets_is_on_stdout(start) -> None:
     noisy = {"RCUTILS_LOGGING_USE_STDOUT": "1", "RCUTILS_LOGGING_SEVERITY": "DEBUG"}
 
     def seconds() -> float:
@@ -462,7 +462,7 @@ def test_nothing_but_frames_is_on_stdout(start) -> None:
         assert "ros_idle_s" in bridge.ok("ping")
         took = bridge.close()
         with pytest.raises(EOFError):
-            bridge.next_frame()
+            bridge.next_packet()
         return took
 
     assert undisturbed(seconds) < 1

@@ -15,9 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from ros2_mcp.link.carrier import Carrier
+from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
-from ros2_mcp.link.environment import find_ros, rclpy_below
+from ros2_mcp.link.environment import rclpy_below
 from ros2_mcp.link.installation import WHEEL_GUARD
+from ros2_mcp.link.local import LocalBridge, start_local
 from ros2_mcp.model.errors import BridgeLost, BridgeRefused, LinkError, RosNotFound
 from ros2_mcp.settings import Settings
 from support.standstill import undisturbed_async
@@ -34,15 +37,20 @@ STRING = b"\x00\x01\x00\x00\x06\x00\x00\x00hello\x00"
 async def launched(settings: Settings = SETTINGS) -> AsyncIterator[Bridge]:
     """A bridge for a block, whose process has gone and which has no task left after it."""
     before = running_tasks()
-    bridge = Bridge(lambda: find_ros(settings, ENV))
+    carriers: list[LocalBridge] = []
+
+    def start() -> LocalBridge:
+        carriers.append(start_local(settings, ENV))
+        return carriers[-1]
+
+    bridge = Bridge(start)
     bridge.launch()
     try:
         yield bridge
     finally:
-        pid = bridge.pid
         await bridge.close()
     assert running_tasks() == before
-    assert pid is None or not _lives(pid)
+    assert not any(_lives(carrier.pid) for carrier in carriers)
 
 
 @pytest.fixture
@@ -118,7 +126,7 @@ async def test_a_lost_bridge_fails_the_call_within_a_second_and_the_next_call_wo
         took = time.monotonic() - begun
         await bridge.request("ping", timeout_s=PATIENCE_S)
         assert bridge.generation == generation + 1
-        assert bridge.pid != first
+        assert (await bridge.ready()).pid != first
         assert not _lives(first)
         return took
 
@@ -151,12 +159,12 @@ async def test_a_refusal_of_the_bridge_arrives_with_its_kind(bridge: Bridge) -> 
 async def test_without_ros_every_request_says_what_is_missing_and_it_is_looked_for_again(tmp_path: Path) -> None:
     there = False
 
-    def find():  # type: ignore[no-untyped-def]
+    def start() -> Carrier:
         if not there:
             raise RosNotFound("No ROS 2 found.", "Run: this")
-        return find_ros(SETTINGS, ENV)
+        return start_carrier(SETTINGS, ENV)
 
-    async with Bridge(find) as bridge:
+    async with Bridge(start) as bridge:
         for _ in range(2):
             with pytest.raises(RosNotFound, match="Run: this"):
                 await bridge.request("ping", timeout_s=PATIENCE_S)
@@ -239,8 +247,7 @@ async def test_the_bridge_runs_under_the_python_of_an_unsourced_ros_whatever_our
 
     async with launched(Settings(ros_root=root, distro="jazzy", domain_id=112)) as bridge:
         hello = await bridge.ready()
-        assert bridge.installation
-        assert bridge.installation.kind == "unsourced"
+        assert bridge.origin == f"{root / 'jazzy'}/setup.bash is sourced for the bridge (asked for)."
         assert hello.python.startswith(version + ".")
         assert not hello.python.startswith(f"3.{sys.version_info.minor}.")
         assert (await bridge.request("interfaces", timeout_s=PATIENCE_S)).ok["interfaces"]
@@ -251,13 +258,13 @@ async def test_the_bridge_runs_under_the_python_of_an_unsourced_ros_whatever_our
 _SERVER = """
 import asyncio
 import signal
+from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
-from ros2_mcp.link.environment import find_ros
 from ros2_mcp.settings import Settings
 
 async def main():
     signal.signal(signal.SIGINT, signal.default_int_handler)  # even where the tests run in the background
-    bridge = Bridge(lambda: find_ros(Settings(domain_id=113)))
+    bridge = Bridge(lambda: start_carrier(Settings(domain_id=113)))
     print((await bridge.ready()).pid, flush=True)
     await asyncio.sleep(60)
 

@@ -1,13 +1,15 @@
-"""A minimal client of the stream for the tests of the bridge: raw frames to and from a real bridge process."""
+"""A minimal client of the stream for the tests of the bridge: raw packets to and from a real bridge process."""
 
 from __future__ import annotations
 
+import os
 import struct
 import subprocess
 import time
+from collections import deque
 from typing import Any
 
-from ros2_mcp_bridge import frames
+from ros2_mcp_bridge.packets import Packet, PacketReader, pack
 
 RELIABLE = {"reliability": "reliable", "durability": "volatile", "history": "keep_last", "depth": 10}
 BEST_EFFORT = {**RELIABLE, "reliability": "best_effort"}
@@ -30,30 +32,32 @@ class Client:
         self.samples: list[tuple[dict[str, Any], bytes]] = []
         self._answers: dict[int, tuple[dict[str, Any], bytes]] = {}
         self._last_id = 0
-        self.hello = self.next_frame()[0]
+        self._reader = PacketReader()
+        self._arrived: deque[Packet] = deque()
+        self.hello = self.next_packet()[0]
 
-    def next_frame(self) -> tuple[dict[str, Any], bytes]:
-        """The next frame; EOFError at the end of the stream."""
+    def next_packet(self) -> Packet:
+        """The next packet; EOFError at the end of the stream."""
         assert self.process.stdout
-        prefix = self.process.stdout.read(frames.LENGTHS_SIZE)
-        if not prefix:
-            raise EOFError
-        header_length, body_length = frames.unpack_lengths(prefix)
-        header = frames.unpack_header(self.process.stdout.read(header_length))
-        return header, self.process.stdout.read(body_length)
+        while not self._arrived:
+            piece = os.read(self.process.stdout.fileno(), 1024 * 1024)
+            if not piece:
+                raise EOFError
+            self._arrived += self._reader.feed(piece)
+        return self._arrived.popleft()
 
     def send(self, op: str, body: bytes = b"", **arguments: Any) -> int:
         """Send a request; returns its id."""
         assert self.process.stdin
         self._last_id += 1
-        self.process.stdin.write(frames.pack({"id": self._last_id, "op": op, **arguments}, body))
+        self.process.stdin.write(pack({"id": self._last_id, "op": op, **arguments}, body))
         self.process.stdin.flush()
         return self._last_id
 
     def answer(self, request_id: int) -> tuple[dict[str, Any], bytes]:
         """Wait for the answer to a request: the whole header, and the body."""
         while request_id not in self._answers:
-            header, body = self.next_frame()
+            header, body = self.next_packet()
             if "id" in header:
                 self._answers[header["id"]] = header, body
             else:

@@ -5,9 +5,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from ros2_mcp.link.carrier import Vitality
 from ros2_mcp.link.connection import Connection
-from ros2_mcp.link.framing import Frame, FrameReader, pack
-from ros2_mcp.link.process import ErrorLines
+from ros2_mcp_bridge.packets import Packet, PacketReader, pack
 
 HELLO = {
     "event": "hello",
@@ -23,60 +23,79 @@ HELLO = {
 
 
 class Peer:
-    """Stands where a `Child` stands."""
+    """A carrier to nowhere."""
 
-    def __init__(self) -> None:
-        self.pid = 0  # no such process: nothing can be learnt from /proc
-        self.started_at = time.monotonic()
-        self.stderr = ErrorLines(pass_on=False)
-        self.exit_code: int | None = None
-        self.heard: list[Frame] = []
-        self._reader = FrameReader()
-        self._on_bytes: Callable[[bytes], None] = lambda _: None
-        self._on_end: Callable[[], None] = lambda: None
+    origin = ""
 
-    async def attach(self, on_bytes: Callable[[bytes], None], on_end: Callable[[], None]) -> None:
-        self._on_bytes, self._on_end = on_bytes, on_end
+    def __init__(self, vitality: Vitality = "unknown") -> None:
+        self.log: list[str] = []
+        self.heard: list[Packet] = []
+        self._vitality: Vitality = vitality
+        self._how = "closed its stream"
+        self._reader = PacketReader()
+        self._received: Callable[[bytes], None] = lambda _: None
+        self._ended: Callable[[], None] = lambda: None
+
+    # ── a carrier ──────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def open(self, received: Callable[[bytes], None], ended: Callable[[], None]) -> None:
+        self._received, self._ended = received, ended
 
     def write(self, data: bytes) -> None:
-        self.heard += [frame for frame in self._reader.feed(data) if frame.header["op"] != "ping"]
+        self.heard += [packet for packet in self._reader.feed(data) if packet.header["op"] != "ping"]
 
     async def writable(self) -> None:
         return
 
-    async def wait(self, _timeout_s: float) -> int | None:
-        return self.exit_code
+    def alive(self) -> Vitality:
+        return self._vitality
 
-    def die(self, code: int) -> None:
-        self.exit_code = code
-        self._on_end()
+    async def ending(self) -> str:
+        return self._how
+
+    def log_tail(self) -> list[str]:
+        return self.log
+
+    def kill(self) -> None:
+        return
+
+    async def close(self, grace_s: float) -> None:
+        del grace_s
+
+    def describe(self) -> str:
+        return "in memory"
+
+    # ── what a test does ───────────────────────────────────────────────────────────────────────────────────────
+
+    def end(self, how: str = "exited with code 0") -> None:
+        self._how = how
+        self._ended()
 
     def say(self, header: dict[str, Any], body: bytes = b"") -> None:
-        self._on_bytes(pack(header, body))
+        self._received(pack(header, body))
 
-    def say_at_once(self, *frames: tuple[dict[str, Any], bytes]) -> None:
-        self._on_bytes(b"".join(pack(header, body) for header, body in frames))
+    def say_at_once(self, *packets: tuple[dict[str, Any], bytes]) -> None:
+        self._received(b"".join(pack(header, body) for header, body in packets))
 
     def say_raw(self, data: bytes) -> None:
-        self._on_bytes(data)
+        self._received(data)
 
     async def next(self, op: str) -> dict[str, Any]:
         """The first request of that kind, as soon as it is there."""
         deadline = time.monotonic() + 20
         while time.monotonic() < deadline:
-            for frame in self.heard:
-                if frame.header["op"] == op:
-                    self.heard.remove(frame)
-                    return frame.header
+            for packet in self.heard:
+                if packet.header["op"] == op:
+                    self.heard.remove(packet)
+                    return packet.header
             await asyncio.sleep(0.001)
         raise AssertionError(f"no {op} came")
 
 
-async def connected(pid: int = 0) -> tuple[Connection, Peer]:
+async def connected(vitality: Vitality = "unknown") -> tuple[Connection, Peer]:
     """A connection whose peer has said hello."""
-    peer = Peer()
-    peer.pid = pid
-    connection = Connection(peer)  # type: ignore[arg-type]
+    peer = Peer(vitality)
+    connection = Connection(peer, time.monotonic())
     greeting = asyncio.ensure_future(connection.greet())
     await asyncio.sleep(0)
     peer.say(HELLO)

@@ -47,10 +47,10 @@ def serve(settings: Settings) -> int:
 
 def launch(settings: Settings) -> Bridge:
     """Starts the bridge; it comes up while the rest is imported."""
+    from ros2_mcp.link.carriers import start_carrier
     from ros2_mcp.link.client import Bridge
-    from ros2_mcp.link.environment import find_ros
 
-    bridge = Bridge(lambda: find_ros(settings), pass_stderr=settings.debug)
+    bridge = Bridge(lambda: start_carrier(settings))
     bridge.launch()
     return bridge
 

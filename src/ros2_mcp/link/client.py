@@ -6,49 +6,54 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
+from ros2_mcp.link.carrier import Carrier
 from ros2_mcp.link.connection import START_S, Connection, Hello, Reply
-from ros2_mcp.link.installation import RosInstallation
-from ros2_mcp.link.process import Child
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BridgeLost, LinkError, RobotError
 
 __all__ = ["Bridge", "Hello", "Reply", "Subscription"]
 
-PACKAGE = "ros2_mcp_bridge"
+# Between lives that do not begin: together 8.5 s, in which what the lost bridge kept moving is to be stopped by one of
+# its successors (decision 12); after the last of them, once for every request that asks and not more often.
 _PAUSES_S = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0)
+# The bridge gives itself up after 1.0 s (GIVE_UP_AFTER_S there): half a second more, and nobody is there any more.
 _LEAVE_S = 1.5
+# Creating an entity can block for up to 3 s inside Fast DDS after a peer was killed (decision 12).
 _SUBSCRIBE_S = 5.0
+# `Connection.greet` gives up after START_S; a little later its error is here, which says more than a time-out would.
+_SETTLED_S = 1.0
+# As much as the other side of the stream lets a message wait at least.
+_DRAIN_S = 0.005
+# A bridge that is lost again and again must not fill the memory.
 _KEPT_REASONS = 100
 
 
-class Bridge:
-    """The connection to one robot: starts the bridge process, watches it and starts it again.
+class _Life(NamedTuple):
+    """A carrier, and when it began to start (steady clock)."""
 
-    `hello` is how the running bridge introduced itself, `generation` the number of starts, `restarts` why each
-    former one was lost, `installation` what it runs in. `nodes` are the names of all its nodes: the graph shows those
-    of lost ones for some seconds more.
+    carrier: Carrier
+    started_at: float
+
+
+class Bridge:
+    """The connection to one robot: starts a bridge, watches it and starts it again.
+
+    `start_carrier` starts a bridge and what carries its stream; it is called once for each life and raises a
+    `RobotError` that tells why there is none. `hello` is how the running bridge introduced itself, `generation` the
+    number of starts, `restarts` why each former one was lost, `origin` what the last one runs in. `nodes` are the names
+    of all its nodes: the graph shows those of lost ones for some seconds more.
     """
 
-    def __init__(
-        self,
-        find: Callable[[], RosInstallation],
-        *,
-        args: Sequence[str] = (),
-        package: str = PACKAGE,
-        pass_stderr: bool = False,
-    ) -> None:
-        self._find = find
-        self._args = args
-        self._package = package
-        self._pass_stderr = pass_stderr
-        self.installation: RosInstallation | None = None
+    def __init__(self, start_carrier: Callable[[], Carrier]) -> None:
+        self._start_carrier = start_carrier
+        self.origin = ""
         self.generation = 0
         self.restarts: list[str] = []
         self.nodes: set[str] = set()
-        self._launched: Child | RobotError | None = None
-        self._connection: Connection | None = None
+        self._launched: _Life | RobotError | None = None
+        self._carrier: Carrier | None = None
         self._supervisor: asyncio.Task[None] | None = None
         self._outcome: asyncio.Future[Connection | RobotError] | None = None
         self._wanted = asyncio.Event()
@@ -58,25 +63,25 @@ class Bridge:
     # ── start and end ──────────────────────────────────────────────────────────────────────────────────────────
 
     def launch(self) -> None:
-        """Starts the process at once, needs no event loop; what goes wrong is told to the first request."""
+        """Starts the first life at once, needs no event loop; what goes wrong is told to the first request."""
         if self._launched is None and self._supervisor is None:
             self._launched = self._start()
 
     async def attach(self) -> None:
-        """Connects to the process in the running event loop and watches over it from now on. Returns at once."""
+        """Connects to it in the running event loop and watches over it from now on. Returns at once."""
         if self._supervisor is None and not self._closed:
             self.launch()
             self._outcome = asyncio.get_running_loop().create_future()
             self._supervisor = asyncio.ensure_future(self._supervise())
 
     async def close(self) -> None:
-        """Ends the stream, gives the bridge 1.5 s to stop the robot and leave, and leaves no process behind."""
+        """Ends the stream, gives the bridge 1.5 s to stop the robot and leave, and leaves nothing behind."""
         self._closed = True
         if self._supervisor:
             self._supervisor.cancel()
             await asyncio.wait({self._supervisor})
-        if isinstance(self._launched, Child):
-            await self._launched.stop(_LEAVE_S)
+        if isinstance(self._launched, _Life):
+            await self._launched.carrier.close(_LEAVE_S)
             self._launched = None
 
     async def __aenter__(self) -> Bridge:
@@ -114,7 +119,7 @@ class Bridge:
         keep: str,
         max_samples: int,
         max_bytes: int,
-        drain_s: float = 0.005,
+        drain_s: float = _DRAIN_S,
     ) -> Subscription:
         """A new subscription; keeps `all` or the `latest`, bounded on each side of the stream. Raises as `request`.
 
@@ -152,24 +157,21 @@ class Bridge:
         return outcome.hello if isinstance(outcome, Connection) else None
 
     @property
-    def pid(self) -> int | None:
-        """The process of the running bridge."""
-        return self._connection.child.pid if self._connection else None
-
-    @property
-    def stderr_tail(self) -> list[str]:
-        """The last lines that the bridge wrote to its log, at most 50."""
-        return self._connection.child.stderr.tail if self._connection else []
+    def log_tail(self) -> Sequence[str]:
+        """The last lines that the bridge wrote to its log, as far as they came along."""
+        return self._carrier.log_tail() if self._carrier else []
 
     # ── its lives ──────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _start(self) -> Child | RobotError:
+    def _start(self) -> _Life | RobotError:
         self.generation += 1
+        started_at = time.monotonic()
         try:
-            self.installation = self._find()
-            return Child(self.installation.command(self._package, self._args), pass_stderr=self._pass_stderr)
+            carrier = self._start_carrier()
         except RobotError as error:
             return error
+        self.origin = carrier.origin
+        return _Life(carrier, started_at)
 
     async def _connected(self) -> Connection:
         """The running bridge; waits for one that starts, and starts one again that failed a while ago."""
@@ -179,7 +181,7 @@ class Bridge:
         if self._outcome.done() and isinstance(self._outcome.result(), RobotError):
             self._try_again()
         if not self._outcome.done():
-            await asyncio.wait({self._outcome}, timeout=START_S + 1.0)
+            await asyncio.wait({self._outcome}, timeout=START_S + _SETTLED_S)
         if not self._outcome.done():
             raise LinkError(f"The bridge was not ready after {START_S:.0f} s.", "Run: ros2-mcp doctor")
         outcome = self._outcome.result()
@@ -216,10 +218,11 @@ class Bridge:
 
     async def _live(self) -> tuple[bool, RobotError]:
         """One life of the bridge: whether it had begun, and why it ended."""
-        child, self._launched = self._launched or self._start(), None
-        if isinstance(child, RobotError):
-            return False, child
-        connection = self._connection = Connection(child)
+        life, self._launched = self._launched or self._start(), None
+        if isinstance(life, RobotError):
+            return False, life
+        self._carrier = life.carrier
+        connection = Connection(life.carrier, life.started_at)
         try:
             reason = await connection.greet()
             if reason:
@@ -236,8 +239,8 @@ class Bridge:
     async def _bury(self, connection: Connection) -> None:
         connection.fail(BridgeLost("The link to the robot was closed."))
         if not self._closed:
-            connection.child.kill()
-        await connection.child.stop(_LEAVE_S)
+            connection.carrier.kill()
+        await connection.carrier.close(_LEAVE_S)
 
     def _settle(self, outcome: Connection | RobotError) -> None:
         if self._outcome and not self._outcome.done():

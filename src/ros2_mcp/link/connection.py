@@ -9,16 +9,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ros2_mcp.link.framing import Frame, FrameReader, pack
+from ros2_mcp.link.carrier import Carrier
 from ros2_mcp.link.heartbeat import Heartbeat
-from ros2_mcp.link.process import Child, describe_exit
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BadInput, BridgeLost, BridgeRefused, LinkError, TimedOut
-from ros2_mcp_bridge.frames import PROTOCOL, FrameError
+from ros2_mcp_bridge.packets import Packet, PacketError, PacketReader, pack
+from ros2_mcp_bridge.protocol import PROTOCOL
 
+# Wheels say hello after about half a second; sourcing setup files from a slow disk can take many of these seconds.
 START_S = 20.0
+# Beyond the time that the bridge was given for an answer: for the way there and back, and for its late rounds.
 MARGIN_S = 2.0
-_EXIT_S = 0.5
 _PING = 0
 _SHOWN_LINES = 5
 _BOUNDED_BY_THE_BRIDGE = ("call", "wait_endpoints")
@@ -50,21 +51,22 @@ class Reply:
 class _Open:
     """A request that is not answered yet; it stays known when its asker has gone, for a late answer to be tidied up."""
 
-    answer: asyncio.Future[Frame]
+    answer: asyncio.Future[Packet]
     subscription: Subscription | None = None
 
 
 class Connection:
-    """Talks with one bridge process; `run` returns why it ended."""
+    """Talks with one bridge; `run` returns why it ended. `started_at` is when that began to start (steady clock)."""
 
-    def __init__(self, child: Child) -> None:
+    def __init__(self, carrier: Carrier, started_at: float) -> None:
         loop = asyncio.get_running_loop()
-        self.child = child
+        self.carrier = carrier
+        self._started_at = started_at
         self.hello: Hello | None = None
         self._greeted: asyncio.Future[None] = loop.create_future()
         self._ended: asyncio.Future[LinkError | None] = loop.create_future()
-        self._reader = FrameReader()
-        self._heartbeat = Heartbeat(child.pid, self._ping)
+        self._reader = PacketReader()
+        self._heartbeat = Heartbeat(carrier, self._ping)
         self._numbers = itertools.count(1)
         self._open: dict[int, _Open] = {}
         self._subscriptions: dict[int, Subscription] = {}
@@ -73,9 +75,9 @@ class Connection:
     # ── its life ───────────────────────────────────────────────────────────────────────────────────────────────
 
     async def greet(self) -> LinkError | None:
-        """Connects to the process and waits for its hello; returns what went wrong instead, if something did."""
-        await self.child.attach(self._received, lambda: self._end(None))
-        remaining_s = self.child.started_at + START_S - time.monotonic()
+        """Opens the carrier and waits for its hello; returns what went wrong instead, if something did."""
+        await self.carrier.open(self._received, lambda: self._end(None))
+        remaining_s = self._started_at + START_S - time.monotonic()
         await asyncio.wait(
             {self._greeted, self._ended}, timeout=max(0.0, remaining_s), return_when=asyncio.FIRST_COMPLETED
         )
@@ -111,24 +113,24 @@ class Connection:
 
     async def _reason(self) -> LinkError:
         reason = await self._ended
-        return reason or self._lost(describe_exit(await self.child.wait(_EXIT_S)))
+        return reason or self._lost(await self.carrier.ending(), has_ended=True)
 
-    def _lost(self, what: str) -> LinkError:
+    def _lost(self, what: str, *, has_ended: bool = False) -> LinkError:
         if not self.hello:
             return LinkError(f"{self._name} {what} before it was ready.{self._last_words()}", "Run: ros2-mcp doctor")
-        exited = self._last_words() if what.startswith("exited") else ""
+        last_words = self._last_words() if has_ended else ""
         return BridgeLost(
-            f"{self._name} {what} and is started again.{exited}",
+            f"{self._name} {what} and is started again.{last_words}",
             "What was under way may or may not have happened, and what this server drove is being stopped: look at the "
             "robot's state, then call again.",
         )
 
     @property
     def _name(self) -> str:
-        return f"The bridge (pid {self.child.pid})"
+        return f"The bridge ({self.carrier.describe()})"
 
     def _last_words(self) -> str:
-        lines = self.child.stderr.tail[-_SHOWN_LINES:]
+        lines = self.carrier.log_tail()[-_SHOWN_LINES:]
         return " Its last words: " + " | ".join(lines) if lines else ""
 
     def _end(self, reason: LinkError | None) -> None:
@@ -175,15 +177,15 @@ class Connection:
     async def _send_body(self, header: dict[str, Any], body: bytes) -> None:
         """Bodies go one after the other, each when the pipe has room: what waits to be written stays bounded."""
         async with self._writing:
-            await self.child.writable()
+            await self.carrier.writable()
             self._send(header, body)
 
     def _send(self, header: dict[str, Any], body: bytes = b"") -> None:
         if self._ended.done():
             return
         try:
-            self.child.write(pack(header, body))
-        except FrameError as error:
+            self.carrier.write(pack(header, body))
+        except PacketError as error:
             raise BadInput(f"This is too large for the stream: {error}.") from error
 
     # ── subscriptions ──────────────────────────────────────────────────────────────────────────────────────────
@@ -220,23 +222,23 @@ class Connection:
         if self._ended.done():
             return
         try:
-            for frame in self._reader.feed(piece):
-                self._take_in(frame)
-        except (FrameError, KeyError, TypeError, ValueError) as error:
+            for packet in self._reader.feed(piece):
+                self._take_in(packet)
+        except (PacketError, KeyError, TypeError, ValueError) as error:
             self._end(self._lost(f"sent what is not part of the protocol ({error})"))
 
-    def _take_in(self, frame: Frame) -> None:
-        event = frame.header.get("event")
+    def _take_in(self, packet: Packet) -> None:
+        event = packet.header.get("event")
         if event is None:
-            self._answered(frame)
+            self._answered(packet)
         elif event == "samples":
-            subscription = self._subscriptions.get(frame.header["sub"])
+            subscription = self._subscriptions.get(packet.header["sub"])
             if subscription:
-                subscription.arrived(frame.header, frame.body)
+                subscription.arrived(packet.header, packet.body)
         elif event == "hello":
-            self._said_hello(frame.header)
+            self._said_hello(packet.header)
         elif event == "failed":
-            self._end(_failure(frame.header))
+            self._end(_failure(packet.header))
 
     def _said_hello(self, header: dict[str, Any]) -> None:
         if header["protocol"] != PROTOCOL:
@@ -246,18 +248,18 @@ class Connection:
         if not self._greeted.done():
             self._greeted.set_result(None)
 
-    def _answered(self, frame: Frame) -> None:
-        number = frame.header["id"]
+    def _answered(self, packet: Packet) -> None:
+        number = packet.header["id"]
         if number == _PING:
-            self._heartbeat.ponged(float(frame.header["ok"]["ros_idle_s"]))
+            self._heartbeat.ponged(float(packet.header["ok"]["ros_idle_s"]))
             return
         request = self._open.pop(number, None)
         if not request:
             return
-        if request.subscription and "ok" in frame.header:
-            self._subscribed(request, frame.header["ok"]["sub"])
+        if request.subscription and "ok" in packet.header:
+            self._subscribed(request, packet.header["ok"]["sub"])
         if not request.answer.done():
-            request.answer.set_result(frame)
+            request.answer.set_result(packet)
 
     def _subscribed(self, request: _Open, number: int) -> None:
         """Samples may follow in the same breath, so the subscription is known before its asker wakes up."""
@@ -275,11 +277,11 @@ def _header(number: int, op: str, timeout_s: float, arguments: Mapping[str, Any]
     return header
 
 
-def _reply(frame: Frame) -> Reply:
-    error = frame.header.get("error")
+def _reply(packet: Packet) -> Reply:
+    error = packet.header.get("error")
     if error is not None:
         raise BridgeRefused(str(error["kind"]), str(error["message"]), str(error.get("hint") or ""))
-    return Reply(frame.header["ok"], frame.body)
+    return Reply(packet.header["ok"], packet.body)
 
 
 def _failure(header: dict[str, Any]) -> LinkError:

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.link.environment import (
     find_ros,
@@ -26,6 +27,7 @@ from ros2_mcp.link.installation import RosInstallation
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.settings import MAX_DOMAIN_ID, Settings
 
+# Somebody waits at a terminal; a bridge that takes longer is worth looking into.
 PROBE_S = 15.0
 
 
@@ -61,13 +63,13 @@ def diagnose(settings: Settings, env: Mapping[str, str] = os.environ) -> list[Fi
 async def probe(settings: Settings) -> Finding:
     """Starts the bridge for real and says how it introduced itself, or why it did not; at most 15 s."""
     title = "Bridge"
-    bridge = Bridge(lambda: find_ros(settings))
+    bridge = Bridge(lambda: start_carrier(settings))
     try:
         hello = await asyncio.wait_for(bridge.ready(), PROBE_S)
     except RobotError as error:
         return Finding(False, title, error.message, "" if "doctor" in error.hint else error.hint)
     except asyncio.TimeoutError:
-        return Finding(False, title, f"It was not ready after {PROBE_S:.0f} s. {' | '.join(bridge.stderr_tail[-5:])}")
+        return Finding(False, title, f"It was not ready after {PROBE_S:.0f} s. {' | '.join(bridge.log_tail[-5:])}")
     finally:
         await bridge.close()
     detail = f"{hello.distro} under Python {hello.python}, {hello.rmw}, domain {hello.domain_id}, {hello.executor}"

@@ -6,20 +6,30 @@ import asyncio
 import time
 from collections.abc import Callable
 
-from ros2_mcp.link.process import thread_states
+from ros2_mcp.link.carrier import Carrier
 
+# Often enough that a stopped bridge is seen soon after STOPPED_S; every answer is a sign of life.
 PING_S = 0.25
+# A healthy bridge can be silent for 1 to 3 s while Fast DDS waits for a mutex in shared memory that a killed process
+# left locked; with 2.5 s, three of about 1,500 kills cost a healthy bridge. See decision 12.
 SILENCE_S = 4.0
+# Who was stopped does not come back by itself, so that there is nothing to wait for but a mistaken look.
 STOPPED_S = 0.5
+# A machine that is short of processor time gets a second more (decision 12), not for ever.
 STARVED_S = 5.0
+# As SILENCE_S, for a bridge whose reading thread still answers while its ROS thread hangs in the middleware.
 ROS_IDLE_S = 4.0
+# Woken this much later than asked for, it is we who were late: the time is not counted as silence of the bridge.
+_LATE_S = 0.05
+# The least pause, where a limit is due this instant.
+_PAUSE_S = 0.01
 
 
 class Heartbeat:
     """Pings four times a second and says when the bridge is to be given up."""
 
-    def __init__(self, pid: int, ping: Callable[[], None]) -> None:
-        self._pid = pid
+    def __init__(self, carrier: Carrier, ping: Callable[[], None]) -> None:
+        self._carrier = carrier
         self._ping = ping
         self._heard_at = time.monotonic()
         self._ros_idle_s = 0.0
@@ -49,10 +59,10 @@ class Heartbeat:
         """Sleeps until there is something to do; being woken late is our fault, so it is not counted as silence."""
         before = time.monotonic()
         limits = (next_ping, *(self._heard_at + limit for limit in (STOPPED_S, SILENCE_S)))
-        wait_s = max(0.01, min(limit - before for limit in limits if limit > before))
+        wait_s = max(_PAUSE_S, min(limit - before for limit in limits if limit > before))
         await asyncio.sleep(wait_s)
         lag_s = time.monotonic() - before - wait_s
-        if lag_s > 0.05:
+        if lag_s > _LATE_S:
             self._heard_at = min(time.monotonic(), self._heard_at + lag_s)
 
     def _verdict(self, silent_s: float) -> str:
@@ -60,9 +70,8 @@ class Heartbeat:
             return f"no longer gets round in ROS (its ROS thread hangs since {self._ros_idle_s:.1f} s)"
         if silent_s < STOPPED_S:
             return ""
-        states = thread_states(self._pid)
-        if "T" in states:
+        vitality = self._carrier.alive()
+        if vitality == "stopped":
             return f"was stopped (SIGSTOP) and stopped answering for {silent_s:.1f} s"
-        # Threads that want to run but do not get round: a machine short of processor time, not a hang. Not for ever.
-        limit_s = STARVED_S if states & {"R", "D"} else SILENCE_S
+        limit_s = STARVED_S if vitality == "starved" else SILENCE_S
         return f"stopped answering for {silent_s:.1f} s" if silent_s >= limit_s else ""

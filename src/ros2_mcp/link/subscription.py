@@ -76,7 +76,7 @@ class Subscription:
     # ── for the connection ─────────────────────────────────────────────────────────────────────────────────────
 
     def arrived(self, header: dict[str, Any], body: bytes) -> None:
-        """Takes in a frame of samples: their times and sizes, the totals, and their bytes one after the other."""
+        """Takes in a packet of samples: their times and sizes, the totals, and their bytes one after the other."""
         self.count(header)
         offset = 0
         for received_ns, source_ns, sequence, size in header["samples"]:

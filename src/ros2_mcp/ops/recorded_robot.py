@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.link.client import Bridge
@@ -21,7 +21,6 @@ from ros2_mcp.robot.values import Values
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.stored import StoredTopic
-    from ros2_mcp.link.installation import RosInstallation
     from ros2_mcp.model.interfaces import DefinitionText
 
 
@@ -34,7 +33,7 @@ def recorded_robot(memory: Memory, result_bytes: int) -> Robot:
     return robot
 
 
-def _no_ros() -> RosInstallation:
+def _no_ros() -> NoReturn:
     raise RosNotFound("This server was started with --bag: its robot is a recording.", "Start it without, for a robot.")
 
 

@@ -238,7 +238,7 @@ def _leave_zero(robot: Robot, relay: Relay, arguments: Mapping[str, Any]) -> byt
     zero = robot.values.encode_known(relay.destination_type, {})
     robot.driven.drove(relay.destination, relay.destination_type, zero)
     where = {name: arguments[name] for name in ("topic", "type", "qos")}
-    robot.wills.leave(relay.destination, Will("will_publish", zero, where))
+    robot.wills.leave(relay.destination, Will("failsafe_publish", zero, where))
     return zero
 
 

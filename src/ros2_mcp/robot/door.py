@@ -225,7 +225,7 @@ class Robot:
         self.goals.sent(goal_id, action, action_type)
         body = self.values.encode_known(f"{CANCEL_TYPE}_Request", cancel_request(goal_id))
         service = {"service": f"{action}/_action/cancel_goal", "type": CANCEL_TYPE}
-        self.wills.leave(goal_id, Will("will_call", body, service))
+        self.wills.leave(goal_id, Will("failsafe_call", body, service))
 
     def goal_ended(self, goal_id: str) -> None:
         """Forgets a goal that has ended or was not accepted."""
@@ -245,5 +245,5 @@ class Robot:
         message = Outgoing(topic, type_name, qos.for_publishing(subscribers), body, zero)
         if zero:
             self.driven.drove(topic, type_name, zero)
-            self.wills.leave(topic, Will("will_publish", zero, message.destination()))
+            self.wills.leave(topic, Will("failsafe_publish", zero, message.destination()))
         return message

@@ -102,7 +102,7 @@ class Graph:
     async def bridge_status(self) -> BridgeStatus:
         """How the bridge is."""
         stats = (await self.ask("stats")).ok
-        hello, installation = self._bridge.hello, self._bridge.installation
+        hello = self._bridge.hello
         assert hello is not None  # it has just answered
         return BridgeStatus(
             python=hello.python,
@@ -114,7 +114,7 @@ class Graph:
             executor=hello.executor,
             starts=self._bridge.generation,
             restarts=list(self._bridge.restarts),
-            found=installation.why if installation else "",
+            found=self._bridge.origin,
             uptime_s=float(stats["uptime_s"]),
             memory_bytes=stats["rss_bytes"],
             subscriptions=stats["subscriptions"],

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.errors import BridgeLost, RobotError
+from ros2_mcp_bridge.limits import MAX_FAILSAFES
 
 if TYPE_CHECKING:
     from ros2_mcp.robot.graph import Graph
 
-MOST = 64
 _FOREVER_S = 1e9
 _DISCOVERED_S = 10.0
 _logger = logging.getLogger(__name__)
@@ -24,7 +24,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Will:
-    """A message to publish (`will_publish`), or a request to send (`will_call`), as CDR."""
+    """A message to publish (`failsafe_publish`), or a request to send (`failsafe_call`), as CDR."""
 
     op: str
     body: bytes
@@ -48,7 +48,7 @@ class Wills:
         if key in self._held:
             return
         of_this_kind = [other for other, (op, _) in self._held.items() if op == will.op]
-        if len(of_this_kind) >= MOST:
+        if len(of_this_kind) >= MAX_FAILSAFES:
             self.withdraw(of_this_kind[0])
         self._held[key] = will.op, asyncio.create_task(self._hold(key, will))
 
@@ -71,7 +71,7 @@ class Wills:
             try:
                 await self._graph.ask(will.op, will.body, timeout_s=_FOREVER_S, **will.arguments)
             except BridgeLost:
-                if will.op == "will_publish":
+                if will.op == "failsafe_publish":
                     self._being_done[key] = asyncio.create_task(self._publish(key, will))
 
     async def _publish(self, key: str, will: Will) -> None:

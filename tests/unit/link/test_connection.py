@@ -1,35 +1,34 @@
 """The protocol as the server's side speaks it, against a peer in memory."""
 
 import asyncio
-import os
+import time
 from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
 
 from ros2_mcp.link.connection import Connection
-from ros2_mcp.link.framing import FrameReader, pack
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BridgeLost, BridgeRefused, LinkError
 from ros2_mcp.model.samples import Counts
-from ros2_mcp_bridge.frames import FrameError
+from ros2_mcp_bridge.packets import PacketError, PacketReader, pack
 from support.stream_peer import Peer, connected
 
 Play = Callable[[Coroutine[Any, Any, None]], None]
 
 
-def test_frames_come_whole_out_of_pieces_of_any_size() -> None:
+def test_packets_come_whole_out_of_pieces_of_any_size() -> None:
     sent = pack({"id": 1}, b"body") + pack({"id": 2}) + pack({"id": 3}, bytes(1000))
     for size in (1, 7, 100, len(sent)):
-        reader = FrameReader()
+        reader = PacketReader()
         pieces = [sent[at : at + size] for at in range(0, len(sent), size)]
-        frames = [frame for piece in pieces for frame in reader.feed(piece)]
-        assert frames == [({"id": 1}, b"body"), ({"id": 2}, b""), ({"id": 3}, bytes(1000))]
+        packets = [packet for piece in pieces for packet in reader.feed(piece)]
+        assert packets == [({"id": 1}, b"body"), ({"id": 2}, b""), ({"id": 3}, bytes(1000))]
 
 
-def test_a_frame_larger_than_allowed_is_refused_before_it_is_collected() -> None:
-    with pytest.raises(FrameError):
-        list(FrameReader().feed(b"\xff" * 8))
+def test_a_packet_larger_than_allowed_is_refused_before_it_is_collected() -> None:
+    with pytest.raises(PacketError):
+        list(PacketReader().feed(b"\xff" * 8))
 
 
 async def test_answers_find_their_askers_in_any_order() -> None:
@@ -128,7 +127,7 @@ async def test_a_peer_that_dies_fails_everything_under_way_and_says_how() -> Non
     take = asyncio.ensure_future(subscription.take(5))
     asks = [asyncio.ensure_future(connection.request("call", b"", 5, {})) for _ in range(3)]
     await asyncio.sleep(0.01)
-    peer.die(-9)
+    peer.end("died with signal SIGKILL")
     for waiting in (take, *asks):
         with pytest.raises(BridgeLost, match="died with signal SIGKILL"):
             await waiting
@@ -150,24 +149,22 @@ async def test_a_peer_that_falls_silent_is_given_up_after_four_seconds() -> None
 
 
 async def test_a_peer_that_wants_to_run_but_gets_no_processor_is_waited_for_longer() -> None:
-    connection, peer = await connected(pid=os.getpid())  # running, as everyone who looks at itself
+    connection, peer = await connected("starved")
     life = asyncio.ensure_future(connection.run())
     await asyncio.sleep(1.2)
     assert not life.done()
-    peer.die(0)
+    peer.end()
     await life
 
 
 async def test_our_own_lateness_is_not_taken_for_the_silence_of_the_peer() -> None:
-    import time
-
     connection, peer = await connected()
     life = asyncio.ensure_future(connection.run())
     await asyncio.sleep(0.1)
     time.sleep(1.2)  # noqa: ASYNC251 - a loop that is blocked is what this is about
     await asyncio.sleep(0.3)
     assert not life.done()
-    peer.die(0)
+    peer.end()
     await life
 
 
@@ -179,7 +176,7 @@ async def test_a_ros_thread_that_hangs_ends_the_life_of_the_bridge() -> None:
     assert "its ROS thread hangs since 4.4 s" in str(await life)
 
 
-async def test_bytes_that_are_no_frame_end_the_connection() -> None:
+async def test_bytes_that_are_no_packet_end_the_connection() -> None:
     connection, peer = await connected()
     life = asyncio.ensure_future(connection.run())
     peer.say_raw(b"Hello from a print statement")
@@ -189,13 +186,13 @@ async def test_bytes_that_are_no_frame_end_the_connection() -> None:
 @pytest.mark.parametrize("how", ["failed", "exit"])
 async def test_a_bridge_that_cannot_begin_says_why(how: str) -> None:
     peer = Peer()
-    greeting = asyncio.ensure_future(Connection(peer).greet())  # type: ignore[arg-type]
+    greeting = asyncio.ensure_future(Connection(peer, time.monotonic()).greet())
     await asyncio.sleep(0)
     if how == "failed":
         peer.say({"event": "failed", "kind": "no_rclpy", "message": "No module named 'rclpy'"})
     else:
-        peer.stderr.feed(b"No module named 'rclpy'\n")
-        peer.die(1)
+        peer.log.append("No module named 'rclpy'")
+        peer.end("exited with code 1")
     reason = await greeting
     assert isinstance(reason, LinkError)
     assert "No module named 'rclpy'" in reason.message

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from ros2_mcp.guard.policy import Policy
+from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
-from ros2_mcp.link.environment import find_ros
 from ros2_mcp.prompts.folder import PromptFolder
 from ros2_mcp.prompts.mistakes import Mistake
 from ros2_mcp.robot import Robot
@@ -20,7 +20,7 @@ MakeFolder = Callable[..., tuple[PromptFolder, list[Mistake]]]
 
 @pytest.fixture
 def robot() -> Robot:
-    return Robot(Bridge(lambda: find_ros(Settings())), Policy())
+    return Robot(Bridge(lambda: start_carrier(Settings())), Policy())
 
 
 @pytest.fixture

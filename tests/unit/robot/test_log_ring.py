@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
-from ros2_mcp.link.environment import find_ros
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.robot.log import LogRing
 from ros2_mcp.settings import Settings
 
 
 def ring(**bounds: int) -> LogRing:
-    return LogRing(Bridge(lambda: find_ros(Settings())), **bounds)
+    return LogRing(Bridge(lambda: start_carrier(Settings())), **bounds)
 
 
 def line(number: int, level: int = 20, size: int = 20) -> Sample:

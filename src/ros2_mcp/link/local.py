@@ -1,4 +1,7 @@
-"""A child process with three pipes: started at once, attached to the event loop later, never left behind."""
+"""The local carrier: the bridge is a child process in the ROS of this machine, and its pipes carry the stream.
+
+All that is known of processes (signals, exit codes, `/proc`) is known here and nowhere else in the link.
+"""
 
 from __future__ import annotations
 
@@ -10,34 +13,51 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from ros2_mcp.link.installation import Command
+from ros2_mcp.link.carrier import Vitality
+from ros2_mcp.link.environment import find_ros
+from ros2_mcp.link.installation import RosInstallation
 from ros2_mcp.model.errors import LinkError
 from ros2_mcp.model.text import visible
+from ros2_mcp.settings import Settings
+from ros2_mcp_bridge.limits import BATCH_BYTES
 
+PACKAGE = "ros2_mcp_bridge"
+# Enough for a traceback; error texts show the last few lines of it, `doctor` and the log all.
 _KEPT_LINES = 50
-_MAX_LINE = 2000
-_WRITE_BUFFER = 1024 * 1024
-_PIPE_BYTES = 1024 * 1024
+# A line without end (a dump of bytes) must not fill the memory.
+_MAX_LINE_BYTES = 2000
+# More than this waiting for a bridge that does not read holds up the next body, so that memory stays bounded.
+_WRITE_BUFFER_BYTES = 1024 * 1024
+# A packet of samples fits: fewer wake-ups for pictures than with the 64 kB that a pipe has otherwise.
+_PIPE_BYTES = BATCH_BYTES
+# Popen has no way to await an exit without a thread or a child watcher; ended processes are seen within this time.
 _POLL_S = 0.01
+# The end of the pipe usually comes a moment before the exit code can be had: error texts wait for it this long.
+_EXIT_CODE_S = 0.5
+# From SIGTERM, on which a bridge leaves as at the end of its stdin, to SIGKILL; it had its time before (`close`).
 _TERMINATE_S = 0.3
 _SET_PIPE_SIZE = 1031  # F_SETPIPE_SZ of Linux; the fcntl module knows it by name from Python 3.10 on Linux only
 
 
-class Child:
-    """A running command in a session of its own, so that a Ctrl-C in our terminal does not reach it.
+def start_local(settings: Settings, env: Mapping[str, str] = os.environ) -> LocalBridge:
+    """Finds the ROS of this machine and starts a bridge in it; raises as `start_carrier`."""
+    return LocalBridge(find_ros(settings, env), pass_stderr=settings.debug)
 
-    Its death and its bytes are reported to the callbacks given to `attach`; the last lines of its stderr are kept.
-    """
 
-    def __init__(self, command: Command, *, pass_stderr: bool = False) -> None:
-        """Starts the command without waiting for anything.
+class LocalBridge:
+    """A bridge in a session of its own, so that a Ctrl-C in our terminal does not reach it. It is a `Carrier`."""
+
+    def __init__(self, installation: RosInstallation, *, pass_stderr: bool = False) -> None:
+        """Starts the process without waiting for anything.
 
         Raises:
             LinkError: if it cannot be executed.
         """
+        self.installation = installation
+        command = installation.command(PACKAGE)
         try:
             self._process = subprocess.Popen(
                 command.argv,
@@ -51,13 +71,21 @@ class Child:
         except OSError as error:
             raise LinkError(f"The bridge cannot be started: {error}.", "Run: ros2-mcp doctor") from error
         self.pid = self._process.pid
-        self.started_at = time.monotonic()
-        self.stderr = ErrorLines(pass_stderr)
+        self._errors = ErrorLines(pass_stderr)
         self._input = _InputPipe()
         self._transports: list[asyncio.BaseTransport] = []
         self._writer: asyncio.WriteTransport | None = None
 
-    async def attach(self, on_bytes: Callable[[bytes], None], on_end: Callable[[], None]) -> None:
+    @property
+    def origin(self) -> str:
+        """Why this installation was chosen."""
+        return self.installation.why
+
+    def describe(self) -> str:
+        """Its process."""
+        return f"pid {self.pid}"
+
+    async def open(self, received: Callable[[bytes], None], ended: Callable[[], None]) -> None:
         """Connects the pipes to the running event loop."""
         loop = asyncio.get_running_loop()
         process = self._process
@@ -65,11 +93,11 @@ class Child:
         _enlarge(process.stdout.fileno())
         _enlarge(process.stdin.fileno())
         self._writer, _ = await loop.connect_write_pipe(lambda: self._input, process.stdin)
-        self._writer.set_write_buffer_limits(high=_WRITE_BUFFER)
+        self._writer.set_write_buffer_limits(high=_WRITE_BUFFER_BYTES)
         self._transports.append(self._writer)
-        errors, _ = await loop.connect_read_pipe(lambda: _OutputPipe(self.stderr.feed), process.stderr)
+        errors, _ = await loop.connect_read_pipe(lambda: _OutputPipe(self._errors.feed), process.stderr)
         self._transports.append(errors)
-        output, _ = await loop.connect_read_pipe(lambda: _OutputPipe(on_bytes, on_end), process.stdout)
+        output, _ = await loop.connect_read_pipe(lambda: _OutputPipe(received, ended), process.stdout)
         self._transports.append(output)
 
     def write(self, data: bytes) -> None:
@@ -81,37 +109,49 @@ class Child:
         """Waits while more than a megabyte is queued."""
         await self._input.writable()
 
-    @property
-    def exit_code(self) -> int | None:
-        """None while it runs; negative is the signal that ended it."""
-        return self._process.poll()
+    def alive(self) -> Vitality:
+        """What the kernel tells of its threads: one that is stopped or wants to run decides."""
+        states = thread_states(self.pid)
+        if "T" in states:
+            return "stopped"
+        if states & {"R", "D"}:
+            return "starved"
+        return "running" if states else "unknown"
 
-    async def wait(self, timeout_s: float) -> int | None:
-        """Its exit code, or None if it still runs after that time."""
-        deadline = time.monotonic() + timeout_s
-        while self.exit_code is None and time.monotonic() < deadline:
-            await asyncio.sleep(_POLL_S)
-        return self.exit_code
+    async def ending(self) -> str:
+        """How the process ended, from its exit code."""
+        return describe_exit(await self._exit_code(_EXIT_CODE_S))
+
+    def log_tail(self) -> list[str]:
+        """The last lines of its stderr."""
+        return self._errors.tail
 
     def kill(self) -> None:
         """SIGKILL to all of its session."""
         self._signal(signal.SIGKILL)
 
-    async def stop(self, grace_s: float) -> None:
+    async def close(self, grace_s: float) -> None:
         """Ends its stdin and waits that long for it to leave; then SIGTERM, then SIGKILL. Leaves no zombie."""
         self._close_input()
         try:
-            if await self.wait(grace_s) is None:
+            if await self._exit_code(grace_s) is None:
                 self._signal(signal.SIGTERM)
-                await self.wait(_TERMINATE_S)
+                await self._exit_code(_TERMINATE_S)
         finally:
             self.kill()
             self._close_pipes()
             self._process.wait()
         await asyncio.sleep(0)  # lets the transports close their file descriptors
 
+    async def _exit_code(self, timeout_s: float) -> int | None:
+        """None if it still runs after that time; negative is the signal that ended it."""
+        deadline = time.monotonic() + timeout_s
+        while self._process.poll() is None and time.monotonic() < deadline:
+            await asyncio.sleep(_POLL_S)
+        return self._process.poll()
+
     def _signal(self, number: signal.Signals) -> None:
-        if self.exit_code is None:
+        if self._process.poll() is None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.pid, number)
 
@@ -146,7 +186,7 @@ class ErrorLines:
             sys.stderr.write(piece.decode(errors="replace"))
         *whole, self._begun = (self._begun + piece).split(b"\n")
         self._lines.extend(_plain(line) for line in whole if line.strip())
-        self._begun = self._begun[-_MAX_LINE:]
+        self._begun = self._begun[-_MAX_LINE_BYTES:]
 
     @property
     def tail(self) -> list[str]:
@@ -212,7 +252,7 @@ def describe_exit(code: int | None) -> str:
 
 
 def _plain(line: bytes) -> str:
-    return visible(line[-_MAX_LINE:].decode(errors="replace").rstrip(), keep="\t")
+    return visible(line[-_MAX_LINE_BYTES:].decode(errors="replace").rstrip(), keep="\t")
 
 
 def _enlarge(pipe: int) -> None:

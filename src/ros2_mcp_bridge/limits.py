@@ -1,0 +1,26 @@
+"""The limits that users and both sides of the stream rely on, each stated once. The server imports them from here.
+
+Those of commands are kept by the bridge, too: a limit that only the server knows does not hold for what the server did
+not look at.
+"""
+
+from __future__ import annotations
+
+# Of repeats and relays. Chosen: no loop that drives a robot over a topic is faster, and a misread "1000" stays sane.
+MAX_RATE_HZ = 1000.0
+# Of what one call may ask for: repeating, listening, waiting. Chosen: what takes longer than an hour is a job, which
+# outlives the call and can be looked at and stopped.
+MAX_DURATION_S = 3600.0
+# Of one kind (`failsafe_publish`, `failsafe_call`). Each of the former keeps a publisher in use, of which the pool
+# holds as many, and at the end all of them have 0.3 s together to reach the robot.
+MAX_FAILSAFES = 64
+# Publishers, and clients of services, that are kept for the next request although nobody uses them.
+MAX_POOLED = 64
+# Of a packet. Chosen with much room: the largest headers are listings of the whole graph and texts of definitions.
+MAX_HEADER_BYTES = 16 * 1024 * 1024
+# Of a packet: a picture of 4096 x 4096 in 32-bit RGBA has 67 MB, a cloud of 5 million points of 32 bytes 160 MB. Both
+# sides hold a body as a whole, so that this also bounds what a broken stream can make them collect.
+MAX_BODY_BYTES = 256 * 1024 * 1024
+# Of samples that share a packet. Replies are written between packets: a larger one would delay them, smaller ones cost
+# a system call for every few samples. It is also what fits into a pipe of the local carrier.
+BATCH_BYTES = 1024 * 1024

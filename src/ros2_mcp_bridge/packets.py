@@ -1,0 +1,84 @@
+"""The packets on the stream between the server and the bridge; both sides use this module.
+
+A packet is `u32 header length, u32 body length` (big endian), a UTF-8 JSON object, then the raw body.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+from .limits import MAX_BODY_BYTES, MAX_HEADER_BYTES
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+_LENGTHS = struct.Struct(">II")
+
+
+class PacketError(Exception):
+    """The stream does not carry a packet where one must begin, or one that is larger than allowed."""
+
+
+class Packet(NamedTuple):
+    """One packet: a JSON object and raw bytes."""
+
+    header: dict[str, Any]
+    body: bytes
+
+
+def pack(header: Mapping[str, Any], body: bytes = b"") -> bytes:
+    """The bytes of one packet; raises `PacketError` when a part is larger than the receiver accepts."""
+    text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
+    _check_lengths(len(text), len(body))
+    return b"".join((_LENGTHS.pack(len(text), len(body)), text, body))
+
+
+class PacketReader:
+    """Collects pieces of any size and yields whole packets; each byte is copied twice, however large the packet is."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+
+    def feed(self, piece: bytes) -> Iterator[Packet]:
+        """The packets that this piece completes.
+
+        Raises:
+            PacketError: if the stream carries anything but packets; nothing after that can be understood.
+        """
+        self._buffer += piece
+        while len(self._buffer) >= _LENGTHS.size:
+            header_length, body_length = _LENGTHS.unpack_from(self._buffer)
+            _check_lengths(header_length, body_length)
+            body_begin = _LENGTHS.size + header_length
+            end = body_begin + body_length
+            if len(self._buffer) < end:
+                return
+            with memoryview(self._buffer) as view:
+                text, body = bytes(view[_LENGTHS.size : body_begin]), bytes(view[body_begin:end])
+            del self._buffer[:end]
+            yield Packet(_parse_header(text), body)
+
+    @property
+    def is_inside_packet(self) -> bool:
+        """Whether the beginning of a packet waits for its rest."""
+        return bool(self._buffer)
+
+
+def _parse_header(text: bytes) -> dict[str, Any]:
+    try:
+        header: object = json.loads(text)
+    except ValueError as error:
+        raise PacketError(f"a packet's header is not JSON: {error}") from error
+    if not isinstance(header, dict):
+        raise PacketError("a packet's header is not a JSON object")
+    return cast("dict[str, Any]", header)
+
+
+def _check_lengths(header_length: int, body_length: int) -> None:
+    if header_length > MAX_HEADER_BYTES or body_length > MAX_BODY_BYTES:
+        raise PacketError(
+            f"a packet of {header_length} + {body_length} bytes is larger than the limit of "
+            f"{MAX_HEADER_BYTES} + {MAX_BODY_BYTES}"
+        )
