@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+from ros2_mcp.model.commands import Command
 from ros2_mcp.model.errors import BadValue, Refused
 
 MAX_RATE_HZ = 1000.0
@@ -17,10 +19,16 @@ class Policy:
     read_only: bool = False
     recorded: bool = False
 
-    def require_write(self, what: str) -> None:
-        """Raises `Refused` when this server may only read."""
+    def check(self, command: Command[Any]) -> None:
+        """Decides about a command; called by `Robot.do` alone.
+
+        Raises:
+            Refused: when this server may only read.
+        """
         if self.read_only:
-            raise Refused(f"{what} is refused: this server is read-only.", "Start it without --read-only to allow it.")
+            raise Refused(
+                f"{command.act} is refused: this server is read-only.", "Start it without --read-only to allow it."
+            )
 
 
 def bounded(name: str, value: float, low: float, high: float, unit: str) -> float:

@@ -6,9 +6,9 @@ import asyncio
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.graph import RelayCounts
 
 _KEPT = 20
 
@@ -38,7 +38,7 @@ class Relay:
     state: str = "starting"
     failure: RobotError | None = None
     last_trouble: str = ""
-    counts: dict[str, Any] = field(default_factory=dict[str, Any])
+    counts: RelayCounts = field(default_factory=RelayCounts)
     held_back: int = 0
     failed: int = 0
     dropped_here: int = 0

@@ -1,8 +1,22 @@
-"""Who asks the robot for something, and what."""
+"""Every act that may change something: frozen, with resolved names and full types, told by the principal who asks.
+
+A command says what shall happen; `Robot.do` decides about it and carries it out. Each is generic in what comes of it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Generic, Literal, TypeVar
+
+from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request, goal_id_bytes
+from ros2_mcp.model.graph import RelayCounts
+from ros2_mcp.model.qos import Choice, QoS
+
+R = TypeVar("R")
+
+Risk = Literal["write", "actuate"]
+"""`write` changes software or files, `actuate` may move the robot."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -20,3 +34,282 @@ SERVER = Principal(name="server", transport="server")
 """The server itself, such as for its black box."""
 LOCAL = Principal(name="local", transport="stdio")
 """The one client of a server over stdio."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """What became of a publication.
+
+    `acked` is None where best effort gives no acknowledgement; `late` counts missed periods of a repetition, which
+    ends with a zero command (`stopped_with_zero`) where the type is one that keeps a robot moving.
+    """
+
+    topic: str
+    type: str
+    choice: Choice
+    sent: int
+    matched: int
+    acked: bool | None
+    elapsed_s: float
+    late: int = 0
+    stopped_with_zero: bool = False
+    ended_early: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The response of a service as CDR bytes of `type`, and how long it took."""
+
+    type: str
+    body: bytes
+    elapsed_s: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Command(Generic[R]):
+    """One act, and who asks for it.
+
+    `name` is the absolute name of what is acted on: a topic, a service, an action, a node, a bag. `type` is its full
+    type; `value` the JSON value that is sent. `rate_hz` and `duration_s` are None for what happens once; a duration of
+    0 has no end.
+    """
+
+    principal: Principal
+    name: str
+    type: str = ""
+    value: object = None
+    rate_hz: float | None = None
+    duration_s: float | None = None
+    risk: Risk = "actuate"
+
+    @property
+    def act(self) -> str:
+        """What is done, in words that begin a sentence: `Publishing on /cmd_vel`."""
+        raise NotImplementedError
+
+
+# ── on topics ──────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Publish(Command[Sent]):
+    """One message. The result waits, within bounds, for a subscriber to match and for its acknowledgement."""
+
+    choice: Choice
+    wait_match_s: float
+    wait_ack_s: float = 2.0
+
+    @property
+    def act(self) -> str:
+        """What is done."""
+        return f"Publishing on {self.name}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Repeat(Command[Sent]):
+    """One message again and again; the rhythm is kept inside the bridge. The result comes at its end."""
+
+    choice: Choice
+    rate_hz: float = 1.0
+    duration_s: float = 5.0
+    wait_match_s: float
+
+    @property
+    def act(self) -> str:
+        """What is done."""
+        return f"Publishing on {self.name}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Relay(Command[RelayCounts]):
+    """What comes on `source` is published on `name`. The result comes when it ends, after `duration_s` or before.
+
+    Without a source it is fed (`Feed`), and has neither rate nor end of its own. `relay_id` is its name in the bridge.
+    """
+
+    relay_id: str
+    qos: QoS
+    source: str = ""
+    wait_match_s: float
+
+    @property
+    def act(self) -> str:
+        """What is done."""
+        return f"Relaying to {self.name}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Play(Command[RelayCounts]):
+    """One recorded topic is published again on `name`, fed (`Feed`) in its rhythm; the result comes at its end.
+
+    `relay_id` is its name in the bridge, `bag` the recording and `topic` what the topic is called there.
+    """
+
+    relay_id: str
+    qos: QoS
+    bag: str
+    topic: str
+    wait_match_s: float
+
+    @property
+    def act(self) -> str:
+        """What is done."""
+        return f"Playing {self.bag} on {self.name}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Feed(Command[int]):
+    """Messages (CDR of `type`) for a relay or playback that is fed; the result is how many it has passed on so far.
+
+    Without messages: whether it runs. Raises `NotFound` where no relay of that id does.
+    """
+
+    relay_id: str
+    messages: Sequence[bytes] = ()
+
+    @property
+    def act(self) -> str:
+        """What is done."""
+        return f"Publishing on {self.name}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Record(Command[None]):
+    """Topics are written to the bag `name`; empty `topics` are all. Nothing is sent: it is decided, no more."""
+
+    topics: Sequence[str]
+    risk: Risk = "write"
+
+    @property
+    def act(self) -> str:
+        """What is done."""
+        return "Recording"
+
+
+# ── through services ───────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ServiceBorne(Command[Answer]):
+    """A request to a service. Without `wait_s` the time-out holds for waiting for a server and for its answer together.
+
+    Raises, when it is done:
+        NotFound: if no server appeared in time, or it left before it answered.
+        TimedOut: if it did not answer in time.
+    """
+
+    timeout_s: float
+    wait_s: float | None = None
+
+    @property
+    def service(self) -> str:
+        """The service that is called."""
+        return self.name
+
+    @property
+    def service_type(self) -> str:
+        """Its full type."""
+        return self.type
+
+    @property
+    def request(self) -> object:
+        """The request as a JSON value."""
+        return self.value
+
+    @property
+    def act(self) -> str:
+        """What is done."""
+        return f"Calling {self.service}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ServiceCall(ServiceBorne):
+    """A request to the service `name`; `value` is the request."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _OfNode(ServiceBorne):
+    """A request to a node `name` through a service of it."""
+
+    through: str
+
+    @property
+    def service(self) -> str:
+        """The service that is called."""
+        return self.through
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SetParameters(_OfNode):
+    """Parameters of the node `name`; `value` is the request, `parameters` what they become as plain JSON values."""
+
+    parameters: Mapping[str, Any]
+
+    @property
+    def act(self) -> str:
+        """What is done."""
+        return f"Setting parameters of {self.name}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChangeState(_OfNode):
+    """A transition of the lifecycle node `name`, by its label or its id; `value` is the request."""
+
+    transition: str
+    transition_id: int = 0
+
+    @property
+    def act(self) -> str:
+        """What is done."""
+        return f"Changing the state of {self.name}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SendGoal(ServiceBorne):
+    """A goal for the action `name` of type `type`; `value` is the goal, `goal_id` its 32 hexadecimal digits."""
+
+    goal_id: str
+
+    @property
+    def service(self) -> str:
+        """The service that is called."""
+        return f"{self.name}/_action/send_goal"
+
+    @property
+    def service_type(self) -> str:
+        """Its full type."""
+        return f"{self.type}_SendGoal"
+
+    @property
+    def request(self) -> object:
+        """The request as a JSON value."""
+        return {"goal_id": {"uuid": goal_id_bytes(self.goal_id)}, "goal": self.value}
+
+    @property
+    def act(self) -> str:
+        """What is done."""
+        return f"Sending a goal to {self.name}"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CancelGoals(ServiceBorne):
+    """Cancels one goal of the action `name`; without a `goal_id` all that were accepted up to `stamp`, or all."""
+
+    goal_id: str = ""
+    stamp: Mapping[str, int] | None = None
+    type: str = CANCEL_TYPE
+
+    @property
+    def service(self) -> str:
+        """The service that is called."""
+        return f"{self.name}/_action/cancel_goal"
+
+    @property
+    def request(self) -> object:
+        """The request as a JSON value."""
+        return cancel_request(self.goal_id, self.stamp)
+
+    @property
+    def act(self) -> str:
+        """What is done."""
+        return f"Cancelling goals of {self.name}"

@@ -9,9 +9,9 @@ from time import monotonic
 from typing import Any
 
 from ros2_mcp.model import names
+from ros2_mcp.model.commands import CancelGoals
 from ros2_mcp.model.errors import BadValue
-from ros2_mcp.model.goals import CANCEL_CODES, CANCEL_TYPE, cancel_request, goal_id_hex
-from ros2_mcp.ops.actions import resolve_type
+from ros2_mcp.model.goals import CANCEL_CODES, goal_id_bytes, goal_id_hex
 from ros2_mcp.robot import Robot
 
 UNKNOWN_GOAL = 2
@@ -62,14 +62,13 @@ async def cancel(
     action = names.absolute(action, "action")
     if not goal_id and not cancel_all:
         raise BadValue("goal_id_hex", "no goal is named.", "Give its id, or set cancel_all to cancel every goal.")
-    request = cancel_request("" if cancel_all else goal_id, stamp)
-    await resolve_type(robot, action)
-    service = f"{action}/_action/cancel_goal"
-    answer = await robot.call(service, CANCEL_TYPE, request, timeout_s=timeout_s)
-    response = robot.values.render(f"{CANCEL_TYPE}_Response", answer.body).value
+    goal_id = "" if cancel_all else goal_id_hex(goal_id_bytes(goal_id))
+    await robot.types.action(action)
+    command = CancelGoals(principal=robot.principal, name=action, goal_id=goal_id, stamp=stamp, timeout_s=timeout_s)
+    response = robot.fields_of(await robot.do(command))
     code = int(response["return_code"])
     goals = [CancelledGoal(goal_id_hex(goal["goal_id"]["uuid"]), goal["stamp"]) for goal in response["goals_canceling"]]
-    return Cancellation(service, code, CANCEL_CODES.get(code, str(code)), goals, _note(code, goals, cancel_all))
+    return Cancellation(command.service, code, CANCEL_CODES.get(code, str(code)), goals, _note(code, goals, cancel_all))
 
 
 async def cancel_sent(robot: Robot, action: str, goal_id: str, within_s: float) -> Cancellation:

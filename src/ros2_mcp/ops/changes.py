@@ -14,7 +14,6 @@ from ros2_mcp.model.goals import TERMINAL, goal_id_hex
 from ros2_mcp.model.names import is_hidden
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import log
-from ros2_mcp.ops.actions import action_types
 from ros2_mcp.ops.diagnostics import DIAGNOSTICS, DiagnosticTable
 from ros2_mcp.ops.goal_states import STATUS_TYPE
 from ros2_mcp.robot import Listening, Robot, TopicEndpoints
@@ -89,14 +88,14 @@ class GoalsEnded:
         """Whenever a goal has ended, or an action came or went."""
         ended, followers = asyncio.Event(), dict[str, asyncio.Task[None]]()
         try:
-            known = set(await action_types(robot))
+            known = set(await robot.types.actions())
             ready = [_follow_goals(robot, action, ended, followers) for action in known]
             await asyncio.gather(*ready)
             yield None
             while True:
                 with suppress(asyncio.TimeoutError):
                     await asyncio.wait_for(ended.wait(), POLL_S)
-                present = set(await action_types(robot))
+                present = set(await robot.types.actions())
                 await asyncio.gather(*(_follow_goals(robot, action, ended, followers) for action in present))
                 if ended.is_set() or present != known:
                     known = present

@@ -107,7 +107,9 @@ class DataBlackBox:
 
     async def _inquire(self, request: Mapping[str, Any]) -> bytes:
         try:
-            answer = await self.robot.inquire(self.service, self.service_type, request, timeout_s=TIMEOUT_S, wait_s=1.0)
+            answer = await self.robot.ask_service(
+                self.service, self.service_type, request, timeout_s=TIMEOUT_S, wait_s=1.0
+            )
         except TimedOut as error:
             raise TimedOut(error.message, "Ask the Data Black Box for a shorter time.") from error
         return answer.body

@@ -14,7 +14,6 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.goals import TERMINAL, goal_id_bytes, goal_id_hex, stamp_seconds
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.actions import action_types, resolve_type
 from ros2_mcp.ops.goal_states import STATUS_TYPE, GoalState, states_in, states_now
 from ros2_mcp.ops.goals import SERVER_S
 from ros2_mcp.ops.results import Report, iso_time, silent
@@ -117,7 +116,7 @@ async def follow_feedback(
     wanted = goal_id_hex(goal_id_bytes(goal_id)) if goal_id else None
     _check_limits(duration_s, max_messages)
     action = names.absolute(action, "action")
-    action_type = await resolve_type(robot, action, action_type)
+    action_type = await robot.types.action(action, action_type)
     topic, started = f"{action}/_action/feedback", monotonic()
     messages: list[FeedbackMessage] = []
     omitted, size = 0, 0
@@ -150,7 +149,7 @@ async def follow_status(
     """
     _check_limits(duration_s, max_messages)
     action = names.absolute(action, "action")
-    await resolve_type(robot, action)
+    await robot.types.action(action)
     topic, started = f"{action}/_action/status", monotonic()
     frames: list[StatusFrame] = []
     async with robot.listen(topic, STATUS_TYPE, wait_s=SERVER_S) as heard:
@@ -164,7 +163,7 @@ async def follow_status(
 
 async def all_goals(robot: Robot) -> KnownGoals:
     """Every goal that the action servers tell of, with state and age."""
-    actions = sorted(await action_types(robot))
+    actions = sorted(await robot.types.actions())
     found = await asyncio.gather(*(_goals_of(robot, action) for action in actions))
     goals = sorted((goal for goals in found for goal in goals), key=lambda goal: goal.age_sec or 0.0)
     note = "" if goals else "No goal has been sent yet, or the servers have forgotten them."

@@ -11,9 +11,9 @@ from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
+from ros2_mcp.model.commands import SendGoal
 from ros2_mcp.model.errors import LinkError, NotFound, RobotError, TimedOut
 from ros2_mcp.model.goals import (
-    CANCEL_TYPE,
     STATUS,
     TERMINAL,
     goal_id_bytes,
@@ -21,7 +21,6 @@ from ros2_mcp.model.goals import (
     new_goal_id,
 )
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.actions import action_types, resolve_type
 from ros2_mcp.ops.cancelling import cancel_sent
 from ros2_mcp.ops.goal_states import states_now
 from ros2_mcp.ops.results import Report, in_words, reporting, silent
@@ -101,7 +100,7 @@ async def send_goal(
     """
     bounded("timeout_sec", timeout_s, 0.0, MAX_WAIT_S, "s")
     action = names.absolute(action, "action")
-    action_type = await resolve_type(robot, action, action_type)
+    action_type = await robot.types.action(action, action_type)
     goal_id = new_goal_id()
     sent = _Goal(robot, action, action_type, goal_id)
     try:
@@ -146,23 +145,27 @@ class _Goal:
 
     async def submit(self, goal: Mapping[str, Any]) -> tuple[bool, dict[str, Any]]:
         """Whether the server accepts the goal, and when it did."""
-        service = f"{self._type}_SendGoal"
-        request = {"goal_id": {"uuid": goal_id_bytes(self._id)}, "goal": dict(goal)}
-        await self._robot.values.encode(f"{self._type}_Goal", goal)
-        missing = self._robot.values.missing_fields(f"{self._type}_Goal", goal)
+        robot = self._robot
+        await robot.values.learn(self._type)
+        missing = robot.values.missing_fields(f"{self._type}_Goal", goal)
         self._left_out = f"Sent with their default values: {', '.join(missing)}." if missing else ""
-        await self._robot.values.learn(CANCEL_TYPE)
-        self._robot.goal_sent(self._id, self._action, self._type)
-        name = f"{self._action}/_action/send_goal"
-        calling = asyncio.ensure_future(self._robot.call(name, service, request, timeout_s=ACCEPT_S, wait_s=SERVER_S))
+        command = SendGoal(
+            principal=robot.principal,
+            name=self._action,
+            type=self._type,
+            value=goal,
+            goal_id=self._id,
+            timeout_s=ACCEPT_S,
+            wait_s=SERVER_S,
+        )
+        calling = asyncio.ensure_future(robot.do(command))
         try:
             told = await self._told_before(calling)
             if told is not None:
-                self._robot.goals.accepted(self._id)
+                robot.goals.accepted(self._id)
                 return True, told
             answer = await calling
         except NotFound as error:
-            self._robot.goal_ended(self._id)
             gone = f"The server of {self._action} is not there, or left before it said that it accepts the goal."
             raise NotFound(gone) from error
         except TimedOut as error:
@@ -172,11 +175,7 @@ class _Goal:
             ) from error
         finally:
             calling.cancel()
-        response = self._robot.values.render(f"{service}_Response", answer.body).value
-        if response["accepted"]:
-            self._robot.goals.accepted(self._id)
-        else:
-            self._robot.goal_ended(self._id)
+        response = robot.fields_of(answer)
         return bool(response["accepted"]), response["stamp"]
 
     async def _told_before(self, calling: asyncio.Future[Answer]) -> dict[str, Any] | None:
@@ -270,10 +269,10 @@ async def request_result(
     action = names.absolute(action, "action")
     wait_s = MAX_WAIT_S if timeout_s is None else bounded("timeout_sec", timeout_s, 0.0, MAX_WAIT_S, "s")
     goal_id = goal_id_hex(goal_id_bytes(goal_id))
-    if action_type and action not in await action_types(robot):
+    if action_type and action not in await robot.types.actions():
         action_type = names.interface_type(action_type, "action")  # its server may still have to appear
     else:
-        action_type = await resolve_type(robot, action, action_type)
+        action_type = await robot.types.action(action, action_type)
     async with reporting(report, wait_s, f"waiting for the result of {action}"):
         return await _result(robot, action, action_type, goal_id, timeout_s, wait_for_service_s)
 
@@ -289,7 +288,7 @@ async def _result(
         request = {"goal_id": {"uuid": goal_id_bytes(goal_id)}}
         left_s = max(deadline - monotonic(), _AT_LEAST_S)
         return asyncio.ensure_future(
-            robot.inquire(service, service_type, request, timeout_s=left_s, wait_s=wait_for_service_s)
+            robot.ask_service(service, service_type, request, timeout_s=left_s, wait_s=wait_for_service_s)
         )
 
     asking = ask()
@@ -305,7 +304,7 @@ async def _result(
         return GoalResult(service, goal_id, True, timeout_s, 0, "TIMEOUT", None, note)
     finally:
         asking.cancel()
-    response = robot.values.render(f"{service_type}_Response", answer.body).value
+    response = robot.values.render(answer.type, answer.body).value
     code = int(response["status"])
     if code in TERMINAL or code == 0:
         robot.goal_ended(goal_id)

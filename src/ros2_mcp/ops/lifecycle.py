@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Awaitable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names
+from ros2_mcp.model.commands import Answer, ChangeState
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError, TimedOut
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.translation import CHANGE_STATE
 
 TIMEOUT_S = 5.0
 CHANGE_S = 30.0
@@ -77,18 +79,27 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
     if transition not in before.transitions:
         possible = ", ".join(before.transitions) or "nothing"
         raise BadInput(f"{node} is {before.state}: {transition!r} is not possible.", f"Possible now: {possible}.")
-    request = {"transition": {"id": 0, "label": transition}}
-    available = await _call(robot, node, "get_available_transitions", {})
-    for entry in available["available_transitions"]:
-        if entry["transition"]["label"] == transition:
-            request = {"transition": entry["transition"]}
-    response = await _call(robot, node, "change_state", request, CHANGE_S)
+    available = await _call(robot, node, "get_available_transitions")
+    offered = [entry["transition"] for entry in available["available_transitions"]]
+    chosen = next((entry for entry in offered if entry["label"] == transition), {"id": 0, "label": transition})
+    command = ChangeState(
+        principal=robot.principal,
+        name=node,
+        through=f"{node}/change_state",
+        type=CHANGE_STATE,
+        value={"transition": chosen},
+        transition=transition,
+        transition_id=int(chosen["id"]),
+        timeout_s=CHANGE_S,
+        wait_s=_APPEAR_S,
+    )
+    response = await _answer_of(robot, node, robot.do(command), CHANGE_S)
     after = await _state(robot, node)
     return Transition(node, transition, response["success"], before.state, after.state, after.transitions)
 
 
 async def _lifecycle_nodes(robot: Robot) -> list[str]:
-    ending, kind = "/change_state", "lifecycle_msgs/srv/ChangeState"
+    ending, kind = "/change_state", CHANGE_STATE
     services = [row for row in await robot.graph.services() if row.name.endswith(ending)]
     return sorted(row.name.removesuffix(ending) for row in services if kind in row.types)
 
@@ -102,23 +113,25 @@ async def _state_or_error(robot: Robot, node: str) -> LifecycleState:
 
 async def _state(robot: Robot, node: str) -> LifecycleState:
     current, available = await asyncio.gather(
-        _call(robot, node, "get_state", {}), _call(robot, node, "get_available_transitions", {})
+        _call(robot, node, "get_state"), _call(robot, node, "get_available_transitions")
     )
     labels = [entry["transition"]["label"] for entry in available["available_transitions"]]
     return LifecycleState(node, current["current_state"]["label"], sorted(set(labels)))
 
 
-async def _call(
-    robot: Robot, node: str, service: str, request: dict[str, Any], timeout_s: float = TIMEOUT_S
-) -> dict[str, Any]:
+async def _call(robot: Robot, node: str, service: str) -> dict[str, Any]:
     kind = "lifecycle_msgs/srv/" + "".join(word.capitalize() for word in service.split("_"))
-    ask = robot.call if service == "change_state" else robot.inquire
+    asking = robot.ask_service(f"{node}/{service}", kind, {}, timeout_s=TIMEOUT_S, wait_s=_APPEAR_S)
+    return await _answer_of(robot, node, asking, TIMEOUT_S)
+
+
+async def _answer_of(robot: Robot, node: str, asking: Awaitable[Answer], timeout_s: float) -> dict[str, Any]:
+    """The response in full; what went wrong is told of the node."""
     try:
-        answer = await ask(f"{node}/{service}", kind, request, timeout_s=timeout_s, wait_s=_APPEAR_S)
+        return robot.fields_of(await asking)
     except NotFound as error:
         known = await _lifecycle_nodes(robot)
         hint = names.did_you_mean(node, known, f"Lifecycle nodes: {', '.join(known) or 'none'}.")
         raise NotFound(f"{node} is not a lifecycle node that is running.", hint) from error
     except TimedOut as error:
         raise TimedOut(f"{node} did not answer within {timeout_s:g} s: it is busy or hangs.") from error
-    return robot.values.render(f"{kind}_Response", answer.body).value

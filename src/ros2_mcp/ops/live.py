@@ -61,7 +61,7 @@ class Live:
 
     async def type_of(self, topic: str) -> str:
         """The type of a topic that is there now; raises as `Source.type_of`."""
-        type_name = await self._robot.topic_type(await self._robot.graph.endpoints(names.absolute(topic)), "")
+        type_name = await self._robot.types.topic(await self._robot.graph.endpoints(names.absolute(topic)), "")
         await self._robot.values.learn(type_name)
         return type_name
 

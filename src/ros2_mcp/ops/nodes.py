@@ -112,15 +112,12 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
 
 async def _ask(robot: Robot, served: set[str], service: str, kind: str) -> dict[str, Any] | None:
     """The answer of a service that the node has; None where it has not, or does not answer at once."""
-    from ros2_mcp.codec.render import RenderOptions
-
     if service not in served:
         return None
     try:
-        answer = await robot.inquire(service, kind, {}, timeout_s=ANSWER_S)
+        return robot.fields_of(await robot.ask_service(service, kind, {}, timeout_s=ANSWER_S))
     except RobotError:
         return None
-    return robot.values.render(f"{kind}_Response", answer.body, RenderOptions(exact=True)).value
 
 
 def _assemble(node: str, found: NodeEndpoints, parameters: int | None, lifecycle_state: str | None) -> NodeInfo:

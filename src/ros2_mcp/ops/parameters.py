@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Awaitable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names, parameters
+from ros2_mcp.model.commands import Answer, SetParameters
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound, RobotError, TimedOut
 from ros2_mcp.ops.nodes import list_nodes
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.translation import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
 TIMEOUT_S = 5.0
 _DISCOVERY_S = 6.0
@@ -146,8 +148,17 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
         messages = await _messages(robot, node, values)
     except BadValue as error:
         raise BadValue("", error.message, f"{error.hint} Nothing was set.".lstrip()) from error
-    service = "set_parameters_atomically" if atomic else "set_parameters"
-    response = await _call(robot, node, service, {"parameters": messages})
+    command = SetParameters(
+        principal=robot.principal,
+        name=node,
+        through=f"{node}/set_parameters{'_atomically' if atomic else ''}",
+        type=SET_PARAMETERS_ATOMICALLY if atomic else SET_PARAMETERS,
+        value={"parameters": messages},
+        parameters={message["name"]: parameters.value_of(message["value"]) for message in messages},
+        timeout_s=TIMEOUT_S,
+        wait_s=await _time_to_appear(robot),
+    )
+    response = await _answer_of(robot, node, robot.do(command))
     results = [response["result"]] * len(messages) if atomic else response["results"]
     result_of = {message["name"]: result for message, result in zip(messages, results, strict=True)}
     now = {parameter.name: parameter.value for parameter in await _read(robot, node, list(values))}
@@ -254,14 +265,18 @@ async def _time_to_appear(robot: Robot) -> float:
 
 
 async def _call(robot: Robot, node: str, service: str, request: Mapping[str, Any]) -> dict[str, Any]:
-    """One of a node's parameter services; the response in full."""
-    from ros2_mcp.codec.render import RenderOptions
-
+    """One of a node's reading parameter services; the response in full."""
     kind = "rcl_interfaces/srv/" + "".join(word.capitalize() for word in service.split("_"))
-    ask = robot.call if service.startswith("set_") else robot.inquire
     wait_s = await _time_to_appear(robot)
+    return await _answer_of(
+        robot, node, robot.ask_service(f"{node}/{service}", kind, request, timeout_s=TIMEOUT_S, wait_s=wait_s)
+    )
+
+
+async def _answer_of(robot: Robot, node: str, asking: Awaitable[Answer]) -> dict[str, Any]:
+    """The response in full; what went wrong is told of the node."""
     try:
-        answer = await ask(f"{node}/{service}", kind, request, timeout_s=TIMEOUT_S, wait_s=wait_s)
+        return robot.fields_of(await asking)
     except NotFound as error:
         known = (await list_nodes(robot, include_hidden=True)).nodes
         if node in known:
@@ -270,4 +285,3 @@ async def _call(robot: Robot, node: str, service: str, request: Mapping[str, Any
         raise NotFound(f"There is no node {node}.", names.did_you_mean(node, known)) from error
     except TimedOut as error:
         raise TimedOut(f"{node} did not answer within {TIMEOUT_S:g} s: it is busy or hangs.") from error
-    return robot.values.render(f"{kind}_Response", answer.body, RenderOptions(exact=True)).value

@@ -11,21 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
+from ros2_mcp.model.commands import Feed, Play
 from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, TypeConflict
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.bags import find_topic, span_in
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report, silent
-from ros2_mcp.robot import Robot
-from ros2_mcp.robot.door import VELOCITY_TYPES
+from ros2_mcp.robot import VELOCITY_TYPES, Robot
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
     from ros2_mcp.bags.stored import Span, StoredTopic
 
 MAX_PLAYBACKS = 4
-_FOREVER_S = 1e9
 _SHORTEST_LOOP_S = 0.1
 _MATCH_S = 1.0
 _READY_S = 5.0
@@ -172,16 +171,17 @@ class Playback:
         return f"{self.id}{topic}"
 
     async def _open(self, name: str, topic: StoredTopic) -> None:
-        zero = self._robot.values.encode_known(topic.type, {}) if topic.type in VELOCITY_TYPES else b""
-        await self._robot.graph.ask(
-            "relay",
-            zero,
-            timeout_s=_FOREVER_S,
-            name=self._relay(name),
-            topic=self._destination(name),
-            type=topic.type,
-            qos=_qos(topic).request(),
-            wait_match_s=_MATCH_S,
+        await self._robot.do(
+            Play(
+                principal=self._robot.principal,
+                name=self._destination(name),
+                type=topic.type,
+                relay_id=self._relay(name),
+                qos=_qos(topic),
+                bag=self._wanted.bag,
+                topic=name,
+                wait_match_s=_MATCH_S,
+            )
         )
 
     async def _until_ready(self, name: str) -> None:
@@ -191,7 +191,7 @@ class Playback:
                 if relay.done():
                     relay.result()
             try:
-                await self._robot.graph.ask("relay_feed", name=self._relay(name), sizes=[])
+                await self._pass_on(name, ())
                 return
             except NotFound:
                 if monotonic() > deadline:
@@ -199,9 +199,9 @@ class Playback:
                 await asyncio.sleep(0.02)
 
     async def _note_who_listens(self) -> None:
-        relays = (await self._robot.graph.ask("relays")).ok["relays"]
+        relays = await self._robot.graph.relays()
         relay_of = {self._destination(name): relays.get(self._relay(name)) for name in self._topics}
-        unheard = [topic for topic, relay in relay_of.items() if relay and not relay["matched"]]
+        unheard = [topic for topic, relay in relay_of.items() if relay and not relay.matched]
         if unheard:
             more = f" and {len(unheard) - _NAMED} more" if len(unheard) > _NAMED else ""
             self._note = f"Nobody listened to {', '.join(unheard[:_NAMED])}{more} when it began."
@@ -259,9 +259,19 @@ class Playback:
         """Publishes messages in their order, those of the same topic that follow each other at once."""
         for topic, members in itertools.groupby(group, key=lambda each: each[0]):
             bodies = [sample.data for _, sample in members]
-            sizes = [len(body) for body in bodies]
-            await self._robot.graph.ask("relay_feed", b"".join(bodies), name=self._relay(topic), sizes=sizes)
+            await self._pass_on(topic, bodies)
             self._published[topic] += len(bodies)
+
+    async def _pass_on(self, topic: str, messages: Sequence[bytes]) -> None:
+        await self._robot.do(
+            Feed(
+                principal=self._robot.principal,
+                name=self._destination(topic),
+                type=self._topics[topic].type,
+                relay_id=self._relay(topic),
+                messages=messages,
+            )
+        )
 
 
 async def play(
@@ -276,7 +286,6 @@ async def play(
         TypeConflict: if a topic is there with another type.
         UnknownInterface: if the robot does not know a type.
     """
-    robot.policy.require_write("Playing a bag")
     bounded("rate", wanted.rate, 0.01, 100.0, "times")
     if sum(each.is_running for each in playbacks(memory).values()) >= MAX_PLAYBACKS:
         raise Refused(f"{MAX_PLAYBACKS} playbacks run already.", "Stop one with ros2_bag_play_stop.")

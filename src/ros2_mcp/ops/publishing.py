@@ -10,12 +10,14 @@ from typing import Any
 
 from ros2_mcp.guard.policy import MAX_DURATION_S, MAX_RATE_HZ, bounded
 from ros2_mcp.model import names
+from ros2_mcp.model.commands import Publish, Repeat
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.topics import mismatches
 from ros2_mcp.robot import VELOCITY_TYPES, Robot, Sent
 
 MATCH_S = 1.0
+"""Who is there matches within milliseconds; who has just come up gets the message all the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,10 +111,19 @@ async def _publish_or_error(robot: Robot, publication: Publication, report: Repo
 
 
 async def _send(robot: Robot, publication: Publication, report: Report) -> Sent:
-    topic, kind, data = publication.topic_name, publication.topic_type, publication.data
+    topic, kind = publication.topic_name, publication.topic_type
     rate_hz, duration_s = publication.frequency_hz, publication.duration_s
     if rate_hz is None and duration_s is None:
-        return await robot.publish(topic, kind, data, wait_match_s=MATCH_S)
+        to = await robot.types.destination(topic, kind)
+        once = Publish(
+            principal=robot.principal,
+            name=to.topic,
+            type=to.type,
+            value=publication.data,
+            choice=to.choice,
+            wait_match_s=MATCH_S,
+        )
+        return await robot.do(once)
     if rate_hz is None or duration_s is None:
         given, missing = ("duration", "frequency") if rate_hz is None else ("frequency", "duration")
         raise BadInput(f"{given} is given without {missing}.", "To repeat, give both; to publish once, give neither.")
@@ -120,7 +131,18 @@ async def _send(robot: Robot, publication: Publication, report: Report) -> Sent:
     bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
     ticking = asyncio.create_task(_tick(topic, duration_s, report))
     try:
-        return await robot.repeat(topic, kind, data, rate_hz=rate_hz, duration_s=duration_s, wait_match_s=MATCH_S)
+        to = await robot.types.destination(topic, kind)
+        repeat = Repeat(
+            principal=robot.principal,
+            name=to.topic,
+            type=to.type,
+            value=publication.data,
+            choice=to.choice,
+            rate_hz=rate_hz,
+            duration_s=duration_s,
+            wait_match_s=MATCH_S,
+        )
+        return await robot.do(repeat)
     finally:
         ticking.cancel()
 

@@ -27,10 +27,9 @@ if TYPE_CHECKING:
 def recorded_robot(memory: Memory, result_bytes: int) -> Robot:
     """The recording that is the memory's subject, as far as it can be a robot: it has topics, and does nothing."""
     bridge = Bridge(_no_ros)
-    robot = Robot(bridge, Policy(read_only=True, recorded=True), result_bytes)
-    robot.graph = RecordedGraph(bridge, memory)
-    robot.values = RecordedValues(robot.graph, memory)
-    return robot
+    graph = RecordedGraph(bridge, memory)
+    policy = Policy(read_only=True, recorded=True)
+    return Robot(bridge, policy, result_bytes, graph=graph, values=RecordedValues(graph, memory))
 
 
 def _no_ros() -> NoReturn:

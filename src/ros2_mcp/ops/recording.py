@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names, qos
+from ros2_mcp.model.commands import Record
 from ros2_mcp.model.errors import BadInput, LinkError, NotFound, Refused, RobotError
 from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.ops.memory import Memory
@@ -315,8 +316,8 @@ async def start(robot: Robot, memory: Memory, wanted: Wanted) -> RecordingState:
         BadInput: if the folder cannot be written or the disk is nearly full.
         BadValue: if a limit is out of range.
     """
-    robot.policy.require_write("Recording")
     wanted = _checked(wanted)
+    await robot.do(Record(principal=robot.principal, name=wanted.name, topics=wanted.topics))
     if sum(each.is_running for each in recordings(memory).values()) >= MAX_RECORDINGS:
         raise Refused(f"{MAX_RECORDINGS} recordings run already.", "Stop one with ros2_record_stop.")
     recording = await opened(lambda: _open(robot, memory, wanted))

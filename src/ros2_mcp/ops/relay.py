@@ -7,17 +7,14 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from time import monotonic
-from typing import Any
 
 from ros2_mcp.guard.policy import MAX_RATE_HZ, bounded
 from ros2_mcp.guard.relays import Relay
-from ros2_mcp.model import names
+from ros2_mcp.model import commands, names
 from ros2_mcp.model.errors import BadInput, LinkError, NotFound, TypeConflict
 from ros2_mcp.model.qos import Choice, QoS, for_subscribing
 from ros2_mcp.ops import relaying
 from ros2_mcp.robot import Robot, TopicEndpoints
-from ros2_mcp.robot.door import VELOCITY_TYPES
-from ros2_mcp.robot.wills import Will
 
 TRANSFORMS = {"identity": "identity", "rate_limit": "rate_limit", "on_change": "on_change", "filter": "on_change"}
 MAX_RELAYS = 32
@@ -104,20 +101,18 @@ async def start(robot: Robot, wanted: Wanted) -> RelayState:
         NotFound, TypeConflict: if there is no source topic and no type is given, or the types differ.
     """
     source, destination = names.absolute(wanted.source_topic), names.absolute(wanted.destination_topic)
-    robot.policy.require_write(f"Relaying to {destination}")
     _check(robot, wanted, source, destination)
     present = await robot.graph.wait_for(source, publishers=0 if wanted.message_type else 1, timeout_s=_APPEARS_S)
     there = await robot.graph.endpoints(destination)
-    source_type = await robot.topic_type(present, wanted.message_type)
+    source_type = await robot.types.topic(present, wanted.message_type)
     destination_type = await _destination_type(robot, wanted, source_type, there)
     await robot.values.learn(source_type, destination_type)
     relay = _relay(robot, wanted, source, destination, (source_type, destination_type))
     transform = relaying.transform_of(robot, relay)
-    arguments = _arguments(relay, present, there)
-    zero = _leave_zero(robot, relay, arguments)
+    command = _command(robot, relay, present, there)
     _check(robot, wanted, source, destination)  # another call may have been faster
     robot.relays.add(relay)
-    relay.work = asyncio.create_task(relaying.keep(robot, relay, zero, arguments, transform))
+    relay.work = asyncio.create_task(relaying.keep(robot, relay, command, transform))
     await _until_started(relay)
     return _state(relay)
 
@@ -142,7 +137,7 @@ async def stop(robot: Robot, relay_id: str) -> RelayState:
         raise NotFound(f"There is no relay {relay_id!r}.", f"Known are: {', '.join(known) or 'none'}.")
     relay = known[relay_id]
     if relay.is_open and relay.work is not None:
-        await robot.graph.ask("relay_stop", name=relay_id)
+        await robot.end_relay(relay_id)
         await asyncio.wait({relay.work}, timeout=_STOPPED_S)
     return _state(relay)
 
@@ -172,13 +167,13 @@ def _check(robot: Robot, wanted: Wanted, source: str, destination: str) -> None:
 async def _destination_type(robot: Robot, wanted: Wanted, source_type: str, there: TopicEndpoints) -> str:
     if wanted.mapping:
         try:
-            return await robot.topic_type(there, wanted.destination_type)
+            return await robot.types.topic(there, wanted.destination_type)
         except NotFound as error:
             raise NotFound(f"{there.topic} has no type yet.", "Give destination_type, too.") from error
     if wanted.destination_type:
         raise BadInput("destination_type needs a mapping.", "Without one, the messages pass as they are.")
     try:
-        return await robot.topic_type(there, source_type)
+        return await robot.types.topic(there, source_type)
     except TypeConflict as error:
         raise TypeConflict(error.message, "Give a mapping of its fields, or another destination.") from error
 
@@ -199,8 +194,8 @@ def _relay(robot: Robot, wanted: Wanted, source: str, destination: str, types: t
     )
 
 
-def _arguments(relay: Relay, present: TopicEndpoints, there: TopicEndpoints) -> dict[str, Any]:
-    """The arguments of the bridge's `relay`: where the server feeds it, it has neither source, rate nor end."""
+def _command(robot: Robot, relay: Relay, present: TopicEndpoints, there: TopicEndpoints) -> commands.Relay:
+    """What the bridge does of it: where the server feeds it, it has neither source, rate nor end."""
     publishers = [publisher for publisher in present.publishers if publisher.type == relay.source_type]
     subscribers = [subscriber for subscriber in there.subscribers if subscriber.type == relay.destination_type]
     reading = for_subscribing(publishers, depth=1000)
@@ -212,16 +207,17 @@ def _arguments(relay: Relay, present: TopicEndpoints, there: TopicEndpoints) -> 
         depth=min(sum(depths) or _LATCHED_DEPTH, 100) if latched or asked else 100,
     )
     relay.qos = _words(reading, writing)
-    arguments: dict[str, Any] = {
-        "topic": relay.destination,
-        "type": relay.destination_type,
-        "qos": writing.request(),
-        "wait_match_s": _MATCH_S if subscribers else 0.0,
-    }
-    if relay.in_server:
-        return arguments
-    rate = {"rate_hz": relay.rate_hz} if relay.rate_hz else {}
-    return {**arguments, **rate, "source": relay.source, "duration_s": relay.duration_s}
+    return commands.Relay(
+        principal=robot.principal,
+        name=relay.destination,
+        type=relay.destination_type,
+        relay_id=relay.relay_id,
+        qos=writing,
+        source="" if relay.in_server else relay.source,
+        rate_hz=None if relay.in_server else relay.rate_hz,
+        duration_s=None if relay.in_server else relay.duration_s,
+        wait_match_s=_MATCH_S if subscribers else 0.0,
+    )
 
 
 def _words(reading: Choice, writing: QoS) -> list[str]:
@@ -229,17 +225,6 @@ def _words(reading: Choice, writing: QoS) -> list[str]:
         f"source: {reading.qos.reliability}, {reading.qos.durability} ({reading.reason})",
         f"destination: {writing.reliability}, {writing.durability}",
     ]
-
-
-def _leave_zero(robot: Robot, relay: Relay, arguments: Mapping[str, Any]) -> bytes:
-    """Where the messages keep a robot moving, the bytes that stop it, also left as a last will."""
-    if relay.destination_type not in VELOCITY_TYPES:
-        return b""
-    zero = robot.values.encode_known(relay.destination_type, {})
-    robot.driven.drove(relay.destination, relay.destination_type, zero)
-    where = {name: arguments[name] for name in ("topic", "type", "qos")}
-    robot.wills.leave(relay.destination, Will("failsafe_publish", zero, where))
-    return zero
 
 
 async def _until_started(relay: Relay) -> None:
@@ -262,14 +247,14 @@ def _state(relay: Relay) -> RelayState:
         relay.transform,
         relay.rate_hz,
         relay.duration_s,
-        round(float(counts.get("elapsed_s", 0.0)), 3),
-        int(counts.get("passed", 0)),
-        int(counts.get("dropped", 0)) + relay.held_back,
+        round(counts.elapsed_s, 3),
+        counts.passed,
+        counts.dropped + relay.held_back,
         _lost(relay),
         relay.failed,
-        None if relay.in_server else int(counts.get("publishers", 0)),
-        int(counts.get("matched", 0)),
-        bool(counts.get("final_sent", False)),
+        None if relay.in_server else counts.publishers,
+        counts.matched,
+        counts.final_sent,
         "server" if relay.in_server else "bridge",
         relay.qos,
         " ".join(_notes(relay)),
@@ -277,7 +262,7 @@ def _state(relay: Relay) -> RelayState:
 
 
 def _lost(relay: Relay) -> int | None:
-    in_bridge: int | None = relay.counts.get("lost", 0)
+    in_bridge: int | None = relay.counts.lost
     if in_bridge is None or relay.lost_here is None:
         return None
     return in_bridge + relay.lost_here + relay.dropped_here
@@ -289,8 +274,8 @@ def _notes(relay: Relay) -> list[str]:
         notes.append(f"{relay.failed} message(s) could not be passed on, the last because: {relay.last_trouble}")
     if relay.dropped_here:
         notes.append(f"{relay.dropped_here} message(s) came faster than they could be compared.")
-    if relay.is_open and not relay.counts.get("matched"):
+    if relay.is_open and not relay.counts.matched:
         notes.append("Nobody subscribes to the destination.")
-    if relay.is_open and not relay.in_server and not relay.counts.get("publishers"):
+    if relay.is_open and not relay.in_server and not relay.counts.publishers:
         notes.append("Nobody publishes on the source now; the relay waits.")
     return notes

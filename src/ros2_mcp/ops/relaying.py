@@ -5,17 +5,15 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from time import monotonic
-from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.relays import Relay
+from ros2_mcp.model import commands
 from ros2_mcp.model.errors import BadData, BadValue, NotFound, RobotError
+from ros2_mcp.model.graph import RelayCounts
 from ros2_mcp.model.qos import mismatch
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.robot import Listening, Robot
 from ros2_mcp_bridge.rhythm import Rhythm
-
-if TYPE_CHECKING:
-    from ros2_mcp.link.client import Reply
 
 Transform = Callable[[Sample], "bytes | None"]
 """What becomes of a message: the bytes to publish, or None where it is held back."""
@@ -50,11 +48,9 @@ def transform_of(robot: Robot, relay: Relay) -> Transform:
     return transform
 
 
-async def keep(robot: Robot, relay: Relay, zero: bytes, arguments: dict[str, Any], transform: Transform) -> None:
+async def keep(robot: Robot, relay: Relay, command: commands.Relay, transform: Transform) -> None:
     """Runs a relay to its end, whatever ends it, and notes how it ended."""
-    request = asyncio.ensure_future(
-        robot.graph.ask("relay", zero, timeout_s=_FOREVER_S, name=relay.relay_id, **arguments)
-    )
+    request = asyncio.ensure_future(robot.do(command))
     try:
         await _until_open(robot, relay, request)
         time_is_over = False
@@ -62,8 +58,8 @@ async def keep(robot: Robot, relay: Relay, zero: bytes, arguments: dict[str, Any
             time_is_over = await _pump_beside(robot, relay, request, transform)
         else:
             relay.state = "running"
-        relay.counts = dict((await request).ok)
-        relay.state = "stopped" if relay.counts["cancelled"] and not time_is_over else "ended"
+        relay.counts = await request
+        relay.state = "stopped" if relay.counts.cancelled and not time_is_over else "ended"
     except RobotError as error:
         relay.failure, relay.state = error, "failed"
     finally:
@@ -72,25 +68,25 @@ async def keep(robot: Robot, relay: Relay, zero: bytes, arguments: dict[str, Any
 
 async def look(robot: Robot) -> None:
     """Brings the counts of all open relays up to date."""
-    running = (await robot.graph.ask("relays")).ok["relays"]
+    running = await robot.graph.relays()
     for relay in robot.relays.open:
         relay.counts = running.get(relay.relay_id, relay.counts)
 
 
-async def _until_open(robot: Robot, relay: Relay, request: asyncio.Future[Reply]) -> None:
-    while not request.done() and not relay.counts.get("running"):
+async def _until_open(robot: Robot, relay: Relay, request: asyncio.Future[RelayCounts]) -> None:
+    while not request.done() and not relay.counts.running:
         await look(robot)
         await asyncio.wait({request}, timeout=_LOOK_EVERY_S)
 
 
-async def _pump_beside(robot: Robot, relay: Relay, request: asyncio.Future[Reply], transform: Transform) -> bool:
+async def _pump_beside(robot: Robot, relay: Relay, request: asyncio.Future[RelayCounts], transform: Transform) -> bool:
     """Feeds the bridge until the time is over (true), or until the bridge has ended the relay."""
     pumping = asyncio.ensure_future(_pump(robot, relay, transform))
     try:
         await asyncio.wait({request, pumping}, return_when=asyncio.FIRST_COMPLETED)
         if request.done():
             return False
-        await robot.graph.ask("relay_stop", name=relay.relay_id)
+        await robot.end_relay(relay.relay_id)
         pumping.result()
         return True
     finally:
@@ -143,9 +139,15 @@ async def _pass_on(robot: Robot, relay: Relay, transform: Transform, samples: Se
 
 
 async def _feed(robot: Robot, relay: Relay, batch: Sequence[bytes]) -> None:
-    sizes = [len(message) for message in batch]
+    feed = commands.Feed(
+        principal=robot.principal,
+        name=relay.destination,
+        type=relay.destination_type,
+        relay_id=relay.relay_id,
+        messages=batch,
+    )
     try:
-        await robot.graph.ask("relay_feed", b"".join(batch), name=relay.relay_id, sizes=sizes)
+        await robot.do(feed)
     except NotFound:
         await asyncio.sleep(_FOREVER_S)  # the bridge has ended the relay, and its answer to that is under way
 

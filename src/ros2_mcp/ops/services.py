@@ -9,11 +9,12 @@ from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadName, NotFound, TimedOut, TypeConflict, UnknownInterface
+from ros2_mcp.model.commands import ServiceCall
+from ros2_mcp.model.errors import BadName, NotFound, TimedOut, UnknownInterface
 from ros2_mcp.ops.results import Report, in_words, reporting, silent
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.resolution import is_infrastructure
 
-_INFRASTRUCTURE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 MAX_TIMEOUT_S = 3600.0
 _STILL_WORKING = "It may still be working on it; a longer timeout_sec waits for longer."
 
@@ -66,7 +67,7 @@ async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = 
     """The services whose names match the pattern. Those that every node has are shown with `include_hidden`."""
     found = await robot.graph.services()
     every = {row.name: row.types for row in found}
-    visible = [name for name in sorted(every) if include_hidden or not _is_infrastructure(name, every[name])]
+    visible = [name for name in sorted(every) if include_hidden or not is_infrastructure(name, every[name])]
     chosen = names.matching(visible, pattern)
     providers, fields = await asyncio.gather(
         _providers(robot), _request_fields(robot, [every[name][0] for name in chosen[:limit]])
@@ -99,22 +100,24 @@ async def call(
     """
     bounded("timeout_sec", timeout_s, 0.01, MAX_TIMEOUT_S, "s")
     service = names.absolute(service, "service")
-    if not _is_known(robot, service, service_type):
-        service_type = await _resolve_type(robot, service, service_type)
+    service_type = await robot.types.service(service, service_type)
     await robot.values.learn(service_type)
     missing = robot.values.missing_fields(f"{service_type}_Request", request)
     if missing and not force_call:
         return _not_called(service, service_type, missing)
+    command = ServiceCall(
+        principal=robot.principal, name=service, type=service_type, value=request, timeout_s=timeout_s
+    )
     try:
         async with reporting(report, timeout_s, f"waiting for {service}"):
-            answer = await robot.call(service, service_type, request, timeout_s=timeout_s)
+            answer = await robot.do(command)
     except NotFound as error:
-        robot.service_types.pop(service, None)
-        await _resolve_type(robot, service, service_type)  # it may have come back with another one
-        raise NotFound(error.message, error.hint or await _suggest(robot, service)) from error
+        robot.types.forget_service(service)
+        await robot.types.service(service, service_type)  # it may have come back with another one
+        raise NotFound(error.message, error.hint or await robot.types.near_service(service)) from error
     except TimedOut as error:
         raise TimedOut(error.message, error.hint or _STILL_WORKING) from error
-    shown = robot.values.render(f"{service_type}_Response", answer.body)
+    shown = robot.values.render(answer.type, answer.body)
     return ServiceAnswer(service, service_type, True, shown.value, missing, answer.elapsed_s, shown.truncated, "")
 
 
@@ -124,39 +127,6 @@ def _not_called(service: str, service_type: str, missing: Sequence[str]) -> Serv
         "default values."
     )
     return ServiceAnswer(service, service_type, False, None, missing, 0.0, (), note)
-
-
-def _is_known(robot: Robot, service: str, asked: str) -> bool:
-    """Whether the asked type is the only one that the service had when it was called last."""
-    return bool(asked) and robot.service_types.get(service) == asked
-
-
-async def _resolve_type(robot: Robot, service: str, asked: str) -> str:
-    """The type to call a service with: the asked one, or the one that the graph knows.
-
-    Raises:
-        TypeConflict: if the service has another type than the asked one, or several and none is asked for.
-        NotFound: if it is not there and no type is asked for.
-    """
-    wanted = names.interface_type(asked, "srv") if asked else ""
-    types = next((row.types for row in await robot.graph.services() if row.name == service), ())
-    if wanted and types and wanted not in types:
-        raise TypeConflict(f"{service} has the type {' and '.join(types)}, not {wanted}.", "Leave the type out.")
-    if len(types) == 1:
-        robot.service_types[service] = types[0]
-    if wanted:
-        return wanted
-    if not types:
-        raise NotFound(f"There is no service {service}.", await _suggest(robot, service))
-    if len(types) > 1:
-        raise TypeConflict(f"{service} has {len(types)} types: {', '.join(types)}.", "Give the type you mean.")
-    return types[0]
-
-
-async def _suggest(robot: Robot, service: str) -> str:
-    others = [row for row in await robot.graph.services() if row.name != service]
-    known = [row.name for row in others if not _is_infrastructure(row.name, row.types)]
-    return names.did_you_mean(service, known, "ros2_service_list shows what is there.")
 
 
 async def _providers(robot: Robot) -> dict[str, list[str]]:
@@ -187,10 +157,6 @@ async def _request_fields(robot: Robot, types: Sequence[str]) -> dict[str, dict[
         except UnknownInterface:
             fields[name] = {}
     return fields
-
-
-def _is_infrastructure(name: str, types: Sequence[str]) -> bool:
-    return names.is_hidden(name) or any(kind.startswith(_INFRASTRUCTURE) for kind in types)
 
 
 def _list_note(left_out: int, matching: int, limit: int, settled: bool) -> str:

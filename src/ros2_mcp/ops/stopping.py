@@ -6,13 +6,19 @@ import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ros2_mcp.guard.running import SentGoal
+from ros2_mcp.model.commands import Publish
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.model.goals import STATUS, TERMINAL
 from ros2_mcp.ops import cancelling, goals
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.sent_goals import SentGoal
 
 ENDED_S = 3.0
+"""An action server that is alive ends a cancelled goal within its control period; who stops must be told soon."""
+_MATCH_S = 0.2
+"""The publisher is there already, as it drove: only one whose endpoint had expired needs a moment."""
+_ACKNOWLEDGED_S = 0.5
+"""A reliable subscriber acknowledges within milliseconds; later it is not confirmed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +84,9 @@ async def stop(robot: Robot) -> Stopped:
     Raises:
         LinkError: if the bridge cannot be reached at all.
     """
-    answer = (await robot.graph.ask("stop")).ok
-    repeats, relays = int(answer["repeats"]), int(answer["relays"])
+    repeats, relays = await robot.end_streams()
     topics, ended = await asyncio.gather(
-        asyncio.gather(*(_zero(robot, topic, kind) for topic, kind in robot.driven.zeros)),
+        asyncio.gather(*(_zero(robot, topic, kind) for topic, kind in robot.failsafes.zeros)),
         asyncio.gather(*(_cancel(robot, goal) for goal in robot.goals.open.values())),
     )
     confirmed = all(_is_still(topic) for topic in topics) and all(goal.confirmed for goal in ended)
@@ -110,7 +115,17 @@ def _note(streams: int, topics: Sequence[StoppedTopic], ended: Sequence[StoppedG
 
 async def _zero(robot: Robot, topic: str, kind: str) -> StoppedTopic:
     try:
-        sent = await robot.publish(topic, kind, {}, wait_match_s=0.2, wait_ack_s=0.5)
+        to = await robot.types.destination(topic, kind)
+        zero = Publish(
+            principal=robot.principal,
+            name=to.topic,
+            type=to.type,
+            value={},
+            choice=to.choice,
+            wait_match_s=_MATCH_S,
+            wait_ack_s=_ACKNOWLEDGED_S,
+        )
+        sent = await robot.do(zero)
         there = await robot.graph.endpoints(topic)
     except RobotError as error:
         return StoppedTopic(topic, 0, False, error=str(error))

@@ -1,10 +1,13 @@
-"""The only door to the robot: resolve the name, ask the guard, check the values, encode, send.
+"""The robot: names and JSON values above, bytes below.
 
-Everything above speaks names and JSON values; everything below speaks bytes.
+Reading goes through `Robot.listen`, `Robot.graph` and `Robot.ask_service`; everything that acts is a command, and
+`Robot.do` is the only way to carry it out.
 """
 
+from ros2_mcp.model.commands import Answer, Sent
 from ros2_mcp.model.graph import TopicEndpoints
-from ros2_mcp.robot.door import VELOCITY_TYPES, Robot
-from ros2_mcp.robot.exchange import Answer, Listening, Sent
+from ros2_mcp.robot.failsafes import VELOCITY_TYPES
+from ros2_mcp.robot.listening import Listening
+from ros2_mcp.robot.robot import Robot
 
 __all__ = ["VELOCITY_TYPES", "Answer", "Listening", "Robot", "Sent", "TopicEndpoints"]

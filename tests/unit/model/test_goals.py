@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from ros2_mcp.guard.running import SentGoals
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.goals import cancel_request, goal_id_bytes, goal_id_hex, new_goal_id, stamp_seconds
+from ros2_mcp.robot.sent_goals import SentGoals
 
 
 def test_a_goal_id_is_32_hexadecimal_digits_and_16_bytes() -> None:

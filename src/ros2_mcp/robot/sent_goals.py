@@ -1,4 +1,4 @@
-"""What this server has set in motion and must be able to stop: velocity topics it drives, goals it has sent."""
+"""The goals that this server has sent, and must be able to cancel."""
 
 from __future__ import annotations
 
@@ -55,19 +55,3 @@ class SentGoals:
     def open(self) -> Mapping[str, SentGoal]:
         """The goals by their ids."""
         return dict(self._open)
-
-
-class Driven:
-    """Topics with velocity commands that this server has published on, and the bytes that stop them."""
-
-    def __init__(self) -> None:
-        self._zeros: dict[tuple[str, str], bytes] = {}
-
-    def drove(self, topic: str, type_name: str, zero: bytes) -> None:
-        """Notes a topic and its zero command (CDR)."""
-        self._zeros[topic, type_name] = zero
-
-    @property
-    def zeros(self) -> Mapping[tuple[str, str], bytes]:
-        """(topic, type) → the bytes of its zero command."""
-        return dict(self._zeros)

@@ -1,0 +1,31 @@
+"""What every command is carried out with: the graph, values, types, fail-safes and goals of one robot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ros2_mcp.robot.failsafes import Failsafes
+from ros2_mcp.robot.graph import Graph
+from ros2_mcp.robot.resolution import Types
+from ros2_mcp.robot.sent_goals import SentGoals
+from ros2_mcp.robot.values import Values
+
+if TYPE_CHECKING:
+    from ros2_mcp.link.client import Bridge
+
+
+class Core:
+    """One robot without the ways to act on it. A recording in the place of a robot has its own `graph` and `values`."""
+
+    def __init__(self, bridge: Bridge, graph: Graph | None = None, values: Values | None = None) -> None:
+        self.bridge = bridge
+        self.graph = graph or Graph(bridge)
+        self.values = values or Values(self.graph)
+        self.types = Types(self.graph)
+        self.failsafes = Failsafes(self.graph, self.values)
+        self.goals = SentGoals()
+
+    def goal_ended(self, goal_id: str) -> None:
+        """Forgets a goal that has ended or was not accepted."""
+        self.goals.ended(goal_id)
+        self.failsafes.withdraw(goal_id)

@@ -1,0 +1,171 @@
+"""The robot: reading it by name and value, and the one way to act on it."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp.guard.relays import Relays
+from ros2_mcp.model import commands, names, qos
+from ros2_mcp.model.commands import LOCAL, Answer, Command, Principal, R
+from ros2_mcp.robot import goals, publishing, services
+from ros2_mcp.robot.core import Core
+from ros2_mcp.robot.graph import Graph
+from ros2_mcp.robot.listening import Listening
+from ros2_mcp.robot.log import LogRing
+from ros2_mcp.robot.translation import as_meant
+from ros2_mcp.robot.values import Values
+
+if TYPE_CHECKING:
+    from ros2_mcp.link.client import Bridge
+
+
+async def _nothing(_core: Core, _command: Command[Any]) -> None:
+    """A recording sends nothing to the robot: it is decided, no more."""
+
+
+_EXECUTORS: Mapping[type[Command[Any]], Callable[[Core, Any], Awaitable[Any]]] = {
+    commands.Publish: publishing.publish,
+    commands.Repeat: publishing.repeat,
+    commands.Relay: publishing.relay,
+    commands.Play: publishing.relay,
+    commands.Feed: publishing.feed,
+    commands.Record: _nothing,
+    commands.ServiceCall: services.call,
+    commands.SetParameters: services.call,
+    commands.ChangeState: services.call,
+    commands.SendGoal: goals.send,
+    commands.CancelGoals: services.call,
+}
+"""How each command is carried out, once it has been decided: it encodes its value, leaves its fail-safe and sends."""
+
+
+class Robot(Core):
+    """One robot: its graph, its definitions, its topics, services and actions.
+
+    `principal` is who asks through it (`acting_for`).
+    """
+
+    def __init__(
+        self,
+        bridge: Bridge,
+        policy: Policy | None = None,
+        result_bytes: int = 32_000,
+        *,
+        graph: Graph | None = None,
+        values: Values | None = None,
+    ) -> None:
+        super().__init__(bridge, graph, values)
+        self.policy = policy or Policy()
+        self.principal = LOCAL
+        self.log = LogRing(bridge)
+        self.relays = Relays()
+        self.result_bytes = result_bytes
+        self.limitations: list[str] = []
+
+    def acting_for(self, principal: Principal) -> Robot:
+        """The same robot for one client: whatever is done through it is done for that principal."""
+        robot = copy.copy(self)
+        robot.principal = principal
+        return robot
+
+    # ── acting ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def do(self, command: Command[R]) -> R:
+        """Decides about a command and carries it out. Nothing is registered, left or sent before it is decided.
+
+        Raises:
+            Refused: if the policy of this server forbids it.
+            BadValue: naming the path of a value that does not fit its definition; nothing is sent.
+            RobotError: what the command itself may raise.
+        """
+        command = await as_meant(self, command)
+        self.policy.check(command)
+        return await _EXECUTORS[type(command)](self, command)
+
+    async def end_streams(self) -> tuple[int, int]:
+        """Ends all repeated publishing and all relays; how many of each. What stops is never refused."""
+        ended = (await self.graph.ask("stop")).ok
+        return int(ended["repeats"]), int(ended["relays"])
+
+    async def end_relay(self, relay_id: str) -> None:
+        """Ends one relay or playback in the bridge; without effect where there is none."""
+        await self.graph.ask("relay_stop", name=relay_id)
+
+    # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    @asynccontextmanager
+    async def listen(
+        self,
+        topic: str,
+        type_name: str = "",
+        *,
+        wait_s: float = 0.0,
+        keep: str = "all",
+        max_samples: int = 20_000,
+        max_bytes: int = 64_000_000,
+    ) -> AsyncGenerator[Listening, None]:
+        """A subscription that matches every publisher there is.
+
+        Args:
+            topic: its name; it need not be there yet.
+            type_name: needed only if the topic has several types or none yet.
+            wait_s: how long to wait for a first publisher.
+            keep: `all` samples that wait, or only the `latest`.
+            max_samples: bound on the samples that wait; the oldest are dropped and counted.
+            max_bytes: bound on their bytes.
+
+        Raises:
+            NotFound: if the topic is not there and no type is given.
+            TypeConflict: if it has several types and none is given, or not the given one.
+        """
+        topic = names.absolute(topic)
+        present = await self.graph.wait_for(topic, publishers=1, timeout_s=wait_s)
+        type_name = await self.types.topic(present, type_name)
+        await self.values.learn(type_name)
+        publishers = [publisher for publisher in present.publishers if publisher.type == type_name]
+        choice = qos.for_subscribing(publishers, depth=1 if keep == "latest" else 1000)
+        async with await self.bridge.subscribe(
+            topic, type_name, choice.qos.request(), keep=keep, max_samples=max_samples, max_bytes=max_bytes
+        ) as subscription:
+            yield Listening(topic, type_name, choice, publishers, subscription)
+
+    @asynccontextmanager
+    async def listen_again(self, former: Listening, *, max_bytes: int) -> AsyncGenerator[Listening, None]:
+        """The same subscription anew, at once: the bridge that follows a lost one need not look around first."""
+        request = former.choice.qos.request()
+        async with await self.bridge.subscribe(
+            former.topic, former.type, request, keep="all", max_samples=20_000, max_bytes=max_bytes
+        ) as subscription:
+            yield Listening(former.topic, former.type, former.choice, former.publishers, subscription)
+
+    async def ask_service(
+        self,
+        service: str,
+        service_type: str,
+        request: Mapping[str, Any],
+        *,
+        timeout_s: float,
+        wait_s: float | None = None,
+    ) -> Answer:
+        """Asks a service that only tells something, such as `get_parameters`; any other takes a command.
+
+        Without `wait_s` the time-out holds for waiting for a server and for its answer together.
+
+        Raises:
+            ValueError: for a type that is not known to change nothing.
+            NotFound: if no server appeared in time, or it left before it answered.
+            TimedOut: if it did not answer in time.
+        """
+        if not services.only_tells(service_type):
+            raise ValueError(f"{service_type} may change something: calling {service} takes a command.")
+        return await services.exchange(self, service, service_type, request, timeout_s=timeout_s, wait_s=wait_s)
+
+    def fields_of(self, answer: Answer) -> dict[str, Any]:
+        """The answer of a service in full, for this program and not for display."""
+        from ros2_mcp.codec.render import RenderOptions
+
+        return self.values.render(answer.type, answer.body, RenderOptions(exact=True)).value

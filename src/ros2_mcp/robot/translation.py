@@ -1,0 +1,84 @@
+"""What a service call means: one that sets parameters, makes a transition, sends or cancels goals is that command.
+
+So it is decided, tracked and stopped like it, whichever tool it came through.
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+from ros2_mcp.model import parameters
+from ros2_mcp.model.commands import (
+    CancelGoals,
+    ChangeState,
+    Command,
+    R,
+    SendGoal,
+    ServiceBorne,
+    ServiceCall,
+    SetParameters,
+)
+from ros2_mcp.model.errors import BadValue
+from ros2_mcp.model.goals import CANCEL_TYPE, goal_id_hex
+from ros2_mcp.robot.core import Core
+
+SET_PARAMETERS = "rcl_interfaces/srv/SetParameters"
+SET_PARAMETERS_ATOMICALLY = "rcl_interfaces/srv/SetParametersAtomically"
+CHANGE_STATE = "lifecycle_msgs/srv/ChangeState"
+_SEND_GOAL = "_SendGoal"
+
+
+async def as_meant(core: Core, command: Command[R]) -> Command[R]:
+    """The command itself, or the one that a service call stands for; its request is checked first.
+
+    Raises:
+        BadValue: if the request does not fit the definition of the service's type.
+    """
+    if not isinstance(command, ServiceCall):
+        return command
+    return cast("Command[R]", await _meaning(core, command))
+
+
+async def _meaning(core: Core, command: ServiceCall) -> ServiceBorne:
+    kind, (subject, _, _) = command.type, command.name.rpartition("/")
+    is_goal = "/action/" in kind and kind.endswith(_SEND_GOAL)
+    if not (is_goal or kind in (SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY, CHANGE_STATE, CANCEL_TYPE)):
+        return command
+    request = await _request(core, command)
+    common: dict[str, Any] = {
+        "principal": command.principal,
+        "risk": command.risk,
+        "timeout_s": command.timeout_s,
+        "wait_s": command.wait_s,
+    }
+    of_node: dict[str, Any] = {
+        "name": subject or "/",
+        "through": command.name,
+        "type": kind,
+        "value": command.value,
+    }
+    if kind == CHANGE_STATE:
+        transition = request["transition"]
+        return ChangeState(**common, **of_node, transition=transition["label"], transition_id=int(transition["id"]))
+    if kind in (SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY):
+        plain = {entry["name"]: parameters.value_of(entry["value"]) for entry in request["parameters"]}
+        return SetParameters(**common, **of_node, parameters=plain)
+    action = subject.removesuffix("/_action")
+    if is_goal:
+        goal_id = goal_id_hex(request["goal_id"]["uuid"])
+        if not int(goal_id, 16):
+            raise BadValue("goal_id.uuid", "all zeros is no goal, it stands for every goal.", "Give 16 random bytes.")
+        goal = cast("dict[str, Any]", command.value).get("goal", {})
+        return SendGoal(**common, name=action, type=kind.removesuffix(_SEND_GOAL), value=goal, goal_id=goal_id)
+    goal_id = goal_id_hex(request["goal_info"]["goal_id"]["uuid"])
+    one = goal_id if int(goal_id, 16) else ""
+    return CancelGoals(**common, name=action, goal_id=one, stamp=request["goal_info"]["stamp"], value=command.value)
+
+
+async def _request(core: Core, command: ServiceCall) -> dict[str, Any]:
+    """The request in full, with every field in one form."""
+    from ros2_mcp.codec.render import RenderOptions
+
+    kind = f"{command.type}_Request"
+    body = await core.values.encode(kind, command.value)
+    return core.values.render(kind, body, RenderOptions(exact=True)).value
