@@ -171,18 +171,17 @@ class Playback:
         return f"{self.id}{topic}"
 
     async def _open(self, name: str, topic: StoredTopic) -> None:
-        await self._robot.do(
-            Play(
-                principal=self._robot.principal,
-                name=self._destination(name),
-                type=topic.type,
-                relay_id=self._relay(name),
-                qos=_qos(topic),
-                bag=self._wanted.bag,
-                topic=name,
-                wait_match_s=_MATCH_S,
-            )
+        play = Play(
+            principal=self._robot.principal,
+            name=self._destination(name),
+            type=topic.type,
+            relay_id=self._relay(name),
+            qos=_qos(topic),
+            bag=self._wanted.bag,
+            topic=name,
+            wait_match_s=_MATCH_S,
         )
+        await self._robot.do(play)
 
     async def _until_ready(self, name: str) -> None:
         deadline = monotonic() + _READY_S
@@ -263,15 +262,9 @@ class Playback:
             self._published[topic] += len(bodies)
 
     async def _pass_on(self, topic: str, messages: Sequence[bytes]) -> None:
-        await self._robot.do(
-            Feed(
-                principal=self._robot.principal,
-                name=self._destination(topic),
-                type=self._topics[topic].type,
-                relay_id=self._relay(topic),
-                messages=messages,
-            )
-        )
+        to, kind, relay_id = self._destination(topic), self._topics[topic].type, self._relay(topic)
+        feed = Feed(principal=self._robot.principal, name=to, type=kind, relay_id=relay_id, messages=messages)
+        await self._robot.do(feed)
 
 
 async def play(
