@@ -100,9 +100,7 @@ class Playback:
         self._work: asyncio.Task[None] | None = None
         self._state = "playing"
         self._note = ""
-        self._progress = 0.0
-        self._loops = 0
-        self._late_s = 0.0
+        self._progress, self._late_s, self._loops = 0.0, 0.0, 0
         self._started = monotonic()
         self._ended = 0.0
 

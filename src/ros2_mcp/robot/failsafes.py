@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model.errors import BridgeLost, RobotError
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request
 from ros2_mcp.model.qos import QoS
+from ros2_mcp_bridge.limits import MAX_FAILSAFES
 
 if TYPE_CHECKING:
     from ros2_mcp.robot.graph import Graph
@@ -29,9 +30,6 @@ VELOCITY_TYPES = frozenset(
     }
 )
 """Types whose messages keep a robot moving, and whose default value stops it."""
-MOST = 64
-"""Of one kind; each is an endpoint that the bridge keeps ready. A robot has a few velocity topics, so that only goals
-that nobody followed to their end come near it."""
 _FOREVER_S = 1e9
 """A fail-safe has no end of its own; the stream's protocol wants a number."""
 _DISCOVERED_S = 10.0
@@ -99,7 +97,7 @@ class Failsafes:
         if key in self._held:
             return
         of_this_kind = [other for other, (op, _) in self._held.items() if op == failsafe.op]
-        if len(of_this_kind) >= MOST:
+        if len(of_this_kind) >= MAX_FAILSAFES:
             self.withdraw(of_this_kind[0])
         self._held[key] = failsafe.op, asyncio.create_task(self._hold(key, failsafe))
 
