@@ -162,7 +162,9 @@ class LocalBridge:
             self._process.stdin.close()
 
     def _close_pipes(self) -> None:
-        if self._writer and not self._input.gone:
+        # Closing ends the writer once it is empty; aborting it then, too, would end it twice. What a dead child did not
+        # read would keep it open for ever.
+        if self._writer and self._writer.get_write_buffer_size():
             self._writer.abort()
         for transport in self._transports:
             transport.close()
@@ -212,7 +214,6 @@ class _InputPipe(asyncio.BaseProtocol):
     """Knows whether the pipe to the child takes more."""
 
     def __init__(self) -> None:
-        self.gone = False
         self._free = asyncio.Event()
         self._free.set()
 
@@ -223,7 +224,6 @@ class _InputPipe(asyncio.BaseProtocol):
         self._free.set()
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
-        self.gone = True
         self._free.set()
 
     async def writable(self) -> None:
