@@ -10,26 +10,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ros2_mcp.codec.clouds import Cloud
-from ros2_mcp.codec.plot import png
+from ros2_mcp.codec.raster import encoded, magnified
 from ros2_mcp.model.errors import BadData
-from ros2_mcp.model.pictures import Picture
+from ros2_mcp.model.pictures import BirdEyeOptions, Picture
 
-_SMALL_SIDE = 400
 _COARSER = 1.1
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """How to look at a cloud: metres for each pixel, heights shown (None: all), `intensity`, `height` or `rgb` as
-    colour, `jet` or `gray` as the scale of colours, bounds of the picture."""
-
-    resolution_m: float = 0.05
-    z_min_m: float | None = None
-    z_max_m: float | None = None
-    color_mode: str = "intensity"
-    colormap: str = "jet"
-    max_side: int = 1568
-    max_bytes: int = 700_000
+"""By how much at least, where a picture has too many bytes; mostly their square root says it at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,48 +48,49 @@ class _Coloured:
     note: str = ""
 
 
-def bird_eye(cloud: Cloud, wanted: Wanted) -> BirdEye:
+def bird_eye(cloud: Cloud, options: BirdEyeOptions) -> BirdEye:
     """The cloud from above. The resolution is made coarser where the picture would be too large.
 
     Raises:
         BadData: if no point is left to show.
     """
-    kept = _within(cloud, wanted)
+    kept = _within(cloud, options)
     if not kept.any():
         raise BadData(
             f"No point to show: of {cloud.points} points, {cloud.not_finite} are not finite and the others are outside "
             "the heights asked for."
         )
     xyz = cloud.xyz[kept]
-    coloured = _coloured(cloud, kept, wanted)
-    resolution = max(wanted.resolution_m, _finest(xyz, wanted.max_side))
+    coloured = _coloured(cloud, kept, options)
+    max_bytes = options.bounds.max_bytes
+    resolution = max(options.resolution_m, _finest(xyz, options.bounds.max_side))
     while True:
-        pixels, left, top = _pixels(xyz, coloured.rgb, resolution)
-        times = max(1, min(_SMALL_SIDE, wanted.max_side) // max(pixels.shape[:2]))
-        image = Image.fromarray(pixels.repeat(times, axis=0).repeat(times, axis=1))
-        data = png(image)
-        if len(data) <= wanted.max_bytes:
+        cells, left, top = _pixels(xyz, coloured.rgb, resolution)
+        pixels, times = magnified(cells, options.bounds.max_side)
+        image = Image.fromarray(pixels)
+        data, _ = encoded(image, "exact", max_bytes)
+        if len(data) <= max_bytes:
             break
-        resolution *= max(_COARSER, math.sqrt(len(data) / wanted.max_bytes))
-    return _described(xyz, coloured, wanted, image, data, (left, top, resolution, resolution / times))
+        resolution *= max(_COARSER, math.sqrt(len(data) / max_bytes))
+    return _described(xyz, coloured, options, image, data, (left, top, resolution, resolution / times))
 
 
 def _described(
     xyz: NDArray[np.float64],
     coloured: _Coloured,
-    wanted: Wanted,
+    options: BirdEyeOptions,
     image: Image.Image,
     data: bytes,
     scale: tuple[float, float, float, float],
 ) -> BirdEye:
     left, top, resolution, pixel_m = scale
     coarser = (
-        f"The resolution is {resolution:.4g} m instead of {wanted.resolution_m:.4g} m, to fit the picture."
-        if resolution > wanted.resolution_m
+        f"The resolution is {resolution:.4g} m instead of {options.resolution_m:.4g} m, to fit the picture."
+        if resolution > options.resolution_m
         else ""
     )
-    colours = "" if coloured.low is None else f", {coloured.low:.4g} ({_names(wanted)[0]}) to {coloured.high:.4g} "
-    colours += f"({_names(wanted)[1]})" if colours else ""
+    colours = "" if coloured.low is None else f", {coloured.low:.4g} ({_names(options)[0]}) to {coloured.high:.4g} "
+    colours += f"({_names(options)[1]})" if colours else ""
     note = (
         f"From above, x to the right, y up, {pixel_m:.4g} m per pixel; "
         f"{image.width * pixel_m:.4g} m × {image.height * pixel_m:.4g} m. Colour: {coloured.mode}{colours}."
@@ -127,14 +114,14 @@ def _described(
     )
 
 
-def _names(wanted: Wanted) -> tuple[str, str]:
-    return ("blue", "red") if wanted.colormap == "jet" else ("dark", "white")
+def _names(options: BirdEyeOptions) -> tuple[str, str]:
+    return ("blue", "red") if options.colormap == "jet" else ("dark", "white")
 
 
-def _within(cloud: Cloud, wanted: Wanted) -> NDArray[np.bool_]:
+def _within(cloud: Cloud, options: BirdEyeOptions) -> NDArray[np.bool_]:
     z = cloud.xyz[:, 2]
-    low = -math.inf if wanted.z_min_m is None else wanted.z_min_m
-    high = math.inf if wanted.z_max_m is None else wanted.z_max_m
+    low = -math.inf if options.z_min_m is None else options.z_min_m
+    high = math.inf if options.z_max_m is None else options.z_max_m
     return (z >= low) & (z <= high)
 
 
@@ -163,19 +150,19 @@ def _pixels(
 # ── colours ──────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _coloured(cloud: Cloud, kept: NDArray[np.bool_], wanted: Wanted) -> _Coloured:
+def _coloured(cloud: Cloud, kept: NDArray[np.bool_], options: BirdEyeOptions) -> _Coloured:
     """The colour of each point; by height where the cloud has not what was asked for."""
-    if wanted.color_mode == "rgb" and cloud.rgb is not None:
+    if options.color_mode == "rgb" and cloud.rgb is not None:
         return _Coloured(np.maximum(cloud.rgb[kept], 24), "rgb")
     values, mode = cloud.xyz[kept, 2], "height"
-    if wanted.color_mode == "intensity" and cloud.intensity is not None:
+    if options.color_mode == "intensity" and cloud.intensity is not None:
         values, mode = cloud.intensity[kept], "intensity"
-    note = "" if mode == wanted.color_mode else f"The cloud has no {wanted.color_mode}; colours show the height."
+    note = "" if mode == options.color_mode else f"The cloud has no {options.color_mode}; colours show the height."
     finite = values[np.isfinite(values)]
     low, high = (float(bound) for bound in np.percentile(finite, (2, 98))) if len(finite) else (0.0, 0.0)
     share = np.nan_to_num((values - low) / (high - low), nan=0.0) if high > low else np.full(len(values), 0.5)
     scaled = np.minimum(np.maximum(share, 0.0), 1.0)
-    return _Coloured(_jet(scaled) if wanted.colormap == "jet" else _gray(scaled), mode, low, high, note)
+    return _Coloured(_jet(scaled) if options.colormap == "jet" else _gray(scaled), mode, low, high, note)
 
 
 def _jet(share: NDArray[np.float64]) -> NDArray[np.uint8]:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ros2_mcp.model.errors import BadData
 
-POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _INTENSITIES = ("intensity", "intensities", "i", "reflectivity")
 _FARTHEST_M = 1e9

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ros2_mcp.codec.raster import Pixels, Raster
+from ros2_mcp.codec.raster import Pixels, Raster, magnified
 from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.pictures import Bounds
 
 OCCUPIED = 50
 """Cells from this percentage on count as occupied, below as free."""
 _UNKNOWN_GREY = 128
-_SMALL_SIDE = 400
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,16 +69,16 @@ def map_facts(message: Any) -> MapFacts:
     )
 
 
-def map_raster(message: Any, max_side: int) -> Raster:
+def map_raster(message: Any, bounds: Bounds) -> Raster:
     """The map with its first row at the bottom: free white, occupied black, unknown grey.
 
     Cells are magnified, or taken together with the darkest one winning, so that walls stay visible.
     """
     cells = np.flipud(_cells(message))
     grey = np.where((cells < 0) | (cells > 100), _UNKNOWN_GREY, 255 - cells.astype(np.int16) * 255 // 100)
-    pixels, scale = _sized(grey.astype(np.uint8), max_side)
+    pixels, scale = _sized(grey.astype(np.uint8), bounds.max_side)
     note = f"Map, {map_facts(message)} White is free, black occupied, grey unknown; x to the right, y up; {scale}."
-    return Raster(pixels, note, is_photo=False)
+    return Raster(pixels, note, kind="exact")
 
 
 def _cells(message: Any) -> NDArray[np.int8]:
@@ -97,8 +97,8 @@ def _sized(pixels: Pixels, max_side: int) -> tuple[Pixels, str]:
     if side > max_side:
         cells = -(-side // max_side)
         return _darkest(pixels, cells), f"one pixel is {cells} × {cells} cells"
-    times = max(1, min(_SMALL_SIDE, max_side) // side)
-    return pixels.repeat(times, axis=0).repeat(times, axis=1), f"one cell is {times} × {times} pixels"
+    pixels, times = magnified(pixels, max_side)
+    return pixels, f"one cell is {times} × {times} pixels"
 
 
 def _darkest(pixels: Pixels, cells: int) -> Pixels:

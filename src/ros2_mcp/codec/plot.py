@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import io
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from ros2_mcp.codec.ticks import Span, labels, span_of, ticks
-from ros2_mcp.model.errors import BadData
+from ros2_mcp.codec.raster import Raster, finished
+from ros2_mcp.model.pictures import BOUNDS, Picture
 
 Numbers = NDArray[np.float64]
 
@@ -29,6 +29,23 @@ _FINE = 2
 """Lines are drawn this many times larger and scaled down, so that they are smooth."""
 _DOTS = 60
 _MARK = 4
+_PADDING = 0.05
+_LARGEST = 8e307
+"""Beyond it the span of an axis would not be finite."""
+_LONGEST_LABEL = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """The part of an axis that is shown, `low` less than `high`."""
+
+    low: float
+    high: float
+
+    @property
+    def length(self) -> float:
+        """How much it shows."""
+        return self.high - self.low
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,24 +126,9 @@ def draw(figure: Figure, width: int, height: int) -> Drawn:
     return Drawn(image, frames)
 
 
-def png_within(image: Image.Image, max_bytes: int) -> bytes:
-    """The picture as PNG, with fewer colours if it would be too large.
-
-    Raises:
-        BadData: if it does not fit even then.
-    """
-    for colours in (0, 128, 16):
-        data = png(image.quantize(colours) if colours else image)
-        if len(data) <= max_bytes:
-            return data
-    raise BadData(f"A picture of {image.width} × {image.height} pixels does not fit into {max_bytes} bytes.")
-
-
-def png(image: Image.Image) -> bytes:
-    """The picture as PNG."""
-    buffer = io.BytesIO()
-    image.save(buffer, "PNG")
-    return buffer.getvalue()
+def plotted(figure: Figure, width: int, height: int, note: str) -> Picture:
+    """The figure as a finished picture; with fewer colours, then smaller, where it would have too many bytes."""
+    return finished(Raster(np.asarray(draw(figure, width, height).image), note, "drawing"), BOUNDS)
 
 
 # ── where things are ─────────────────────────────────────────────────────────────────────────────────────────────
@@ -168,6 +170,61 @@ def _most(pixels: float) -> int:
 
 def _x_ticks(frame: Frame) -> list[float]:
     return ticks(frame.x, max(3, int((frame.right - frame.left) / 90)))
+
+
+# ── axes: which range, where the ticks are, how they are written ────────────────────────────────────────────────
+
+
+def span_of(values: Sequence[NDArray[np.float64]]) -> Span:
+    """A span in which all finite values lie, with a little room around them; 0 to 1 if there are none."""
+    lows, highs = zip(*(_bounds(each) for each in values), strict=True) if values else ((), ())
+    low, high = min(lows, default=math.inf), max(highs, default=-math.inf)
+    if low > high:
+        return Span(0.0, 1.0)
+    room = (high - low) * _PADDING
+    if room <= max(abs(low), abs(high)) * 1e-13:
+        room = max(abs(low), abs(high)) * _PADDING or 1.0
+    return Span(low - room, high + room)
+
+
+def _bounds(values: NDArray[np.float64]) -> tuple[float, float]:
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return math.inf, -math.inf
+    return max(float(finite.min()), -_LARGEST), min(float(finite.max()), _LARGEST)
+
+
+def ticks(span: Span, most: int) -> list[float]:
+    """Round numbers inside the span, evenly spaced (1, 2 or 5 times a power of ten): about `most`, at least two."""
+    step = _step(span.length / max(most, 3))
+    if len(_multiples(span, step)) < 2:
+        step = _step(span.length / max(2 * most, 6))
+    return [index * step for index in _multiples(span, step)]
+
+
+def _multiples(span: Span, step: float) -> range:
+    return range(math.ceil(span.low / step), math.floor(span.high / step) + 1)
+
+
+def _step(least: float) -> float:
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least * (1 - 1e-9))
+
+
+def labels(values: Sequence[float]) -> list[str]:
+    """Two or more ticks as text, each with the decimals that the step between them needs."""
+    step = values[1] - values[0]
+    largest = max(map(abs, values))
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    whole = len(f"{largest:.0f}") if largest < 1e15 else _LONGEST_LABEL
+    if whole + decimals <= _LONGEST_LABEL:
+        return [_without_minus(f"{value:.{decimals}f}") for value in values]
+    digits = max(0, math.floor(math.log10(largest) + 1e-9) - math.floor(math.log10(step) + 1e-9))
+    return ["0" if value == 0 else f"{value:.{digits}e}" for value in values]
+
+
+def _without_minus(label: str) -> str:
+    return label[1:] if label.startswith("-") and not label.strip("-0.") else label
 
 
 # ── lines ────────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -1,191 +1,110 @@
-"""Pixels of a sensor_msgs/msg/Image as what can be shown: grey or RGB, eight bits."""
+"""The one finishing step of every picture: pixels become a PNG or JPEG within bounds, with a note what they show."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import io
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.pictures import Bounds, Picture
 
 Pixels = NDArray[np.uint8]
+
+_SMALLEST_SIDE = 16
+"""Pixels. Nothing can be made out on a smaller picture."""
+_SMALL_PIXELS = 160 * 120
+"""Photographs up to this size become PNG if it fits: JPEG blurs what is only a few pixels large."""
+_QUALITIES = (85, 70, 50)
+"""Of JPEG; below 50 a smaller picture shows more than a worse one."""
+_COLOURS = (128, 16)
+"""Of a drawing that is too large as it is; 16 still tell the twelve curves of a plot apart."""
+_MAGNIFIED_SIDE = 400
+"""Pixels. Cells of small grids are drawn larger, up to this side: vision models see little in tiny pictures."""
 
 
 @dataclass(frozen=True, slots=True)
 class Raster:
-    """Pixels, height × width or height × width × 3 (RGB), and in words what was done to show them."""
+    """Pixels, height × width or height × width × 3 (RGB), and in words what they show and what was done to them.
+
+    A `photo` may become JPEG; of what is `exact` each pixel stays what it is or is left out; a `drawing` may lose
+    colours.
+    """
 
     pixels: Pixels
     note: str
-    is_photo: bool = True
+    kind: Literal["photo", "exact", "drawing"] = "photo"
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    dtype: str
-    channels: int
-    show: Callable[[NDArray[Any], str], Raster]
-
-
-def raster_of(message: Any) -> Raster:
-    """The pixels of an image.
+def finished(raster: Raster, bounds: Bounds) -> Picture:
+    """The picture: at its own size if it keeps to the bounds so, else smaller.
 
     Raises:
-        BadData: for an encoding that cannot be shown, or data that does not fit width, height and step.
+        BadData: if it does not fit at any size.
     """
-    encoding: str = message.encoding
-    if encoding in _NV:
-        return _nv(message, _NV[encoding])
-    layout = _LAYOUTS.get(encoding.lower()) or _LAYOUTS.get(encoding)
-    if layout is None:
-        raise BadData(
-            f"Images with the encoding {encoding[:40]!r} cannot be shown.",
-            f"Known are {', '.join(_LAYOUTS)}, nv12, nv21.",
-        )
-    return layout.show(_rows(message, layout.dtype, layout.channels), encoding)
+    whole = Image.fromarray(raster.pixels)
+    for image in _sizes(whole, bounds.max_side, raster.kind):
+        data, mime = encoded(image, raster.kind, bounds.max_bytes)
+        if len(data) <= bounds.max_bytes:
+            return Picture(data, mime, *image.size, raster.note + _shrunk(image, whole))
+    raise BadData(f"The picture does not fit into {bounds.max_bytes} bytes at any size.")
 
 
-def depth_raster(metres: NDArray[Any], encoding: str) -> Raster:
-    """Distances as grey: the nearest 2 % white, the farthest 2 % dark, what is not a distance black."""
-    valid = np.isfinite(metres) & (metres > 0)
-    share = 1 - float(np.count_nonzero(valid)) / metres.size
-    pixels = np.zeros(metres.shape, np.uint8)
-    if share == 1:
-        return Raster(pixels, f"Depth ({encoding}): no valid distance at all.", is_photo=False)
-    distances = metres[valid]
-    near, far = (float(bound) for bound in np.percentile(distances, (2, 98)))
-    scaled = (np.minimum(np.maximum(distances, near), far) - near) / max(far - near, 1e-9)
-    pixels[valid] = np.rint(255 - 205 * scaled).astype(np.uint8)
-    note = (
-        f"Depth ({encoding}): {distances.min():.3f} m to {distances.max():.3f} m; white is {near:.3f} m or nearer, "
-        f"dark grey {far:.3f} m or farther, black invalid ({share:.1%})."
-    )
-    return Raster(pixels, note, is_photo=False)
+def encoded(image: Image.Image, kind: str, max_bytes: int) -> tuple[bytes, str]:
+    """File and MIME type: the first of the encodings for that kind that fits, else the last of them."""
+    files = _encodings(image, kind)
+    file = next(files)
+    while len(file[0]) > max_bytes and (smaller := next(files, None)):
+        file = smaller
+    return file
 
 
-def stretched(values: NDArray[Any], encoding: str) -> Raster:
-    """Grey values of more than eight bits, stretched from their least to their greatest."""
-    low, high = int(values.min()), int(values.max())
-    pixels = np.rint((values.astype(np.float64) - low) * (255 / max(high - low, 1))).astype(np.uint8)
-    return Raster(pixels, f"{encoding}: black is {low}, white is {high}.")
+def magnified(pixels: Pixels, max_side: int) -> tuple[Pixels, int]:
+    """Small pixels drawn as larger squares, and how many times larger; 1 where they are large enough."""
+    times = max(1, min(_MAGNIFIED_SIDE, max_side) // max(pixels.shape[:2]))
+    return pixels.repeat(times, axis=0).repeat(times, axis=1), times
 
 
-def _rows(message: Any, dtype: str, channels: int, rows: int = 0) -> NDArray[Any]:
-    """The data as rows × width × channels, without the padding at each row's end."""
-    kind: np.dtype[Any] = np.dtype((">" if message.is_bigendian else "<") + dtype)
-    width, height = message.width, rows or message.height
-    row = width * channels * kind.itemsize
-    step = message.step or row
-    if not row or not height:
-        raise BadData(f"The image is empty: {width} × {message.height} pixels.")
-    if step < row:
-        raise BadData(f"A row of {width} pixels ({message.encoding}) takes {row} bytes, but step is {step}.")
-    if len(message.data) < step * (height - 1) + row:
-        raise BadData(
-            f"data has {len(message.data)} bytes, but step × height is {step} × {height} = {step * height} "
-            f"({message.encoding}, {width} × {message.height} pixels)."
-        )
-    offsets = (step, channels * kind.itemsize, kind.itemsize)
-    return np.ndarray((height, width, channels), kind, np.ascontiguousarray(message.data), 0, offsets)
+def _shrunk(image: Image.Image, whole: Image.Image) -> str:
+    if image.size == whole.size:
+        return ""
+    return f" Shown at {image.width} × {image.height} pixels instead of {whole.width} × {whole.height}."
 
 
-def _colour(*order: int) -> Callable[[NDArray[Any], str], Raster]:
-    def show(pixels: NDArray[Any], encoding: str) -> Raster:
-        dropped = " without its alpha" if pixels.shape[2] == 4 else ""
-        return Raster(_to_8_bit(pixels[:, :, list(order)]), f"{encoding}{dropped}.")
-
-    return show
-
-
-def _grey(pixels: NDArray[Any], encoding: str) -> Raster:
-    return Raster(np.ascontiguousarray(pixels[:, :, 0]), f"{encoding}.")
-
-
-def _grey_16(pixels: NDArray[Any], encoding: str) -> Raster:
-    return stretched(pixels[:, :, 0], encoding)
-
-
-def _depth_mm(pixels: NDArray[Any], encoding: str) -> Raster:
-    return depth_raster(pixels[:, :, 0].astype(np.float32) / 1000, encoding)
+def _sizes(whole: Image.Image, max_side: int, kind: str) -> Iterator[Image.Image]:
+    """The picture at its size if that is allowed, then ever smaller."""
+    side = max(whole.size)
+    if side <= max_side:
+        yield whole
+        side = side * 3 // 4
+    side = min(side, max_side)
+    while side >= _SMALLEST_SIDE:
+        factor = side / max(whole.size)
+        size = (max(1, round(whole.width * factor)), max(1, round(whole.height * factor)))
+        if kind == "exact":
+            yield whole.resize(size, Image.Resampling.NEAREST)
+        else:
+            yield whole.resize(size, Image.Resampling.BILINEAR, reducing_gap=2.0)
+        side = side * 3 // 4
 
 
-def _depth_m(pixels: NDArray[Any], encoding: str) -> Raster:
-    return depth_raster(pixels[:, :, 0].astype(np.float64), encoding)
+def _encodings(image: Image.Image, kind: str) -> Iterator[tuple[bytes, str]]:
+    if kind != "photo" or image.width * image.height <= _SMALL_PIXELS:
+        yield _saved(image, "PNG"), "image/png"
+    if kind == "drawing":
+        for colours in _COLOURS:
+            yield _saved(image.quantize(colours), "PNG"), "image/png"
+    if kind == "photo":
+        for quality in _QUALITIES:
+            yield _saved(image, "JPEG", quality=quality), "image/jpeg"
 
 
-def _bayer(red: int, blue: int) -> Callable[[NDArray[Any], str], Raster]:
-    """Each square of four becomes one pixel; `red` and `blue` are their places in it, row by row."""
-
-    def show(pixels: NDArray[Any], encoding: str) -> Raster:
-        plane = _to_8_bit(pixels[:, :, 0])
-        height, width = (side // 2 * 2 for side in plane.shape)
-        if not height or not width:
-            raise BadData(f"A Bayer image of {plane.shape[1]} × {plane.shape[0]} pixels has no full square.")
-        square = [plane[row:height:2, column:width:2] for row in (0, 1) for column in (0, 1)]
-        one, other = (square[place].astype(np.uint16) for place in range(4) if place not in (red, blue))
-        green = ((one + other) // 2).astype(np.uint8)
-        return Raster(
-            np.dstack((square[red], green, square[blue])), f"{encoding}, at half its size, simply demosaiced."
-        )
-
-    return show
-
-
-def _yuv_422(luma: int) -> Callable[[NDArray[Any], str], Raster]:
-    """Two bytes a pixel, the luma at `luma`, the chroma of two neighbours in the other."""
-
-    def show(pixels: NDArray[Any], encoding: str) -> Raster:
-        width = pixels.shape[1] // 2 * 2
-        chroma = pixels[:, :width, 1 - luma]
-        u, v = (np.repeat(chroma[:, start::2], 2, axis=1) for start in (0, 1))
-        return Raster(_yuv_to_rgb(pixels[:, :width, luma], u, v), f"{encoding}.")
-
-    return show
-
-
-def _nv(message: Any, order: tuple[int, int]) -> Raster:
-    """A plane of luma, then at half the size chroma in pairs."""
-    height, width = message.height // 2 * 2, message.width // 2 * 2
-    planes = _rows(message, "u1", 1, rows=message.height + (message.height + 1) // 2)[:, :width, 0]
-    chroma = planes[message.height :][: height // 2]
-    u, v = (chroma[:, place::2].repeat(2, axis=0).repeat(2, axis=1) for place in order)
-    return Raster(_yuv_to_rgb(planes[:height], u, v), f"{message.encoding}.")
-
-
-def _yuv_to_rgb(y: NDArray[Any], u: NDArray[Any], v: NDArray[Any]) -> Pixels:
-    luma = (y.astype(np.float32) - 16) * 1.164
-    blue, red = u.astype(np.float32) - 128, v.astype(np.float32) - 128
-    rgb = np.dstack((luma + 1.596 * red, luma - 0.392 * blue - 0.813 * red, luma + 2.017 * blue))
-    return np.minimum(np.maximum(np.rint(rgb), 0), 255).astype(np.uint8)
-
-
-def _to_8_bit(pixels: NDArray[Any]) -> Pixels:
-    return pixels.astype(np.uint8) if pixels.itemsize == 1 else (pixels >> 8).astype(np.uint8)
-
-
-_BAYER = {"rggb": (0, 3), "bggr": (3, 0), "gbrg": (2, 1), "grbg": (1, 2)}
-_NV = {"nv12": (0, 1), "nv21": (1, 0)}
-_LAYOUTS: Mapping[str, _Layout] = {
-    "rgb8": _Layout("u1", 3, _colour(0, 1, 2)),
-    "rgba8": _Layout("u1", 4, _colour(0, 1, 2)),
-    "bgr8": _Layout("u1", 3, _colour(2, 1, 0)),
-    "bgra8": _Layout("u1", 4, _colour(2, 1, 0)),
-    "rgb16": _Layout("u2", 3, _colour(0, 1, 2)),
-    "bgr16": _Layout("u2", 3, _colour(2, 1, 0)),
-    "8UC3": _Layout("u1", 3, _colour(2, 1, 0)),
-    "8UC4": _Layout("u1", 4, _colour(2, 1, 0)),
-    "mono8": _Layout("u1", 1, _grey),
-    "8UC1": _Layout("u1", 1, _grey),
-    "mono16": _Layout("u2", 1, _grey_16),
-    "16UC1": _Layout("u2", 1, _depth_mm),
-    "32FC1": _Layout("f4", 1, _depth_m),
-    "yuv422": _Layout("u1", 2, _yuv_422(1)),
-    "uyvy": _Layout("u1", 2, _yuv_422(1)),
-    "yuv422_yuy2": _Layout("u1", 2, _yuv_422(0)),
-    "yuyv": _Layout("u1", 2, _yuv_422(0)),
-    **{f"bayer_{name}8": _Layout("u1", 1, _bayer(*places)) for name, places in _BAYER.items()},
-    **{f"bayer_{name}16": _Layout("u2", 1, _bayer(*places)) for name, places in _BAYER.items()},
-}
+def _saved(image: Image.Image, file_format: str, **options: int) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, file_format, **options)
+    return buffer.getvalue()

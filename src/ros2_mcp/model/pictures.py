@@ -1,8 +1,18 @@
-"""Pictures as they travel to the model."""
+"""Pictures as they travel to the model, which messages are pictures, and how pictures may be asked for."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+
+MAX_SIDE = 1568
+"""Pixels. Vision models scale down what is longer, so more would cost time and show nothing."""
+MAX_BYTES = 700_000
+"""Clients take results of up to 1 MB; base64 makes 933 kB of this, which leaves room for the text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,3 +24,28 @@ class Picture:
     width: int
     height: int
     note: str
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """What a picture must keep to: pixels of its longer side, bytes of its file."""
+
+    max_side: int = MAX_SIDE
+    max_bytes: int = MAX_BYTES
+
+
+BOUNDS = Bounds()
+"""The bounds where nothing else is asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class BirdEyeOptions:
+    """How to look at a cloud: metres for each pixel, heights shown (None: all), `intensity`, `height` or `rgb` as
+    colour, `jet` or `gray` as the scale of colours."""
+
+    resolution_m: float = 0.05
+    z_min_m: float | None = None
+    z_max_m: float | None = None
+    color_mode: str = "intensity"
+    colormap: str = "jet"
+    bounds: Bounds = BOUNDS

@@ -9,15 +9,12 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import TimedOut, TypeConflict
+from ros2_mcp.model.pictures import OCCUPANCY_GRID, POINT_CLOUD, BirdEyeOptions
 from ros2_mcp.ops.results import Report, WithPictures, facts, is_recorded, iso_time, reporting, silent
 from ros2_mcp.ops.window import Source, Stream
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.bird_eye import Wanted
     from ros2_mcp.model.samples import Sample
-
-_OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
-_POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +87,9 @@ async def map_picture(source: Source, topic: str, report: Report = silent) -> Ma
     from ros2_mcp.codec.maps import map_facts
     from ros2_mcp.codec.pictures import picture_of
 
-    message, sample, topic = await _first(source, topic, _OCCUPANCY_GRID, report)
+    message, sample, topic = await _first(source, topic, OCCUPANCY_GRID, report)
     known = await asyncio.to_thread(map_facts, message)
-    picture = await asyncio.to_thread(picture_of, _OCCUPANCY_GRID, message)
+    picture = await asyncio.to_thread(picture_of, OCCUPANCY_GRID, message)
     return MapPicture(
         topic_name=topic,
         **asdict(known),
@@ -103,7 +100,7 @@ async def map_picture(source: Source, topic: str, report: Report = silent) -> Ma
     )
 
 
-async def cloud_picture(source: Source, topic: str, wanted: Wanted, report: Report = silent) -> CloudPicture:
+async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, report: Report = silent) -> CloudPicture:
     """The next point cloud of a topic, from above.
 
     Raises:
@@ -116,10 +113,10 @@ async def cloud_picture(source: Source, topic: str, wanted: Wanted, report: Repo
     from ros2_mcp.codec.bird_eye import bird_eye
     from ros2_mcp.codec.clouds import cloud_of
 
-    bounded("resolution", wanted.resolution_m, 0.001, 100.0, "m")
-    message, sample, topic = await _first(source, topic, _POINT_CLOUD, report)
+    bounded("resolution", options.resolution_m, 0.001, 100.0, "m")
+    message, sample, topic = await _first(source, topic, POINT_CLOUD, report)
     cloud = await asyncio.to_thread(cloud_of, message)
-    seen = await asyncio.to_thread(bird_eye, cloud, wanted)
+    seen = await asyncio.to_thread(bird_eye, cloud, options)
     return CloudPicture(
         topic_name=topic,
         frame_id=message.header.frame_id,

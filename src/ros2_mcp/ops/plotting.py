@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, BadValue
-from ros2_mcp.model.pictures import Picture
+from ros2_mcp.model.pictures import MAX_SIDE, Picture
 from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.window import Missing, Source, Window
 
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.signals import Numbers
 
 MAX_CURVES = 12
-MAX_SIDE = 1568
-MAX_BYTES = 700_000
 _PANEL_PIXELS = 140
 _LISTED = 8
 
@@ -254,8 +252,7 @@ def _changes(values: _Values) -> bool:
 
 
 def _over_time(values: Sequence[_Values], window: Window, words: str) -> Figure:
-    from ros2_mcp.codec.plot import Curve, Figure, Panel
-    from ros2_mcp.codec.ticks import Span
+    from ros2_mcp.codec.plot import Curve, Figure, Panel, Span
 
     ordered = sorted(values, key=lambda each: [v.unit for v in values].index(each.unit))
     panels: list[Panel] = []
@@ -301,11 +298,10 @@ def _pair(x: _Values, y: _Values) -> Any:
 
 
 def _picture(figure: Figure, look: Look, series: Sequence[Series]) -> Picture:
-    from ros2_mcp.codec.plot import draw, png_within
+    from ros2_mcp.codec.plot import plotted
 
     height = min(MAX_SIDE, max(look.height, 120 + _PANEL_PIXELS * len(figure.panels)))
-    data = png_within(draw(figure, look.width, height).image, MAX_BYTES)
     what = "against each other" if look.kind == "xy" else "over time"
     odd = " A red cross marks NaN, a wedge an infinity." if any(each.not_finite for each in series) else ""
     gaps = " Breaks are times without messages." if any(each.gaps for each in series) else ""
-    return Picture(data, "image/png", look.width, height, f"{len(series)} series {what}.{odd}{gaps}")
+    return plotted(figure, look.width, height, f"{len(series)} series {what}.{odd}{gaps}")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, RobotError
-from ros2_mcp.model.pictures import Picture
+from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Picture
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import Report, WithPictures, facts, is_recorded, iso_time, silent
 
@@ -28,7 +28,6 @@ LIMITED_S = 20.0
 MAX_SAMPLES = 100_000
 MAX_BYTES = 64_000_000
 MAX_PICTURES = 4
-_PICTURE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,7 +310,7 @@ def spread(samples: Sequence[Sample], most: int) -> list[Sample]:
 
 
 def _pictures(codec: Codec, type_name: str, samples: Sequence[Sample]) -> tuple[list[Picture], str]:
-    if type_name not in _PICTURE_TYPES:
+    if type_name not in (IMAGE, COMPRESSED_IMAGE):
         return [], ""
     from ros2_mcp.codec.pictures import picture_of
 

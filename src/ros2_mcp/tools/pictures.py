@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from ros2_mcp.model.pictures import MAX_SIDE, BirdEyeOptions, Bounds
 from ros2_mcp.ops import picturing, plotting
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report
@@ -15,7 +16,7 @@ from ros2_mcp.tools.arguments import FromBag, FromStart, Number, TopicName, UpTo
 from ros2_mcp.tools.declare import tool
 
 Timeout = Annotated[Number, Field(gt=0, le=600, description="Wait at most this long, in seconds.")]
-Pixels = Annotated[Whole, Field(ge=300, le=plotting.MAX_SIDE, description="Size of the picture in pixels.")]
+Pixels = Annotated[Whole, Field(ge=300, le=MAX_SIDE, description="Size of the picture in pixels.")]
 Height = Annotated[Number | None, Field(description="Only points within these heights, in metres. Default: all.")]
 
 
@@ -87,8 +88,7 @@ async def ros2_get_pointcloud_as_bev(
     end: UpToEnd = "",
 ) -> picturing.CloudPicture:
     """Show a point cloud from above (bird's-eye view), with its extent and scale in metres."""
-    from ros2_mcp.codec.bird_eye import Wanted
-
-    wanted = Wanted(resolution, zmin, zmax, color_mode, colormap, min(max_pixels, plotting.MAX_SIDE))
+    bounds = Bounds(min(max_pixels, MAX_SIDE))
+    options = BirdEyeOptions(resolution, zmin, zmax, color_mode, colormap, bounds)
     source = await source_of(robot, memory, Part(bag, start, end), timeout)
-    return await picturing.cloud_picture(source, topic_name, wanted, report)
+    return await picturing.cloud_picture(source, topic_name, options, report)

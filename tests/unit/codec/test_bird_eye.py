@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ros2_mcp.codec.bird_eye import BirdEye, Wanted, bird_eye
+from ros2_mcp.codec.bird_eye import BirdEye, bird_eye
 from ros2_mcp.codec.check import check
-from ros2_mcp.codec.clouds import POINT_CLOUD, cloud_of
+from ros2_mcp.codec.clouds import cloud_of
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions, Bounds
 
 KINDS = {"b": 1, "B": 2, "h": 3, "H": 4, "i": 5, "I": 6, "f": 7, "d": 8}
 
@@ -85,7 +86,7 @@ def test_packed_colours_are_unpacked(definitions: Definitions, kind: str, big: b
 def test_known_points_are_at_known_pixels(definitions: Definitions) -> None:
     """x to the right, y up: the corners of 40 m × 20 m, and one point inside."""
     points = [(-20.05, -10.05, 0), (19.95, 9.95, 10), (5.05, 3.05, 10)]
-    seen = bird_eye(cloud_of(cloud(definitions, XYZ, places(points))), Wanted(0.1, color_mode="height"))
+    seen = bird_eye(cloud_of(cloud(definitions, XYZ, places(points))), BirdEyeOptions(0.1, color_mode="height"))
     image = pixels(seen)
     assert image.shape == (201, 401, 3)
     assert seen.metres_per_pixel == pytest.approx(0.1)
@@ -101,21 +102,21 @@ def test_the_highest_point_of_a_pixel_is_seen(definitions: Definitions) -> None:
     colours = {0.0: 0x00FF00, 2.0: 0xFF0000, 1.0: 0x0000FF}
     points = [{"x": 0.01, "y": 0.01, "z": z, "rgb": rgb} for z, rgb in colours.items()]
     points.append({"x": 10.0, "y": 0, "z": 0, "rgb": 0x00FF00})
-    seen = bird_eye(cloud_of(cloud(definitions, layout, points)), Wanted(0.02, color_mode="rgb"))
+    seen = bird_eye(cloud_of(cloud(definitions, layout, points)), BirdEyeOptions(0.02, color_mode="rgb"))
     assert pixels(seen)[0, 0].tolist() == [255, 24, 24]
 
 
 def test_only_the_heights_asked_for_are_shown(definitions: Definitions) -> None:
     points = cloud_of(cloud(definitions, XYZ, places([(0, 0, -1), (1, 1, 0.5), (2, 2, 3)])))
-    seen = bird_eye(points, Wanted(z_min_m=0.0, z_max_m=1.0))
+    seen = bird_eye(points, BirdEyeOptions(z_min_m=0.0, z_max_m=1.0))
     assert (seen.shown, seen.z_min_m, seen.z_max_m) == (1, 0.5, 0.5)
     with pytest.raises(BadData, match="No point to show"):
-        bird_eye(points, Wanted(z_min_m=5.0))
+        bird_eye(points, BirdEyeOptions(z_min_m=5.0))
 
 
 def test_a_wide_cloud_is_shown_coarser_and_says_so(definitions: Definitions) -> None:
     points = cloud_of(cloud(definitions, XYZ, places([(0, 0, 0), (1000, 10, 1)])))
-    seen = bird_eye(points, Wanted(0.05, color_mode="height"))
+    seen = bird_eye(points, BirdEyeOptions(0.05, color_mode="height"))
     assert max(seen.picture.width, seen.picture.height) <= 1568
     assert 1000 / 1568 < seen.resolution_m < 1.05 * 1000 / 1568
     assert seen.note.startswith(f"The resolution is {seen.resolution_m:.4g} m instead of 0.05 m")
@@ -126,7 +127,9 @@ def test_a_picture_of_noise_stays_within_its_bytes() -> None:
 
     random = np.random.default_rng(1)
     xyz = random.uniform(0, 70, (600_000, 3))
-    seen = bird_eye(Cloud(xyz, random.uniform(0, 1, 600_000), None, 600_000, 0), Wanted(max_bytes=300_000))
+    seen = bird_eye(
+        Cloud(xyz, random.uniform(0, 1, 600_000), None, 600_000, 0), BirdEyeOptions(bounds=Bounds(max_bytes=300_000))
+    )
     assert len(seen.picture.data) <= 300_000
     assert seen.metres_per_pixel * seen.picture.width == pytest.approx(70, abs=2 * seen.resolution_m)
 
@@ -134,7 +137,7 @@ def test_a_picture_of_noise_stays_within_its_bytes() -> None:
 def test_a_cloud_without_the_colour_asked_for_is_shown_by_height(definitions: Definitions) -> None:
     points = cloud_of(cloud(definitions, XYZ, places([(0, 0, 0), (1, 1, 1)])))
     for mode in ("intensity", "rgb"):
-        seen = bird_eye(points, Wanted(color_mode=mode))
+        seen = bird_eye(points, BirdEyeOptions(color_mode=mode))
         assert (seen.color_mode, seen.note) == ("height", f"The cloud has no {mode}; colours show the height.")
 
 
@@ -163,4 +166,4 @@ def test_rows_that_overlap_are_refused(definitions: Definitions) -> None:
 def test_an_empty_cloud_says_so(definitions: Definitions) -> None:
     message = cloud(definitions, XYZ, [], data=[], point_step=12, row_step=0, width=0, height=1)
     with pytest.raises(BadData, match="of 0 points"):
-        bird_eye(cloud_of(message), Wanted())
+        bird_eye(cloud_of(message), BirdEyeOptions())

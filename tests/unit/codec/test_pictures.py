@@ -8,9 +8,9 @@ from PIL import Image
 from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.maps import map_facts
-from ros2_mcp.codec.pictures import COMPRESSED_IMAGE, IMAGE, OCCUPANCY_GRID, picture_of
+from ros2_mcp.codec.pictures import picture_of
 from ros2_mcp.model.errors import BadData, BadValue
-from ros2_mcp.model.pictures import Picture
+from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, OCCUPANCY_GRID, Bounds, Picture
 
 RED, GREEN, BLUE, GREY = (250, 10, 10), (10, 250, 10), (10, 10, 250), (128, 128, 128)
 
@@ -144,10 +144,12 @@ def test_pictures_keep_to_their_bounds(definitions: Definitions) -> None:
     assert picture.mime == "image/jpeg"
     assert max(picture.width, picture.height) <= 1568 and len(picture.data) <= 700_000
     assert "instead of 2000 × 1200" in picture.note
-    small = picture_of(IMAGE, image(definitions, "rgb8", noise), max_side=300, max_bytes=5_000)
+    small = picture_of(IMAGE, image(definitions, "rgb8", noise), bounds=Bounds(300, 5_000))
     assert max(small.width, small.height) <= 300 and len(small.data) <= 5_000
     pixels(small)
-    deep = picture_of(IMAGE, image(definitions, "16UC1", noise[:, :, 0].astype(np.uint16)), max_bytes=50_000)
+    deep = picture_of(
+        IMAGE, image(definitions, "16UC1", noise[:, :, 0].astype(np.uint16)), bounds=Bounds(max_bytes=50_000)
+    )
     assert deep.mime == "image/png" and len(deep.data) <= 50_000
 
 
@@ -172,7 +174,7 @@ def test_a_compressed_picture_that_fits_passes_unchanged(definitions: Definition
 
 def test_a_compressed_picture_that_is_too_large_is_encoded_again(definitions: Definitions) -> None:
     data = saved(colours(*[RED, GREEN] * 500), "PNG")
-    picture = picture_of(COMPRESSED_IMAGE, compressed(definitions, "png", data), max_side=100)
+    picture = picture_of(COMPRESSED_IMAGE, compressed(definitions, "png", data), bounds=Bounds(max_side=100))
     assert picture.width == 100 and picture.data != data
 
 

@@ -7,10 +7,11 @@ import pytest
 from PIL import ImageColor
 
 from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.plot import COLOURS, NOT_FINITE, Curve, Drawn, Figure, Panel, draw, png_within
-from ros2_mcp.codec.ticks import Span, labels, span_of, ticks
+from ros2_mcp.codec.plot import COLOURS, NOT_FINITE, Curve, Drawn, Figure, Panel, Span, draw, labels, span_of, ticks
+from ros2_mcp.codec.raster import Raster, finished
 from ros2_mcp.codec.units import unit_of
 from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.pictures import BOUNDS, Bounds
 
 BLUE, ORANGE, RED = (ImageColor.getrgb(colour) for colour in (*COLOURS[:2], NOT_FINITE))
 
@@ -141,10 +142,13 @@ def test_every_span_has_two_ticks_whose_labels_differ(low: float, high: float) -
 
 def test_a_picture_that_is_too_large_gets_fewer_colours_and_then_is_refused() -> None:
     picture = drawn(*(curve(np.linspace(0, 10, 5000), np.random.default_rng(n).normal(0, 1, 5000)) for n in range(12)))
-    whole = len(png_within(picture.image, 700_000))
-    assert len(png_within(picture.image, whole - 1)) < whole
+    raster = Raster(np.asarray(picture.image), "", "drawing")
+    whole = finished(raster, BOUNDS)
+    smaller = finished(raster, Bounds(max_bytes=len(whole.data) - 1))
+    assert len(smaller.data) < len(whole.data) <= 700_000
+    assert (smaller.width, smaller.height) == (whole.width, whole.height) == (600, 400)
     with pytest.raises(BadData):
-        png_within(picture.image, 100)
+        finished(raster, Bounds(max_bytes=100))
 
 
 @pytest.mark.parametrize(
