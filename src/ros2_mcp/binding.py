@@ -22,6 +22,7 @@ from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report, as_json, at_most_every
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import ToolDeclaration
+from ros2_mcp.tools.injection import Call
 from ros2_mcp.tools.schema import argument_schema, result_schema
 
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
@@ -61,17 +62,14 @@ class RobotTool(Tool):
         except ValidationError as error:
             raise ToolError(_explain(self.name, error, self.parameters)) from error
         try:
-            result = await self._declaration.function(**values, **self._injected(at_most_every(_PROGRESS_S, report)))
+            call = Call(self._robot, self._memory, at_most_every(_PROGRESS_S, report))
+            result = await self._declaration.perform(call, values)
         except RobotError as error:
             raise ToolError(f"{type(error).__name__}: {error}") from error
         return answer(result)
 
     def _renamed(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         return {self._declaration.aliases.get(name, name): value for name, value in arguments.items()}
-
-    def _injected(self, report: Report) -> dict[str, Any]:
-        offered: Mapping[Any, Any] = {Robot: self._robot, Memory: self._memory, Report: report}
-        return {name: offered[kind] for name, kind in self._declaration.injected.items()}
 
 
 def bind(declaration: ToolDeclaration, robot: Robot, memory: Memory) -> RobotTool:

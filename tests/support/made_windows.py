@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -13,8 +13,7 @@ from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions, DefinitionText
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.qos import Endpoint, QoS
-from ros2_mcp.model.samples import Counts
-from ros2_mcp.ops.window import Missing, Scene, Stream, Window
+from ros2_mcp.ops.source import Capture, GraphSnapshot, Missing, Past, Source, in_batches
 
 START_NS = 1_700_000_000_000_000_000
 NODE = Endpoint("/node", "", "", "", QoS())
@@ -32,7 +31,7 @@ def _definitions() -> Definitions:
 CODEC = Codec(_definitions())
 
 
-Make = Callable[..., Window]
+Make = Callable[..., Capture]
 
 
 def encoded(type_name: str, value: Mapping[str, Any]) -> bytes:
@@ -43,47 +42,44 @@ def decoded(type_name: str, value: Mapping[str, Any]) -> object:
     return CODEC.decode(type_name, encoded(type_name, value))
 
 
-class Recorded:
-    """A source that is no robot: the seam that a bag will use."""
+class Recorded(Source):
+    """A source that is no robot and no bag: what tests add is all that there is to a kind of source."""
 
-    words = "recorded"
+    title = words = "made"
     codec = CODEC
+    duration_s = 1.0
 
-    def __init__(self, windows: Sequence[Window], scene: Scene | None = None) -> None:
-        self._windows = {window.topic: window for window in windows}
-        self._scene = scene or Scene({}, None, None)
-        self.duration_s = windows[0].duration_s if windows else 1.0
+    def __init__(self, captures: Sequence[Capture], graph: GraphSnapshot | None = None) -> None:
+        self._captures = {capture.topic: capture for capture in captures}
+        self._graph = graph or GraphSnapshot({})
+        if captures:
+            self.duration_s = captures[0].duration_s
 
     async def type_of(self, topic: str) -> str:
-        if topic not in self._windows:
-            raise NotFound(f"There is no topic {topic}.")
-        return self._windows[topic].type
-
-    async def windows(self, topics: Sequence[str], report: Any, **_: bool) -> list[Window | Missing]:  # noqa: ARG002
-        return [self._windows.get(topic) or Missing(topic, NotFound(f"no {topic}")) for topic in topics]
+        return self._capture(topic).type
 
     @asynccontextmanager
-    async def follow(self, topic: str, type_name: str = "", *, most: int | None = None):  # noqa: ARG002
-        window = self._windows[topic]
-
-        async def batches():
-            yield window.samples
-
-        async def why_no_more(_last: object) -> str:
-            return ""
-
-        counts = Counts(len(window.samples))
-        yield Stream(
-            topic,
-            window.type,
-            CODEC,
-            [NODE],
-            batches(),
-            lambda: counts,
-            why_no_more,
-            lambda: window.duration_s,
-            end_ns=lambda: window.end_ns,
+    async def follow(self, topic: str, type_name: str = "", **_: Any) -> AsyncGenerator[Past, None]:  # noqa: ARG002
+        capture = self._capture(topic)
+        stream = Past(
+            topic=topic,
+            type=capture.type,
+            codec=CODEC,
+            publishers=[NODE],
+            start_ns=capture.start_ns,
+            until_ns=capture.end_ns,
+            received=len(capture.samples),
         )
+        stream.batches = in_batches(capture.samples)
+        yield stream
 
-    async def scene(self) -> Scene:
-        return self._scene
+    async def captures(self, topics: Sequence[str], *_: Any, **__: Any) -> list[Capture | Missing]:
+        return [self._captures.get(topic) or Missing(topic, NotFound(f"no {topic}")) for topic in topics]
+
+    async def graph(self) -> GraphSnapshot:
+        return self._graph
+
+    def _capture(self, topic: str) -> Capture:
+        if topic not in self._captures:
+            raise NotFound(f"There is no topic {topic}.")
+        return self._captures[topic]

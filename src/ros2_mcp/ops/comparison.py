@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.source import Capture, Missing, Source
 from ros2_mcp.ops.statistics import seconds
-from ros2_mcp.ops.window import Missing, Source, Window
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.select import FieldPath
@@ -103,19 +103,19 @@ async def compare(
         raise BadInput(f"{topics[0]} is given twice.", "Give two topics.")
     types = [await source.type_of(topic) for topic in topics]
     common_fields(source, types, fields)
-    first, second = await source.windows(topics, report)
-    for window in (first, second):
-        if isinstance(window, Missing):
-            raise window.error
-    assert isinstance(first, Window)
-    assert isinstance(second, Window)
+    first, second = await source.captures(topics, report)
+    for capture in (first, second):
+        if isinstance(capture, Missing):
+            raise capture.error
+    assert isinstance(first, Capture)
+    assert isinstance(second, Capture)
     return await asyncio.to_thread(
         evaluate, first, second, fields, tolerance_percent=tolerance_percent, by_stamp=by_stamp
     )
 
 
 def common_fields(
-    source: Source | Window, types: Sequence[str], fields: Sequence[str]
+    source: Source | Capture, types: Sequence[str], fields: Sequence[str]
 ) -> list[tuple[FieldPath, FieldPath]]:
     """What is compared: the chosen fields, or all numeric ones that both types have.
 
@@ -135,15 +135,20 @@ def common_fields(
 
 
 def evaluate(
-    first: Window, second: Window, fields: Sequence[str] = (), *, tolerance_percent: float = 0.1, by_stamp: bool = True
+    first: Capture,
+    second: Capture,
+    fields: Sequence[str] = (),
+    *,
+    tolerance_percent: float = 0.1,
+    by_stamp: bool = True,
 ) -> Comparison:
-    """Compares two windows; raises as `compare`, and `BadData` if a message does not fit its type."""
+    """Compares two captures; raises as `compare`, and `BadData` if a message does not fit its type."""
     from ros2_mcp.ops import signals
 
     readings = common_fields(first, (first.type, second.type), fields)
     times, paired_by = _times(first, second, by_stamp)
     partners = signals.pairs(*times)
-    messages = [[window.decode(sample) for sample in window.samples] for window in (first, second)]
+    messages = [[capture.decode(sample) for sample in capture.samples] for capture in (first, second)]
     compared = [_compare_field(pair, messages, (seconds(first), seconds(second)), partners) for pair in readings]
     received = [
         (second.samples[j].received_ns - first.samples[i].received_ns) / 1e9 for i, j in partners
@@ -167,7 +172,7 @@ def evaluate(
     )
 
 
-def _times(first: Window, second: Window, by_stamp: bool) -> tuple[tuple[Numbers, Numbers], str]:
+def _times(first: Capture, second: Capture, by_stamp: bool) -> tuple[tuple[Numbers, Numbers], str]:
     """The times by which messages are paired, in seconds, and what they are."""
     from ros2_mcp.ops.signals import flat
 
@@ -261,10 +266,10 @@ def _likely_delay(compared: Sequence[FieldComparison]) -> float | None:
 
 
 def _judge(
-    first: Window, second: Window, pairs: int, compared: Sequence[FieldComparison], tolerance: float
+    first: Capture, second: Capture, pairs: int, compared: Sequence[FieldComparison], tolerance: float
 ) -> tuple[Verdict, list[str]]:
     if not pairs:
-        silent_ones = [window.topic for window in (first, second) if not window.samples]
+        silent_ones = [capture.topic for capture in (first, second) if not capture.samples]
         why = f"{' and '.join(silent_ones)} sent nothing." if silent_ones else "No two messages are near in time."
         return "VERY DIFFERENT", [why]
     reasons = _differences(compared, tolerance)

@@ -1,4 +1,4 @@
-"""The WiseVision Data Black Box: a node that keeps messages in InfluxDB and answers on a service.
+"""The WiseVision Data Black Box as a source: a node that keeps messages in InfluxDB and answers on a service.
 
 Two generations share the service's name; its type tells which one answers.
 """
@@ -9,20 +9,32 @@ import asyncio
 import base64
 import binascii
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
+from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadData, RobotError, TimedOut
+from ros2_mcp.model.errors import BadData, BadValue, NotFound, RobotError, TimedOut, UnknownInterface
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.moments import last_ns_of, moment_ns
+from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.selection import MAX_MESSAGES
+from ros2_mcp.ops.source import Past, Source, SourceKind, SourceRequest, Stream, in_batches
 from ros2_mcp.robot import Robot
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.cdr import Codec
 
 FIRST_TYPE = "lora_msgs/srv/GetMessages"
 SECOND_TYPE = "wisevision_msgs/srv/InfluxGetMessages"
 ANY = "any"
 TIMEOUT_S = 15.0
+"""A question to InfluxDB over a day takes some seconds; a box that hangs must leave time to ask the recordings."""
+NAMES = ("data black box", "data-black-box", "wisevision")
+"""By these it is asked like a bag."""
 _SPECIAL = {
     "std_msgs/msg/Int32": "std_msgs/Int32",
     "lora_msgs/msg/MicroPublisher": "lora_msgs/MicroPublisher",
@@ -112,6 +124,8 @@ class DataBlackBox:
             )
         except TimedOut as error:
             raise TimedOut(error.message, "Ask the Data Black Box for a shorter time.") from error
+        except NotFound as error:  # the box has left: that is no answer that it does not have the topic
+            raise RobotError(error.message, error.hint) from error
         return answer.body
 
     def _read(self, body: bytes) -> Answered:
@@ -133,6 +147,134 @@ class DataBlackBox:
         if kind == "std_msgs/msg/Int32":
             return b"\x00\x01\x00\x00" + int(value).to_bytes(4, "little", signed=True)
         return self.robot.values.codec.encode(kind, value)
+
+
+class DataBlackBoxSource(Source):
+    """What a Data Black Box has kept between two Unix times, both included (None is open)."""
+
+    keeps_types = False
+
+    def __init__(self, box: DataBlackBox, start_ns: int | None, end_ns: int | None, bucket: str = "") -> None:
+        self._box = box
+        self._start_ns = start_ns
+        self._end_ns = end_ns
+        self._bucket = bucket
+
+    @property
+    def title(self) -> str:
+        """Which box it is."""
+        return f"the WiseVision Data Black Box (generation {self._box.generation}, {self._box.service})"
+
+    @property
+    def words(self) -> str:
+        """What it is, with its time."""
+        return f"{self.title}, from {iso_time(self._start_ns) if self._start_ns else 'the beginning'} on"
+
+    @property
+    def duration_s(self) -> float:
+        """How much time was asked for."""
+        return ((self._end_ns or time.time_ns()) - (self._start_ns or 0)) / 1e9
+
+    @property
+    def codec(self) -> Codec:
+        """Reads what it keeps, with the robot's definitions."""
+        return self._box.robot.values.codec
+
+    async def type_of(self, topic: str) -> str:
+        """The type that the topic has in the graph now; the box itself tells it only with the messages."""
+        kind = await self._type_now(names.absolute(topic))
+        if not kind:
+            raise NotFound(f"{names.absolute(topic)} is not there now, so that its type is not known.")
+        await self._box.robot.values.learn(kind)
+        return kind
+
+    @asynccontextmanager
+    async def follow(
+        self,
+        topic: str,
+        type_name: str = "",
+        *,
+        limit: int | None = None,
+        every_n: int = 1,  # noqa: ARG002 - it gives all
+        latched: bool = True,  # noqa: ARG002 - it knows nothing of that
+    ) -> AsyncGenerator[Stream, None]:
+        """The messages that it has, the last ones with a limit.
+
+        Raises:
+            UnknownInterface: if it has messages and nobody says their type.
+            RobotError: with the box's own words, where it says that it failed.
+        """
+        topic = names.absolute(topic)
+        expected = names.interface_type(type_name, "msg") if type_name else await self._type_now(topic)
+        question = Question(topic, expected, self._start_ns, self._end_ns, self._bucket)
+        answered = await self._box.last(question, limit if limit and limit < MAX_MESSAGES else 0)
+        kind = answered.type or expected
+        if answered.samples and not kind:
+            raise UnknownInterface(
+                f"The Data Black Box has {len(answered.samples)} messages of {topic}, but does not say their type.",
+                "Give message_type, such as sensor_msgs/msg/LaserScan.",
+            )
+        if kind:
+            await self._box.robot.values.learn(kind)
+        unconfirmed = "" if answered.type else f"This box does not keep types: right only if they are {kind}."
+        stream = Past(
+            topic=topic,
+            type=kind,
+            codec=self.codec,
+            publishers=(),
+            start_ns=self._start_ns or min((each.received_ns for each in answered.samples), default=0),
+            until_ns=self._end_ns or time.time_ns(),
+            from_end=bool(limit),
+            received=len(answered.samples),
+            note=" ".join(filter(None, (answered.problem, unconfirmed if answered.samples else ""))),
+        )
+        stream.batches = in_batches(answered.samples)
+        async with aclosing(stream.batches):
+            yield stream
+
+    async def _type_now(self, topic: str) -> str:
+        present = await self._box.robot.graph.endpoints(topic)
+        return present.types[0] if len(present.types) == 1 else ""
+
+
+class DataBlackBoxes(SourceKind):
+    """The Data Black Box of the graph as a kind of source; both generations."""
+
+    async def named(self, robot: Robot, memory: Memory, request: SourceRequest) -> Source | None:  # noqa: ARG002
+        """The box of the graph, if it is asked for by name."""
+        if request.name.lower() not in NAMES:
+            return None
+        found = await self._found(robot, request)
+        if found is None:
+            raise NotFound("There is no Data Black Box in the graph.", f"It has a service of type {SECOND_TYPE}.")
+        return found
+
+    async def kept(
+        self,
+        robot: Robot,
+        memory: Memory,  # noqa: ARG002
+        request: SourceRequest,
+    ) -> Sequence[Callable[[], Awaitable[Source]]]:
+        """The box of the graph, if there is one."""
+        found = await self._found(robot, request)
+
+        async def opened() -> Source:
+            assert found
+            return found
+
+        return [opened] if found else []
+
+    async def _found(self, robot: Robot, request: SourceRequest) -> DataBlackBoxSource | None:
+        box = None if robot.policy.recorded else await find_box(robot)
+        if box is None:
+            return None
+        now_ns = time.time_ns()
+        start_ns = moment_ns("time_start", request.start, None, now_ns) if request.start else None
+        end_ns = moment_ns("time_end", request.end, None, now_ns) if request.end else None
+        if start_ns is not None and end_ns is not None and end_ns < start_ns:
+            raise BadValue("time_end", f"{request.end!r} is before {request.start!r}.")
+        end_ns = None if end_ns is None else last_ns_of(request.end, end_ns)
+        return DataBlackBoxSource(box, start_ns, end_ns, request.bucket)
 
 
 async def find_box(robot: Robot) -> DataBlackBox | None:

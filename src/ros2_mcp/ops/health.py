@@ -16,10 +16,10 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.graph import OF_EVERY_NODE
 from ros2_mcp.ops.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
-from ros2_mcp.ops.results import Report, is_recorded, iso_time, silent
+from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.silence import Silence, silence_in
+from ros2_mcp.ops.source import Capture, GraphSnapshot, Missing, Source
 from ros2_mcp.ops.topics import mismatches
-from ros2_mcp.ops.window import Missing, Scene, Source, Window
 from ros2_mcp.robot import TopicEndpoints
 
 MAX_MEASURED = 60
@@ -141,25 +141,25 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
     """
     bounded("min_expected_rate_hz", expected.min_rate_hz, 0.0, 1000.0, "Hz")
     expected = _normalized(expected)
-    scene = await source.scene()
-    chosen, skipped = to_measure(scene, expected) if expected.check_rates else ([], [])
+    graph = await source.graph()
+    chosen, skipped = to_measure(graph, expected) if expected.check_rates else ([], [])
     measured, reported = await asyncio.gather(
-        source.windows(chosen, report, times_only=True),
-        source.windows([DIAGNOSTICS] if _is_published(scene, DIAGNOSTICS) else [], silent),
+        source.captures(chosen, report, times_only=True),
+        source.captures([DIAGNOSTICS] if _is_published(graph, DIAGNOSTICS) else []),
     )
-    if any(_missing(scene, expected)):  # it may only just have appeared
-        scene = await source.scene()
-    told = await asyncio.to_thread(_reported, [each for each in reported if isinstance(each, Window)])
-    flows = {window.topic: flow(window) for window in measured if isinstance(window, Window)}
+    if any(_missing(graph, expected)):  # it may only just have appeared
+        graph = await source.graph()
+    told = await asyncio.to_thread(_reported, [each for each in reported if isinstance(each, Capture)])
+    flows = {capture.topic: flow(capture) for capture in measured if isinstance(capture, Capture)}
     failed = [each for each in measured if isinstance(each, Missing)]
-    return _judge(source.words, scene, expected, flows, told, _note(scene, skipped, failed))
+    return _judge(source, graph, expected, flows, told, _note(graph, skipped, failed))
 
 
-def _reported(windows: Sequence[Window]) -> DiagnosticTable:
+def _reported(captures: Sequence[Capture]) -> DiagnosticTable:
     table = DiagnosticTable()
-    for window in windows:
-        for sample in window.samples if window.type == _DIAGNOSTICS_TYPE else ():
-            table.take(window.decode(sample), sample.received_ns)
+    for capture in captures:
+        for sample in capture.samples if capture.type == _DIAGNOSTICS_TYPE else ():
+            table.take(capture.decode(sample), sample.received_ns)
     return table
 
 
@@ -173,45 +173,45 @@ def _normalized(expected: Expectations) -> Expectations:
     )
 
 
-def to_measure(scene: Scene, expected: Expectations) -> tuple[list[str], list[str]]:
+def to_measure(graph: GraphSnapshot, expected: Expectations) -> tuple[list[str], list[str]]:
     """Which topics to listen to: those expected, then the others as far as the bounds go; and those left out."""
-    wanted = [name for name in expected.topics if _is_published(scene, name)]
-    others = [name for name in sorted(scene.topics) if name not in wanted and _is_measured(scene.topics[name])]
-    others.sort(key=lambda name: not _streams(scene.topics[name]))
-    large = [name for name in others if LARGE_TYPES.intersection(scene.topics[name].types)]
+    wanted = [name for name in expected.topics if _is_published(graph, name)]
+    others = [name for name in sorted(graph.topics) if name not in wanted and _is_measured(graph.topics[name])]
+    others.sort(key=lambda name: not _streams(graph.topics[name]))
+    large = [name for name in others if LARGE_TYPES.intersection(graph.topics[name].types)]
     chosen = [*wanted, *(name for name in others if name not in large[MAX_LARGE:])]
     left_out = [*large[MAX_LARGE:], *chosen[MAX_MEASURED:]]
     return chosen[:MAX_MEASURED], left_out
 
 
-def flow(window: Window) -> Flow:
-    """The rate of a window's messages, the highest that its longest silence allows, and where it was interrupted."""
-    times = [(sample.received_ns - window.start_ns) / 1e9 for sample in window.samples]
-    edges = [0.0, *times, window.duration_s]
+def flow(capture: Capture) -> Flow:
+    """The rate of a capture's messages, the highest that its longest silence allows, and where it was interrupted."""
+    times = [(sample.received_ns - capture.start_ns) / 1e9 for sample in capture.samples]
+    edges = [0.0, *times, capture.duration_s]
     longest = max(later - earlier for earlier, later in pairwise(edges))
     span = times[-1] - times[0] if len(times) > 1 else 0.0
     rate_hz = (len(times) - 1) / span if span > 0 else None
-    received_ns = [sample.received_ns for sample in window.samples]
-    silence = silence_in(received_ns, window.end_ns, STOPPED_PERIODS, STOPPED_S)
+    received_ns = [sample.received_ns for sample in capture.samples]
+    silence = silence_in(received_ns, capture.end_ns, STOPPED_PERIODS, STOPPED_S)
     return Flow(len(times), rate_hz, 1 / longest if longest > 0 else 0.0, silence)
 
 
 def _judge(
-    source: str,
-    scene: Scene,
+    source: Source,
+    graph: GraphSnapshot,
     expected: Expectations,
     flows: Mapping[str, Flow],
     told: DiagnosticTable,
     note: str,
 ) -> Health:
     diagnostics = told.rows
-    rows = [_row(scene, name, flows.get(name), expected) for name in sorted({*scene.topics, *expected.topics})]
+    rows = [_row(graph, name, flows.get(name), expected) for name in sorted({*graph.topics, *expected.topics})]
     findings = [
-        *_missing(scene, expected),
-        *(finding for row in rows for finding in _flow_finding(scene, row, flows.get(row.topic_name), expected)),
-        *_graph_findings(scene),
+        *_missing(graph, expected),
+        *(finding for row in rows for finding in _flow_finding(graph, row, flows.get(row.topic_name), expected)),
+        *_graph_findings(graph),
         *(_diagnosis(status) for status in diagnostics if status.level != "OK"),
-        *(map(_past, told.past) if is_recorded(source) else ()),
+        *(map(_past, told.past) if not source.is_live else ()),
     ]
     findings.sort(key=lambda finding: finding.severity)  # critical before warning
     severities = {finding.severity for finding in findings}
@@ -223,18 +223,18 @@ def _judge(
         visible[:MAX_ROWS],
         [_brief(status) for status in diagnostics[:MAX_STATUSES]],
         [row.topic_name for row in visible if row.publishers and not row.subscribers][:MAX_NAMES]
-        if scene.nodes
+        if graph.nodes
         else [],
         [row.topic_name for row in visible if row.subscribers and not row.publishers][:MAX_NAMES],
         {
-            "topics": len(scene.topics),
-            "nodes": len(scene.nodes or ()),
-            "services": len(scene.services or ()),
+            "topics": len(graph.topics),
+            "nodes": len(graph.nodes or ()),
+            "services": len(graph.services or ()),
             "measured": len(flows),
             "findings": len(findings),
             "diagnostics": len(diagnostics),
         },
-        source,
+        source.words,
         note,
     )
 
@@ -244,8 +244,8 @@ def _brief(status: Diagnostic) -> Diagnostic:
     return replace(status, values={}) if status.level == "OK" else status
 
 
-def _row(scene: Scene, name: str, measured: Flow | None, expected: Expectations) -> TopicRow:
-    found = scene.topics.get(name, TopicEndpoints(name, (), ()))
+def _row(graph: GraphSnapshot, name: str, measured: Flow | None, expected: Expectations) -> TopicRow:
+    found = graph.topics.get(name, TopicEndpoints(name, (), ()))
     is_expected = name in expected.topics
     return TopicRow(
         name,
@@ -273,16 +273,16 @@ def _state(found: TopicEndpoints, measured: Flow | None, is_expected: bool, min_
     return "SLOW" if rate_hz < RATE_TOLERANCE * min_rate_hz else "OK"
 
 
-def _missing(scene: Scene, expected: Expectations) -> Iterator[Finding]:
+def _missing(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:
     for topic in expected.topics:
-        if topic not in scene.topics:
-            hint = names.did_you_mean(topic, list(scene.topics), "Start the node that publishes it.")
+        if topic not in graph.topics:
+            hint = names.did_you_mean(topic, list(graph.topics), "Start the node that publishes it.")
             yield Finding("critical", topic, "The expected topic is not there.", hint)
-        elif not scene.topics[topic].publishers:
+        elif not graph.topics[topic].publishers:
             yield Finding("critical", topic, "Nobody publishes on the expected topic.", "Start its publisher.")
     for what, wanted, there in (
-        ("service", expected.services, scene.services),
-        ("node", expected.nodes, scene.nodes),
+        ("service", expected.services, graph.services),
+        ("node", expected.nodes, graph.nodes),
     ):
         known = wanted if there is None else there  # what a source does not know is not missing
         for name in wanted:
@@ -291,9 +291,11 @@ def _missing(scene: Scene, expected: Expectations) -> Iterator[Finding]:
                 yield Finding("critical", name, f"The expected {what} is not there.", hint)
 
 
-def _flow_finding(scene: Scene, row: TopicRow, measured: Flow | None, expected: Expectations) -> Iterator[Finding]:
+def _flow_finding(
+    graph: GraphSnapshot, row: TopicRow, measured: Flow | None, expected: Expectations
+) -> Iterator[Finding]:
     if row.state in ("SILENT", "STOPPED", "INTERRUPTED"):
-        by = ", ".join(sorted({each.node for each in scene.topics[row.topic_name].publishers}))
+        by = ", ".join(sorted({each.node for each in graph.topics[row.topic_name].publishers}))
         advice = f"Look at {by}: its device, parameters and log."
         problem = f"Published by {by}, but nothing came."
         if measured and measured.silence:
@@ -313,15 +315,15 @@ def _interrupted(silence: Silence) -> str:
     return f"It was interrupted: nothing for {silence.duration_s:.1f} s {since}."
 
 
-def _graph_findings(scene: Scene) -> Iterator[Finding]:
-    for topic, found in scene.topics.items():
+def _graph_findings(graph: GraphSnapshot) -> Iterator[Finding]:
+    for topic, found in graph.topics.items():
         for sentence in mismatches(found.publishers, found.subscribers):
             yield Finding("warning", topic, sentence, "They never exchange a message: align type and QoS of the two.")
         if _streams(found) and found.subscribers and not found.publishers:
             waiting = ", ".join(sorted({each.node for each in found.subscribers}))
             problem = f"{waiting} waits for it, but nobody publishes."
             yield Finding("warning", topic, problem, "Start the sensor's driver, or correct a remapping.")
-    for name, count in Counter(scene.nodes or ()).items():
+    for name, count in Counter(graph.nodes or ()).items():
         if count > 1:
             yield Finding("warning", name, f"{count} nodes have this name.", "Rename or stop all but one.")
 
@@ -336,20 +338,20 @@ def _past(status: Diagnostic) -> Finding:
     return Finding("warning", status.name, problem, "It has become better since.")
 
 
-def _note(scene: Scene, skipped: Sequence[str], failed: Sequence[Missing]) -> str:
-    notes = [] if scene.settled else ["Discovery had not settled: ask again."]
+def _note(graph: GraphSnapshot, skipped: Sequence[str], failed: Sequence[Missing]) -> str:
+    notes = [] if graph.settled else ["Discovery had not settled: ask again."]
     if skipped:
         listed = ", ".join(skipped[:8]) + (f" and {len(skipped) - 8} more" if len(skipped) > 8 else "")
         notes.append(f"Not measured, to spare the robot: {listed} (expected_topics are always measured).")
-    if scene.nodes is None or scene.services is None:
+    if graph.nodes is None or graph.services is None:
         notes.append("Nodes and services are not known here.")
     if failed:
         notes.append(f"Could not be measured: {'; '.join(f'{each.topic}: {each.error}' for each in failed[:5])}")
     return " ".join(notes)
 
 
-def _is_published(scene: Scene, topic: str) -> bool:
-    return topic in scene.topics and bool(scene.topics[topic].publishers)
+def _is_published(graph: GraphSnapshot, topic: str) -> bool:
+    return topic in graph.topics and bool(graph.topics[topic].publishers)
 
 
 def _is_measured(found: TopicEndpoints) -> bool:

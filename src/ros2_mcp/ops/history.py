@@ -3,56 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import Awaitable, Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import aclosing
 from dataclasses import dataclass, replace
-from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError, UnknownInterface
-from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.bags import codec_of, definitions_of, find_topic, rendered_within, span_in, taken, times_of
-from ros2_mcp.ops.black_box import BLACK_BOX
-from ros2_mcp.ops.data_black_box import ANY, TIMEOUT_S, DataBlackBox, Question, find_box
+from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError
+from ros2_mcp.ops.data_black_box import ANY, TIMEOUT_S
 from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.moments import is_relative, last_ns_of, moment_ns
-from ros2_mcp.ops.reading import View
-from ros2_mcp.ops.recording import recordings
-from ros2_mcp.ops.results import Report, exact_time, iso_time, reporting, silent
+from ros2_mcp.ops.reading import Collected, collect
+from ros2_mcp.ops.recorded import end_note
+from ros2_mcp.ops.results import Report, iso_time, reporting, silent
+from ros2_mcp.ops.selection import MAX_MESSAGES, Fitted, Selection, fit
+from ros2_mcp.ops.source import Source, SourceRequest
+from ros2_mcp.ops.sources import sources_of_the_past
 from ros2_mcp.robot import Robot
 
-if TYPE_CHECKING:
-    from ros2_mcp.codec.cdr import Codec
 
-MAX_MESSAGES = 100_000
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """Which messages: the last `number` of the time between two moments; 0 is all of them, and so is no moment."""
-
-    topic: str
-    type: str = ""
-    number: int = 0
-    start: str = ""
-    end: str = ""
-    bucket: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """What one source has, the oldest first."""
-
-    source: str
-    type: str
-    samples: Sequence[Sample]
-    codec: Codec
-    note: str = ""
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StoredMessages:
     """Messages of the past with the times at which they were stored (empty where the source does not say).
 
@@ -75,12 +45,25 @@ class StoredMessages:
         return f"{self.topic_name}: {self.count} of {self.found} message(s) from {self.source}. {self.note}".rstrip()
 
 
-async def get_messages(
-    robot: Robot, memory: Memory, asked: Asked, view: View, report: Report = silent
-) -> StoredMessages:
-    """Messages of the past, from the first source that has some.
+@dataclass(frozen=True, slots=True)
+class _Found:
+    source: Source
+    collected: Collected
+    failed: Sequence[RobotError]
 
-    If they do not fit, they are evenly thinned; if a number is asked for, the newest of them are shown.
+
+async def get_messages(
+    robot: Robot,
+    memory: Memory,
+    topic: str,
+    type_name: str,
+    request: SourceRequest,
+    selection: Selection,
+    report: Report = silent,
+) -> StoredMessages:
+    """The last messages of the past between two moments, from the first source that has some.
+
+    The selection's `message_limit` is how many (None: all). If they do not fit, they are evenly thinned.
 
     Raises:
         NotFound: if no source knows the topic.
@@ -88,153 +71,80 @@ async def get_messages(
         BadData: if no message is what the type says.
         RobotError: with the words of a source that failed, where no other has the messages.
     """
-    bounded("number_of_messages", asked.number, 0, MAX_MESSAGES, "messages")
-    bounded("every_n", view.every_n, 1, 1_000_000, "messages")
-    kind = "" if asked.type in ("", ANY) else names.interface_type(asked.type, "msg")
-    asked = replace(asked, topic=names.absolute(asked.topic), type=kind)
-    async with reporting(report, TIMEOUT_S, f"looking for earlier messages of {asked.topic}"):
-        found, failed = await _find(robot, memory, asked)
-    if found and (found.samples or not failed):
-        return await asyncio.to_thread(_show, asked, view, found, failed)
-    raise failed[0] if failed else _nobody(asked)
+    bounded("number_of_messages", selection.message_limit or 0, 0, MAX_MESSAGES, "messages")
+    selection.check()
+    topic = names.absolute(topic)
+    type_name = "" if type_name in ("", ANY) else names.interface_type(type_name, "msg")
+    async with reporting(report, TIMEOUT_S, f"looking for earlier messages of {topic}"):
+        found = await _find(robot, memory, topic, type_name, request, selection)
+    return await asyncio.to_thread(_show, found, type_name, request, selection)
 
 
-async def _find(robot: Robot, memory: Memory, asked: Asked) -> tuple[Found | None, list[RobotError]]:
+async def _find(
+    robot: Robot, memory: Memory, topic: str, type_name: str, request: SourceRequest, selection: Selection
+) -> _Found:
     """What the first source has that has messages, else what one without any says; and which sources failed."""
-    empty: Found | None = None
+    all_of_them = replace(selection, fields=(), every_n=1, message_limit=selection.message_limit or MAX_MESSAGES)
+    empty: _Found | None = None
     failed: list[RobotError] = []
-    for answer in _answers(robot, memory, asked):
-        try:
-            found = await answer
-        except (BadName, BadValue):
-            raise
-        except RobotError as error:
-            failed.append(error)
-            continue
-        if found and found.samples:
-            return found, failed
-        empty = empty or found
-    return empty, failed
-
-
-def _answers(robot: Robot, memory: Memory, asked: Asked) -> Iterator[Awaitable[Found | None]]:
-    """Who is asked, in this order: the Data Black Box, this server's recordings, the bag that stands for the robot, and
-    those that were opened, the last one first.
-    """
-    own = _own_recordings(memory)
-    subject = [memory.subject_name] if memory.subject else []
-    bags = dict.fromkeys([*subject, *memory.opened_names()])
-    yield _ask_data_black_box(robot, asked)
-    for name in own:
-        yield _ask_bag(robot, memory, asked, name, "this server's recording")
-    for name in bags:
-        if name not in own:
-            yield _ask_bag(robot, memory, asked, name, "the bag")
-
-
-def _own_recordings(memory: Memory) -> list[str]:
-    """The black box first while it runs, then the newest recording first; what former servers left is none of them."""
-    own = recordings(memory)
-    running = [name for name in own if name == BLACK_BOX and own[name].is_running]
-    return list(dict.fromkeys([*running, *reversed(own)]))
-
-
-async def _ask_data_black_box(robot: Robot, asked: Asked) -> Found | None:
-    box = None if robot.policy.recorded else await find_box(robot)
-    if box is None:
-        return None
-    kind = await _known_type(robot, asked)
-    now_ns = time.time_ns()
-    start_ns, end_ns = _moment("time_start", asked.start, now_ns), _moment("time_end", asked.end, now_ns)
-    if start_ns is not None and end_ns is not None and end_ns < start_ns:
-        raise BadValue("time_end", f"{asked.end!r} is before {asked.start!r}.")
-    end_ns = None if end_ns is None else last_ns_of(asked.end, end_ns)
-    answered = await box.last(Question(asked.topic, kind, start_ns, end_ns, asked.bucket), asked.number)
-    unconfirmed = "" if answered.type else f"This box does not keep types: right only if they are {kind}."
-    kind = answered.type or kind
-    if answered.samples and not kind:
-        raise UnknownInterface(
-            f"The Data Black Box has {len(answered.samples)} messages of {asked.topic}, but does not say their type.",
-            "Give message_type, such as sensor_msgs/msg/LaserScan.",
+    async with aclosing(sources_of_the_past(robot, memory, request)) as sources:
+        async for source in sources:
+            try:
+                if isinstance(source, RobotError):
+                    raise source
+                expected = "" if source.keeps_types else type_name
+                collected = await collect(
+                    source, topic, expected, all_of_them, latched=False, names=("time_start", "time_end")
+                )
+            except (BadName, BadValue):
+                raise
+            except NotFound:
+                continue  # a bag that does not have the topic
+            except RobotError as error:
+                failed.append(error)
+                continue
+            found = _Found(source, collected, failed)
+            if collected.samples:
+                return found
+            empty = empty or found
+    if empty and not failed:
+        return empty
+    raise (
+        failed[0]
+        if failed
+        else NotFound(
+            f"Nobody has kept messages of {topic}: no Data Black Box, no recording and no opened bag has it.",
+            "Start the server with --black-box, record with ros2_record_start, or open a bag with ros2_bag_info.",
         )
-    if kind:
-        await robot.values.learn(kind)
-    note = " ".join(filter(None, (answered.problem, unconfirmed if answered.samples else "")))
-    return Found(_words(box), kind, answered.samples, robot.values.codec, note)
-
-
-def _words(box: DataBlackBox) -> str:
-    return f"the WiseVision Data Black Box (generation {box.generation}, {box.service})"
-
-
-async def _known_type(robot: Robot, asked: Asked) -> str:
-    """The type that was asked for, else the one that the topic has now, else nothing."""
-    if asked.type:
-        return asked.type
-    present = await robot.graph.endpoints(asked.topic)
-    return present.types[0] if len(present.types) == 1 else ""
-
-
-def _moment(name: str, text: str, now_ns: int) -> int | None:
-    if not text.strip():
-        return None
-    return moment_ns(name, text, None, now_ns)
-
-
-async def _ask_bag(robot: Robot, memory: Memory, asked: Asked, name: str, words: str) -> Found | None:
-    def read() -> tuple[Any, int, list[Sample], Sample | None]:
-        with memory.reading(name) as bag:
-            topic = find_topic(bag, asked.topic)
-            span = replace(span_in(memory, bag, asked.start, asked.end), topics=(topic.name,))
-            newest = (sample for _, sample in bag.messages(span, newest_first=True))
-            return topic, times_of(memory, bag)[1], *taken(islice(newest, asked.number or None), MAX_MESSAGES)
-
-    try:
-        topic, last_ns, newest, beyond = await asyncio.to_thread(read)
-    except NotFound:
-        return None
-    codec = codec_of(await definitions_of(topic, robot))
-    notes: list[str] = []
-    if is_relative(asked.start) or is_relative(asked.end):
-        notes.append(f"Counted from its end, {iso_time(last_ns)}.")
-    if beyond:
-        earlier = exact_time(newest[-1].received_ns - 1)
-        notes.append(f"There are earlier ones too: for those, give time_end {earlier}.")
-    return Found(f"{words} {name}", topic.type, newest[::-1], codec, " ".join(notes))
-
-
-def _show(asked: Asked, view: View, found: Found, failed: Sequence[RobotError]) -> StoredMessages:
-    samples = found.samples[:: -view.every_n][::-1]
-    shown, rendered, bad = rendered_within(found.type, found.codec, samples, view) if samples else ([], [], 0)
-    if samples and not shown:
-        raise BadData(
-            f"{found.source} has {bad} messages of {asked.topic}, but none is a {found.type}.",
-            "Give the right message_type: the messages were stored with another type, or another version of it.",
-        )
-    notes = [f"Another source failed: {error.message}" for error in failed] + [found.note]
-    if asked.type not in ("", found.type):
-        notes.append(f"They are {found.type}, not {asked.type}.")
-    if len(shown) + bad < len(samples):
-        notes.append(f"{len(samples) - len(shown) - bad} more do not fit, evenly left out: choose fields, or every_n.")
-    if bad:
-        notes.append(f"{bad} message(s) are not what their type says and are left out.")
-    if not samples:
-        notes.append("None in that time." if asked.start or asked.end else "It has none of this topic.")
-    return StoredMessages(
-        found.source,
-        asked.topic,
-        found.type,
-        [iso_time(each.received_ns) if each.received_ns else "" for each in shown],
-        [each.value for each in rendered],
-        len(shown),
-        len(found.samples),
-        sorted({path for each in rendered for path in each.truncated}),
-        " ".join(filter(None, notes)),
     )
 
 
-def _nobody(asked: Asked) -> NotFound:
-    return NotFound(
-        f"Nobody has kept messages of {asked.topic}: no Data Black Box, no recording and no opened bag has it.",
-        "Start the server with --black-box, record with ros2_record_start, or open a bag with ros2_bag_info.",
+def _show(found: _Found, type_name: str, request: SourceRequest, selection: Selection) -> StoredMessages:
+    source, stream, whole = found.source.title, found.collected.stream, found.collected.samples
+    samples = whole[:: -selection.every_n][::-1]  # counted from the newest
+    fitted = fit(stream.codec, stream.type, samples, selection) if samples else Fitted()
+    if samples and not fitted.samples:
+        raise BadData(
+            f"{source} has {len(samples)} messages of {stream.topic}, but none is a {stream.type}.",
+            "Give the right message_type: the messages were stored with another type, or another version of it.",
+        )
+    notes = [f"Another source failed: {error.message}" for error in found.failed]
+    notes += [stream.note, end_note(found.source, request.start, request.end)]
+    if len(whole) != selection.message_limit:  # whoever asks for the last two knows that there are others
+        notes.append(found.collected.more)
+    if type_name not in ("", stream.type):
+        notes.append(f"They are {stream.type}, not {type_name}.")
+    notes.append(fitted.note)
+    if not samples:
+        notes.append("None in that time." if request.start or request.end else "It has none of this topic.")
+    return StoredMessages(
+        source=source,
+        topic_name=stream.topic,
+        topic_type=stream.type,
+        timestamps=[iso_time(each.received_ns) if each.received_ns else "" for each in fitted.samples],
+        messages=fitted.values,
+        count=len(fitted.values),
+        found=len(whole),
+        truncated=fitted.truncated,
+        note=" ".join(filter(None, notes)),
     )

@@ -13,8 +13,8 @@ from typing import Any
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import iso_time, silent
-from ros2_mcp.ops.window import Missing, Source
+from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.source import Missing, Source
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.log import LOG_TYPE, TOPIC, level_of
 
@@ -71,7 +71,7 @@ class Wanted:
     limit: int = 100
 
 
-async def read(robot: Robot, wanted: Wanted) -> Log:
+async def read(robot: Robot, wanted: Wanted, max_bytes: int = 32_000) -> Log:
     """Lines that are kept; the first call of a server that has not listened yet waits for what nodes said lately.
 
     Raises:
@@ -89,7 +89,7 @@ async def read(robot: Robot, wanted: Wanted) -> Log:
         for sample in kept
         if level_of(sample.data) >= least and (line := _matching(robot, sample, wanted, since_ns))
     ]
-    shown = _within(lines[-wanted.limit :], robot.result_bytes)
+    shown = _within(lines[-wanted.limit :], max_bytes)
     return Log(
         shown,
         len(lines),
@@ -108,15 +108,15 @@ async def read_recorded(source: Source, wanted: Wanted, max_bytes: int) -> Log:
         NotFound: if /rosout was not recorded.
     """
     least = level_number(wanted.level)
-    (window,) = await source.windows([TOPIC], silent)
-    if isinstance(window, Missing):
-        raise window.error
-    messages = [window.decode(sample) for sample in window.samples if level_of(sample.data) >= least]
+    (capture,) = await source.captures([TOPIC])
+    if isinstance(capture, Missing):
+        raise capture.error
+    messages = [capture.decode(sample) for sample in capture.samples if level_of(sample.data) >= least]
     lines = [_line(message) for message in messages if _fits(message, wanted, 0)]
     shown = _within(lines[-wanted.limit :], max_bytes)
     note = f"The newest {len(shown)} are shown." if len(shown) < len(lines) else ""
-    begin = iso_time(window.start_ns)
-    return Log(shown, len(lines), len(window.samples), window.dropped, begin, note, source.words)
+    begin = iso_time(capture.start_ns)
+    return Log(shown, len(lines), len(capture.samples), capture.dropped, begin, note, source.words)
 
 
 def line_of(robot: Robot, sample: Sample) -> LogLine:

@@ -14,6 +14,7 @@ from ros2_mcp.model.names import did_you_mean
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
+    from ros2_mcp.codec.cdr import Codec
 
 RECORDINGS = Path("~/ros2-mcp/recordings")
 _MOST_OPEN = 4
@@ -40,6 +41,17 @@ class OpenedBag:
         self.lock = threading.Lock()
         self._path = path
         self._mark: tuple[int, int] | None = None
+        self._codec: Codec | None = None
+
+    @property
+    def codec(self) -> Codec:
+        """Reads its messages; what has been learnt and compiled is kept as long as the bag means the same by it."""
+        if self._codec is None:
+            from ros2_mcp.codec.cdr import Codec
+            from ros2_mcp.codec.definitions import Definitions
+
+            self._codec = Codec(Definitions())
+        return self._codec
 
     @contextmanager
     def reading(self) -> Generator[Bag, None, None]:
@@ -49,7 +61,10 @@ class OpenedBag:
         with self.lock:
             mark = _mark(self._path)
             if self.bag is None or mark != self._mark:
-                self.bag, self._mark = Bag(self._path, self.bag), mark
+                former, self.bag = self.bag, Bag(self._path, self.bag)
+                self._mark = mark
+                if former and _schemas(former).items() - _schemas(self.bag).items():
+                    self._codec = None
             yield self.bag
 
 
@@ -161,6 +176,10 @@ def _below(root: Path) -> Iterator[Path]:
             yield from (folder / each for each in sorted(files) if not each.startswith("."))
         if len(folder.relative_to(root).parts) + 1 == _DEEPEST:
             folders.clear()
+
+
+def _schemas(bag: Bag) -> dict[str, tuple[str, str]]:
+    return {topic.name: (topic.type, topic.definition) for topic in bag.topics.values()}
 
 
 def _mark(path: Path) -> tuple[int, int]:

@@ -10,8 +10,8 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import TimedOut, TypeConflict
 from ros2_mcp.model.pictures import OCCUPANCY_GRID, POINT_CLOUD, BirdEyeOptions
-from ros2_mcp.ops.results import Report, WithPictures, facts, is_recorded, iso_time, reporting, silent
-from ros2_mcp.ops.window import Source, Stream
+from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, reporting, silent
+from ros2_mcp.ops.source import Source, Stream
 
 if TYPE_CHECKING:
     from ros2_mcp.model.samples import Sample
@@ -147,7 +147,7 @@ async def _first(source: Source, topic: str, wanted: str, report: Report) -> tup
     topic = names.absolute(topic)
     async with (
         reporting(report, source.duration_s, f"waiting for {topic}"),
-        source.follow(topic, most=1) as stream,
+        source.follow(topic, limit=1) as stream,
     ):
         if stream.type != wanted:
             raise TypeConflict(f"{topic} is a {stream.type}, not a {wanted}.", "ros2_topic_list shows types.")
@@ -161,7 +161,7 @@ async def _next(source: Source, stream: Stream) -> Sample | None:
     """The next message of a recording; live the newest one that waits."""
     async for batch in stream.batches:
         if batch:
-            return batch[0] if is_recorded(source.words) else batch[-1]
+            return batch[-1] if source.is_live else batch[0]
     return None
 
 

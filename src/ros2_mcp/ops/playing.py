@@ -15,8 +15,8 @@ from ros2_mcp.model.commands import Feed, Play
 from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, TypeConflict
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.bags import find_topic, span_in
 from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.recorded import find_topic, span_in
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.robot import VELOCITY_TYPES, Robot
 

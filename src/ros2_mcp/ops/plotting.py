@@ -13,7 +13,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.pictures import MAX_SIDE, Picture
 from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
-from ros2_mcp.ops.window import Missing, Source, Window
+from ros2_mcp.ops.source import Capture, Missing, Source
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.plot import Figure, Panel
@@ -35,7 +35,7 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One numeric field over the window; numbers over its finite values, null where there are none.
+    """One numeric field over the time of measuring; numbers over its finite values, null where there are none.
 
     `unit` is empty where it is not known. `gaps` counts the silences that are breaks in the curve.
     """
@@ -96,12 +96,12 @@ async def plot(source: Source, wanted: Sequence[str], look: Look | None = None, 
         raise BadInput("Nothing to plot is given.", 'Give series such as ["/odom:twist.twist.linear.x"].')
     topics = list(dict.fromkeys(topic for topic, _ in parts))
     await _check_fields(source, parts)
-    windows = {each.topic: each for each in await source.windows(topics, report)}
-    found = [(windows[topic], field) for topic, field in parts]
-    missing = {each.topic: each.error for each in windows.values() if isinstance(each, Missing)}
+    captures = {each.topic: each for each in await source.captures(topics, report)}
+    found = [(captures[topic], field) for topic, field in parts]
+    missing = {each.topic: each.error for each in captures.values() if isinstance(each, Missing)}
     if len(missing) == len(topics) or (missing and look.kind == "xy"):
         raise next(iter(missing.values()))
-    kept = [(window, field) for window, field in found if isinstance(window, Window)]
+    kept = [(capture, field) for capture, field in found if isinstance(capture, Capture)]
     notes = [str(error) for error in missing.values()]
     return await asyncio.to_thread(_plotted, source.words, kept, look, notes)
 
@@ -130,7 +130,7 @@ async def _check_fields(source: Source, parts: Sequence[tuple[str, str]]) -> Non
 
 @dataclass(frozen=True, slots=True)
 class _Values:
-    """The values of one field, with the time of each in seconds from the window's beginning."""
+    """The values of one field, with the time of each in seconds from the capture's beginning."""
 
     topic: str
     field: str
@@ -143,23 +143,23 @@ class _Values:
         return f"{self.topic}:{self.field}"
 
 
-def _values_of(window: Window, field: str, most: int | None) -> Iterator[_Values]:
+def _values_of(capture: Capture, field: str, most: int | None) -> Iterator[_Values]:
     """The values of each number that a path stands for, of lists of each element; at most so many fields."""
     from ros2_mcp.codec.select import measurable
     from ros2_mcp.codec.units import unit_of
     from ros2_mcp.ops.signals import flat
 
-    readings = measurable(window.definitions, window.type, [field] if field else ())
+    readings = measurable(capture.definitions, capture.type, [field] if field else ())
     if not field:
         readings = [each for each in readings if not each.is_list]
-    messages = [window.decode(sample) for sample in window.samples]
-    times = [max(sample.received_ns - window.start_ns, 0) / 1e9 for sample in window.samples]
+    messages = [capture.decode(sample) for sample in capture.samples]
+    times = [max(sample.received_ns - capture.start_ns, 0) / 1e9 for sample in capture.samples]
     for each in readings[:most]:
         found = [(time, _value(each, message)) for time, message in zip(times, messages, strict=True)]
-        unit = unit_of(window.definitions, window.type, each.path)
+        unit = unit_of(capture.definitions, capture.type, each.path)
         for path, points in _split(each.path, found) if each.is_list else [(each.path, found)]:
             kept = [(time, value) for time, value in points if value is not None]
-            yield _Values(window.topic, path, unit, flat([at for at, _ in kept]), flat([value for _, value in kept]))
+            yield _Values(capture.topic, path, unit, flat([at for at, _ in kept]), flat([value for _, value in kept]))
 
 
 def _value(reading: Any, message: object) -> Any:
@@ -207,9 +207,9 @@ def _breaks(times: Numbers) -> Any:
 # ── pictures ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _plotted(words: str, found: Sequence[tuple[Window, str]], look: Look, notes: list[str]) -> Plot:
+def _plotted(words: str, found: Sequence[tuple[Capture, str]], look: Look, notes: list[str]) -> Plot:
     most = 2 if look.kind == "xy" else None
-    values = list({each.name: each for window, field in found for each in _values_of(window, field, most)}.values())
+    values = list({each.name: each for capture, field in found for each in _values_of(capture, field, most)}.values())
     first = found[0][0]
     if look.kind == "time":
         values, left_out = _chosen(values)
@@ -218,7 +218,7 @@ def _plotted(words: str, found: Sequence[tuple[Window, str]], look: Look, notes:
         raise BadInput(f"{len(values)} series are too many for one picture.", f"Give at most {2 * MAX_CURVES}.")
     series = [_series(each, int(_breaks(each.times).sum())) for each in values]
     notes += [f"{topic} was silent." for topic in dict.fromkeys(w.topic for w, _ in found if not w.samples)]
-    dropped = {window.topic: window.dropped for window, _ in found if window.dropped}
+    dropped = {capture.topic: capture.dropped for capture, _ in found if capture.dropped}
     notes += [f"{topic}: {count} messages were too much to keep." for topic, count in dropped.items()]
     figure = _against_each_other(values, words) if look.kind == "xy" else _over_time(values, first, words)
     picture = _picture(figure, look, series)
@@ -251,15 +251,15 @@ def _changes(values: _Values) -> bool:
     return len(finite) > 1 and bool((finite != finite[0]).any())
 
 
-def _over_time(values: Sequence[_Values], window: Window, words: str) -> Figure:
+def _over_time(values: Sequence[_Values], capture: Capture, words: str) -> Figure:
     from ros2_mcp.codec.plot import Curve, Figure, Panel, Span
 
     ordered = sorted(values, key=lambda each: [v.unit for v in values].index(each.unit))
     panels: list[Panel] = []
     for unit, group in groupby(ordered, key=lambda each: each.unit):
         panels.append(Panel([Curve(v.name, v.times, v.values, _breaks(v.times)) for v in group], unit))
-    since = iso_time(window.start_ns)[:-5].replace("T", " ")
-    return Figure(panels or [Panel([])], words, f"seconds since {since} UTC", Span(0.0, max(window.duration_s, 1e-3)))
+    since = iso_time(capture.start_ns)[:-5].replace("T", " ")
+    return Figure(panels or [Panel([])], words, f"seconds since {since} UTC", Span(0.0, max(capture.duration_s, 1e-3)))
 
 
 def _against_each_other(values: Sequence[_Values], words: str) -> Figure:

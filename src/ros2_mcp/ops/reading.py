@@ -1,4 +1,4 @@
-"""Reading topics: collect samples for a while, then show as many as fit.
+"""Reading topics: samples of a source are collected and shown, as many as fit; the same for all that reads messages.
 
 Samples stay bytes until it is known which of them are shown.
 """
@@ -6,65 +6,25 @@ Samples stay bytes until it is known which of them are shown.
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Picture
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import Report, WithPictures, facts, is_recorded, iso_time, silent
+from ros2_mcp.ops.results import HIDDEN, Report, WithPictures, exact_time, facts, iso_time, reporting, silent
+from ros2_mcp.ops.selection import Collector, Fitted, Selection, fit, spread_indices
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.cdr import Codec
-    from ros2_mcp.codec.definitions import Definitions
-    from ros2_mcp.ops.window import Source, Stream
+    from ros2_mcp.ops.source import Source, Stream
 
-FIRST_MESSAGE_S = 5.0
-LIMITED_S = 20.0
-MAX_SAMPLES = 100_000
-MAX_BYTES = 64_000_000
 MAX_PICTURES = 4
+"""Of one topic: clients count a picture as some 1500 tokens, and two usually show what moved."""
 
 
-@dataclass(frozen=True, slots=True)
-class View:
-    """How messages are shown: chosen fields, elements shown of long arrays, every n-th message, bytes of text."""
-
-    fields: Sequence[str] = ()
-    max_array: int = 64
-    every_n: int = 1
-    max_bytes: int = 32_000
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What to read: a topic, and when to stop. With neither limit: the first message, waiting at most 5 s."""
-
-    topic_name: str
-    topic_type: str = ""
-    duration_s: float | None = None
-    message_limit: int | None = None
-
-    @property
-    def longest_s(self) -> float:
-        """How long reading takes at most."""
-        if self.duration_s is not None:
-            return self.duration_s
-        return FIRST_MESSAGE_S if self.message_limit is None else LIMITED_S
-
-    @property
-    def enough(self) -> int | None:
-        """After how many messages reading ends early; None is never."""
-        if self.duration_s is None and self.message_limit is None:
-            return 1
-        return self.message_limit
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Reading(WithPictures):
     """The messages of one topic.
 
@@ -88,13 +48,14 @@ class Reading(WithPictures):
     note: str = ""
     error: str = ""
     source: str = ""
+    is_live: bool = field(default=True, metadata=HIDDEN)
 
     def summary(self) -> str:
         """One line."""
         if self.error:
             return f"{self.topic_name}: {self.error}"
         shown = "" if self.count == self.received else f", {self.count} shown"
-        where = self.source if is_recorded(self.source) else f"{self.duration:.2f} s"
+        where = f"{self.duration:.2f} s" if self.is_live else self.source
         return f"{self.topic_name}: {self.received} message(s) in {where}{shown}. {self.note}".rstrip()
 
 
@@ -110,7 +71,7 @@ class Readings(WithPictures):
         return "\n".join(reading.summary() for reading in self.topics)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Echo(WithPictures):
     """The next message of a topic, or `received` false and the reason; `waited` is how long this took, in seconds."""
 
@@ -124,96 +85,113 @@ class Echo(WithPictures):
     truncated: Sequence[str]
     note: str
     source: str
+    is_live: bool = field(metadata=HIDDEN)
 
     def summary(self) -> str:
         """One line."""
         what = "a message" if self.received else "no message"
-        where = f"in {self.source}" if is_recorded(self.source) else f"after {self.waited:.2f} s"
+        where = f"after {self.waited:.2f} s" if self.is_live else f"in {self.source}"
         return f"{self.topic_name}: {what} {where}. {self.note}".rstrip()
 
 
-@dataclass(slots=True)
-class Collection:
-    """Samples collected so far, bounded; the oldest are dropped and counted."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Collected:
+    """What was read of a topic, still as bytes, with the account of all that came.
 
-    every_n: int
-    samples: deque[Sample] = field(default_factory=deque[Sample])
-    seen: int = 0
-    kept_bytes: int = 0
-    dropped: int = 0
+    `received` came in all, of which `dropped` are not among the samples because of memory bounds. `is_full` tells that
+    reading ended because there were enough; `more` says in words how to go on where there are more.
+    """
 
-    def add(self, samples: Sequence[Sample], enough: int | None) -> bool:
-        """Takes samples in; true as soon as there are enough."""
-        for sample in samples:
-            self.seen += 1
-            if (self.seen - 1) % self.every_n == 0:
-                self._keep(sample)
-            if enough is not None and len(self.samples) >= enough:
-                return True
-        return False
-
-    def _keep(self, sample: Sample) -> None:
-        self.samples.append(sample)
-        self.kept_bytes += len(sample.data)
-        while len(self.samples) > MAX_SAMPLES or (self.kept_bytes > MAX_BYTES and len(self.samples) > 1):
-            self.kept_bytes -= len(self.samples.popleft().data)
-            self.dropped += 1
+    stream: Stream
+    samples: Sequence[Sample]
+    received: int
+    dropped: int
+    lost: int | None
+    covered_s: float
+    is_full: bool
+    why_no_more: str
+    more: str
 
 
-async def read(source: Source, request: Request, view: View, report: Report = silent) -> Reading:
-    """Messages of one topic, over the source's time.
+async def collect(
+    source: Source,
+    topic: str,
+    type_name: str,
+    selection: Selection,
+    report: Report = silent,
+    *,
+    latched: bool = True,
+    names: tuple[str, str] = ("start", "end"),
+) -> Collected:
+    """The samples of one topic that the selection wants; `names` are the arguments with which a caller goes on.
 
     Raises:
         NotFound: if the topic is not there and its type is not given.
         TypeConflict: if it has several types, or another than the given one.
         BadValue: if a limit is out of range, or a field is not in the type.
     """
-    _check_request(request, view)
-    most = request.enough and request.enough * view.every_n
-    async with source.follow(request.topic_name, request.topic_type, most=most) as stream:
-        _check_fields(stream.codec.definitions, stream.type, view)
-        collection = Collection(view.every_n)
-        is_enough = await _collect(stream, collection, request, report)
-        counts, covered_s = stream.counts(), stream.covered_s()
-        last = collection.samples[-1] if collection.samples else None
-        fewer = last is None or (request.enough is not None and not is_enough)
-        note = await stream.why_no_more(last) if fewer else ""
-    reading = await _show(stream, collection, view, note)
-    return replace(
-        reading,
-        duration=round(covered_s, 6),
-        received=collection.seen + counts.dropped,
-        dropped=collection.dropped + counts.dropped,
-        lost=counts.lost,
-        source=source.words,
-    )
+    selection.check()
+    limit, every_n = selection.enough, selection.every_n
+    async with source.follow(topic, type_name, limit=limit, every_n=every_n, latched=latched) as stream:
+        if stream.type:
+            selection.check_fields(stream.codec.definitions, stream.type)
+        collector = Collector(every_n=1 if stream.thinned else every_n, enough=limit)
+        is_full = False
+        async with reporting(report, source.duration_s, lambda: f"{stream.topic}: {collector.seen} messages"):
+            async for batch in stream.batches:
+                if is_full := collector.add(batch):
+                    break
+        samples = list(collector.samples)
+        counts, beyond = stream.counts, stream.beyond
+        ended_early = not samples or (limit is not None and not is_full and beyond is None)
+        return Collected(
+            stream=stream,
+            samples=samples,
+            received=(counts.received if stream.thinned else collector.seen) + counts.dropped,
+            dropped=collector.dropped + counts.dropped,
+            lost=counts.lost,
+            covered_s=stream.covered_s,
+            is_full=is_full,
+            why_no_more=await stream.why_no_more(samples[-1] if samples else None) if ended_early else "",
+            more=_more(stream, samples, beyond, names),
+        )
 
 
-async def read_several(sources: Sequence[tuple[Source, Request]], view: View, report: Report = silent) -> Readings:
-    """Messages of several topics, truly at the same time."""
-    if not sources:
+async def read(source: Source, topic: str, type_name: str, selection: Selection, report: Report = silent) -> Reading:
+    """Messages of one topic, for as long as the selection says; raises as `collect`."""
+    source = source.lasting(selection.live_s, recorded_s=selection.duration_s)
+    collected = await collect(source, topic, type_name, selection, report)
+    return await _shown(source, collected, selection)
+
+
+async def read_several(
+    source: Source, topics: Sequence[tuple[str, str, Selection]], report: Report = silent
+) -> Readings:
+    """Messages of several topics (name, type or nothing, selection), truly at the same time."""
+    if not topics:
         raise BadInput("No topics are given.", 'Give a list such as [{"name": "/odom", "duration": 2}].')
+
+    async def read_or_error(topic: str, type_name: str, selection: Selection) -> Reading:
+        share = replace(selection, max_bytes=max(selection.max_bytes // len(topics), 1000))
+        try:
+            return await read(source, topic, type_name, share, report)
+        except RobotError as error:
+            return Reading(topic_name=topic, error=str(error))
+
     started = monotonic()
-    share = replace(view, max_bytes=max(view.max_bytes // len(sources), 1000))
-    readings = await asyncio.gather(*(_read_or_error(source, request, share, report) for source, request in sources))
+    readings = await asyncio.gather(*(read_or_error(*each) for each in topics))
     images = [image for reading in readings for image in reading.images]
     return Readings(readings, monotonic() - started, pictures=facts(images), images=images)
 
 
-async def _read_or_error(source: Source, request: Request, view: View, report: Report) -> Reading:
-    try:
-        return await read(source, request, view, report)
-    except RobotError as error:
-        return Reading(request.topic_name, error=str(error))
-
-
-async def echo(source: Source, topic: str, topic_type: str, view: View) -> Echo:
+async def echo(source: Source, topic: str, topic_type: str, selection: Selection) -> Echo:
     """The next message of a topic, waiting for the topic and for the message as long as the source lasts."""
     started = monotonic()
-    reading = await read(source, Request(topic, topic_type, source.duration_s, 1), view)
+    selection = replace(selection, message_limit=1)
+    reading = await _shown(source, await collect(source, topic, topic_type, selection), selection)
     return Echo(
-        reading.topic_name,
-        reading.topic_type,
+        topic_name=reading.topic_name,
+        topic_type=reading.topic_type,
         received=bool(reading.messages),
         message=reading.messages[0] if reading.messages else None,
         received_at=reading.received_at[0] if reading.received_at else "",
@@ -222,100 +200,54 @@ async def echo(source: Source, topic: str, topic_type: str, view: View) -> Echo:
         truncated=reading.truncated,
         note=reading.note,
         source=reading.source,
+        is_live=source.is_live,
         pictures=reading.pictures,
         images=reading.images,
     )
 
 
-def _check_request(request: Request, view: View) -> None:
-    bounded("every_n", view.every_n, 1, 1_000_000, "messages")
-    if request.message_limit is not None:
-        bounded("message_limit", request.message_limit, 1, MAX_SAMPLES, "messages")
-
-
-def _check_fields(definitions: Definitions, type_name: str, view: View) -> None:
-    if view.fields:
-        from ros2_mcp.codec.select import parse_fields
-
-        parse_fields(definitions, type_name, view.fields)
-
-
-async def _collect(stream: Stream, collection: Collection, request: Request, report: Report) -> bool:
-    """Takes samples in until there are enough; false if they ended before."""
-    started = monotonic()
-    async for batch in stream.batches:
-        if collection.add(batch, request.enough):
-            return True
-        elapsed = monotonic() - started
-        if elapsed > 1.0:
-            await report(elapsed, max(request.longest_s, elapsed), f"{stream.topic}: {collection.seen} messages")
-    return False
-
-
-async def _show(stream: Stream, collection: Collection, view: View, note: str) -> Reading:
-    samples = list(collection.samples)
-    shown = await asyncio.to_thread(_render, stream.codec, stream.type, samples, view)
-    images, problem = await asyncio.to_thread(_pictures, stream.codec, stream.type, shown.samples)
-    omitted = len(samples) - len(shown.samples)
-    thinned = f"{omitted} more are not shown, evenly left out: choose fields or every_n to see more." if omitted else ""
+async def _shown(source: Source, collected: Collected, selection: Selection) -> Reading:
+    stream = collected.stream
+    fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
+    images, problem = await asyncio.to_thread(_pictures, stream.type, fitted)
     return Reading(
-        stream.topic,
-        stream.type,
-        shown.messages,
-        [iso_time(sample.received_ns) for sample in shown.samples],
-        count=len(shown.messages),
+        topic_name=stream.topic,
+        topic_type=stream.type,
+        messages=fitted.values,
+        received_at=[iso_time(sample.received_ns) for sample in fitted.samples],
+        count=len(fitted.values),
+        duration=round(collected.covered_s, 6),
+        received=collected.received,
+        dropped=collected.dropped,
+        lost=collected.lost,
         publishers=stream.nodes,
         qos=stream.qos,
-        truncated=shown.truncated,
-        note=" ".join(filter(None, (note, thinned, shown.hint, problem))),
+        truncated=fitted.truncated,
+        note=" ".join(filter(None, (stream.note, collected.why_no_more, fitted.note, fitted.hint, problem))),
+        source=source.words,
+        is_live=source.is_live,
         pictures=facts(images),
         images=images,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Shown:
-    samples: Sequence[Sample] = ()
-    messages: Sequence[dict[str, Any]] = ()
-    truncated: Sequence[str] = ()
-    hint: str = ""
+def _more(stream: Stream, samples: Sequence[Sample], beyond: Sample | None, names: tuple[str, str]) -> str:
+    if beyond is None:
+        return ""
+    if stream.from_end:
+        earlier = exact_time(samples[0].received_ns - 1)
+        return f"There are earlier ones too: for those, give {names[1]} {earlier}."
+    return f"There are later ones too: for those, give {names[0]} {exact_time(beyond.received_ns)}."
 
 
-def _render(codec: Codec, type_name: str, samples: Sequence[Sample], view: View) -> _Shown:
-    """As many of the samples as fit, evenly spread, first and last included."""
-    from ros2_mcp.codec.render import RenderOptions, render
-
-    if not samples:
-        return _Shown()
-
-    def rendered(sample: Sample, max_bytes: int):
-        options = RenderOptions(max_array=view.max_array, max_bytes=max_bytes, fields=tuple(view.fields) or None)
-        return render(codec.definitions, type_name, codec.decode(type_name, sample.data), options=options)
-
-    size = rendered(samples[-1], view.max_bytes).bytes + 60
-    shown = spread(samples, max(view.max_bytes // size, 1))
-    results = [rendered(sample, max(view.max_bytes // len(shown), 500)) for sample in shown]
-    truncated = sorted({path for result in results for path in result.truncated})
-    return _Shown(shown, [result.value for result in results], truncated, results[-1].hint)
-
-
-def spread(samples: Sequence[Sample], most: int) -> list[Sample]:
-    """At most `most` of the samples, evenly spread, the first and the last among them."""
-    if len(samples) <= most:
-        return list(samples)
-    if most == 1:
-        return [samples[-1]]
-    step = (len(samples) - 1) / (most - 1)
-    return [samples[round(index * step)] for index in range(most)]
-
-
-def _pictures(codec: Codec, type_name: str, samples: Sequence[Sample]) -> tuple[list[Picture], str]:
+def _pictures(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
+    """Pictures of the messages that are shown, made of what was decoded for it; or why there are none."""
     if type_name not in (IMAGE, COMPRESSED_IMAGE):
         return [], ""
     from ros2_mcp.codec.pictures import picture_of
 
     try:
-        chosen = spread(samples, MAX_PICTURES)
-        return [picture_of(type_name, codec.decode(type_name, sample.data)) for sample in chosen], ""
+        chosen = spread_indices(len(fitted.messages), MAX_PICTURES)
+        return [picture_of(type_name, fitted.messages[index]) for index in chosen], ""
     except RobotError as error:
         return [], f"No picture: {error}"

@@ -12,9 +12,8 @@ from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.errors import RosNotFound, UnknownInterface
 from ros2_mcp.model.graph import Rows, TopicEndpoints, TopicRow
 from ros2_mcp.model.names import defining_type, did_you_mean
-from ros2_mcp.ops.bags import definitions_of
 from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.recorded import open_source
+from ros2_mcp.ops.recorded import definitions_of, open_bag
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.graph import REQUEST_S, Graph
 from ros2_mcp.robot.values import Values
@@ -57,7 +56,7 @@ class RecordedGraph(Graph):
         return (await self._recorded_topics()).get(topic, TopicEndpoints(topic, (), ()))
 
     async def _recorded_topics(self) -> Mapping[str, TopicEndpoints]:
-        return (await (await open_source(self._memory, self._memory.subject_name)).scene()).topics
+        return (await (await open_bag(self._memory, self._memory.subject_name)).graph()).topics
 
 
 class RecordedValues(Values):

@@ -41,14 +41,15 @@ async def silent(_done: float, _whole: float, _line: str) -> None:
 
 
 @asynccontextmanager
-async def reporting(report: Report, whole_s: float, line: str) -> AsyncGenerator[None, None]:
-    """Reports once a second, while the block runs, for how long it has been waited."""
+async def reporting(report: Report, whole_s: float, line: str | Callable[[], str]) -> AsyncGenerator[None, None]:
+    """Reports once a second, while the block runs, for how long it has been waited; `line` may change meanwhile."""
     started = monotonic()
 
     async def tick() -> None:
         while True:
             await asyncio.sleep(1.0)
-            await report(monotonic() - started, whole_s, line)
+            elapsed = monotonic() - started
+            await report(elapsed, max(whole_s, elapsed), line if isinstance(line, str) else line())
 
     ticking = asyncio.create_task(tick())
     try:
@@ -103,11 +104,6 @@ def iso_time(unix_ns: int) -> str:
 def exact_time(unix_ns: int) -> str:
     """As `iso_time` with nanoseconds: to ask for what comes before a message, or from it on."""
     return f"{iso_time(unix_ns)[:-1]}{unix_ns % 1000:03d}Z"
-
-
-def is_recorded(source: str) -> bool:
-    """Whether a source's words are those of a recording."""
-    return source.startswith("bag ")
 
 
 def in_words(values: Mapping[str, Any]) -> str:

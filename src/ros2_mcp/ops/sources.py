@@ -1,48 +1,53 @@
-"""Which source a question is about: the robot now, or a part of a recording."""
+"""Which sources there are: one line for each kind."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import AsyncGenerator
 
-from ros2_mcp.model.errors import BadInput
-from ros2_mcp.ops.live import Live
-from ros2_mcp.ops.memory import BLACK_BOX, Memory
-from ros2_mcp.ops.recorded import BagSource, open_source
-from ros2_mcp.ops.window import Source
+from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.ops.data_black_box import DataBlackBoxes
+from ros2_mcp.ops.live import Robots
+from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.recorded import Bags
+from ros2_mcp.ops.source import Source, SourceKind, SourceRequest
 from ros2_mcp.robot import Robot
 
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """A part of a recording; without a name it is of the black box if one is kept, and with nothing given of none.
-
-    Of more than `longest_s` it is the beginning if a start is given, else the end.
-    """
-
-    bag: str = ""
-    start: str = ""
-    end: str = ""
-    longest_s: float | None = None
+KINDS: list[SourceKind] = [
+    DataBlackBoxes(),
+    Bags(),
+    Robots(),
+]
+"""In the order in which they are asked. The first that knows a name has it."""
 
 
-async def source_of(robot: Robot, memory: Memory, part: Part, live_s: float) -> Source:
-    """The recording that is named, or that stands for the robot; else the robot for the next `live_s` seconds.
+async def open_source(robot: Robot, memory: Memory, name: str = "", start: str = "", end: str = "") -> Source:
+    """The source of that name between two moments; without a name the recording that stands for the robot, else itself.
 
     Raises:
         BadInput: if moments are given, and no recording.
-        NotFound, BadData, BadValue: as `open_source`.
+        NotFound, BadData, BadValue: as `open_bag`.
     """
-    return await recorded_part(robot, memory, part) or Live(robot, live_s)
+    request = SourceRequest(name.strip(), start.strip(), end.strip())
+    for kind in KINDS:
+        if source := await kind.named(robot, memory, request):
+            return source
+    raise NotFound(f"There is no source {name!r}.", "ros2_bag_list shows what can be read.")
 
 
-async def recorded_part(robot: Robot, memory: Memory, part: Part) -> BagSource | None:
-    """The recording that is meant, or None where the robot itself is; raises as `source_of`."""
-    name = part.bag.strip() or memory.subject_name
-    if not name and (part.start.strip() or part.end.strip()):
-        if BLACK_BOX not in memory.running:
-            hint = "Name it with bag; ros2_bag_list shows which there are."
-            raise BadInput("start and end are moments of a recording, and none is named.", hint)
-        name = BLACK_BOX
-    if not name:
-        return None
-    return await open_source(memory, name, part.start, part.end, robot, longest_s=part.longest_s)
+async def sources_of_the_past(
+    robot: Robot, memory: Memory, request: SourceRequest
+) -> AsyncGenerator[Source | RobotError, None]:
+    """One source after the other that may have messages of the past, or why it cannot be opened."""
+    for kind in KINDS:
+        try:
+            openings = await kind.kept(robot, memory, request)
+        except RobotError as error:
+            yield error
+            continue
+        for opening in openings:
+            try:
+                source = await opening()
+            except RobotError as error:
+                yield error
+                continue
+            yield source

@@ -1,4 +1,4 @@
-"""Statistics of numeric fields over a window, live or recorded."""
+"""Statistics of numeric fields over a capture, live or recorded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.errors import BadInput, BadValue, RobotError
 from ros2_mcp.ops.results import Report, iso_time, silent
-from ros2_mcp.ops.window import Missing, Source, Window
+from ros2_mcp.ops.selection import Selection
+from ros2_mcp.ops.source import Capture, Missing, Source
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.select import FieldPath
@@ -24,7 +25,7 @@ _LISTED = 5
 
 @dataclass(frozen=True, slots=True)
 class FieldStatistics:
-    """One numeric field over the window, over its finite values; null where there are too few.
+    """One numeric field over the time of measuring, over its finite values; null where there are too few.
 
     `std` is the standard deviation of the values (divided by their number), `slope` the change per second of the best
     straight line. Of an array (`array` true) all elements of all messages count together; `first`, `last`
@@ -49,7 +50,7 @@ class FieldStatistics:
 
 @dataclass(frozen=True, slots=True)
 class TopicStatistics:
-    """One topic over the window. Times in seconds; null where there were too few messages to tell.
+    """One topic over the time of measuring. Times in seconds; null where there were too few messages to tell.
 
     `gaps` says in words when nothing came for longer than three median periods. `started_at` is ISO 8601.
     """
@@ -96,10 +97,8 @@ class Statistics:
 async def measure(
     source: Source,
     topics: Sequence[str],
-    fields: Sequence[str] = (),
+    selection: Selection,
     report: Report = silent,
-    *,
-    max_bytes: int = 32_000,
 ) -> Statistics:
     """Statistics of the chosen fields of these topics, or of all numeric ones.
 
@@ -108,10 +107,11 @@ async def measure(
         BadValue: if the time is out of range, or a field is in none of the topics.
     """
     check_topics(topics)
+    fields = selection.fields
     await _check_fields(source, topics, fields)
-    windows = await source.windows(topics, report)
-    most = max((max_bytes // len(topics) - _TOPIC_BYTES) // _FIELD_BYTES, 3)
-    return Statistics(source.words, await asyncio.to_thread(_evaluate_all, windows, fields, most))
+    captures = await source.captures(topics, report)
+    most = max((selection.max_bytes // len(topics) - _TOPIC_BYTES) // _FIELD_BYTES, 3)
+    return Statistics(source.words, await asyncio.to_thread(_evaluate_all, captures, fields, most))
 
 
 def check_topics(topics: Sequence[str]) -> None:
@@ -144,21 +144,21 @@ async def _check_fields(source: Source, topics: Sequence[str], fields: Sequence[
             raise errors[0]
 
 
-def _evaluate_all(windows: Sequence[Window | Missing], fields: Sequence[str], most: int) -> list[TopicStatistics]:
-    return [_evaluate_or_error(window, fields, most) for window in windows]
+def _evaluate_all(captures: Sequence[Capture | Missing], fields: Sequence[str], most: int) -> list[TopicStatistics]:
+    return [_evaluate_or_error(capture, fields, most) for capture in captures]
 
 
-def _evaluate_or_error(window: Window | Missing, fields: Sequence[str], most: int) -> TopicStatistics:
-    if isinstance(window, Missing):
-        return TopicStatistics(window.topic, error=str(window.error))
+def _evaluate_or_error(capture: Capture | Missing, fields: Sequence[str], most: int) -> TopicStatistics:
+    if isinstance(capture, Missing):
+        return TopicStatistics(capture.topic, error=str(capture.error))
     try:
-        return evaluate(window, fields, most)
+        return evaluate(capture, fields, most)
     except RobotError as error:
-        return TopicStatistics(window.topic, window.type, count=len(window.samples), error=str(error))
+        return TopicStatistics(capture.topic, capture.type, count=len(capture.samples), error=str(error))
 
 
-def evaluate(window: Window, fields: Sequence[str] = (), most_fields: int = 80) -> TopicStatistics:
-    """The statistics of one window; a chosen field that this type does not have is left out.
+def evaluate(capture: Capture, fields: Sequence[str] = (), most_fields: int = 80) -> TopicStatistics:
+    """The statistics of one capture; a chosen field that this type does not have is left out.
 
     Raises:
         BadData: if a message does not fit the type.
@@ -167,62 +167,62 @@ def evaluate(window: Window, fields: Sequence[str] = (), most_fields: int = 80) 
 
     from ros2_mcp.ops import signals
 
-    times = seconds(window)
-    readings, note = _readings(window, fields, most_fields)
-    messages = [window.decode(sample) for sample in window.samples] if readings else []
+    times = seconds(capture)
+    readings, note = _readings(capture, fields, most_fields)
+    messages = [capture.decode(sample) for sample in capture.samples] if readings else []
     periods = np.diff(times)
     return TopicStatistics(
-        window.topic,
-        window.type,
+        capture.topic,
+        capture.type,
         count=len(times),
         rate_hz=signals.rate(times),
         period_median_s=float(np.median(periods)) if len(periods) else None,
         period_std_s=float(periods.std()) if len(periods) > 1 else None,
-        gaps=_gap_lines(window, times),
+        gaps=_gap_lines(capture, times),
         fields=[_field(each, messages, times) for each in readings],
-        started_at=iso_time(window.start_ns),
-        duration=window.duration_s,
-        received=window.received,
-        dropped=window.dropped,
-        lost=window.lost,
-        publishers=window.publishers,
-        note=f"{_note(window)} {note}".strip(),
+        started_at=iso_time(capture.start_ns),
+        duration=capture.duration_s,
+        received=capture.received,
+        dropped=capture.dropped,
+        lost=capture.lost,
+        publishers=capture.publishers,
+        note=f"{_note(capture)} {note}".strip(),
     )
 
 
-def seconds(window: Window) -> Numbers:
-    """When each sample was received, in seconds from the window's beginning."""
+def seconds(capture: Capture) -> Numbers:
+    """When each sample was received, in seconds from the capture's beginning."""
     from ros2_mcp.ops.signals import flat
 
-    return flat([(sample.received_ns - window.start_ns) / 1e9 for sample in window.samples])
+    return flat([(sample.received_ns - capture.start_ns) / 1e9 for sample in capture.samples])
 
 
-def _readings(window: Window, fields: Sequence[str], most: int) -> tuple[list[FieldPath], str]:
+def _readings(capture: Capture, fields: Sequence[str], most: int) -> tuple[list[FieldPath], str]:
     from ros2_mcp.codec.select import measurable
 
     found: list[FieldPath] = []
     for chosen in fields:
         try:
-            found += measurable(window.definitions, window.type, [chosen])
+            found += measurable(capture.definitions, capture.type, [chosen])
         except BadValue:
             continue
     if not fields:
-        found = measurable(window.definitions, window.type)
+        found = measurable(capture.definitions, capture.type)
     if len(found) <= most:
         return found, "" if found else "It has no numbers to measure; choose fields for bytes, booleans and stamps."
     return found[:most], f"{len(found) - most} more fields are not shown: choose fields, from {found[most].path} on."
 
 
-def _note(window: Window) -> str:
-    if not window.samples:
-        return "Silent in this time." if window.publishers else "Nobody published on it."
-    return f"{window.dropped} messages were too much to keep; the newest are counted." if window.dropped else ""
+def _note(capture: Capture) -> str:
+    if not capture.samples:
+        return "Silent in this time." if capture.publishers else "Nobody published on it."
+    return f"{capture.dropped} messages were too much to keep; the newest are counted." if capture.dropped else ""
 
 
-def _gap_lines(window: Window, times: Numbers) -> list[str]:
+def _gap_lines(capture: Capture, times: Numbers) -> list[str]:
     from ros2_mcp.ops.signals import gaps
 
-    found = sorted(gaps(times, window.duration_s), key=lambda gap: -gap.duration_s)
+    found = sorted(gaps(times, capture.duration_s), key=lambda gap: -gap.duration_s)
     shown = sorted(found[: 2 * _LISTED], key=lambda gap: gap.at_s)
     lines = [f"nothing for {gap.duration_s:.3f} s from {gap.at_s:.3f} s on" for gap in shown]
     return lines + ([f"{len(found) - len(shown)} shorter gaps"] if len(found) > len(shown) else [])

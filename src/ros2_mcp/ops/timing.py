@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.samples import Sample, header_stamp_ns
-from ros2_mcp.ops.results import Report, is_recorded, iso_time, silent
+from ros2_mcp.ops.results import HIDDEN, Report, iso_time, reporting, silent
 from ros2_mcp.ops.silence import Silence, silence_in
 
 if TYPE_CHECKING:
-    from ros2_mcp.ops.window import Source, Stream
+    from ros2_mcp.ops.source import Source, Stream
 
 MAX_TOPICS = 20
 _GAP_FACTOR = 3.0
@@ -69,11 +69,12 @@ class Stats:
     topics: Sequence[TopicStats]
     duration: float
     source: str
+    is_live: bool = field(default=True, metadata=HIDDEN)
 
     def summary(self) -> str:
         """A line for each topic, after one that names the recording."""
         lines = [topic.summary() for topic in self.topics]
-        return "\n".join([f"In {self.source}:", *lines] if is_recorded(self.source) else lines)
+        return "\n".join(lines if self.is_live else [f"In {self.source}:", *lines])
 
 
 @dataclass(slots=True)
@@ -103,8 +104,8 @@ async def measure(source: Source, topics: Sequence[str], report: Report = silent
         raise BadInput(f"{len(topics)} topics are given.", f"Give 1 to {MAX_TOPICS}.")
     started = monotonic()
     results = await asyncio.gather(*(_measure_or_error(source, topic, report) for topic in topics))
-    duration_s = source.duration_s if is_recorded(source.words) else monotonic() - started
-    return Stats(results, round(duration_s, 6), source.words)
+    duration_s = monotonic() - started if source.is_live else source.duration_s
+    return Stats(results, round(duration_s, 6), source.words, source.is_live)
 
 
 async def _measure_or_error(source: Source, topic: str, report: Report) -> TopicStats:
@@ -115,25 +116,21 @@ async def _measure_or_error(source: Source, topic: str, report: Report) -> Topic
 
 
 async def _measure(source: Source, topic: str, report: Report) -> TopicStats:
-    async with source.follow(topic) as stream:
+    async with source.follow(topic, latched=False) as stream:
         flow = Flow(has_header=stream.codec.definitions.starts_with_header(stream.type))
-        started = monotonic()
-        async for batch in stream.batches:
-            for sample in batch:
-                if sample.received_ns >= stream.start_ns:
+        async with reporting(report, source.duration_s, lambda: f"{topic}: {len(flow.sizes)} messages"):
+            async for batch in stream.batches:
+                for sample in batch:
                     flow.add(sample)
-            elapsed = monotonic() - started
-            if elapsed > 1.0:
-                await report(elapsed, max(source.duration_s, elapsed), f"{topic}: {len(flow.sizes)} messages")
         return _evaluate(stream, flow, source.duration_s)
 
 
 def _evaluate(stream: Stream, flow: Flow, duration_s: float) -> TopicStats:
-    counts = stream.counts()
+    counts = stream.counts
     periods = [(later - earlier) / 1e9 for earlier, later in zip(flow.received_ns, flow.received_ns[1:], strict=False)]
     median = statistics.median(periods) if periods else 0.0
     gaps = [period for period in periods if period > _GAP_FACTOR * median] if len(periods) > 2 else []
-    silence = silence_in(flow.received_ns, stream.end_ns(), _GAP_FACTOR, _SILENCE_S)
+    silence = silence_in(flow.received_ns, stream.end_ns, _GAP_FACTOR, _SILENCE_S)
     gaps += [silence.duration_s] if silence and silence.is_end else []
     span = sum(periods)
     same_clock = bool(flow.ages_s) and abs(statistics.fmean(flow.ages_s)) < _OTHER_CLOCK_S

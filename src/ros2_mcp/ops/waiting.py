@@ -5,19 +5,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from ros2_mcp.model.errors import BadValue, NotFound
+from ros2_mcp.model.errors import BadData, BadValue, NotFound
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import Report, iso_time, silent
-from ros2_mcp.ops.window import Source, Stream
+from ros2_mcp.ops.results import HIDDEN, Report, iso_time, reporting, silent
+from ros2_mcp.ops.source import Source, Stream
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.expression import Condition
 
 _TURN_SAMPLES = 200
+"""Looked at in one go of a thread: some 10 ms, so that a cancelled call ends at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +42,12 @@ class Wait:
     message: dict[str, Any] | None
     source: str
     note: str
+    is_live: bool = field(default=True, metadata=HIDDEN)
 
     def summary(self) -> str:
         """One line."""
         outcome = "is met" if self.met else "was not met"
-        when = f"after {self.waited:.3f} s" if self.source.startswith("live") else f"in {self.source}, {self.at}"
+        when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}, {self.at}"
         values = ", ".join(f"{path} = {_brief(value)}" for path, value in self.values.items())
         line = f"{self.topic_name}: {self.condition} {outcome} {when} ({values or 'no message'})."
         return f"{line} {self.note}".rstrip()
@@ -65,13 +67,19 @@ class _Search:
     met: bool = False
     looked_at: int = 0
     undecided: int = 0
+    undecodable: int = 0
 
     def look(self, stream: Stream, samples: Sequence[Sample]) -> bool:
         """Examines samples up to the one that meets the condition; true if there is one."""
         for sample in samples:
+            try:
+                message = stream.codec.decode(stream.type, sample.data)
+            except BadData:
+                self.undecodable += 1
+                continue
             self.last = sample
             self.looked_at += 1
-            holds = self.condition.holds(stream.codec.decode(stream.type, sample.data))
+            holds = self.condition.holds(message)
             self.undecided += holds is None
             if holds:
                 self.met = True
@@ -89,7 +97,6 @@ async def wait_until(
         BadValue: for a field that does not exist, or a time out of range.
         NotFound: if the topic does not appear in that time.
         TypeConflict: if it has several types.
-        BadData: if a message does not fit the type.
     """
     from ros2_mcp.ops.expression import condition
 
@@ -98,22 +105,24 @@ async def wait_until(
         condition(source.codec.definitions, await source.type_of(topic), text)
     async with source.follow(topic) as stream:
         search = _Search(condition(stream.codec.definitions, stream.type, text))
-        await _examine(stream, search, started, source.duration_s, report)
-        return await asyncio.to_thread(_result, stream, search, monotonic() - started, source.words, max_bytes)
+
+        def progress() -> str:
+            return f"{stream.topic}: {search.looked_at} messages, not met"
+
+        async with reporting(report, source.duration_s, progress):
+            await _examine(stream, search)
+        return await asyncio.to_thread(_result, source, stream, search, monotonic() - started, max_bytes)
 
 
-async def _examine(stream: Stream, search: _Search, started: float, longest_s: float, report: Report) -> None:
+async def _examine(stream: Stream, search: _Search) -> None:
     async for batch in stream.batches:
         for begin in range(0, len(batch), _TURN_SAMPLES):
             part = batch[begin : begin + _TURN_SAMPLES]
             if await asyncio.to_thread(search.look, stream, part):
                 return
-        elapsed = monotonic() - started
-        if elapsed > 1.0:
-            await report(min(elapsed, longest_s), longest_s, f"{stream.topic}: {search.looked_at} messages, not met")
 
 
-def _result(stream: Stream, search: _Search, waited_s: float, words: str, max_bytes: int) -> Wait:
+def _result(source: Source, stream: Stream, search: _Search, waited_s: float, max_bytes: int) -> Wait:
     last, paths = search.last, search.condition.fields
     return Wait(
         stream.topic,
@@ -124,11 +133,12 @@ def _result(stream: Stream, search: _Search, waited_s: float, words: str, max_by
         round(waited_s, 6),
         search.looked_at,
         search.undecided,
-        stream.counts().dropped,
+        stream.counts.dropped,
         _shown(stream, last, paths, 2000) if last and paths else {},
         _shown(stream, last, (), max_bytes // 2) if last else None,
-        words,
+        source.words,
         _note(stream, search),
+        source.is_live,
     )
 
 
@@ -150,10 +160,12 @@ def _shown(stream: Stream, sample: Sample, paths: Sequence[str], max_bytes: int)
 
 def _note(stream: Stream, search: _Search) -> str:
     notes: list[str] = []
-    if not search.looked_at:
+    if search.undecodable:
+        notes.append(f"{search.undecodable} message(s) are not what their type says and were left out.")
+    elif not search.looked_at:
         notes.append("No message came." if stream.publishers else "No message came: nobody publishes on it.")
     if search.undecided:
         notes.append(f"{search.undecided} messages had no answer (a list too short, or a division by zero).")
-    if dropped := stream.counts().dropped:
+    if dropped := stream.counts.dropped:
         notes.append(f"{dropped} messages came too fast to be looked at.")
     return " ".join(notes)

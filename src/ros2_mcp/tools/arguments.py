@@ -19,6 +19,10 @@ def _strictly_bool(value: Any) -> Any:
     return value
 
 
+def _as_text(value: Any) -> Any:
+    return str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+
+
 Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_no_bool)]
 Flag = Annotated[bool, BeforeValidator(_strictly_bool)]
@@ -44,3 +48,28 @@ FromBag = Annotated[str, Field(description='Ask this recording instead of the ro
 FromStart = Annotated[str, Field(description='Of the recording: ISO 8601 with zone, or "last 30 s".')]
 UpToEnd = Annotated[str, Field(description="Written like start.")]
 Seconds = Annotated[Number, Field(ge=0, le=3600)]
+Duration = Annotated[Number | None, Field(gt=0, le=3600, description="Collect for this long, in seconds.")]
+MessageLimit = Annotated[
+    Whole | None,
+    Field(ge=1, le=100_000, description="Stop after this many messages (alone: waiting at most 20 s)."),
+]
+NumericFields = Annotated[
+    list[str] | None,
+    Field(description='Only these fields, such as ["pose.pose.position", "ranges[0:10]"]. Default: all numeric ones.'),
+]
+BagName = Annotated[str, Field(description="Name of the bag, as ros2_bag_list shows it.")]
+BagStart = Annotated[
+    str,
+    Field(
+        description='From this moment on: ISO 8601 with zone; "last 30 s" is that long before the end, "2 min in" (or '
+        '"first 2 min") that long after the beginning.'
+    ),
+]
+BagEnd = Annotated[
+    str, Field(description="Up to this moment (a time is included), written like start. Default: the end of the bag.")
+]
+Since = Annotated[
+    str,
+    BeforeValidator(_as_text),
+    Field(description='Seconds ago, such as "30", or a time like "2030-01-31T12:00:00Z". Default: all that is kept.'),
+]

@@ -8,12 +8,10 @@ from __future__ import annotations
 import inspect
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache
 from typing import Any, Literal
 
-from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.results import Report
-from ros2_mcp.robot import Robot
+from ros2_mcp.tools.injection import Call, arguments_of, values_for
 
 Risk = Literal["read", "write", "actuate"]
 """`read` changes nothing; `write` changes the software's state; `actuate` can move the robot."""
@@ -21,7 +19,7 @@ Risk = Literal["read", "write", "actuate"]
 ToolFunction = Callable[..., Awaitable[Any]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ToolDeclaration:
     """One tool as the model sees it.
 
@@ -40,26 +38,23 @@ class ToolDeclaration:
     also_named: str = ""
     recorded: bool = False
 
-    @cached_property
-    def injected(self) -> dict[str, Any]:
-        """Parameters that the model does not see, with what they want: robot, memory, or report of progress."""
-        parameters = self.signature().parameters.values()
-        return {p.name: p.annotation for p in parameters if p.annotation in (Robot, Memory, Report)}
-
     @property
     def description(self) -> str:
         """What the model reads: the function's docstring."""
         return inspect.cleandoc(self.function.__doc__ or "")
 
+    @cache  # noqa: B019 - declarations live as long as the process
     def signature(self) -> inspect.Signature:
         """The function's signature with its annotations evaluated."""
         return inspect.signature(self.function, eval_str=True)
 
     def arguments(self) -> inspect.Signature:
-        """The signature that the model sees: without what is injected."""
-        whole = self.signature()
-        given = [p for p in whole.parameters.values() if p.name not in self.injected]
-        return whole.replace(parameters=given)
+        """The signature that the model sees: without what is made for the function."""
+        return arguments_of(self.signature())
+
+    async def perform(self, call: Call, arguments: Mapping[str, Any]) -> Any:
+        """Calls the function with validated arguments and with what is made for it; raises `RobotError` as it does."""
+        return await self.function(**await values_for(self.signature(), call, arguments))
 
 
 DECLARED: list[ToolDeclaration] = []

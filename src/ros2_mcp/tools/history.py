@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 from pydantic import Field
 
 from ros2_mcp.ops import history
 from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.reading import View
 from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.source import SourceRequest
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import EveryN, Fields, MaxArray, MessageType, TopicName, Whole
+from ros2_mcp.tools.arguments import MessageType, TopicName, Whole
 from ros2_mcp.tools.declare import tool
+from ros2_mcp.tools.injection import Messages
 
 Moment = Annotated[
     str, Field(description='ISO 8601 with zone, such as 2026-11-21T03:00:00.5Z, or relative: "last 30 s", "5 min ago".')
@@ -36,12 +38,11 @@ async def ros2_get_messages(
     number_of_messages: Annotated[Whole, Field(ge=0, le=100_000, description="Only the last N; 0: all.")] = 0,
     time_start: Moment = "",
     time_end: Moment = "",
-    fields: Fields = None,
-    max_array: MaxArray = 64,
-    every_n: EveryN = 1,
+    *,
+    selection: Messages,
     bucket_name: Annotated[str, Field(description="Bucket of a Data Black Box that has several.")] = "",
 ) -> history.StoredMessages:
     """Get messages that were sent earlier, and say from where: a WiseVision Data Black Box, recordings, opened bags."""
-    asked = history.Asked(topic_name, message_type, number_of_messages, time_start, time_end, bucket_name)
-    view = View(fields or (), max_array, every_n, robot.result_bytes)
-    return await history.get_messages(robot, memory, asked, view, report)
+    request = SourceRequest(start=time_start.strip(), end=time_end.strip(), bucket=bucket_name)
+    chosen = replace(selection, message_limit=number_of_messages or None)
+    return await history.get_messages(robot, memory, topic_name, message_type, request, chosen, report)

@@ -7,25 +7,19 @@ from typing import Annotated
 from pydantic import Field
 
 from ros2_mcp.ops import comparison, health, statistics, waiting
-from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report
-from ros2_mcp.ops.sources import Part, source_of
-from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import Flag, FromBag, FromStart, Number, TopicName, UpToEnd
+from ros2_mcp.ops.selection import Selection
+from ros2_mcp.ops.source import Source
+from ros2_mcp.tools.arguments import Flag, Number, NumericFields, TopicName
 from ros2_mcp.tools.declare import tool
+from ros2_mcp.tools.injection import Numbers
 
-Window = Annotated[Number, Field(ge=0.1, le=600, description="Measure for this long, in seconds.")]
-NumericFields = Annotated[
-    list[str] | None,
-    Field(description='Only these fields, such as ["pose.pose.position", "ranges[0:10]"]. Default: all numeric ones.'),
-]
+MeasuredFor = Annotated[Number, Field(ge=0.1, le=600, description="Measure for this long, in seconds.")]
 Names = Annotated[list[str] | None, Field(max_length=100, description="Names that must be there.")]
 
 
 @tool(title="Wait until a condition holds", risk="read", group="measure", recorded=True)
 async def ros2_wait_until(
-    robot: Robot,
-    memory: Memory,
     report: Report,
     topic_name: TopicName,
     condition: Annotated[
@@ -36,22 +30,20 @@ async def ros2_wait_until(
         ),
     ],
     timeout: Annotated[Number, Field(gt=0, le=3600, description="Wait at most this long, in seconds.")] = 30.0,
-    bag: FromBag = "",
-    start: FromStart = "",
-    end: UpToEnd = "",
+    *,
+    selection: Selection,
+    source: Source,
 ) -> waiting.Wait:
     """Wait until a message of a topic meets a condition. Every message is looked at; returns the one that met it.
 
     In a recording: the first one that met it.
     """
-    source = await source_of(robot, memory, Part(bag, start, end), timeout)
-    return await waiting.wait_until(source, topic_name, condition, report, max_bytes=robot.result_bytes)
+    lasting = source.lasting(timeout)
+    return await waiting.wait_until(lasting, topic_name, condition, report, max_bytes=selection.max_bytes)
 
 
 @tool(title="Health of the robot", risk="read", group="measure", recorded=True)
 async def ros2_health_check(
-    robot: Robot,
-    memory: Memory,
     report: Report,
     expected_topics: Names = None,
     expected_services: Names = None,
@@ -61,9 +53,8 @@ async def ros2_health_check(
     ] = True,
     rate_check_duration_sec: Annotated[Number, Field(ge=0.5, le=60, description="Listen for this long.")] = 3.0,
     min_expected_rate_hz: Annotated[Number, Field(ge=0, le=1000, description="Of sensors and expected topics.")] = 1.0,
-    bag: FromBag = "",
-    start: FromStart = "",
-    end: UpToEnd = "",
+    *,
+    source: Source,
 ) -> health.Health:
     """Check the whole robot: missing names, silent or slow sensors, QoS mismatches, duplicate nodes, diagnostics.
 
@@ -72,8 +63,7 @@ async def ros2_health_check(
     expected = health.Expectations(
         expected_topics or (), expected_services or (), expected_nodes or (), check_rates, min_expected_rate_hz
     )
-    source = await source_of(robot, memory, Part(bag, start, end), rate_check_duration_sec)
-    return await health.check_health(source, expected, report)
+    return await health.check_health(source.lasting(rate_check_duration_sec), expected, report)
 
 
 @tool(
@@ -83,42 +73,35 @@ async def ros2_health_check(
     recorded=True,
 )
 async def ros2_topic_statistics(
-    robot: Robot,
-    memory: Memory,
     report: Report,
     topic_names: Annotated[list[str], Field(min_length=1, max_length=20, description="Names of the topics.")],
-    duration: Window = 5.0,
-    fields: NumericFields = None,
-    bag: FromBag = "",
-    start: FromStart = "",
-    end: UpToEnd = "",
+    duration: MeasuredFor = 5.0,
+    *,
+    selection: Numbers,
+    source: Source,
 ) -> statistics.Statistics:
     """Measure numeric fields of topics at the same time: min, max, mean, std, slope, gaps, jumps, stuck values, NaN."""
-    source = await source_of(robot, memory, Part(bag, start, end), duration)
-    return await statistics.measure(source, topic_names, fields or (), report, max_bytes=robot.result_bytes)
+    return await statistics.measure(source.lasting(duration), topic_names, selection, report)
 
 
 @tool(title="Compare two topics", risk="read", group="measure", recorded=True, by_default=False)
 async def ros2_topic_compare(
-    robot: Robot,
-    memory: Memory,
     report: Report,
     topic1_name: TopicName,
     topic2_name: TopicName,
-    duration_sec: Window = 5.0,
+    duration_sec: MeasuredFor = 5.0,
     diff_fields: NumericFields = None,
     tolerance_percent: Annotated[Number, Field(ge=0, le=100, description="Of a field's largest magnitude.")] = 0.1,
     sync_by_timestamp: Annotated[Flag, Field(description="Pair by header stamp; else by time of receipt.")] = True,
-    bag: FromBag = "",
-    start: FromStart = "",
-    end: UpToEnd = "",
+    *,
+    source: Source,
 ) -> comparison.Comparison:
     """Compare two topics over the same time, field by field: differences, correlation, delay.
 
     The verdict is IDENTICAL, SIMILAR, DIFFERENT or VERY DIFFERENT.
     """
     return await comparison.compare(
-        await source_of(robot, memory, Part(bag, start, end), duration_sec),
+        source.lasting(duration_sec),
         (topic1_name, topic2_name),
         diff_fields or (),
         tolerance_percent=tolerance_percent,

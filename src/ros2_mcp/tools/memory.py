@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 from pydantic import Field
 
 from ros2_mcp.ops import bags, playing, recording
 from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.reading import View
 from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import EveryN, Fields, Flag, Limit, MaxArray, Number, Pattern, TopicName, Whole
+from ros2_mcp.tools.arguments import BagEnd, BagName, BagStart, Flag, Limit, Number, Pattern, TopicName, Whole
 from ros2_mcp.tools.declare import tool
+from ros2_mcp.tools.injection import Messages
 
 Bytes = Annotated[Whole, Field(ge=0, le=10**13)]
-BagName = Annotated[str, Field(description="Name of the bag, as ros2_bag_list shows it.")]
 Topics = Annotated[list[str] | None, Field(description="Only these topics.")]
-Start = Annotated[
-    str,
-    Field(
-        description='From this moment on: ISO 8601 with zone; "last 30 s" is that long before the end, "2 min in" (or '
-        '"first 2 min") that long after the beginning.'
-    ),
-]
-End = Annotated[
-    str, Field(description="Up to this moment (a time is included), written like start. Default: the end of the bag.")
-]
 RecordingId = Annotated[str, Field(description="The recording's id.")]
 PlaybackId = Annotated[str, Field(description="The playback's id.")]
 
@@ -82,16 +72,14 @@ async def ros2_bag_read(
     memory: Memory,
     bag: BagName,
     topic_name: TopicName,
-    start: Start = "",
-    end: End = "",
+    start: BagStart = "",
+    end: BagEnd = "",
     limit: Annotated[Whole, Field(ge=1, le=10_000, description="How many messages at most.")] = 20,
-    fields: Fields = None,
-    max_array: MaxArray = 64,
-    every_n: EveryN = 1,
+    *,
+    selection: Messages,
 ) -> bags.BagMessages:
     """Read messages of one topic of a bag: the first ones from start on, or without start the last ones."""
-    view = View(fields or (), max_array, every_n, robot.result_bytes)
-    return await bags.read(robot, memory, bags.Asked(bag, topic_name, start, end, limit), view)
+    return await bags.read(robot, memory, bag, topic_name, replace(selection, message_limit=limit), start, end)
 
 
 @tool(title="Play a bag", risk="actuate", group="memory", by_default=False)
@@ -101,8 +89,8 @@ async def ros2_bag_play(
     report: Report,
     bag: BagName,
     rate: Annotated[Number, Field(ge=0.01, le=100, description="Speed; 2 is twice as fast.")] = 1.0,
-    start: Start = "",
-    end: End = "",
+    start: BagStart = "",
+    end: BagEnd = "",
     topics: Topics = None,
     remaps: Annotated[dict[str, str] | None, Field(description='New names, such as {"/scan": "/old/scan"}.')] = None,
     loop: Annotated[Flag, Field(description="Begin again at the end, until stopped.")] = False,

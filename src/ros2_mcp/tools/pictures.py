@@ -8,11 +8,9 @@ from pydantic import Field
 
 from ros2_mcp.model.pictures import MAX_SIDE, BirdEyeOptions, Bounds
 from ros2_mcp.ops import picturing, plotting
-from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report
-from ros2_mcp.ops.sources import Part, source_of
-from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import FromBag, FromStart, Number, TopicName, UpToEnd, Whole
+from ros2_mcp.ops.source import Source
+from ros2_mcp.tools.arguments import Number, TopicName, Whole
 from ros2_mcp.tools.declare import tool
 
 Timeout = Annotated[Number, Field(gt=0, le=600, description="Wait at most this long, in seconds.")]
@@ -22,8 +20,6 @@ Height = Annotated[Number | None, Field(description="Only points within these he
 
 @tool(title="Plot", risk="read", group="pictures", recorded=True, by_default=False, aliases={"topic_names": "series"})
 async def ros2_plot(
-    robot: Robot,
-    memory: Memory,
     report: Report,
     series: Annotated[
         list[str],
@@ -40,35 +36,27 @@ async def ros2_plot(
     ] = "time",
     width: Pixels = 1000,
     height: Pixels = 640,
-    bag: FromBag = "",
-    start: FromStart = "",
-    end: UpToEnd = "",
+    *,
+    source: Source,
 ) -> plotting.Plot:
     """Draw numeric fields over time, or trajectories, as a picture; with minimum, maximum and mean of each."""
-    source = await source_of(robot, memory, Part(bag, start, end), duration)
-    return await plotting.plot(source, series, plotting.Look(kind, width, height), report)
+    return await plotting.plot(source.lasting(duration), series, plotting.Look(kind, width, height), report)
 
 
 @tool(title="Map as a picture", risk="read", group="pictures", recorded=True)
 async def ros2_get_map_as_image(
-    robot: Robot,
-    memory: Memory,
     report: Report,
     topic_name: TopicName,
     timeout: Timeout = 5.0,
-    bag: FromBag = "",
-    start: FromStart = "",
-    end: UpToEnd = "",
+    *,
+    source: Source,
 ) -> picturing.MapPicture:
     """Show an occupancy grid as a picture, with resolution, origin, size and shares of free, occupied and unknown."""
-    source = await source_of(robot, memory, Part(bag, start, end), timeout)
-    return await picturing.map_picture(source, topic_name, report)
+    return await picturing.map_picture(source.lasting(timeout), topic_name, report)
 
 
 @tool(title="Point cloud from above", risk="read", group="pictures", recorded=True, by_default=False)
 async def ros2_get_pointcloud_as_bev(
-    robot: Robot,
-    memory: Memory,
     report: Report,
     topic_name: TopicName,
     resolution: Annotated[Number, Field(ge=0.001, le=100, description="Metres per pixel.")] = 0.05,
@@ -83,12 +71,10 @@ async def ros2_get_pointcloud_as_bev(
     colormap: Annotated[
         Literal["jet", "gray"], Field(description="Scale of colours, for intensity and height.")
     ] = "jet",
-    bag: FromBag = "",
-    start: FromStart = "",
-    end: UpToEnd = "",
+    *,
+    source: Source,
 ) -> picturing.CloudPicture:
     """Show a point cloud from above (bird's-eye view), with its extent and scale in metres."""
     bounds = Bounds(min(max_pixels, MAX_SIDE))
     options = BirdEyeOptions(resolution, zmin, zmax, color_mode, colormap, bounds)
-    source = await source_of(robot, memory, Part(bag, start, end), timeout)
-    return await picturing.cloud_picture(source, topic_name, options, report)
+    return await picturing.cloud_picture(source.lasting(timeout), topic_name, options, report)

@@ -10,7 +10,7 @@ import pytest
 
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.health import Expectations, Health, check_health, to_measure
-from ros2_mcp.ops.window import Scene, Window
+from ros2_mcp.ops.source import Capture, GraphSnapshot
 from ros2_mcp.robot import TopicEndpoints
 from support.made_windows import Make, Recorded
 
@@ -27,9 +27,11 @@ def topic(name: str, publishers: Sequence[Endpoint] = (), subscribers: Sequence[
     return TopicEndpoints(name, publishers, subscribers)
 
 
-def check(present: Sequence[TopicEndpoints], windows: Sequence[Window], **expected: Any) -> Health:
-    scene = Scene({each.topic: each for each in present}, ["/lidar", "/nav"], ["/reset"])
-    return asyncio.run(check_health(Recorded(windows, scene), Expectations(**expected)))
+def check(present: Sequence[TopicEndpoints], windows: Sequence[Capture], **expected: Any) -> Health:
+    scene = GraphSnapshot({each.topic: each for each in present}, ["/lidar", "/nav"], ["/reset"])
+    source = Recorded(windows, scene)
+    source.is_live = True
+    return asyncio.run(check_health(source, Expectations(**expected)))
 
 
 def at(rate_hz: float, duration_s: float = 3.0) -> list[tuple[float, dict[str, Any]]]:
@@ -79,9 +81,10 @@ def test_a_sensor_that_stopped_has_stopped_although_it_was_interrupted_for_longe
 def test_of_a_recording_it_is_told_what_a_component_said_that_is_well_again(window: Make) -> None:
     said = [(at, {"status": [{"level": level, "name": "lidar", "message": text}]}) for at, level, text in PASSING]
     there = topic("/diagnostics", [endpoint("/lidar", DIAGNOSTICS)])
-    source = Recorded([window("/diagnostics", DIAGNOSTICS, said, 4.0)], Scene({"/diagnostics": there}, None, None))
+    source = Recorded([window("/diagnostics", DIAGNOSTICS, said, 4.0)], GraphSnapshot({"/diagnostics": there}))
+    source.is_live = True
     assert asyncio.run(check_health(source, Expectations())).verdict == "HEALTHY"
-    source.words = "bag run, 4 s"
+    source.is_live = False
     found = asyncio.run(check_health(source, Expectations()))
     assert (found.verdict, found.diagnostics[0].level) == ("DEGRADED", "OK")
     assert "said ERROR at" in found.findings[0].problem and "no data" in found.findings[0].problem
@@ -139,7 +142,7 @@ def test_a_node_that_waits_for_a_sensor_that_nobody_publishes_degrades(window: M
 
 
 def test_two_nodes_of_one_name_degrade() -> None:
-    found = asyncio.run(check_health(Recorded([], Scene({}, ["/nav", "/nav"], [])), Expectations()))
+    found = asyncio.run(check_health(Recorded([], GraphSnapshot({}, ["/nav", "/nav"], [])), Expectations()))
     assert (found.verdict, found.findings[0].problem) == ("DEGRADED", "2 nodes have this name.")
 
 
@@ -157,7 +160,7 @@ def test_the_newest_diagnostics_count(window: Make, level: bytes, verdict: str) 
 
 
 def test_a_source_that_knows_no_nodes_misses_none(window: Make) -> None:
-    source = Recorded([window("/scan", SCAN, at(10), 3.0)], Scene({"/scan": LIDAR}, None, None))
+    source = Recorded([window("/scan", SCAN, at(10), 3.0)], GraphSnapshot({"/scan": LIDAR}, None, None))
     found = asyncio.run(check_health(source, Expectations(nodes=["/lidar"], services=["/reset"])))
     assert (found.verdict, found.note) == ("HEALTHY", "Nodes and services are not known here.")
 
@@ -165,7 +168,7 @@ def test_a_source_that_knows_no_nodes_misses_none(window: Make) -> None:
 def test_costly_topics_are_measured_only_up_to_a_bound_but_always_if_expected() -> None:
     image = "sensor_msgs/msg/Image"
     cameras = [topic(f"/camera{i}", [endpoint("/camera", image)]) for i in range(6)]
-    scene = Scene({each.topic: each for each in [*cameras, LIDAR]}, [], [])
+    scene = GraphSnapshot({each.topic: each for each in [*cameras, LIDAR]}, [], [])
     chosen, left_out = to_measure(scene, Expectations(["/camera5"]))
     assert chosen == ["/camera5", "/camera0", "/camera1", "/camera2", "/camera3", "/scan"]
     assert left_out == ["/camera4"]

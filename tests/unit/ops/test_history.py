@@ -24,9 +24,10 @@ from ros2_mcp.ops import bags, history
 from ros2_mcp.ops.black_box import BLACK_BOX
 from ros2_mcp.ops.history import StoredMessages
 from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.reading import View
 from ros2_mcp.ops.recorded_robot import recorded_robot
 from ros2_mcp.ops.recording import Recording, Wanted
+from ros2_mcp.ops.selection import Selection
+from ros2_mcp.ops.source import SourceRequest
 from ros2_mcp.tools import DECLARED
 from support.made_windows import encoded
 
@@ -62,13 +63,13 @@ class Asker:
         self.memory = Memory(folder, subject=subject)
         self.robot = recorded_robot(self.memory, 32_000)
 
-    def get(self, topic: str = "/count", view: View | None = None, **asked: object) -> StoredMessages:
-        question = history.Asked(topic, **asked)  # type: ignore[arg-type]
-        return asyncio.run(history.get_messages(self.robot, self.memory, question, view or View()))
+    def get(self, topic: str = "/count", number: int = 0, **asked: str) -> StoredMessages:
+        selection = Selection(message_limit=number or None)
+        return asyncio.run(history.get_messages(self.robot, self.memory, topic, "", SourceRequest(**asked), selection))
 
-    def read(self, bag: str, topic: str, view: View | None = None, **asked: object) -> bags.BagMessages:
-        question = bags.Asked(bag, topic, **asked)  # type: ignore[arg-type]
-        return asyncio.run(bags.read(self.robot, self.memory, question, view or View()))
+    def read(self, bag: str, topic: str, limit: int = 20, every_n: int = 1, **asked: str) -> bags.BagMessages:
+        selection = Selection(message_limit=limit, every_n=every_n)
+        return asyncio.run(bags.read(self.robot, self.memory, bag, topic, selection, **asked))
 
     def open(self, *names: str) -> None:
         for name in names:
@@ -176,7 +177,7 @@ def test_earlier_messages_that_were_not_read_are_told_and_how_to_get_them(
     read = agent.read("robot", "/raw", limit=60)
     end = re.findall(r"There are earlier ones too: for those, give end (\S+)\.", read.note)[0]
     assert "There are earlier" in agent.read("robot", "/raw", end=end, limit=10).note
-    assert "There are earlier" not in agent.read("robot", "/raw", end=end, limit=60, view=View(every_n=2)).note
+    assert "There are earlier" not in agent.read("robot", "/raw", end=end, limit=60, every_n=2).note
 
 
 def test_a_bag_is_read_on_from_where_the_answer_says(tmp_path: Path, asker: Callable[..., Asker]) -> None:

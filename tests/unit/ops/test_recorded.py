@@ -20,8 +20,9 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import bags, reading, timing
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.moments import moment_ns, span_of
-from ros2_mcp.ops.recorded import open_source
-from ros2_mcp.ops.window import Missing, Source, Window
+from ros2_mcp.ops.recorded import open_bag
+from ros2_mcp.ops.selection import Selection
+from ros2_mcp.ops.source import Capture, Missing, Source
 from support.made_bridge import MadeBridge, robot_of
 
 START_NS = 1_700_000_000_000_000_000
@@ -50,11 +51,11 @@ def memory(tmp_path: Path) -> Iterator[Memory]:
     asyncio.run(opened.close())
 
 
-async def windows_of(memory: Memory, start: str, *topics: str) -> list[Window | Missing]:
-    source: Source = await open_source(memory, "run", start)
+async def captures_of(memory: Memory, start: str, *topics: str) -> list[Capture | Missing]:
+    source: Source = await open_bag(memory, "run", start)
     assert abs(source.duration_s - 2.0) < 1e-6
-    assert (await source.scene()).topics.keys() == {"/count", "/mode"}
-    found = list(await source.windows(topics, lambda *_: asyncio.sleep(0)))
+    assert (await source.graph()).topics.keys() == {"/count", "/mode"}
+    found = list(await source.captures(topics, lambda *_: asyncio.sleep(0)))
     async with source.follow("/count") as stream:
         numbers = [number async for batch in stream.batches for number in batch]
     assert len(numbers) == 21
@@ -62,8 +63,8 @@ async def windows_of(memory: Memory, start: str, *topics: str) -> list[Window | 
 
 
 def test_a_window_of_a_bag_has_its_time_and_the_latched_message_before(memory: Memory) -> None:
-    count, mode, missing = asyncio.run(windows_of(memory, "last 2 s", "/count", "/mode", "/other"))
-    assert isinstance(count, Window) and isinstance(mode, Window) and isinstance(missing, Missing)
+    count, mode, missing = asyncio.run(captures_of(memory, "last 2 s", "/count", "/mode", "/other"))
+    assert isinstance(count, Capture) and isinstance(mode, Capture) and isinstance(missing, Missing)
     values = [count.decode(sample).data for sample in count.samples]  # type: ignore[attr-defined]
     assert values == list(range(80, 101))
     assert (count.received, count.dropped) == (21, 0)
@@ -71,10 +72,16 @@ def test_a_window_of_a_bag_has_its_time_and_the_latched_message_before(memory: M
     assert isinstance(missing.error, NotFound)
 
 
-async def read_of(memory: Memory, request: reading.Request, start: str = "", end: str = "") -> tuple[list[int], str]:
-    source = await open_source(memory, "run", start, end, longest_s=request.duration_s)
-    found = await reading.read(source, request, reading.View())
-    assert found.source == source.words and (found.received, found.dropped, found.lost) == (found.count, 0, None)
+async def read_of(
+    memory: Memory, topic: str, selection: Selection, start: str = "", end: str = "", type_name: str = ""
+) -> tuple[list[int], str]:
+    source = await open_bag(memory, "run", start, end)
+    found = await reading.read(source, topic, type_name, selection)
+    assert found.source == source.lasting(0.0, recorded_s=selection.duration_s).words and (
+        found.received,
+        found.dropped,
+        found.lost,
+    ) == (found.count, 0, None)
     return [message["data"] for message in found.messages], found.note
 
 
@@ -95,29 +102,28 @@ async def read_of(memory: Memory, request: reading.Request, start: str = "", end
 def test_a_recording_is_read_from_its_start_or_without_one_from_its_end(
     memory: Memory, start: str, end: str, duration_s: float | None, limit: int | None, expected: list[int]
 ) -> None:
-    request = reading.Request("count", "", duration_s, limit)
-    values, note = asyncio.run(read_of(memory, request, start, end))
+    selection = Selection(duration_s=duration_s, message_limit=limit)
+    values, note = asyncio.run(read_of(memory, "count", selection, start, end))
     assert values == expected
     assert ("has no more of it" in note) == (limit is not None and limit > len(expected))
 
 
 def test_a_latched_message_from_before_the_start_is_read(memory: Memory) -> None:
-    request = reading.Request("/mode", "std_msgs/Int32")
-    assert asyncio.run(read_of(memory, request, "last 1 s")) == ([7], "")
-    assert asyncio.run(read_of(memory, request)) == ([7], "")
+    assert asyncio.run(read_of(memory, "/mode", Selection(), "last 1 s", type_name="std_msgs/Int32")) == ([7], "")
+    assert asyncio.run(read_of(memory, "/mode", Selection(), type_name="std_msgs/Int32")) == ([7], "")
     with pytest.raises(TypeConflict, match="not std_msgs/msg/Bool"):
-        asyncio.run(read_of(memory, reading.Request("/mode", "std_msgs/msg/Bool")))
+        asyncio.run(read_of(memory, "/mode", Selection(), type_name="std_msgs/msg/Bool"))
 
 
 def test_nothing_in_a_part_is_said_to_be_nothing(memory: Memory) -> None:
-    request = reading.Request("/count", "", None, 5)
-    values, note = asyncio.run(read_of(memory, request, "first 0.01 s", "first 0.09 s"))
+    selection = Selection(message_limit=5)
+    values, note = asyncio.run(read_of(memory, "/count", selection, "first 0.01 s", "first 0.09 s"))
     assert values == [] and note == "The recording has nothing of it in that part."
 
 
 def test_the_flow_of_a_recording_is_that_of_the_whole_or_of_a_part(memory: Memory) -> None:
     async def flow(start: str) -> timing.Stats:
-        return await timing.measure(await open_source(memory, "run", start), ["/count", "/mode", "/other"])
+        return await timing.measure(await open_bag(memory, "run", start), ["/count", "/mode", "/other"])
 
     whole, part = asyncio.run(flow("")), asyncio.run(flow("last 2 s"))
     assert [topic.count for topic in whole.topics] == [101, 1, 0]
@@ -130,7 +136,7 @@ def test_the_flow_of_a_recording_is_that_of_the_whole_or_of_a_part(memory: Memor
 
 
 async def follow_while_it_grows(memory: Memory, writer: BagWriter) -> int:
-    source = await open_source(memory, "growing", "first 0 s")
+    source = await open_bag(memory, "growing", "first 0 s")
     async with source.follow("/count") as stream:
         sizes = [len(await anext(stream.batches))]
         begun = memory.opened("growing").bag
@@ -230,11 +236,11 @@ async def test_what_is_read_between_the_times_that_were_shown_is_everything(tmp_
         writer.write("/count", Sample(at_ns, at_ns, number + 1, number_at(number)))
     writer.close()
 
-    memory, view = Memory(tmp_path), reading.View()
+    memory, twenty = Memory(tmp_path), Selection(message_limit=20)
     shown = await bags.info(memory, "run")
-    asked = bags.Asked("run", "/count", shown.start, shown.end)
-    assert (await bags.read(robot_of(MadeBridge()), memory, asked, view)).count == 20
-    source = await open_source(memory, "run", shown.start, shown.end)
+    robot = robot_of(MadeBridge())
+    assert (await bags.read(robot, memory, "run", "/count", twenty, shown.start, shown.end)).count == 20
+    source = await open_bag(memory, "run", shown.start, shown.end)
     assert (await timing.measure(source, ["/count"])).topics[0].count == 20
     await memory.close()
 

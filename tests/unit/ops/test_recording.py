@@ -21,9 +21,9 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import bags, recording, timing
 from ros2_mcp.ops.black_box import keep_black_box
 from ros2_mcp.ops.memory import BLACK_BOX, Memory
-from ros2_mcp.ops.reading import View
-from ros2_mcp.ops.recorded import open_source
+from ros2_mcp.ops.recorded import open_bag
 from ros2_mcp.ops.recording import Recording, Wanted, recordings
+from ros2_mcp.ops.selection import Selection
 from ros2_mcp.settings import Settings
 from support.made_bridge import NUMBER, MadeBridge, robot_of, soon
 
@@ -104,11 +104,11 @@ async def test_a_recording_that_runs_goes_on_until_now_however_long_nothing_came
     recorder.put("/said", [Sample(silent_since_ns, 0, None, b"\0\1\0\0\7\0\0\0")])
 
     async def count(start: str, of: Memory = memory) -> int:
-        return (await bags.read(robot, of, bags.Asked("run", "/said", start), View())).count
+        return (await bags.read(robot, of, "run", "/said", Selection(message_limit=20), start)).count
 
     await soon(lambda: is_on_the_disk(folder))
     assert (await count(""), await count("last 30 s"), await count("11 min ago")) == (1, 0, 1)
-    source = await open_source(memory, "run", "last 30 s")
+    source = await open_bag(memory, "run", "last 30 s")
     assert abs(source.duration_s - 30.0) < 1.0
     assert (await timing.measure(source, ["/said"])).topics[0].count == 0
     await memory.close()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ros2_mcp.model.errors import BadInput, BadValue
+from ros2_mcp.ops.selection import Selection
 from ros2_mcp.ops.statistics import FieldStatistics, evaluate, measure
 from support.made_windows import Make, Recorded
 
@@ -160,7 +161,7 @@ def test_transforms_in_a_list_can_be_measured(window: Make) -> None:
 
 def test_a_topic_that_is_not_there_leaves_the_others(window: Make) -> None:
     source = Recorded([floats(window, [0, 1], [1, 2])])
-    there, missing = asyncio.run(measure(source, ["/x", "/y"])).topics
+    there, missing = asyncio.run(measure(source, ["/x", "/y"], Selection())).topics
     assert there.count == 2 and not there.error
     assert missing.error == "no /y"
 
@@ -168,9 +169,9 @@ def test_a_topic_that_is_not_there_leaves_the_others(window: Make) -> None:
 def test_a_field_that_no_topic_has_is_refused_before_measuring(window: Make) -> None:
     source = Recorded([floats(window, [0, 1], [1, 2])])
     with pytest.raises(BadValue, match="no field 'dta'"):
-        asyncio.run(measure(source, ["/x"], ["dta"]))
+        asyncio.run(measure(source, ["/x"], Selection(fields=["dta"])))
     with pytest.raises(BadInput, match="twice"):
-        asyncio.run(measure(source, ["/x", "/x"]))
+        asyncio.run(measure(source, ["/x", "/x"], Selection()))
 
 
 def test_a_silent_topic_says_so(window: Make) -> None:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import pytest
 
+from ros2_mcp.ops.source import GraphSnapshot
 from ros2_mcp.ops.timing import TopicStats, measure
-from ros2_mcp.ops.window import Scene
 from support.made_windows import Make, Recorded
 
 FLOAT = "std_msgs/msg/Float64"
@@ -16,7 +16,7 @@ FLOAT = "std_msgs/msg/Float64"
 
 def only(window: Make, times: Sequence[float], duration_s: float) -> TopicStats:
     made = window("/speed", FLOAT, [(at, {"data": 0.0}) for at in times], duration_s)
-    (found,) = asyncio.run(measure(Recorded([made], Scene({}, None, None)), ["/speed"])).topics
+    (found,) = asyncio.run(measure(Recorded([made], GraphSnapshot({}, None, None)), ["/speed"])).topics
     return found
 
 

@@ -1,0 +1,175 @@
+"""What tools ask for and the model does not see: made here from a call's arguments and from what the server has.
+
+A parameter `source: Source` gives a tool the arguments `bag`, `start` and `end`, and itself the source that they mean.
+Parameters with a `MadeBy` get their values, and their tool its arguments, from another function. A maker takes the
+`Call`; its other parameters are arguments of the tool, or are shared with it where the tool has one of that name.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any
+
+from ros2_mcp.ops.live import Live
+from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.selection import Selection
+from ros2_mcp.ops.source import Source
+from ros2_mcp.ops.sources import open_source
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import (
+    Duration,
+    EveryN,
+    Fields,
+    FromBag,
+    FromStart,
+    MaxArray,
+    MessageLimit,
+    NumericFields,
+    Since,
+    UpToEnd,
+)
+
+Maker = Callable[..., Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """What there is in every call: the robot, the bags, and who is told of progress."""
+
+    robot: Robot
+    memory: Memory
+    report: Report
+
+
+@dataclass(frozen=True, slots=True)
+class MadeBy:
+    """Metadata of a parameter: the function that makes its value."""
+
+    maker: Maker
+
+
+# ── makers ───────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _robot(call: Call) -> Robot:
+    return call.robot
+
+
+def _memory(call: Call) -> Memory:
+    return call.memory
+
+
+def _report(call: Call) -> Report:
+    return call.report
+
+
+async def _source(call: Call, bag: FromBag = "", start: FromStart = "", end: UpToEnd = "") -> Source:
+    return await open_source(call.robot, call.memory, bag, start, end)
+
+
+async def _log_source(call: Call, since: Since = "", bag: FromBag = "", end: UpToEnd = "") -> Source:
+    """The log of the robot is not a bag's: moments alone do not mean the black box here."""
+    if not (bag or end or call.memory.subject_name):
+        return Live(call.robot)
+    is_number = since.strip().replace(".", "", 1).isdigit()
+    return await open_source(call.robot, call.memory, bag, f"{since} s ago" if is_number else since, end)
+
+
+def _size(call: Call) -> Selection:
+    return Selection(max_bytes=call.robot.result_bytes)
+
+
+def _messages(call: Call, fields: Fields = None, max_array: MaxArray = 64, every_n: EveryN = 1) -> Selection:
+    return Selection(fields=fields or (), max_array=max_array, every_n=every_n, max_bytes=call.robot.result_bytes)
+
+
+def _limited_messages(
+    call: Call,
+    duration: Duration = None,
+    message_limit: MessageLimit = None,
+    fields: Fields = None,
+    max_array: MaxArray = 64,
+    every_n: EveryN = 1,
+) -> Selection:
+    return Selection(
+        fields=fields or (),
+        max_array=max_array,
+        every_n=every_n,
+        duration_s=duration,
+        message_limit=message_limit,
+        max_bytes=call.robot.result_bytes,
+    )
+
+
+def _message(call: Call, fields: Fields = None, max_array: MaxArray = 64) -> Selection:
+    return Selection(fields=fields or (), max_array=max_array, max_bytes=call.robot.result_bytes)
+
+
+def _numbers(call: Call, fields: NumericFields = None) -> Selection:
+    return Selection(fields=fields or (), max_bytes=call.robot.result_bytes)
+
+
+Messages = Annotated[Selection, MadeBy(_messages)]
+LimitedMessages = Annotated[Selection, MadeBy(_limited_messages)]
+OneMessage = Annotated[Selection, MadeBy(_message)]
+Numbers = Annotated[Selection, MadeBy(_numbers)]
+LogSource = Annotated[Source, MadeBy(_log_source)]
+
+_MAKERS: Mapping[Any, Maker] = {
+    Source: _source,
+    Selection: _size,
+    Robot: _robot,
+    Memory: _memory,
+    Report: _report,
+}
+"""Of parameters whose type alone says what they are."""
+
+
+# ── their use ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def maker_of(parameter: inspect.Parameter) -> Maker | None:
+    """What makes the value of a parameter; None if it is an argument of the tool."""
+    for each in getattr(parameter.annotation, "__metadata__", ()):
+        if isinstance(each, MadeBy):
+            return each.maker
+    return next((maker for kind, maker in _MAKERS.items() if parameter.annotation == kind), None)
+
+
+def arguments_of(whole: inspect.Signature) -> inspect.Signature:
+    """The signature that the model sees: in the place of what is made stand the arguments that it is made from."""
+    arguments: dict[str, inspect.Parameter] = {}
+    for parameter in whole.parameters.values():
+        maker = maker_of(parameter)
+        for each in [parameter] if maker is None else _parameters_of(maker).values():
+            if each is parameter or each.name not in whole.parameters:
+                arguments[each.name] = each.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+    return whole.replace(parameters=list(arguments.values()))
+
+
+async def values_for(whole: inspect.Signature, call: Call, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of all parameters of a tool's function.
+
+    Raises:
+        RobotError: if one cannot be made, such as a source that is not there.
+    """
+    values: dict[str, Any] = {}
+    for name, parameter in whole.parameters.items():
+        maker = maker_of(parameter)
+        if maker is None:
+            values[name] = arguments[name]
+            continue
+        made: Any = maker(call, **{each: arguments[each] for each in _parameters_of(maker)})
+        values[name] = await made if isinstance(made, Awaitable) else made
+    return values
+
+
+@cache
+def _parameters_of(maker: Maker) -> dict[str, inspect.Parameter]:
+    """Of a maker without the call."""
+    found = list(inspect.signature(maker, eval_str=True).parameters.values())
+    return {each.name: each for each in found[1:]}
