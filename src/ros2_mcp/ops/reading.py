@@ -209,7 +209,7 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
 async def _shown(source: Source, collected: Collected, selection: Selection) -> Reading:
     stream = collected.stream
     fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
-    images, problem = await asyncio.to_thread(_pictures, stream.type, fitted)
+    images, problem = await asyncio.to_thread(pictures_of, stream.type, fitted)
     return Reading(
         topic_name=stream.topic,
         topic_type=stream.type,
@@ -240,7 +240,7 @@ def _more(stream: Stream, samples: Sequence[Sample], beyond: Sample | None, name
     return f"There are later ones too: for those, give {names[0]} {exact_time(beyond.received_ns)}."
 
 
-def _pictures(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
+def pictures_of(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
     """Pictures of the messages that are shown, made of what was decoded for it; or why there are none."""
     if type_name not in (IMAGE, COMPRESSED_IMAGE):
         return [], ""
