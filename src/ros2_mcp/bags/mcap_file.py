@@ -9,6 +9,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TypeAlias
 
+from mcap.opcode import Opcode
+from mcap.records import Channel
+
 from ros2_mcp.bags import chunks
 from ros2_mcp.bags.chunks import HEAD, ChunkPlace, Damaged, MessageRecord
 from ros2_mcp.bags.mcap_index import learn_channels, read_index
@@ -112,7 +115,7 @@ class McapFile:
                 schema.encoding,
                 schema.text,
                 channel.metadata.get("offered_qos_profiles", ""),
-                channel.encoding,
+                channel.message_encoding,
             )
         return found
 
@@ -139,14 +142,15 @@ class McapFile:
         if len(data) < HEAD or len(data) != place.length:
             raise Damaged("the file is shorter than its index says")
         kind, length = chunks.head(data)
-        if kind not in (chunks.CHUNK, chunks.MESSAGE) or length != place.length - HEAD:
+        if kind not in (Opcode.CHUNK, Opcode.MESSAGE) or length != place.length - HEAD:
             raise Damaged("a chunk's head is wrong")
-        if kind == chunks.MESSAGE:
+        if kind == Opcode.MESSAGE:
             return chunks.message(data, HEAD, len(data))
         return chunks.unpacked(data[HEAD:])[0]
 
     def _records_in(self, inside: bytes) -> list[MessageRecord]:
-        found = [chunks.message(inside, a, b) for kind, a, b in chunks.records(inside) if kind == chunks.MESSAGE]
+        wanted = Opcode.MESSAGE
+        found = [chunks.message(inside, a, b) for kind, a, b in chunks.records_in(inside) if kind == wanted]
         if any(each.channel not in self._index.channels for each in found):
             learn_channels(self._index, inside)
         return found
@@ -160,7 +164,7 @@ class McapFile:
             return None
         return channel.topic, Sample(record.log_ns, record.publish_ns, record.sequence or None, record.data)
 
-    def _fits_topic(self, channel: chunks.Channel) -> bool:
+    def _fits_topic(self, channel: Channel) -> bool:
         topic = self._topics.get(channel.topic)
         schema = self._index.schemas.get(channel.schema_id, _UNKNOWN)
         return topic is not None and (topic.type, topic.definition) == (schema.name, schema.text)

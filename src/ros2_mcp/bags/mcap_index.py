@@ -8,12 +8,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
+from mcap.opcode import Opcode
+from mcap.records import Channel
+
 from ros2_mcp.bags import chunks
-from ros2_mcp.bags.chunks import HEAD, MAGIC, Channel, ChunkPlace, Damaged, Schema
+from ros2_mcp.bags.chunks import HEAD, MAGIC, ChunkPlace, Damaged, Schema
 
 _FOOTER_BYTES = HEAD + 20 + len(MAGIC)
 _MAX_SUMMARY = 1 << 29
+"""Bytes. A larger index is damage: 512 MB would be one of five million chunks."""
 _WINDOW = 4 << 20
+"""Bytes that are searched at a time for the next chunk after damage."""
 _CANDIDATE = re.compile(rb"\x06(?=.{5}\0\0\0.{28}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4))", re.DOTALL)
 _CANDIDATE_BYTES = 64
 
@@ -50,7 +55,7 @@ def read_index(file: BinaryIO, size: int) -> Index:
 
 def _from_summary(file: BinaryIO, size: int) -> Index:
     tail = _at(file, max(size - _FOOTER_BYTES, 0), _FOOTER_BYTES)
-    if len(tail) < _FOOTER_BYTES or tail[-len(MAGIC) :] != MAGIC or chunks.head(tail) != (chunks.FOOTER, 20):
+    if len(tail) < _FOOTER_BYTES or tail[-len(MAGIC) :] != MAGIC or chunks.head(tail) != (Opcode.FOOTER, 20):
         raise Damaged("the end of the file is missing")
     start, _, crc = (int.from_bytes(tail[HEAD + a : HEAD + b], "little") for a, b in ((0, 8), (8, 16), (16, 20)))
     end = size - _FOOTER_BYTES
@@ -64,11 +69,11 @@ def _from_summary(file: BinaryIO, size: int) -> Index:
 
 def _read_summary(summary: bytes, size: int) -> Index:
     found = Index()
-    for kind, start, end in chunks.records(summary):
+    for kind, start, end in chunks.records_in(summary):
         content = summary[start:end]
-        if kind == chunks.CHUNK_INDEX:
+        if kind == Opcode.CHUNK_INDEX:
             found.chunks.append(chunks.chunk_place(content))
-        elif kind == chunks.STATISTICS:
+        elif kind == Opcode.STATISTICS:
             found.counts = chunks.counts(content)
         else:
             _learn(found, kind, content)
@@ -84,18 +89,18 @@ def _read_summary(summary: bytes, size: int) -> Index:
 
 
 def _learn(index: Index, kind: int, content: bytes) -> None:
-    if kind == chunks.SCHEMA:
+    if kind == Opcode.SCHEMA:
         number, schema = chunks.schema(content)
         index.schemas[number] = schema
-    elif kind == chunks.CHANNEL:
-        number, channel = chunks.channel(content)
-        index.channels[number] = channel
+    elif kind == Opcode.CHANNEL:
+        channel = chunks.channel(content)
+        index.channels[channel.id] = channel
 
 
 def learn_channels(index: Index, inside: bytes) -> None:
     """Takes in the schemas and channels among a chunk's records."""
-    for kind, start, end in chunks.records(inside):
-        if kind in (chunks.SCHEMA, chunks.CHANNEL):
+    for kind, start, end in chunks.records_in(inside):
+        if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
             _learn(index, kind, inside[start:end])
 
 
@@ -130,27 +135,27 @@ class _Search:
             return following
 
     def _take(self, kind: int, place: int, length: int) -> None:
-        if kind == chunks.CHUNK:
+        if kind == Opcode.CHUNK:
             self._take_chunk(place, length)
-        elif kind in (chunks.SCHEMA, chunks.CHANNEL):
+        elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
             _learn(self.index, kind, _at(self._file, place + HEAD, length))
-        elif kind == chunks.MESSAGE:
+        elif kind == Opcode.MESSAGE:
             self._take_loose(place, length)
-        elif kind in (chunks.DATA_END, chunks.FOOTER):
-            if length != (4 if kind == chunks.DATA_END else 20):
+        elif kind in (Opcode.DATA_END, Opcode.FOOTER):
+            if length != (4 if kind == Opcode.DATA_END else 20):
                 raise Damaged("the end of the messages has a wrong length")
             self._ended = True
-        elif kind == chunks.MESSAGE_INDEX:
+        elif kind == Opcode.MESSAGE_INDEX:
             if length < 6 or length != 6 + int.from_bytes(_at(self._file, place + HEAD + 2, 4), "little"):
                 raise Damaged("an index record has a wrong length")
-        elif kind not in (chunks.HEADER, chunks.ATTACHMENT, chunks.METADATA):
+        elif kind not in (Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA):
             raise Damaged(f"a record is of an unknown kind ({kind})")
 
     def _take_chunk(self, place: int, length: int) -> None:
         inside, _ = chunks.unpacked(_at(self._file, place + HEAD, length))
         keys: list[tuple[int, int]] = []
-        for kind, start, end in chunks.records(inside):
-            if kind == chunks.MESSAGE and end - start >= 22:
+        for kind, start, end in chunks.records_in(inside):
+            if kind == Opcode.MESSAGE and end - start >= 22:
                 keys.append(chunks.message_key(inside, start))
         learn_channels(self.index, inside)
         self._count(keys)

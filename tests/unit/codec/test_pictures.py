@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from ros2_mcp.codec import pictures as makers
 from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.maps import map_facts
 from ros2_mcp.codec.pictures import picture_of
+from ros2_mcp.codec.raster import Raster
 from ros2_mcp.model.errors import BadData, BadValue
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, OCCUPANCY_GRID, Bounds, Picture
 
@@ -256,3 +258,16 @@ def test_a_map_whose_data_does_not_fit_says_so(definitions: Definitions) -> None
 def test_other_types_are_no_pictures() -> None:
     with pytest.raises(BadValue, match="is not a picture"):
         picture_of("std_msgs/msg/String", object())
+
+
+def test_a_kind_of_picture_is_one_line_in_the_table(definitions: Definitions, monkeypatch: pytest.MonkeyPatch) -> None:
+    def red_raster(message: object, bounds: Bounds) -> Raster:
+        return Raster(np.full((2, 3, 3), RED, np.uint8), f"red, at most {bounds.max_side}", "exact")
+
+    message = grid(definitions, np.zeros((2, 3), np.int8))
+    with pytest.raises(BadValue, match="Choose from: map"):
+        picture_of(OCCUPANCY_GRID, message, "red")
+    monkeypatch.setattr(makers, "MAKERS", {**makers.MAKERS, (OCCUPANCY_GRID, "red"): red_raster})
+    picture = picture_of(OCCUPANCY_GRID, message, "red", Bounds(max_side=64))
+    assert (pixels(picture) == RED).all() and picture.note == "red, at most 64"
+    assert picture_of(OCCUPANCY_GRID, message) == picture_of(OCCUPANCY_GRID, message, "map")
