@@ -69,16 +69,3 @@ def test_what_runs_beside_ros_needs_the_standard_library_and_rclpy_only(package:
 def test_the_server_never_imports_rclpy() -> None:
     ours = {path: tree for path, tree in trees().items() if path.startswith("src/ros2_mcp/")}
     assert [path for path, tree in ours.items() if any(n.split(".")[0] == "rclpy" for n in imported(path, tree))] == []
-
-
-def test_nobody_but_the_door_talks_to_the_bridge() -> None:
-    inside = ("src/ros2_mcp/robot/", "src/ros2_mcp/link/")
-    around_the_door = [
-        f"{path}:{node.lineno}"
-        for path, tree in trees().items()
-        if path.startswith("src/ros2_mcp/") and not path.startswith(inside)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and node.attr in ("request", "subscribe")
-        if isinstance(node.value, (ast.Attribute, ast.Name)) and ast.unparse(node.value).endswith("bridge")
-    ]
-    assert around_the_door == []

@@ -1,0 +1,125 @@
+"""DESIGN: there is one command path. Nothing outside `robot/` reaches the stream, and one place decides."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+import pytest
+
+from support.source import trees
+
+INSIDE = ("src/ros2_mcp/robot/", "src/ros2_mcp/link/")
+COMPOSITION = ("src/ros2_mcp/commands/serve.py", "src/ros2_mcp/assembly.py", "src/ros2_mcp/commands/call.py")
+"""Where the bridge is made, begun and ended; they may do that and nothing else with it."""
+WITHOUT_A_ROBOT = ("src/ros2_mcp/ops/recorded_robot.py",)
+"""Makes a bridge that there never is, for a recording in the place of the robot."""
+BEGINS_AND_ENDS = {"launch", "attach", "close"}
+STREAM_MODULES = {"client", "connection", "subscription", "carrier", "carriers", "local", "heartbeat"}
+"""Modules of `link/` that carry the stream; the others look for installations."""
+EXECUTORS = {"core", "failsafes", "goals", "publishing", "services", "sent_goals", "translation"}
+SPEAKING = {"ask", "query", "request", "subscribe"}
+OF_MCP = ("_bus", "events", "push")
+"""Who is subscribed with is a client of ours, and no robot."""
+FAILSAFES = {"leave_zero", "leave_cancel", "withdraw"}
+
+
+def ways_around(path: str, tree: ast.Module) -> Iterator[str]:
+    """What in a module outside `robot/` reaches the stream, a fail-safe or an executor by itself."""
+    own = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)}
+    begins = {
+        id(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and node.attr in BEGINS_AND_ENDS and path in COMPOSITION
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield from (f"{path}:{node.lineno} imports {name}" for name in _stream_imports(path, node))
+        if not isinstance(node, ast.Attribute):
+            continue
+        receiver = ast.unparse(node.value)
+        is_own = receiver == "self" and node.attr in own
+        if node.attr in ("bridge", "_bridge") and id(node) not in begins:
+            yield f"{path}:{node.lineno} reaches {ast.unparse(node)}"
+        elif node.attr in SPEAKING and not is_own and not receiver.endswith(OF_MCP):
+            yield f"{path}:{node.lineno} asks {ast.unparse(node)}"
+        elif node.attr in FAILSAFES:
+            yield f"{path}:{node.lineno} changes {ast.unparse(node)}"
+
+
+def _stream_imports(path: str, node: ast.ImportFrom) -> Iterator[str]:
+    module = node.module or ""
+    names = [f"{module}.{alias.name}" for alias in node.names]
+    for name in names:
+        parts = name.split(".")
+        if parts[:2] == ["ros2_mcp", "link"] and STREAM_MODULES & set(parts[2:3]):
+            if path not in (*COMPOSITION, *WITHOUT_A_ROBOT):
+                yield name
+        elif parts[:2] == ["ros2_mcp", "robot"] and EXECUTORS & set(parts[2:3]) and parts[-1][0].islower():
+            yield name
+
+
+def outside() -> Iterator[tuple[str, ast.Module]]:
+    for path, tree in trees().items():
+        if path.startswith("src/ros2_mcp/") and not path.startswith(INSIDE):
+            yield path, tree
+
+
+def test_nobody_outside_robot_sends_publishes_calls_or_asks_the_bridge() -> None:
+    assert [way for path, tree in outside() for way in ways_around(path, tree)] == []
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        "async def op(robot):\n    await robot.graph.ask('publish', b'', topic='/cmd_vel')",
+        "async def op(robot):\n    await robot.graph.query('topics')",
+        "async def op(robot):\n    graph = robot.graph\n    await graph.ask('stop')",
+        "async def op(robot):\n    await robot.bridge.request('call', b'', timeout_s=1.0)",
+        "async def op(self):\n    send = self._robot.bridge\n    await send.request('call', b'', timeout_s=1.0)",
+        "async def op(robot):\n    await robot.bridge.subscribe('/scan', 'a/msg/B', {})",
+        "def op(robot):\n    robot.failsafes.withdraw('/cmd_vel')",
+        "from ros2_mcp.link.client import Bridge",
+        "from ros2_mcp.link import connection",
+        "from ros2_mcp.robot.publishing import publish",
+        "from ros2_mcp.robot import services",
+        "async def op(robot):\n    await robot.bridge.attach()",
+    ],
+)
+def test_a_way_around_the_command_path_is_found(planted: str) -> None:
+    assert list(ways_around("src/ros2_mcp/ops/planted.py", ast.parse(planted)))
+
+
+def test_what_a_module_calls_its_own_is_no_way_around() -> None:
+    own = "class Box:\n    async def ask(self):\n        return await self.ask()\n"
+    assert list(ways_around("src/ros2_mcp/ops/planted.py", ast.parse(own))) == []
+
+
+def decisions() -> list[str]:
+    """Every call of a policy's `check`."""
+    return [
+        f"{path}: {ast.unparse(node.func)}"
+        for path, tree in trees().items()
+        if path.startswith("src/ros2_mcp/")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+        if node.func.attr == "check" and ast.unparse(node.func.value).endswith("policy")
+    ]
+
+
+def test_one_place_decides() -> None:
+    assert decisions() == ["src/ros2_mcp/robot/robot.py: self.policy.check"]
+
+
+def test_every_command_can_be_carried_out() -> None:
+    """A command that is declared without a way to carry it out would fail only when somebody gives it."""
+    bases = {
+        node.name: [ast.unparse(base).partition("[")[0] for base in node.bases]
+        for node in trees()["src/ros2_mcp/model/commands.py"].body
+        if isinstance(node, ast.ClassDef)
+    }
+    abstract = {base for names in bases.values() for base in names}
+    declared = {name for name, names in bases.items() if set(names) & abstract & bases.keys()} - abstract
+    assert len(declared) >= 11
+    table = ast.unparse(trees()["src/ros2_mcp/robot/robot.py"])
+    assert {name for name in declared if f"commands.{name}:" not in table} == set()

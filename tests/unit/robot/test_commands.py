@@ -1,0 +1,226 @@
+"""What `Robot.do` does before a command leaves, and what it never does: nothing is known or left of a refused one."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, cast
+
+import pytest
+
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp.link.client import Bridge, Reply
+from ros2_mcp.model.commands import (
+    LOCAL,
+    CancelGoals,
+    ChangeState,
+    Command,
+    Feed,
+    Play,
+    Principal,
+    Publish,
+    Record,
+    Relay,
+    Repeat,
+    SendGoal,
+    ServiceCall,
+    SetParameters,
+)
+from ros2_mcp.model.errors import BadValue, Refused
+from ros2_mcp.model.qos import Choice, QoS
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.translation import as_meant
+
+pytestmark = pytest.mark.anyio
+
+TWIST = "geometry_msgs/msg/Twist"
+CHOICE = Choice(QoS(), "as chosen")
+GOAL_ID = "0123456789abcdef" * 2
+UUID = list(bytes.fromhex(GOAL_ID))
+VALUE = """uint8 type\nbool bool_value\nint64 integer_value\nfloat64 double_value\nstring string_value
+byte[] byte_array_value\nbool[] bool_array_value\nint64[] integer_array_value\nfloat64[] double_array_value
+string[] string_array_value\n"""
+DEFINITIONS = {
+    TWIST: ("msg", "Vector3 linear\nVector3 angular\n"),
+    "geometry_msgs/msg/Vector3": ("msg", "float64 x\nfloat64 y\nfloat64 z\n"),
+    "std_msgs/msg/Int32": ("msg", "int32 data\n"),
+    "unique_identifier_msgs/msg/UUID": ("msg", "uint8[16] uuid\n"),
+    "action_msgs/msg/GoalInfo": ("msg", "unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp\n"),
+    "builtin_interfaces/msg/Time": ("msg", "int32 sec\nuint32 nanosec\n"),
+    "action_msgs/srv/CancelGoal": ("srv", "GoalInfo goal_info\n---\nint8 return_code\nGoalInfo[] goals_canceling\n"),
+    "made/action/Go": ("action", "int32 order\n---\nint32 done\n---\nint32 left\n"),
+    "std_srvs/srv/SetBool": ("srv", "bool data\n---\nbool success\nstring message\n"),
+    "lifecycle_msgs/msg/Transition": ("msg", "uint8 id\nstring label\n"),
+    "lifecycle_msgs/srv/ChangeState": ("srv", "Transition transition\n---\nbool success\n"),
+    "rcl_interfaces/msg/ParameterValue": ("msg", VALUE),
+    "rcl_interfaces/msg/Parameter": ("msg", "string name\nParameterValue value\n"),
+    "rcl_interfaces/msg/SetParametersResult": ("msg", "bool successful\nstring reason\n"),
+    "rcl_interfaces/srv/SetParameters": ("srv", "Parameter[] parameters\n---\nSetParametersResult[] results\n"),
+}
+
+
+class Noting:
+    """The link to a robot that is not there: it notes what is sent, in its order, and a fail-safe stays in force."""
+
+    hello = None
+    is_closed = False
+
+    def __init__(self) -> None:
+        self.sent: list[str] = []
+        self.answer = b""
+
+    async def request(self, op: str, _body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
+        del timeout_s
+        if op == "definitions":
+            texts = {name: {"format": kind, "text": text} for name, (kind, text) in DEFINITIONS.items()}
+            return Reply({"missing": [], "definitions": texts}, b"")
+        self.sent.append(op)
+        if op.startswith("failsafe"):
+            await asyncio.Event().wait()
+        if op == "relay":
+            return Reply({"passed": 1, "final_sent": bool(_body)}, b"")
+        told = {"matched": 1, "acked": True, "waited_s": 0.0, "sent": 1, "elapsed_s": 0.1, "late": 0}
+        return Reply({**told, "final_sent": True, "cancelled": False, **arguments}, self.answer)
+
+
+@pytest.fixture
+def bridge() -> Noting:
+    return Noting()
+
+
+@pytest.fixture
+def robot(bridge: Noting) -> Robot:
+    return Robot(cast(Bridge, bridge))
+
+
+def on(name: str, /, **more: Any) -> dict[str, Any]:
+    return {"principal": LOCAL, "name": name, "type": TWIST, **more}
+
+
+def goal(**more: Any) -> SendGoal:
+    sent: dict[str, Any] = {"value": {"order": 3}, **more}
+    return SendGoal(principal=LOCAL, name="/go", type="made/action/Go", goal_id=GOAL_ID, timeout_s=1.0, **sent)
+
+
+def call(kind: str, service: str, value: object) -> ServiceCall:
+    return ServiceCall(principal=LOCAL, name=service, type=kind, value=value, timeout_s=1.0, wait_s=0.5)
+
+
+EVERY: list[Command[Any]] = [
+    Publish(**on("/cmd_vel", value={}, choice=CHOICE, wait_match_s=0.0)),
+    Repeat(**on("/cmd_vel", value={}, choice=CHOICE, wait_match_s=0.0)),
+    Relay(**on("/cmd_vel", relay_id="r", qos=QoS(), wait_match_s=0.0)),
+    Play(**on("/cmd_vel", relay_id="r", qos=QoS(), bag="b", topic="/cmd_vel", wait_match_s=0.0)),
+    Feed(**on("/cmd_vel", relay_id="r", messages=[b"\0\1\0\0"])),
+    Record(principal=LOCAL, name="bag", topics=[]),
+    goal(),
+    CancelGoals(principal=LOCAL, name="/go", goal_id=GOAL_ID, timeout_s=1.0),
+    call("std_srvs/srv/SetBool", "/switch", {"data": True}),
+    call("rcl_interfaces/srv/SetParameters", "/node/set_parameters", {"parameters": []}),
+    call("lifecycle_msgs/srv/ChangeState", "/node/change_state", {"transition": {"label": "activate"}}),
+]
+
+
+@pytest.mark.parametrize("command", EVERY, ids=lambda command: type(command).__name__)
+async def test_of_a_refused_command_nothing_is_sent_left_or_known(bridge: Noting, command: Command[Any]) -> None:
+    robot = Robot(cast(Bridge, bridge), Policy(read_only=True))
+    with pytest.raises(Refused, match="read-only"):
+        await robot.do(command)
+    await asyncio.sleep(0)
+    assert bridge.sent == []
+    assert (dict(robot.failsafes.zeros), dict(robot.goals.open)) == ({}, {})
+
+
+@pytest.mark.parametrize("command", EVERY[:4], ids=lambda command: type(command).__name__)
+async def test_whatever_drives_leaves_a_zero_and_is_known_to_drive(
+    robot: Robot, bridge: Noting, command: Command[Any]
+) -> None:
+    await robot.do(command)
+    await asyncio.sleep(0)
+    assert "failsafe_publish" in bridge.sent
+    assert list(robot.failsafes.zeros) == [("/cmd_vel", TWIST)]
+    robot.failsafes.withdraw("/cmd_vel")
+
+
+async def test_what_does_not_drive_leaves_none(robot: Robot, bridge: Noting) -> None:
+    kind = "std_msgs/msg/Int32"
+    number = Publish(principal=LOCAL, name="/n", type=kind, value={"data": 1}, choice=CHOICE, wait_match_s=0.0)
+    assert (await robot.do(number)).matched == 1
+    assert bridge.sent == ["publish"]
+
+
+async def test_a_value_that_does_not_fit_leaves_nothing(robot: Robot, bridge: Noting) -> None:
+    with pytest.raises(BadValue, match="linear"):
+        await robot.do(Publish(**on("/cmd_vel", value={"linear": 1}, choice=CHOICE, wait_match_s=0.0)))
+    with pytest.raises(BadValue, match="order"):
+        await robot.do(goal(value={"order": "three"}))
+    assert (bridge.sent, dict(robot.failsafes.zeros), dict(robot.goals.open)) == ([], {}, {})
+
+
+@pytest.mark.parametrize("accepted", [True, False])
+async def test_a_goal_is_known_as_long_as_its_server_has_it(robot: Robot, bridge: Noting, accepted: bool) -> None:
+    await robot.values.learn("made/action/Go")
+    bridge.answer = robot.values.encode_known("made/action/Go_SendGoal_Response", {"accepted": accepted})
+    await robot.do(goal())
+    assert (GOAL_ID in robot.goals.open) is accepted
+    assert GOAL_ID in robot.goals
+    robot.goal_ended(GOAL_ID)
+
+
+# ── what a service call means ──────────────────────────────────────────────────────────────────────────────────────
+
+
+async def test_a_plain_call_is_what_it_is(robot: Robot) -> None:
+    plain = call("std_srvs/srv/SetBool", "/switch", {"data": True})
+    assert await as_meant(robot, plain) is plain
+
+
+async def test_a_raw_goal_is_a_goal_with_the_id_of_the_request(robot: Robot) -> None:
+    value = {"goal_id": {"uuid": UUID}, "goal": {"order": 5}}
+    meant = await as_meant(robot, call("made/action/Go_SendGoal", "/arm/go/_action/send_goal", value))
+    assert isinstance(meant, SendGoal)
+    assert (meant.name, meant.type, meant.goal_id, meant.value) == ("/arm/go", "made/action/Go", GOAL_ID, {"order": 5})
+    assert (meant.service, meant.service_type) == ("/arm/go/_action/send_goal", "made/action/Go_SendGoal")
+    assert (meant.principal, meant.timeout_s, meant.wait_s) == (LOCAL, 1.0, 0.5)
+
+
+async def test_a_raw_goal_without_an_id_is_refused_since_nobody_could_cancel_it(robot: Robot) -> None:
+    with pytest.raises(BadValue, match=r"goal_id\.uuid"):
+        await as_meant(robot, call("made/action/Go_SendGoal", "/go/_action/send_goal", {"goal": {"order": 5}}))
+
+
+@pytest.mark.parametrize("uuid, goal_id", [(UUID, GOAL_ID), ([0] * 16, "")])
+async def test_a_raw_cancel_means_one_goal_or_all(robot: Robot, uuid: list[int], goal_id: str) -> None:
+    info = {"goal_id": {"uuid": uuid}, "stamp": {"sec": 7, "nanosec": 8}}
+    meant = await as_meant(robot, call("action_msgs/srv/CancelGoal", "/go/_action/cancel_goal", {"goal_info": info}))
+    assert isinstance(meant, CancelGoals)
+    assert (meant.name, meant.goal_id, meant.stamp) == ("/go", goal_id, {"sec": 7, "nanosec": 8})
+    assert meant.request == {"goal_info": info}
+
+
+async def test_raw_parameters_are_a_parameter_set(robot: Robot) -> None:
+    value = {"parameters": [{"name": "speed", "value": {"type": 3, "double_value": 0.5}}]}
+    meant = await as_meant(robot, call("rcl_interfaces/srv/SetParameters", "/arm/node/set_parameters", value))
+    assert isinstance(meant, SetParameters)
+    assert (meant.name, meant.service, meant.parameters) == ("/arm/node", "/arm/node/set_parameters", {"speed": 0.5})
+    assert meant.request == value
+
+
+async def test_a_raw_transition_is_a_change_of_state(robot: Robot) -> None:
+    value = {"transition": {"id": 3, "label": "activate"}}
+    meant = await as_meant(robot, call("lifecycle_msgs/srv/ChangeState", "/arm/node/change_state", value))
+    assert isinstance(meant, ChangeState)
+    assert (meant.name, meant.transition, meant.transition_id) == ("/arm/node", "activate", 3)
+
+
+async def test_a_service_that_may_change_something_is_not_asked(robot: Robot, bridge: Noting) -> None:
+    for kind in ("std_srvs/srv/SetBool", "rcl_interfaces/srv/SetParameters", "made/action/Go_SendGoal"):
+        with pytest.raises(ValueError, match="takes a command"):
+            await robot.ask_service("/any", kind, {}, timeout_s=1.0)
+    assert bridge.sent == []
+
+
+async def test_a_client_has_a_robot_of_its_own_name_and_nothing_else_of_its_own(robot: Robot) -> None:
+    other = robot.acting_for(Principal(name="session 2", transport="http"))
+    assert (robot.principal, other.principal.name) == (LOCAL, "session 2")
+    assert other.goals is robot.goals
+    assert other.failsafes is robot.failsafes
