@@ -5,12 +5,16 @@ from __future__ import annotations
 import asyncio
 import inspect
 import os
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Generator
+from pathlib import Path
+from typing import TypeVar
 
 import pytest
 
 from support.tasks import running_tasks
 
+Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
+ROS = Path(__file__).with_name("ros")
 TASKS_END_S = 1.0
 """A task that was cancelled needs a few rounds of the loop until it has ended; a busy machine stretches them."""
 
@@ -24,13 +28,35 @@ def pytest_pycollect_makeitem(collector: pytest.Module, name: str, obj: object) 
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What needs many rounds, long times or a quiet machine is skipped unless it is asked for."""
+    """Files that wait for ROS begin first; what needs many rounds, long times or a quiet machine must be asked for."""
+    items.sort(key=lambda item: not item.path.is_relative_to(ROS))
     if os.environ.get("ROS2_MCP_FULL"):
         return
     skip = pytest.mark.skip(reason="set ROS2_MCP_FULL=1 on a quiet machine")
     for item in items:
         if item.get_closest_marker("full"):
             item.add_marker(skip)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """What keeps a whole file from being run on this machine."""
+    return _failed_for_want((yield))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """What keeps a test from being run on this machine."""
+    return _failed_for_want((yield))
+
+
+def _failed_for_want(report: Report) -> Report:
+    """On a machine of continuous integration (`CI=true`) nothing is skipped because something is not installed."""
+    if report.skipped and os.environ.get("CI") == "true" and isinstance(report.longrepr, tuple):
+        reason = report.longrepr[2].removeprefix("Skipped: ")
+        if reason.startswith("needs "):
+            report.outcome, report.longrepr = "failed", f"With CI=true this must be there: {reason}"
+    return report
 
 
 @pytest.fixture(scope="session")

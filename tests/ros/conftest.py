@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
 import subprocess
 import sys
@@ -13,20 +12,20 @@ from pathlib import Path
 
 import pytest
 
+from support.domains import reserved_domains
 from support.processes import peer_command, python_path
 
 END_S = 10.0
 os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("quiet_fast_dds.xml")))
 
-DOMAIN_IDS = (1 + 3 * number % 99 for number in itertools.count(os.getpid()))
-
 Start = Callable[..., "subprocess.Popen[bytes]"]
 
 
 @pytest.fixture(scope="module")
-def domain_id() -> int:
+def domain_id() -> Iterator[int]:
     """The ROS domain of a file of tests, and the two after it: what one file kills, no other discovers."""
-    return next(DOMAIN_IDS)
+    with reserved_domains() as first:
+        yield first
 
 
 @pytest.fixture(scope="module")

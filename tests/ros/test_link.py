@@ -27,14 +27,13 @@ from support.standstill import undisturbed_async
 from support.tasks import running_tasks
 
 ENV = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-SETTINGS = Settings(domain_id=111)
 QOS = {"reliability": "reliable", "durability": "volatile", "history": "keep_last", "depth": 100}
 PATIENCE_S = 30.0
 STRING = b"\x00\x01\x00\x00\x06\x00\x00\x00hello\x00"
 
 
 @asynccontextmanager
-async def launched(settings: Settings = SETTINGS) -> AsyncIterator[Bridge]:
+async def launched(settings: Settings) -> AsyncIterator[Bridge]:
     """A bridge for a block, whose process has gone and which has no task left after it."""
     before = running_tasks()
     carriers: list[LocalBridge] = []
@@ -54,8 +53,13 @@ async def launched(settings: Settings = SETTINGS) -> AsyncIterator[Bridge]:
 
 
 @pytest.fixture
-async def bridge() -> AsyncIterator[Bridge]:
-    async with launched() as bridge:
+def settings(domain_id: int) -> Settings:
+    return Settings(domain_id=domain_id)
+
+
+@pytest.fixture
+async def bridge(settings: Settings) -> AsyncIterator[Bridge]:
+    async with launched(settings) as bridge:
         yield bridge
 
 
@@ -63,11 +67,11 @@ def _lives(pid: int) -> bool:
     return Path(f"/proc/{pid}").exists()
 
 
-async def test_a_launched_bridge_answers_and_leaves_when_closed(bridge: Bridge) -> None:
+async def test_a_launched_bridge_answers_and_leaves_when_closed(bridge: Bridge, domain_id: int) -> None:
     reply = await bridge.request("topics", settle_s=2.0, timeout_s=PATIENCE_S)
     assert isinstance(reply.ok["topics"], list)
     assert bridge.hello
-    assert bridge.hello.domain_id == 111
+    assert bridge.hello.domain_id == domain_id
 
 
 async def test_what_is_published_arrives_at_a_subscription_byte_for_byte(bridge: Bridge) -> None:
@@ -156,13 +160,13 @@ async def test_a_refusal_of_the_bridge_arrives_with_its_kind(bridge: Bridge) -> 
     assert refused.value.kind == "not_found"
 
 
-async def test_without_ros_every_request_says_what_is_missing_and_it_is_looked_for_again(tmp_path: Path) -> None:
+async def test_without_ros_every_request_says_what_is_missing_and_it_is_looked_for_again(settings: Settings) -> None:
     there = False
 
     def start() -> Carrier:
         if not there:
             raise RosNotFound("No ROS 2 found.", "Run: this")
-        return start_carrier(SETTINGS, ENV)
+        return start_carrier(settings, ENV)
 
     async with Bridge(start) as bridge:
         for _ in range(2):
@@ -178,9 +182,9 @@ async def test_without_ros_every_request_says_what_is_missing_and_it_is_looked_f
         assert bridge.hello
 
 
-async def test_a_python_without_rclpy_is_reported_with_what_it_said(tmp_path: Path) -> None:
+async def test_a_python_without_rclpy_is_reported_with_what_it_said(tmp_path: Path, domain_id: int) -> None:
     venv.create(tmp_path / "empty", with_pip=False)
-    settings = Settings(bridge_python=tmp_path / "empty" / "bin" / "python", domain_id=111)
+    settings = Settings(bridge_python=tmp_path / "empty" / "bin" / "python", domain_id=domain_id)
 
     async with launched(settings) as bridge:
         with pytest.raises(LinkError, match="rclpy"):
@@ -196,7 +200,7 @@ def other_ros(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, 
     python = _another_python()
     uv = shutil.which("uv")
     if not python or not uv:
-        pytest.skip("needs uv and a second Python (3.10 to 3.14) on PATH to install ROS 2 wheels for")
+        pytest.skip("there is no uv, or no second Python (3.10 to 3.14) on PATH to install ROS 2 wheels for")
     root = tmp_path_factory.mktemp("other ros's root")
     prefix = root / "venv"
     packages = ["ros-jazzy-rclpy", "ros-jazzy-rmw-fastrtps-cpp", "ros-jazzy-common-interfaces", "numpy"]
@@ -241,11 +245,11 @@ def _write_setup(distro: Path, prefix: Path) -> None:
 
 @pytest.mark.timeout(360)
 async def test_the_bridge_runs_under_the_python_of_an_unsourced_ros_whatever_ours_is(
-    other_ros: tuple[Path, str],
+    other_ros: tuple[Path, str], domain_id: int
 ) -> None:
     root, version = other_ros
 
-    async with launched(Settings(ros_root=root, distro="jazzy", domain_id=112)) as bridge:
+    async with launched(Settings(ros_root=root, distro="jazzy", domain_id=domain_id + 1)) as bridge:
         hello = await bridge.ready()
         assert bridge.origin == f"{root / 'jazzy'}/setup.bash is sourced for the bridge (asked for)."
         assert hello.python.startswith(version + ".")
@@ -258,13 +262,14 @@ async def test_the_bridge_runs_under_the_python_of_an_unsourced_ros_whatever_our
 _SERVER = """
 import asyncio
 import signal
+import sys
 from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.settings import Settings
 
 async def main():
     signal.signal(signal.SIGINT, signal.default_int_handler)  # even where the tests run in the background
-    bridge = Bridge(lambda: start_carrier(Settings(domain_id=113)))
+    bridge = Bridge(lambda: start_carrier(Settings(domain_id=int(sys.argv[1]))))
     print((await bridge.ready()).pid, flush=True)
     await asyncio.sleep(60)
 
@@ -273,9 +278,13 @@ asyncio.run(main())
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_the_bridge_leaves_when_its_server_dies(number: signal.Signals) -> None:
+def test_the_bridge_leaves_when_its_server_dies(number: signal.Signals, domain_id: int) -> None:
     with subprocess.Popen(
-        [sys.executable, "-c", _SERVER], env=ENV, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        [sys.executable, "-c", _SERVER, str(domain_id + 2)],
+        env=ENV,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
     ) as server:
         assert server.stdout
         pid = int(server.stdout.readline())

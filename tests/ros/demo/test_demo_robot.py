@@ -7,7 +7,7 @@ import pytest
 
 from support.standstill import undisturbed
 
-pytest.importorskip("rclpy")
+pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

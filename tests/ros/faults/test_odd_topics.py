@@ -10,15 +10,13 @@ import subprocess
 import sys
 import time
 from itertools import count
-from pathlib import Path
 from typing import Any
 
 import pytest
 
+from support.processes import SOURCES
 from support.standstill import undisturbed_async
 from support.trouble import Agent, ToolFailed
-
-ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="session")
@@ -30,13 +28,13 @@ def built_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     (package / "package.xml").write_text("<package><name>nobody_msgs</name><version>1.0.0</version></package>\n")
     done = subprocess.run(
         [sys.executable, "-m", "ros2_mcp_interfaces", str(package)],
-        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        env={**os.environ, "PYTHONPATH": str(SOURCES)},
         capture_output=True,
         text=True,
         check=False,
     )
     if done.returncode:
-        pytest.skip(f"The package cannot be built here: {done.stderr[-300:]}")
+        pytest.skip(f"needs what builds interface packages: {done.stderr[-300:]}")
     prefix = done.stdout.split()[-1]
     return {"AMENT_PREFIX_PATH": f"{prefix}:{sys.prefix}", "PYTHONPATH": f"{prefix}/site-packages"}
 

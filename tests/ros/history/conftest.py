@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rclpy")
+pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 pytest.importorskip("rosidl_generator_py", reason="needs the interface generators of the ROS 2 wheels")
 
 from ros2_mcp_interfaces import build, default_cache

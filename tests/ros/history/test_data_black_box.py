@@ -11,6 +11,8 @@ import pytest
 
 from support.agent import Agent
 
+of_the_first_generation = pytest.mark.parametrize("agent", [1], indirect=True, ids=["generation 1"], scope="module")
+
 TOOL = "ros2_get_messages"
 OLD_NAME = "ros2_get_messages_stored_in_influx_data_base"
 TYPES = {
@@ -150,10 +152,8 @@ def test_the_error_of_a_box_is_told_in_its_own_words(agent: Agent) -> None:
         assert "Couldn't connect to server" in refusal
 
 
+@of_the_first_generation
 def test_special_types_of_the_first_generation_come_as_messages(agent: Agent) -> None:
-    if agent.generation == 2:
-        pytest.skip("the first generation only")
-
     def messages(kind: str) -> Any:
         return agent.call(TOOL, topic_name="/kept/special", message_type=kind)["messages"]
 
@@ -164,9 +164,8 @@ def test_special_types_of_the_first_generation_come_as_messages(agent: Agent) ->
     assert gps["device_eui"] == {"data": list(range(8))} and gps["nav_value"]["latitude"] == 52.25
 
 
+@of_the_first_generation
 def test_an_answer_that_breaks_off_gives_what_is_whole(agent: Agent) -> None:
-    if agent.generation == 2:
-        pytest.skip("the first generation only")
     answer = agent.call(TOOL, topic_name="/kept/torn", message_type="std_msgs/msg/Int32")
     assert answer["messages"] == [{"data": 5}] and "breaks off in message 2" in answer["note"]
     assert datetime.fromisoformat(answer["timestamps"][0].replace("Z", "+00:00")).tzinfo == timezone.utc

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 
-pytest.importorskip("rclpy")
+pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
 from support.agent import Agent, agent_for
 from support.processes import peer_command

@@ -9,7 +9,7 @@ from functools import cache
 
 import pytest
 
-pytest.importorskip("rclpy")
+pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 from support.agent import FULL
 from support.commanded import CommandedProcess
 from support.listener import HANDSHAKE, MODERN, PATIENCE_S, Listener

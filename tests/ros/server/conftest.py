@@ -8,7 +8,7 @@ from contextlib import ExitStack
 
 import pytest
 
-pytest.importorskip("rclpy")
+pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
 from support.agent import Agent, agent_for
 from support.commanded import CommandedProcess
