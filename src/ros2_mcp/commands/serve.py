@@ -78,7 +78,7 @@ async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None) -
 
 
 async def _until_told_to_end(robot: Robot, memory: Memory, settings: Settings, running: Awaitable[None]) -> None:
-    from ros2_mcp.ops.black_box import keep_black_box
+    from ros2_mcp.ops.recording import keep_black_box
 
     told_to_end = asyncio.Event()
     background: list[asyncio.Task[None]] = []
@@ -95,7 +95,8 @@ async def _until_told_to_end(robot: Robot, memory: Memory, settings: Settings, r
     finally:
         for task in background:
             task.cancel()
-        await memory.close()
+        await robot.jobs.close()
+        memory.close()
         await robot.bridge.close()
     if serving.done():
         serving.result()

@@ -1,13 +1,14 @@
-"""What one server remembers with: its folders, and the recordings and playbacks under way."""
+"""What one server remembers with: its folders, and the bags in them."""
 
 from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.names import did_you_mean
@@ -24,12 +25,12 @@ BLACK_BOX = "black-box"
 _BLACK_BOX_WORDS = ("black box", "black_box", "blackbox")
 
 
-class Ending(Protocol):
-    """Something that runs until it is ended."""
+@dataclass(frozen=True, slots=True)
+class OwnBag:
+    """A bag that this server writes, or wrote."""
 
-    async def end(self) -> None:
-        """Ends it in good order; safe to call twice."""
-        ...
+    folder: Path
+    is_growing: Callable[[], bool]
 
 
 class OpenedBag:
@@ -72,14 +73,14 @@ class Memory:
     """The folders that may be written (`record_dir`) and read (`bag_dir`, and what was recorded).
 
     `subject` is the recording that stands for the robot, if one does; it may be read wherever it is.
-    `running` has the recordings and playbacks of this server by their ids, those that have ended too.
+    `own` are the bags that this server writes or wrote, by their names, in the order in which they were begun.
     """
 
     def __init__(self, record_dir: Path = RECORDINGS, bag_dir: Path | None = None, subject: Path | None = None) -> None:
         self.subject = subject.expanduser().resolve() if subject else None
         self.record_dir = record_dir.expanduser()
         self.bag_dir = bag_dir.expanduser() if bag_dir else self.record_dir
-        self.running: dict[str, Ending] = {}
+        self.own: dict[str, OwnBag] = {}
         self._opened: dict[Path, OpenedBag] = {}
         self._looking_up = threading.Lock()
 
@@ -88,10 +89,12 @@ class Memory:
         """The name of the recording that stands for the robot; empty where there is none."""
         return self.subject.name if self.subject else ""
 
-    async def close(self) -> None:
-        """Ends everything that runs: recordings get their index and their `metadata.yaml`."""
-        for each in list(self.running.values()):
-            await each.end()
+    def writes(self, folder: Path, is_growing: Callable[[], bool]) -> None:
+        """Notes a bag that this server begins to write, and how to know whether it still does."""
+        self.own[folder.name] = OwnBag(folder, is_growing)
+
+    def close(self) -> None:
+        """Closes the bags that are open."""
         for opened in self._opened.values():
             if opened.bag:
                 opened.bag.close()

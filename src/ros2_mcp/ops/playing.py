@@ -2,43 +2,51 @@
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import anyio
+from anyio import to_thread
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
-from ros2_mcp.model.commands import Feed, Play
 from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, TypeConflict
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.recorded import find_topic, span_in
 from ros2_mcp.ops.results import Report, silent
-from ros2_mcp.robot import VELOCITY_TYPES, Robot
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.door import VELOCITY_TYPES
+from ros2_mcp.robot.jobs import Job
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
     from ros2_mcp.bags.stored import Span, StoredTopic
 
-MAX_PLAYBACKS = 4
+_FOREVER_S = 1e9
 _SHORTEST_LOOP_S = 0.1
+"""A bag of one moment, looped, would otherwise be published as fast as the processor can."""
 _MATCH_S = 1.0
+"""How long the bridge waits for subscribers that discovery may still be matching with our new publishers."""
 _READY_S = 5.0
+"""A bridge makes a hundred publishers within a second; one that has not by then will not."""
+_POLL_S = 0.02
 _KNOWN_S = 0.3
 """Subscribers get to know our publishers a moment later than these them; what comes before arrives late."""
 _NAMED = 8
 _BATCH = 64
 _BATCH_BYTES = 4_000_000
-_AHEAD_S = 0.002
-_ids = itertools.count(1)
+"""What is read ahead of its time: enough that no message waits for the disk, and little memory with pictures."""
+_TOGETHER_S = 0.002
+"""Messages that are due within this time go out in one request: no listener can tell, and it saves round trips."""
 
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlayRequest:
     """What to play; `remaps` gives topics other names. With `force` also onto topics that have a publisher."""
 
     bag: str
@@ -51,7 +59,7 @@ class Wanted:
     force: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class PlaybackState:
     """A playback. `state` is `playing`, `ended`, `stopped` or `failed`; `late_s` how far it lags behind its rhythm."""
 
@@ -73,7 +81,7 @@ class PlaybackState:
 
 @dataclass(frozen=True, slots=True)
 class PlaybackStates:
-    """All playbacks since the server started."""
+    """The playbacks that run, and the last that ended."""
 
     playbacks: Sequence[PlaybackState]
 
@@ -82,118 +90,93 @@ class PlaybackStates:
         return "\n".join(each.summary() for each in self.playbacks) or "Nothing has been played."
 
 
-class Playback:
+class Playback(Job):
     """One playback: a publisher in the bridge for each topic, fed in the recorded rhythm."""
 
-    def __init__(self, robot: Robot, bag: Bag, wanted: Wanted, span: Span, topics: Mapping[str, StoredTopic]) -> None:
-        self.id = f"play_{next(_ids)}"
+    kind = "playback"
+    listed_by = "ros2_bag_play_status"
+    stopped_by = "ros2_bag_play_stop"
+
+    def __init__(
+        self, robot: Robot, bag: Bag, request: PlayRequest, span: Span, topics: Mapping[str, StoredTopic]
+    ) -> None:
+        super().__init__(owner=robot.principal, moves=[request.remaps.get(name, name) for name in topics])
         self._robot = robot
         self._bag = bag
-        self._wanted = wanted
+        self._request = request
         self._span = span
         first_ns, last_ns = bag.times or (0, 1)
         self._first_ns = max(first_ns, span.start_ns)
         self._length_ns = max(min(last_ns, span.end_ns) - self._first_ns, 1)
         self._topics = topics
         self._published = dict.fromkeys(topics, 0)
-        self._relays: list[asyncio.Task[Any]] = []
-        self._work: asyncio.Task[None] | None = None
-        self._state = "playing"
         self._note = ""
-        self._progress, self._late_s, self._loops = 0.0, 0.0, 0
-        self._started = monotonic()
-        self._ended = 0.0
+        self._progress = 0.0
+        self._loops = 0
+        self._late_s = 0.0
 
-    @property
-    def is_running(self) -> bool:
-        """Whether it still plays."""
-        return self._state == "playing"
-
-    @property
-    def destinations(self) -> list[str]:
-        """The topics that it publishes on."""
-        return [self._destination(name) for name in self._topics]
-
-    async def begin(self) -> None:
-        """Opens the publishers and starts to play; raises what keeps a publisher from being made, with all closed."""
+    async def run(self) -> None:
+        """Opens the publishers and plays. They are requests to the bridge that stay open: losing one ends it all."""
         try:
-            for name, topic in self._topics.items():
-                self._relays.append(asyncio.create_task(self._open(name, topic)))
-            for name in self._topics:
-                await self._until_ready(name)
-            await asyncio.sleep(_KNOWN_S)
-            await self._note_who_listens()
-            if self.is_running:
-                self._work = asyncio.create_task(self._play())
+            async with anyio.create_task_group() as publishers:
+                for name, topic in self._topics.items():
+                    publishers.start_soon(self._open, name, topic)
+                for name in self._topics:
+                    await self._until_ready(name)
+                await anyio.sleep(_KNOWN_S)
+                await self._note_who_listens()
+                self.begun()
+                await self._play()
+                publishers.cancel_scope.cancel()
         finally:
-            if self._work is None:
-                self._note = "It did not begin."
-                await asyncio.shield(self._close("failed"))
+            notes = ["It did not begin."] if self.state == "starting" else [self._note]
+            self._note = " ".join(filter(None, (*notes, *self._bag.problems)))
+            self._bag.close()
 
-    async def end(self) -> None:
-        """Stops it, also while it is still beginning."""
-        if self._work:
-            if self.is_running:
-                self._work.cancel()
-            await asyncio.wait({self._work})
-        if self.is_running:
-            await self._close("stopped")
-
-    async def wait(self, wait_s: float, report: Report) -> None:
-        """Waits until it ends, at most that long, and reports."""
-        deadline = monotonic() + wait_s
-        while self._work and self.is_running and monotonic() < deadline:
-            await asyncio.wait({self._work}, timeout=min(1.0, deadline - monotonic()))
-            state = self.state()
-            await report(state.progress, 1.0, state.summary())
-
-    def state(self) -> PlaybackState:
+    def report(self) -> PlaybackState:
         """How it stands."""
-        elapsed = (self._ended or monotonic()) - self._started
+        has_failed = self.failure and not self._note
         return PlaybackState(
-            self.id,
-            self._wanted.bag,
-            self._state,
-            {self._destination(name): count for name, count in self._published.items()},
-            round(self._progress, 4),
-            self._loops,
-            round(elapsed, 3),
-            round(self._late_s, 3),
-            self._note,
+            playback_id=self.id,
+            bag=self._request.bag,
+            state="playing" if self.is_running else self.state,
+            published={self._destination(name): count for name, count in self._published.items()},
+            progress=round(self._progress, 4),
+            loops=self._loops,
+            elapsed_s=round(self.elapsed_s, 3),
+            late_s=round(self._late_s, 3),
+            note=str(self.failure) if has_failed else self._note,
         )
 
     def _destination(self, topic: str) -> str:
-        return self._wanted.remaps.get(topic, topic)
+        return self._request.remaps.get(topic, topic)
 
     def _relay(self, topic: str) -> str:
         return f"{self.id}{topic}"
 
     async def _open(self, name: str, topic: StoredTopic) -> None:
-        play = Play(
-            principal=self._robot.principal,
-            name=self._destination(name),
+        zero = self._robot.values.encode_known(topic.type, {}) if topic.type in VELOCITY_TYPES else b""
+        await self._robot.graph.ask(
+            "relay",
+            zero,
+            timeout_s=_FOREVER_S,
+            name=self._relay(name),
+            topic=self._destination(name),
             type=topic.type,
-            relay_id=self._relay(name),
-            qos=_qos(topic),
-            bag=self._wanted.bag,
-            topic=name,
+            qos=_qos(topic).request(),
             wait_match_s=_MATCH_S,
         )
-        await self._robot.do(play)
 
     async def _until_ready(self, name: str) -> None:
         deadline = monotonic() + _READY_S
-        while self.is_running:
-            for relay in self._relays:
-                if relay.done():
-                    relay.result()
+        while True:
             try:
-                await self._pass_on(name, ())
+                await self._robot.graph.ask("relay_feed", name=self._relay(name), sizes=[])
                 return
             except NotFound:
                 if monotonic() > deadline:
                     raise
-                await asyncio.sleep(0.02)
+                await anyio.sleep(_POLL_S)
 
     async def _note_who_listens(self) -> None:
         relays = await self._robot.graph.relays()
@@ -204,7 +187,6 @@ class Playback:
             self._note = f"Nobody listened to {', '.join(unheard[:_NAMED])}{more} when it began."
 
     async def _play(self) -> None:
-        state = "stopped"
         try:
             while True:
                 begun = monotonic()
@@ -212,41 +194,25 @@ class Playback:
                 self._loops += 1
                 if not any(self._published.values()):
                     self._note = "Nothing was published: no message of these topics is in that part of the bag."
-                    break
-                if not self._wanted.loop:
-                    break
-                await asyncio.sleep(begun + self._loop_s - monotonic())
-            state = "ended"
+                    return
+                if not self._request.loop:
+                    return
+                await anyio.sleep(max(0.0, begun + self._loop_s - monotonic()))
         except NotFound:
-            lost = [each.exception() for each in self._relays if each.done() and each.exception()]
-            state = "failed" if lost else "stopped"
-            self._note = str(lost[0]) if lost else "Its publishers have been ended, as ros2_stop does."
-        except RobotError as error:
-            state, self._note = "failed", str(error)
-        finally:
-            await self._close(state)
-
-    async def _close(self, state: str) -> None:
-        if self.is_running:
-            self._state, self._ended = state, monotonic()
-        for relay in self._relays:
-            relay.cancel()
-        await asyncio.gather(*self._relays, return_exceptions=True)
-        self._note = " ".join(filter(None, (self._note, *self._bag.problems)))
-        self._bag.close()
+            self.outcome, self._note = "stopped", "Its publishers have been ended, as ros2_stop does."
 
     @property
     def _loop_s(self) -> float:
-        return max(self._length_ns / 1e9 / self._wanted.rate, _SHORTEST_LOOP_S)
+        return max(self._length_ns / 1e9 / self._request.rate, _SHORTEST_LOOP_S)
 
     async def _play_once(self, begun: float) -> None:
         messages = self._bag.messages(self._span)
-        while batch := await asyncio.to_thread(_next_batch, messages):
-            for due_ns, group in _together(batch, self._wanted.rate):
+        while batch := await to_thread.run_sync(_next_batch, messages):
+            for due_ns, group in _together(batch, self._request.rate):
                 away_ns = due_ns - self._first_ns
-                due = begun + away_ns / 1e9 / self._wanted.rate
+                due = begun + away_ns / 1e9 / self._request.rate
                 if (pause := due - monotonic()) > 0:
-                    await asyncio.sleep(pause)
+                    await anyio.sleep(pause)
                 self._late_s = max(0.0, monotonic() - due)
                 await self._feed(group)
                 self._progress = min(max(away_ns / self._length_ns, 0.0), 1.0)
@@ -256,78 +222,66 @@ class Playback:
         """Publishes messages in their order, those of the same topic that follow each other at once."""
         for topic, members in itertools.groupby(group, key=lambda each: each[0]):
             bodies = [sample.data for _, sample in members]
-            await self._pass_on(topic, bodies)
+            sizes = [len(body) for body in bodies]
+            await self._robot.graph.ask("relay_feed", b"".join(bodies), name=self._relay(topic), sizes=sizes)
             self._published[topic] += len(bodies)
-
-    async def _pass_on(self, topic: str, messages: Sequence[bytes]) -> None:
-        to, kind, relay_id = self._destination(topic), self._topics[topic].type, self._relay(topic)
-        feed = Feed(principal=self._robot.principal, name=to, type=kind, relay_id=relay_id, messages=messages)
-        await self._robot.do(feed)
 
 
 async def play(
-    robot: Robot, memory: Memory, wanted: Wanted, wait_s: float = 40.0, report: Report = silent
+    robot: Robot, memory: Memory, request: PlayRequest, wait_s: float = 40.0, report: Report = silent
 ) -> PlaybackState:
     """Plays a bag, or a part of it; after `wait_s` it goes on by itself. A waiting that is cancelled stops it.
 
     Raises:
-        Refused: if this server is read-only; without `force`, if a topic has a live publisher, or somebody listens to a
-            velocity command.
+        Refused: if this server is read-only, or too many playbacks run; without `force`, if a topic has a live
+            publisher, or somebody listens to a velocity command.
         NotFound: if there is no such bag, or it has no such topic.
         TypeConflict: if a topic is there with another type.
         UnknownInterface: if the robot does not know a type.
     """
-    bounded("rate", wanted.rate, 0.01, 100.0, "times")
-    if sum(each.is_running for each in playbacks(memory).values()) >= MAX_PLAYBACKS:
-        raise Refused(f"{MAX_PLAYBACKS} playbacks run already.", "Stop one with ros2_bag_play_stop.")
-    wanted = replace(wanted, remaps={names.absolute(a): names.absolute(b) for a, b in wanted.remaps.items()})
-    bag, span, topics = await asyncio.to_thread(_prepare, memory, wanted)
+    robot.policy.require_write("Playing a bag")
+    bounded("rate", request.rate, 0.01, 100.0, "times")
+    robot.jobs.require_room(Playback)
+    request = replace(request, remaps={names.absolute(a): names.absolute(b) for a, b in request.remaps.items()})
+    bag, span, topics = await to_thread.run_sync(_prepare, memory, request)
     try:
-        await _check(robot, memory, wanted, topics)
-        playback = Playback(robot, bag, wanted, span, topics)
-    except (RobotError, asyncio.CancelledError):
+        await _check(robot, request, topics)
+    except BaseException:  # also where the call is cancelled
         bag.close()
         raise
-    memory.running[playback.id] = playback
-    try:
-        await playback.begin()
-        await playback.wait(wait_s, report)
-    except BaseException:
-        await asyncio.shield(playback.end())
-        raise
-    return playback.state()
+    playback = Playback(robot, bag, request, span, topics)
+
+    async def tell() -> None:
+        state = playback.report()
+        await report(state.progress, 1.0, state.summary())
+
+    await robot.jobs.start(playback)
+    await robot.jobs.wait(playback, wait_s, every_second=tell)
+    return playback.report()
 
 
-def playbacks(memory: Memory) -> dict[str, Playback]:
-    """The playbacks of this server, by their ids."""
-    return {name: each for name, each in memory.running.items() if isinstance(each, Playback)}
+async def status(robot: Robot, playback_id: str = "") -> PlaybackStates:
+    """How playbacks stand: the one of that id, or all that run and the last that ended."""
+    return PlaybackStates([playback.report() for playback in robot.jobs.chosen(Playback, playback_id)])
 
 
-async def status(memory: Memory, playback_id: str = "") -> PlaybackStates:
-    """How playbacks stand; all of this server, or one."""
-    chosen = [_find(memory, playback_id)] if playback_id else list(playbacks(memory).values())
-    return PlaybackStates([each.state() for each in chosen])
-
-
-async def stop(memory: Memory, playback_id: str) -> PlaybackState:
+async def stop(robot: Robot, playback_id: str) -> PlaybackState:
     """Stops a playback."""
-    playback = _find(memory, playback_id)
-    await playback.end()
-    return playback.state()
+    return (await robot.jobs.stop(Playback, playback_id)).report()
 
 
-def _prepare(memory: Memory, wanted: Wanted) -> tuple[Bag, Span, dict[str, StoredTopic]]:
+def _prepare(memory: Memory, request: PlayRequest) -> tuple[Bag, Span, dict[str, StoredTopic]]:
     from ros2_mcp.bags.bag import Bag
 
-    bag = Bag(memory.find_bag(wanted.bag))
+    bag = Bag(memory.find_bag(request.bag))
     try:
-        chosen = [find_topic(bag, name) for name in wanted.topics] or list(bag.topics.values())
+        chosen = [find_topic(bag, name) for name in request.topics] or list(bag.topics.values())
         topics = {topic.name: topic for topic in chosen}
-        unknown = set(wanted.remaps) - set(topics)
+        unknown = set(request.remaps) - set(topics)
         if unknown:
             raise BadInput(f"{sorted(unknown)[0]} is remapped, but not played.", f"Played: {', '.join(topics)}.")
-        _check_types({(wanted.remaps.get(name, name), topic.type) for name, topic in topics.items()})
-        return bag, replace(span_in(memory, bag, wanted.start, wanted.end), topics=frozenset(topics)), topics
+        _check_types({(request.remaps.get(name, name), topic.type) for name, topic in topics.items()})
+        return bag, replace(span_in(memory, bag, request.start, request.end), topics=frozenset(topics)), topics
     except RobotError:
         bag.close()
         raise
@@ -339,14 +293,13 @@ def _check_types(destinations: Collection[tuple[str, str]]) -> None:
             raise TypeConflict(f"{destination} would be both a {type_name} and a {other}.", "Give other remaps.")
 
 
-async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[str, StoredTopic]) -> None:
+async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, StoredTopic]) -> None:
     own = robot.graph.own_nodes  # it keeps publishers ready that say nothing
-    ours = {to: each.id for each in playbacks(memory).values() if each.is_running for to in each.destinations}
-    ours |= {relay.destination: relay.relay_id for relay in robot.relays.open}
+    ours = {topic: job.id for job in robot.jobs.running(Job) for topic in job.moves}
     busy: list[str] = []
     driven: list[str] = []
     for name, topic in topics.items():
-        destination = wanted.remaps.get(name, name)
+        destination = request.remaps.get(name, name)
         present = await robot.graph.endpoints(destination)
         if present.types and topic.type not in present.types:
             raise TypeConflict(f"{destination} has the type {present.types[0]}, the bag's {name} is a {topic.type}.")
@@ -355,11 +308,11 @@ async def _check(robot: Robot, memory: Memory, wanted: Wanted, topics: Mapping[s
         busy += [f"{destination} ({others[0]})"] if others else []
         moved = [each.node for each in present.subscribers if each.node not in own and topic.type in VELOCITY_TYPES]
         driven += [f"{moved[0]} listens to {destination}"] if moved else []
-    if busy and not wanted.force:
+    if busy and not request.force:
         raise Refused(
             f"These topics have a live publisher: {', '.join(busy)}.", "Use remaps, choose topics, or give force."
         )
-    if driven and not wanted.force:
+    if driven and not request.force:
         raise Refused(f"It would move the robot: {', '.join(driven)}.", "Use remaps, choose topics, or give force.")
     await robot.values.learn(*(topic.type for topic in topics.values()))
 
@@ -385,16 +338,9 @@ def _together(batch: Sequence[tuple[str, Sample]], rate: float) -> Iterator[tupl
     """Groups of messages that are due within two milliseconds, with the time of the first."""
     group: list[tuple[str, Sample]] = []
     for message in batch:
-        if group and message[1].received_ns - group[0][1].received_ns > _AHEAD_S * 1e9 * rate:
+        if group and message[1].received_ns - group[0][1].received_ns > _TOGETHER_S * 1e9 * rate:
             yield group[0][1].received_ns, group
             group = []
         group.append(message)
     if group:
         yield group[0][1].received_ns, group
-
-
-def _find(memory: Memory, playback_id: str) -> Playback:
-    known = playbacks(memory)
-    if playback_id not in known:
-        raise NotFound(f"There is no playback {playback_id!r}.", f"Known are: {', '.join(known) or 'none'}.")
-    return known[playback_id]

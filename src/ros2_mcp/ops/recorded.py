@@ -18,7 +18,6 @@ from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import BLACK_BOX, Memory, OpenedBag
 from ros2_mcp.ops.moments import is_relative, span_of
-from ros2_mcp.ops.recording import recordings
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.selection import MAX_BYTES
 from ros2_mcp.ops.source import GraphSnapshot, Past, Source, SourceKind, SourceRequest, Stream
@@ -216,7 +215,7 @@ class Bags(SourceKind):
         """The bag of that name; without one, the recording that stands for the robot, or for moments the black box."""
         name = request.name or memory.subject_name
         if not name and (request.start or request.end):
-            if BLACK_BOX not in memory.running:
+            if BLACK_BOX not in memory.own:
                 hint = "Name it with bag; ros2_bag_list shows which there are."
                 raise BadInput("start and end are moments of a recording, and none is named.", hint)
             name = BLACK_BOX
@@ -229,8 +228,8 @@ class Bags(SourceKind):
 
         The black box comes first while it runs; what former servers recorded is not this server's.
         """
-        own = recordings(memory)
-        running = [name for name in own if name == BLACK_BOX and own[name].is_running]
+        own = dict(memory.own)
+        running = [name for name in own if name == BLACK_BOX and own[name].is_growing()]
         subject = [memory.subject_name] if memory.subject else []
         known = dict.fromkeys([*running, *reversed(own), *subject, *memory.opened_names()])
 
@@ -288,7 +287,8 @@ def times_of(memory: Memory, bag: Bag) -> tuple[int, int]:
 
 def is_growing(memory: Memory, bag: Bag) -> bool:
     """Whether this server is recording it."""
-    folders = [each.folder.resolve() for each in recordings(memory).values() if each.is_running]
+    own = list(memory.own.values())  # at once: this is a thread, and recordings begin in another
+    folders = [written.folder.resolve() for written in own if written.is_growing()]
     return any(bag.path.resolve().is_relative_to(folder) for folder in folders)
 
 

@@ -1,8 +1,12 @@
-"""Recording topics: bytes go from the robot to the disk, never decoded, and topics that appear later join in."""
+"""Recording topics: bytes go from the robot to the disk, never decoded, and topics that appear later join in.
+
+The black box is a recording like any other, which the server begins by itself, in a ring of files, with no database
+and no other node.
+"""
 
 from __future__ import annotations
 
-import asyncio
+import logging
 import time
 from collections.abc import Sequence
 from contextlib import AbstractAsyncContextManager
@@ -11,30 +15,44 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
+import anyio
+from anyio import to_thread
+from anyio.abc import TaskGroup
+
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names, qos
-from ros2_mcp.model.commands import Record
-from ros2_mcp.model.errors import BadInput, LinkError, NotFound, Refused, RobotError
+from ros2_mcp.model.commands import SERVER, Principal
+from ros2_mcp.model.errors import BadInput, LinkError, Refused, RobotError
 from ros2_mcp.model.samples import Counts, Sample
-from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.opening import opened
+from ros2_mcp.ops.memory import BLACK_BOX, Memory
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.robot import Listening, Robot
+from ros2_mcp.robot.jobs import Job
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.recorder import Limits, Recorder
+    from ros2_mcp.settings import Settings
 
 MAX_DURATION_S = 7 * 86_400.0
-MAX_RECORDINGS = 4
+"""A week; the disk's floor ends most recordings before."""
+LARGEST_BYTES = 32_000
+"""Larger messages (pictures, clouds) would push all others out of the ring: their topics are kept only by name."""
 _TURN_S = 0.1
+"""How often waiting samples are handed to the disk: rarely enough to cost nothing, and no more is lost at a crash."""
 _LOOK_S = 1.0
+"""How often new topics are looked for, as the tool's description promises."""
 _JOINED_S = 2.0
+"""How long a start waits for the subscriptions of topics that are there; discovery takes up to that long."""
+_LEFT_S = 3.0
+"""How long an end waits for the last samples of subscriptions, which a busy bridge may withhold."""
 _WAITING_BYTES = 64_000_000
+"""What one topic may hold in memory while this server is busy: two seconds of a camera's raw pictures."""
 _MOST_NOTES = 20
+_logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordRequest:
     """What to record; without topics and patterns, everything that is not hidden.
 
     A topic is left as soon as it has a message larger than `largest` bytes (0: never), unless it is latched.
@@ -75,7 +93,7 @@ class TopicCounts:
     error: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class RecordingState:
     """A recording. `bag` is its name for the tools that read bags; `state` is `recording`, `ended` or `failed`."""
 
@@ -103,7 +121,7 @@ class RecordingState:
 
 @dataclass(frozen=True, slots=True)
 class RecordingStates:
-    """All recordings since the server started."""
+    """The recordings that run, and the last that ended."""
 
     recordings: Sequence[RecordingState]
 
@@ -118,7 +136,6 @@ class _Joined:
 
     type: str
     publishers: int
-    task: asyncio.Task[None] | None = None
     listening: Listening | None = None
     lost: Listening | None = None
     former: Counts = field(default_factory=Counts)
@@ -135,111 +152,132 @@ class _Joined:
         return self.former if self.listening is None else _sum(self.former, self.listening.counts)
 
 
-class Recording:
+class Recording(Job):
     """One recording under way: finds its topics, subscribes to them and hands their bytes to the recorder."""
 
-    def __init__(self, robot: Robot, recording_id: str, folder: Path, recorder: Recorder, wanted: Wanted) -> None:
-        self.id = recording_id
-        self.folder = folder
+    kind = "recording"
+    most_kept = 100
+    listed_by = "ros2_record_status"
+    stopped_by = "ros2_record_stop"
+
+    def __init__(
+        self, robot: Robot, memory: Memory, request: RecordRequest, *, owner: Principal | None = None
+    ) -> None:
+        super().__init__(owner=owner or robot.principal)
         self._robot = robot
-        self._recorder = recorder
-        self._wanted = wanted
+        self._memory = memory
+        self._request = request
+        self._recorder: Recorder | None = None
+        self._folder: Path | None = None
         self._topics: dict[str, _Joined] = {}
         self._notes: list[str] = []
-        self._stopping = False
+        self._is_ending = False
         self._started_ns = time.time_ns()
-        self._watch: asyncio.Task[None] | None = None
 
-    async def begin(self) -> None:
-        """Subscribes to the topics that are there and looks for more from then on; ends it all if it is cancelled."""
+    async def run(self) -> None:
+        """Records until a limit is reached or it is told to end; however it ends, the files are closed."""
         try:
-            await self._look_or_note()
-            deadline = monotonic() + _JOINED_S
-            while any(each.is_joining for each in self._topics.values()) and monotonic() < deadline:
-                await asyncio.sleep(_TURN_S / 5)
-            self._watch = asyncio.create_task(self._keep_looking())
+            # A thread cannot be cancelled: anyio waits for it, so that what it has opened is always closed again.
+            self._folder, self._recorder = await to_thread.run_sync(self._open)
+            recorder = self._recorder
+            self._memory.writes(self._folder, lambda: not recorder.ended)
+            async with anyio.create_task_group() as topics:
+                await self._look_or_note(topics)
+                with anyio.move_on_after(_JOINED_S):
+                    while any(joined.is_joining for joined in self._topics.values()):
+                        await anyio.sleep(_TURN_S / 5)
+                self.begun()
+                await self._keep_looking(topics, recorder)
+                topics.cancel_scope.deadline = anyio.current_time() + _LEFT_S
         finally:
-            if self._watch is None:
-                await asyncio.shield(self.end())
+            self._is_ending = True
+            with anyio.CancelScope(shield=True):
+                if self._recorder:
+                    await to_thread.run_sync(self._recorder.stop, "stopped")
 
-    async def end(self) -> None:
-        """Ends the subscriptions, takes what they still have, and closes the files."""
-        await self._leave("stopped")
+    async def wind_down(self) -> None:
+        """Lets the subscriptions hand over what they still have."""
+        self._is_ending = True
 
-    @property
-    def is_running(self) -> bool:
-        """Whether it still records."""
-        return not self._recorder.ended
-
-    def state(self) -> RecordingState:
+    def report(self) -> RecordingState:
         """How it stands."""
-        recorder = self._recorder
-        counts = dict(recorder.sink.counts)
-        state = "recording" if self.is_running else "failed" if recorder.failed else "ended"
+        recorder, folder = self._recorder, self._folder
+        counts = dict(recorder.sink.counts) if recorder else {}
+        has_ended = bool(recorder.ended) if recorder else not self.is_running
+        has_failed = bool(self.failure or (recorder and recorder.failed))
+        reason = str(self.failure) if self.failure else recorder.ended if recorder else "stopped"
+        notes = [*self._notes, *(recorder.notes if recorder else ()), *self._unheard()]
         return RecordingState(
-            self.id,
-            state,
-            self.folder.name,
-            str(self.folder),
-            iso_time(self._started_ns),
-            round(recorder.elapsed_s, 3),
-            recorder.sink.size,
-            sum(counts.values()),
-            [self._topic_counts(name, joined, counts) for name, joined in sorted(self._topics.items())],
-            "" if self.is_running else recorder.ended,
-            [*self._notes, *recorder.notes, *self._unheard()],
+            recording_id=self.id,
+            state="recording" if not has_ended else "failed" if has_failed else "ended",
+            bag=folder.name if folder else "",
+            path=str(folder or ""),
+            started_at=iso_time(self._started_ns),
+            elapsed_s=round(recorder.elapsed_s, 3) if recorder else 0.0,
+            bytes=recorder.sink.size if recorder else 0,
+            messages=sum(counts.values()),
+            topics=[self._topic_counts(name, joined, counts) for name, joined in sorted(self._topics.items())],
+            reason=reason if has_ended else "",
+            notes=notes,
         )
 
     def _unheard(self) -> list[str]:
         said = "nobody has published it so far; it joins within a second after somebody does."
-        return [f"{name}: {said}" for name in self._wanted.topics if name not in self._topics]
+        return [f"{name}: {said}" for name in self._request.topics if name not in self._topics]
 
     def _topic_counts(self, name: str, joined: _Joined, written: dict[str, int]) -> TopicCounts:
         counts = joined.counts()
-        dropped = counts.dropped + self._recorder.dropped.get(name, 0)
+        dropped = counts.dropped + (self._recorder.dropped.get(name, 0) if self._recorder else 0)
         return TopicCounts(name, joined.type, written.get(name, 0), dropped, counts.lost, joined.error)
 
-    async def _keep_looking(self) -> None:
-        while self.is_running and not self._stopping:
-            await asyncio.sleep(_LOOK_S)
-            await self._look_or_note()
-        if not self._stopping:
-            await self._leave("stopped")
+    def _open(self) -> tuple[Path, Recorder]:
+        from ros2_mcp.bags.recorder import Limits, Recorder
+        from ros2_mcp.bags.writer import BagWriter, fresh_folder
 
-    async def _leave(self, reason: str) -> None:
-        self._stopping = True
-        tasks = [joined.task for joined in self._topics.values() if joined.task]
-        if tasks:
-            await asyncio.wait(tasks, timeout=3.0)
-        await asyncio.to_thread(self._recorder.stop, reason)
-        if self._watch and self._watch is not asyncio.current_task():
-            self._watch.cancel()
-
-    async def _look_or_note(self) -> None:
+        request, record_dir = self._request, self._memory.record_dir
+        limits = Limits(request.max_duration_s, request.max_bytes)
         try:
-            await self._look()
+            folder = fresh_folder(record_dir, request.name)
+            _require_room(folder, limits)
+            return folder, Recorder(BagWriter(folder, folder.name, request.split_bytes), folder, limits)
+        except OSError as error:
+            raise BadInput(
+                f"{record_dir} cannot be written: {error.strerror or error}.",
+                "Start the server with another --record-dir.",
+            ) from error
+
+    # ── finding topics ─────────────────────────────────────────────────────────────────────────────────────────
+
+    async def _keep_looking(self, topics: TaskGroup, recorder: Recorder) -> None:
+        look_at = monotonic() + _LOOK_S
+        while not (self._is_ending or recorder.ended):
+            await anyio.sleep(_TURN_S)
+            if monotonic() >= look_at:
+                await self._look_or_note(topics)
+                look_at = monotonic() + _LOOK_S
+        self._is_ending = True
+
+    async def _look_or_note(self, topics: TaskGroup) -> None:
+        try:
+            await self._look(topics)
         except RobotError as error:
             self._note(str(error))
 
-    async def _look(self) -> None:
+    async def _look(self, topics: TaskGroup) -> None:
         """Joins new topics that are wanted; joins those anew whose publishers now need another QoS."""
         for row in await self._robot.graph.topics():
-            name, types, publishers = row.name, row.types, row.publishers
-            if not publishers or self._stopping or not self._wanted.chooses(name):
+            if not row.publishers or self._is_ending or not self._request.chooses(row.name):
                 continue
-            joined = self._topics.get(name)
+            joined = self._topics.get(row.name)
             if joined is None:
-                self._join(name, types, publishers)
-            elif joined.publishers != publishers and joined.listening:
-                joined.publishers = publishers
-                joined.leaving = await self._needs_another_qos(name, joined.listening)
-
-    def _join(self, name: str, types: Sequence[str], publishers: int) -> None:
-        joined = self._topics[name] = _Joined(types[0], publishers)
-        if len(types) > 1:
-            joined.error = f"It has several types: {', '.join(types)}."
-            return
-        joined.task = asyncio.create_task(self._record(name, joined))
+                joined = self._topics[row.name] = _Joined(row.types[0], row.publishers)
+                if len(row.types) > 1:
+                    joined.error = f"It has several types: {', '.join(row.types)}."
+                else:
+                    topics.start_soon(self._record, row.name, joined)
+            elif joined.publishers != row.publishers and joined.listening:
+                joined.publishers = row.publishers
+                joined.leaving = await self._needs_another_qos(row.name, joined.listening)
 
     async def _needs_another_qos(self, name: str, listening: Listening) -> bool:
         present = await self._robot.graph.endpoints(name)
@@ -249,40 +287,47 @@ class Recording:
         now, then = qos.for_subscribing(publishers).qos, listening.choice.qos
         return (now.reliability, now.durability) != (then.reliability, then.durability)
 
+    # ── one topic ──────────────────────────────────────────────────────────────────────────────────────────────
+
     async def _record(self, name: str, joined: _Joined) -> None:
         """Until the recording ends: subscription after subscription, should the bridge be lost meanwhile."""
-        while not self._stopping:
+        assert self._recorder
+        while not self._is_ending:
             try:
-                await self._record_once(name, joined)
+                await self._record_once(name, joined, self._recorder)
             except LinkError as error:
                 self._note(f"{name}: {error}")
-                await asyncio.sleep(_TURN_S)
+                await anyio.sleep(_TURN_S)
             except RobotError as error:
                 joined.error = str(error)
                 return
+            except Exception as error:  # noqa: BLE001 - one topic that nobody foresaw must not end all others
+                joined.error = f"It cannot be recorded: {error}"
+                _logger.exception("%s cannot be recorded", name)
+                return
 
-    async def _record_once(self, name: str, joined: _Joined) -> None:
+    async def _record_once(self, name: str, joined: _Joined, recorder: Recorder) -> None:
         joined.leaving = False
         async with self._subscription(name, joined) as listening:
             if joined.lost is None:
-                self._describe(listening)
+                self._describe(listening, recorder)
             joined.listening, joined.lost = listening, None
             try:
-                while not (self._stopping or joined.leaving or self._recorder.ended):
+                while not (self._is_ending or joined.leaving or recorder.ended):
                     samples = await listening.take(0.0)
                     self._require_small(listening, samples)
-                    self._recorder.put(name, samples)
-                    await asyncio.sleep(_TURN_S)
+                    recorder.put(name, samples)
+                    await anyio.sleep(_TURN_S)
             except LinkError:
                 joined.former, joined.listening, joined.lost = joined.counts(), None, listening
                 raise
-        self._recorder.put(name, await listening.take(0.0))
+        recorder.put(name, await listening.take(0.0))
         joined.former, joined.listening = joined.counts(), None
-        if self._recorder.ended:
-            self._stopping = True
+        if recorder.ended:
+            self._is_ending = True
 
     def _require_small(self, listening: Listening, samples: Sequence[Sample]) -> None:
-        largest, latched = self._wanted.largest, listening.choice.qos.durability == "transient_local"
+        largest, latched = self._request.largest, listening.choice.qos.durability == "transient_local"
         size = max((len(sample.data) for sample in samples), default=0)
         if largest and not latched and size > largest:
             raise Refused(f"Left out: it has messages of {size} bytes, more than {largest}.", "Name it to have it.")
@@ -292,7 +337,7 @@ class Recording:
             return self._robot.listen_again(joined.lost, max_bytes=_WAITING_BYTES)
         return self._robot.listen(name, joined.type, max_bytes=_WAITING_BYTES)
 
-    def _describe(self, listening: Listening) -> None:
+    def _describe(self, listening: Listening, recorder: Recorder) -> None:
         from ros2_mcp.bags.qos import qos_text
         from ros2_mcp.bags.schema import schema_text
         from ros2_mcp.bags.stored import StoredTopic
@@ -301,14 +346,32 @@ class Recording:
         text = schema_text(definitions.interface(listening.type))
         profiles = qos_text([publisher.qos for publisher in listening.publishers])
         topic = StoredTopic(listening.topic, listening.type, None, "ros2msg", text, profiles)
-        self._recorder.add_topic(topic, next((p.hash for p in listening.publishers if p.hash), ""))
+        recorder.add_topic(topic, next((p.hash for p in listening.publishers if p.hash), ""))
 
     def _note(self, text: str) -> None:
         if text not in self._notes and len(self._notes) < _MOST_NOTES:
             self._notes.append(text)
 
 
-async def start(robot: Robot, memory: Memory, wanted: Wanted) -> RecordingState:
+class BlackBox(Recording):
+    """The recording that the server keeps of its own: what is too old makes room for the new."""
+
+    def __init__(self, robot: Robot, memory: Memory, settings: Settings) -> None:
+        topics = [names.absolute(topic) for topic in settings.black_box or ()]
+        request = RecordRequest(topics=topics, largest=0 if topics else LARGEST_BYTES)
+        super().__init__(robot, memory, request, owner=SERVER)
+        self._settings = settings
+
+    def _open(self) -> tuple[Path, Recorder]:
+        from ros2_mcp.bags.recorder import Recorder
+        from ros2_mcp.bags.ring import RingWriter
+
+        folder, settings = self._memory.record_dir / BLACK_BOX, self._settings
+        ring = RingWriter(folder, settings.black_box_bytes, settings.black_box_hours * 3600.0)
+        return folder, Recorder(ring, folder)
+
+
+async def start(robot: Robot, memory: Memory, request: RecordRequest) -> RecordingState:
     """Begins to record; it goes on until a limit is reached, it is stopped, or the server ends.
 
     Raises:
@@ -316,54 +379,37 @@ async def start(robot: Robot, memory: Memory, wanted: Wanted) -> RecordingState:
         BadInput: if the folder cannot be written or the disk is nearly full.
         BadValue: if a limit is out of range.
     """
-    wanted = _checked(wanted)
-    await robot.do(Record(principal=robot.principal, name=wanted.name, topics=wanted.topics))
-    if sum(each.is_running for each in recordings(memory).values()) >= MAX_RECORDINGS:
-        raise Refused(f"{MAX_RECORDINGS} recordings run already.", "Stop one with ros2_record_stop.")
-    recording = await opened(lambda: _open(robot, memory, wanted))
-    memory.running[recording.id] = recording
-    await recording.begin()
-    return recording.state()
+    robot.policy.require_write("Recording")
+    recording = Recording(robot, memory, _checked(request))
+    await robot.jobs.start(recording)
+    return recording.report()
 
 
-def recordings(memory: Memory) -> dict[str, Recording]:
-    """The recordings of this server, by their ids."""
-    running = list(memory.running.items())  # at once: threads ask too
-    return {name: each for name, each in running if isinstance(each, Recording)}
-
-
-async def status(memory: Memory, recording_id: str = "") -> RecordingStates:
-    """How recordings stand; all of this server, or one."""
-    chosen = [_find(memory, recording_id)] if recording_id else list(recordings(memory).values())
-    return RecordingStates([each.state() for each in chosen])
-
-
-async def stop(memory: Memory, recording_id: str) -> RecordingState:
-    """Ends a recording and closes its files."""
-    recording = _find(memory, recording_id)
-    await recording.end()
-    return recording.state()
-
-
-def _checked(wanted: Wanted) -> Wanted:
-    bounded("max_duration_sec", wanted.max_duration_s, 0.0, MAX_DURATION_S, "s")
-    for name, value in (("max_bytes", wanted.max_bytes), ("split_bytes", wanted.split_bytes)):
-        bounded(name, value, 0, 10**13, "bytes")
-    return replace(wanted, topics=[names.absolute(topic) for topic in wanted.topics])
-
-
-def _open(robot: Robot, memory: Memory, wanted: Wanted) -> Recording:
-    from ros2_mcp.bags.recorder import Limits, Recorder
-    from ros2_mcp.bags.writer import BagWriter, fresh_folder
-
-    limits = Limits(wanted.max_duration_s, wanted.max_bytes)
+async def keep_black_box(robot: Robot, memory: Memory, settings: Settings) -> None:
+    """Begins to keep the topics of the settings, if they name some; what goes wrong is logged."""
+    if settings.black_box is None or settings.read_only:
+        return
     try:
-        folder = fresh_folder(memory.record_dir, wanted.name)
-        _require_room(folder, limits)
-        recorder = Recorder(BagWriter(folder, folder.name, wanted.split_bytes), folder, limits)
-    except OSError as error:
-        raise _cannot_write(memory.record_dir, error) from error
-    return Recording(robot, folder.name, folder, recorder, wanted)
+        await robot.jobs.start(BlackBox(robot, memory, settings))
+    except (RobotError, OSError) as error:
+        _logger.warning("the black box keeps nothing: %s", error)
+
+
+async def status(robot: Robot, recording_id: str = "") -> RecordingStates:
+    """How recordings stand: the one of that id, or all that run and the last that ended."""
+    return RecordingStates([recording.report() for recording in robot.jobs.chosen(Recording, recording_id)])
+
+
+async def stop(robot: Robot, recording_id: str) -> RecordingState:
+    """Ends a recording and closes its files."""
+    return (await robot.jobs.stop(Recording, recording_id)).report()
+
+
+def _checked(request: RecordRequest) -> RecordRequest:
+    bounded("max_duration_sec", request.max_duration_s, 0.0, MAX_DURATION_S, "s")
+    for name, value in (("max_bytes", request.max_bytes), ("split_bytes", request.split_bytes)):
+        bounded(name, value, 0, 10**13, "bytes")
+    return replace(request, topics=[names.absolute(topic) for topic in request.topics])
 
 
 def _require_room(folder: Path, limits: Limits) -> None:
@@ -376,22 +422,6 @@ def _require_room(folder: Path, limits: Limits) -> None:
             f"The disk of {folder.parent} has {free} bytes free; {limits.free_floor_bytes} must stay free.",
             "Delete old recordings, or start the server with another --record-dir.",
         )
-
-
-def _cannot_write(folder: Path, error: OSError) -> BadInput:
-    return BadInput(
-        f"{folder} cannot be written: {error.strerror or error}.", "Start the server with another --record-dir."
-    )
-
-
-def _find(memory: Memory, recording_id: str) -> Recording:
-    known = recordings(memory)
-    if recording_id not in known:
-        raise NotFound(
-            f"There is no recording {recording_id!r}.",
-            names.did_you_mean(recording_id, list(known), "ros2_record_status shows them."),
-        )
-    return known[recording_id]
 
 
 def _sum(one: Counts, other: Counts) -> Counts:

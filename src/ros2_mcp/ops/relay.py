@@ -1,33 +1,60 @@
-"""Managed relays: messages of one topic appear on another, all of them, at a limited rate, or only changes."""
+"""Managed relays: messages of one topic appear on another, all of them, at a limited rate, or only changes.
+
+A relay is a request to the bridge that stays open. Where values count, the server takes part in it: it subscribes to
+the source, and feeds the bridge with what it lets through.
+"""
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Mapping, Sequence
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from time import monotonic
+from typing import Any
+
+import anyio
 
 from ros2_mcp.guard.policy import MAX_RATE_HZ, bounded
-from ros2_mcp.guard.relays import Relay
-from ros2_mcp.model import commands, names
-from ros2_mcp.model.errors import BadInput, LinkError, NotFound, TypeConflict
-from ros2_mcp.model.qos import Choice, QoS, for_subscribing
-from ros2_mcp.ops import relaying
-from ros2_mcp.robot import Robot, TopicEndpoints
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadData, BadInput, BadValue, LinkError, NotFound, TypeConflict
+from ros2_mcp.model.graph import RelayCounts, TopicEndpoints
+from ros2_mcp.model.qos import QoS, for_subscribing, mismatch
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.robot import Listening, Robot
+from ros2_mcp.robot.door import VELOCITY_TYPES
+from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.wills import Will
+from ros2_mcp_bridge.rhythm import Rhythm
+
+Transform = Callable[[Sample], "bytes | None"]
+"""What becomes of a message: the bytes to publish, or None where it is held back."""
 
 TRANSFORMS = {"identity": "identity", "rate_limit": "rate_limit", "on_change": "on_change", "filter": "on_change"}
-MAX_RELAYS = 32
 MAX_RELAY_S = 86_400.0
+"""A day: longer than any task of a robot, and short enough that a forgotten relay ends."""
+_FOREVER_S = 1e9
 _STARTED_S = 5.0
-_STOPPED_S = 3.0
+"""A relay that has not begun by then (the bridge is busy) is told as `starting`, and goes on."""
 _MATCH_S = 1.0
+"""How long the bridge waits for the destination's subscribers, which discovery may still be matching."""
 _APPEARS_S = 1.0
+"""How long a source without a publisher is waited for where no type is given: it may just be coming up."""
+_LOOK_EVERY_S = 0.02
+"""A relay begins within a few milliseconds; this is how exactly that moment is seen."""
+_SILENT_S = 1.0
+"""After so long without a message it is looked whether a new publisher needs another QoS."""
 _LATCHED_DEPTH = 10
+"""Assumed of a publisher whose depth is unknown; `/tf_static` with ten broadcasters fits."""
+_DEPTH = 100
+_BATCH = 100
+_BATCH_BYTES = 1_000_000
+"""What is fed at once: large enough that a request's overhead does not count, small enough that none lasts long."""
 
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RelayRequest:
     """What to relay. `duration_s` 0 is until stopped; `destination_type` matters only with a mapping."""
 
     source_topic: str
@@ -41,7 +68,7 @@ class Wanted:
     destination_type: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class RelayState:
     """A relay and what became of the messages so far.
 
@@ -92,38 +119,250 @@ class RelayList:
         return "\n".join([f"{self.running} relay(s) running.", *(relay.summary() for relay in self.relays)])
 
 
-async def start(robot: Robot, wanted: Wanted) -> RelayState:
+class Relay(Job):
+    """A relay under way. The bridge's part of it bears its id.
+
+    `source_type` and `destination_type` are full types that the codec has learnt.
+    """
+
+    kind = "relay"
+    most_running = 32
+    listed_by = "ros2_relay_list"
+    stopped_by = "ros2_relay_stop"
+
+    def __init__(
+        self,
+        robot: Robot,
+        request: RelayRequest,
+        *,
+        source: TopicEndpoints,
+        destination: TopicEndpoints,
+        source_type: str,
+        destination_type: str,
+    ) -> None:
+        super().__init__(owner=robot.principal, moves=[destination.topic])
+        self.source, self.destination = source.topic, destination.topic
+        self._robot = robot
+        self._request = request
+        self._types = source_type, destination_type
+        self._transform = TRANSFORMS[request.transform]
+        self._rate_hz = request.target_rate_hz if self._transform == "rate_limit" else None
+        self._in_server = self._transform == "on_change" or bool(request.mapping)
+        self._pass = _transform(robot, self._types, request, self._rate_hz)
+        self._choose_qos(source, destination)
+        self.counts = RelayCounts()
+        """The bridge's last counts; what the server itself did is counted below."""
+        self._held_back = 0
+        self._failed = 0
+        self._last_trouble = ""
+        self._late = 0
+        self._lost: int | None = 0
+        self._time_is_over = False
+
+    def check_beside(self, running: Sequence[Job]) -> None:
+        """Raises `BadInput` if it would feed itself through others, or is one of them already."""
+        others = [job for job in running if isinstance(job, Relay)]
+        topics = way(((other.source, other.destination) for other in others), self.destination, self.source)
+        if topics:
+            raise BadInput(
+                f"This relay would feed itself: relays lead from {' to '.join(topics)} already.",
+                "Stop one of them first (ros2_relay_stop).",
+            )
+        for other in others:
+            if (other.source, other.destination) == (self.source, self.destination):
+                raise BadInput(f"{other.id} relays {self.source} to {self.destination} already.", "Stop it first.")
+
+    async def run(self) -> None:
+        """Keeps the bridge's part open until that ends, and feeds it where values count."""
+        async with anyio.create_task_group() as group:
+            group.start_soon(self._feed_until_over if self._in_server else self._until_open)
+            self.counts = await self._in_bridge()
+            group.cancel_scope.cancel()
+        self.outcome = "stopped" if self.counts.cancelled and not self._time_is_over else "ended"
+
+    async def wind_down(self) -> None:
+        """Lets the bridge send the zero command, if there is one, and tell its last counts."""
+        await self._robot.graph.ask("relay_stop", name=self.id)
+
+    def report(self) -> RelayState:
+        """How it stands."""
+        counts = self.counts
+        lost = None if counts.lost is None or self._lost is None else counts.lost + self._lost + self._late
+        return RelayState(
+            relay_id=self.id,
+            state=self.state,
+            source_topic=self.source,
+            destination_topic=self.destination,
+            message_type=self._types[0],
+            destination_type=self._types[1],
+            transform=self._transform,
+            target_rate_hz=self._rate_hz,
+            duration_sec=self._request.duration_s,
+            elapsed_sec=round(counts.elapsed_s, 3),
+            passed=counts.passed,
+            dropped=counts.dropped + self._held_back,
+            lost=lost,
+            failed=self._failed,
+            publishers=None if self._in_server else counts.publishers,
+            subscribers=counts.matched,
+            stopped_with_zero=counts.final_sent,
+            runs_in="server" if self._in_server else "bridge",
+            qos=self._qos_words,
+            note=" ".join(self._notes()),
+        )
+
+    def _notes(self) -> Iterator[str]:
+        if self.failure:
+            yield str(self.failure)
+        if self._failed:
+            yield f"{self._failed} message(s) could not be passed on, the last because: {self._last_trouble}"
+        if self._late:
+            yield f"{self._late} message(s) came faster than they could be compared."
+        if self.is_running and not self.counts.matched:
+            yield "Nobody subscribes to the destination."
+        if self.is_running and not self._in_server and not self.counts.publishers:
+            yield "Nobody publishes on the source now; the relay waits."
+
+    # ── the bridge's part ──────────────────────────────────────────────────────────────────────────────────────
+
+    def _choose_qos(self, source: TopicEndpoints, destination: TopicEndpoints) -> None:
+        """Latched where the source is or a listener asks for it, with room for what every publisher keeps."""
+        publishers = [publisher for publisher in source.publishers if publisher.type == self._types[0]]
+        subscribers = [subscriber for subscriber in destination.subscribers if subscriber.type == self._types[1]]
+        reading = for_subscribing(publishers, depth=1000)
+        is_asked_for = any(subscriber.qos.durability == "transient_local" for subscriber in subscribers)
+        is_latched = is_asked_for or reading.qos.durability == "transient_local"
+        kept = sum(publisher.qos.depth or _LATCHED_DEPTH for publisher in publishers) or _LATCHED_DEPTH
+        self._qos = QoS(
+            durability="transient_local" if is_latched else "volatile",
+            depth=min(kept, _DEPTH) if is_latched else _DEPTH,
+        )
+        self._wait_match_s = _MATCH_S if subscribers else 0.0
+        self._qos_words = [
+            f"source: {reading.qos.reliability}, {reading.qos.durability} ({reading.reason})",
+            f"destination: {self._qos.reliability}, {self._qos.durability}",
+        ]
+
+    async def _in_bridge(self) -> RelayCounts:
+        """The bridge's part, until it ends: where the server feeds it, it has neither source, rate nor end."""
+        where = {"topic": self.destination, "type": self._types[1], "qos": self._qos.request()}
+        arguments: dict[str, Any] = {**where, "wait_match_s": self._wait_match_s}
+        if not self._in_server:
+            rate = {"rate_hz": self._rate_hz} if self._rate_hz else {}
+            arguments |= {**rate, "source": self.source, "duration_s": self._request.duration_s}
+        reply = await self._robot.graph.ask(
+            "relay", self._leave_zero(where), timeout_s=_FOREVER_S, name=self.id, **arguments
+        )
+        return RelayCounts(**reply.ok)
+
+    def _leave_zero(self, where: Mapping[str, Any]) -> bytes:
+        """Where the messages keep a robot moving, the bytes that stop it, also left as a last will."""
+        if self._types[1] not in VELOCITY_TYPES:
+            return b""
+        zero = self._robot.values.encode_known(self._types[1], {})
+        self._robot.driven.drove(self.destination, self._types[1], zero)
+        self._robot.wills.leave(self.destination, Will("will_publish", zero, where))
+        return zero
+
+    async def _until_open(self) -> None:
+        while not (counts := await self._robot.graph.relays()).get(self.id, RelayCounts()).running:
+            await anyio.sleep(_LOOK_EVERY_S)
+        self.counts = counts[self.id]
+        self.begun()
+
+    # ── the server's part ──────────────────────────────────────────────────────────────────────────────────────
+
+    async def _feed_until_over(self) -> None:
+        await self._until_open()
+        end = monotonic() + (self._request.duration_s or math.inf)
+        while (left_s := end - monotonic()) > 0:
+            present = await self._robot.graph.wait_for(self.source, publishers=1, timeout_s=min(left_s, _SILENT_S))
+            if present.publishers:
+                await self._feed_from(end)
+        self._time_is_over = True
+        await self.wind_down()
+
+    async def _feed_from(self, end: float) -> None:
+        """Feeds the bridge until the time is over, or publishers are there that the subscription does not match.
+
+        It is made anew for those who come or come back, so that its QoS fits them.
+        """
+        late_before, lost_before = self._late, self._lost
+        async with self._robot.listen(self.source, self._types[0]) as listening:
+            while (left_s := end - monotonic()) > 0:
+                samples = await listening.take(min(left_s, _SILENT_S))
+                for start in range(0, len(samples), _BATCH):
+                    await self._feed(samples[start : start + _BATCH])
+                counts = listening.counts
+                self._late = late_before + counts.dropped
+                self._lost = None if counts.lost is None or lost_before is None else lost_before + counts.lost
+                if not samples and left_s > _SILENT_S and await self._needs_another_qos(listening):
+                    return
+
+    async def _needs_another_qos(self, listening: Listening) -> bool:
+        publishers = (await self._robot.graph.endpoints(self.source)).publishers
+        return any(mismatch(publisher.qos, listening.choice.qos) for publisher in publishers)
+
+    async def _feed(self, samples: Sequence[Sample]) -> None:
+        messages: list[bytes] = []
+        for sample in samples:
+            try:
+                message = self._pass(sample)
+            except (BadValue, BadData) as error:
+                self._failed += 1
+                self._last_trouble = str(error)
+                continue
+            if message is None:
+                self._held_back += 1
+            else:
+                messages.append(message)
+        for batch in _batches(messages):
+            sizes = [len(message) for message in batch]
+            try:
+                await self._robot.graph.ask("relay_feed", b"".join(batch), name=self.id, sizes=sizes)
+            except NotFound:
+                await anyio.sleep_forever()  # the bridge has ended the relay, and its answer to that is under way
+
+
+async def start(robot: Robot, request: RelayRequest) -> RelayState:
     """Starts a relay and returns as soon as it runs; it goes on by itself.
 
     Raises:
-        Refused: if this server is read-only.
+        Refused: if this server is read-only, or too many relays run.
         BadInput: if it would feed itself, runs already, or its options do not fit the types.
         NotFound, TypeConflict: if there is no source topic and no type is given, or the types differ.
     """
-    source, destination = names.absolute(wanted.source_topic), names.absolute(wanted.destination_topic)
-    _check(robot, wanted, source, destination)
-    present = await robot.graph.wait_for(source, publishers=0 if wanted.message_type else 1, timeout_s=_APPEARS_S)
-    there = await robot.graph.endpoints(destination)
-    source_type = await robot.types.topic(present, wanted.message_type)
-    destination_type = await _destination_type(robot, wanted, source_type, there)
+    source, destination = names.absolute(request.source_topic), names.absolute(request.destination_topic)
+    robot.policy.require_write(f"Relaying to {destination}")
+    _check(request, source, destination)
+    robot.jobs.require_room(Relay)
+    sending = await robot.graph.wait_for(source, publishers=0 if request.message_type else 1, timeout_s=_APPEARS_S)
+    receiving = await robot.graph.endpoints(destination)
+    source_type = await robot.topic_type(sending, request.message_type)
+    destination_type = await _destination_type(robot, request, source_type, receiving)
     await robot.values.learn(source_type, destination_type)
-    relay = _relay(robot, wanted, source, destination, (source_type, destination_type))
-    transform = relaying.transform_of(robot, relay)
-    command = _command(robot, relay, present, there)
-    _check(robot, wanted, source, destination)  # another call may have been faster
-    robot.relays.add(relay)
-    relay.work = asyncio.create_task(relaying.keep(robot, relay, command, transform))
-    await _until_started(relay)
-    return _state(relay)
+    relay = Relay(
+        robot,
+        request,
+        source=sending,
+        destination=receiving,
+        source_type=source_type,
+        destination_type=destination_type,
+    )
+    await robot.jobs.start(relay, within_s=_STARTED_S)
+    return relay.report()
 
 
 async def list_relays(robot: Robot) -> RelayList:
     """Every relay with its counts up to now."""
-    if robot.relays.open:
+    running = robot.jobs.running(Relay)
+    if running:
         with suppress(LinkError):  # the bridge is gone: they are about to end, their last counts are what is known
-            await relaying.look(robot)
-    states = [_state(relay) for relay in robot.relays.known.values()]
-    return RelayList(states, sum(state.state in ("starting", "running") for state in states))
+            counts = await robot.graph.relays()
+            for relay in running:
+                relay.counts = counts.get(relay.id, relay.counts)
+    states = [relay.report() for relay in robot.jobs.all(Relay)]
+    return RelayList(states, len(robot.jobs.running(Relay)))
 
 
 async def stop(robot: Robot, relay_id: str) -> RelayState:
@@ -132,150 +371,81 @@ async def stop(robot: Robot, relay_id: str) -> RelayState:
     Raises:
         NotFound: if there is no such relay.
     """
-    known = robot.relays.known
-    if relay_id not in known:
-        raise NotFound(f"There is no relay {relay_id!r}.", f"Known are: {', '.join(known) or 'none'}.")
-    relay = known[relay_id]
-    if relay.is_open and relay.work is not None:
-        await robot.end_relay(relay_id)
-        await asyncio.wait({relay.work}, timeout=_STOPPED_S)
-    return _state(relay)
+    return (await robot.jobs.stop(Relay, relay_id)).report()
 
 
-def _check(robot: Robot, wanted: Wanted, source: str, destination: str) -> None:
-    if wanted.transform not in TRANSFORMS:
-        raise BadInput(f"There is no transform {wanted.transform!r}.", f"Choose from {', '.join(TRANSFORMS)}.")
-    if TRANSFORMS[wanted.transform] != "on_change" and wanted.tolerances:
-        raise BadInput(f"tolerances mean nothing with {wanted.transform}.", "They belong to transform on_change.")
-    bounded("target_rate_hz", wanted.target_rate_hz, 0.001, MAX_RATE_HZ, "Hz")
-    bounded("duration_sec", wanted.duration_s, 0.0, MAX_RELAY_S, "s")
+def way(relays: Iterable[tuple[str, str]], start: str, end: str) -> list[str]:
+    """The topics along relays (source, destination) from one topic to another; empty if no way leads there."""
+    known = list(relays)
+    ways = deque([[start]])
+    seen = {start}
+    while ways:
+        topics = ways.popleft()
+        if topics[-1] == end:
+            return topics
+        for source, destination in known:
+            if source == topics[-1] and destination not in seen:
+                seen.add(destination)
+                ways.append([*topics, destination])
+    return []
+
+
+def _check(request: RelayRequest, source: str, destination: str) -> None:
+    if request.transform not in TRANSFORMS:
+        raise BadInput(f"There is no transform {request.transform!r}.", f"Choose from {', '.join(TRANSFORMS)}.")
+    if TRANSFORMS[request.transform] != "on_change" and request.tolerances:
+        raise BadInput(f"tolerances mean nothing with {request.transform}.", "They belong to transform on_change.")
+    bounded("target_rate_hz", request.target_rate_hz, 0.001, MAX_RATE_HZ, "Hz")
+    bounded("duration_sec", request.duration_s, 0.0, MAX_RELAY_S, "s")
     if source == destination:
         raise BadInput(f"A relay from {source} to itself would feed itself.", "Choose another destination.")
-    way = robot.relays.way(destination, source)
-    if way:
-        raise BadInput(
-            f"This relay would feed itself: relays lead from {' to '.join(way)} already.",
-            "Stop one of them first (ros2_relay_stop).",
-        )
-    for relay in robot.relays.open:
-        if (relay.source, relay.destination) == (source, destination):
-            raise BadInput(f"{relay.relay_id} relays {source} to {destination} already.", "Stop it first.")
-    if len(robot.relays.open) >= MAX_RELAYS:
-        raise BadInput(f"{MAX_RELAYS} relays are running.", "Stop one first (ros2_relay_stop).")
 
 
-async def _destination_type(robot: Robot, wanted: Wanted, source_type: str, there: TopicEndpoints) -> str:
-    if wanted.mapping:
+async def _destination_type(robot: Robot, request: RelayRequest, source_type: str, receiving: TopicEndpoints) -> str:
+    if request.mapping:
         try:
-            return await robot.types.topic(there, wanted.destination_type)
+            return await robot.topic_type(receiving, request.destination_type)
         except NotFound as error:
-            raise NotFound(f"{there.topic} has no type yet.", "Give destination_type, too.") from error
-    if wanted.destination_type:
+            raise NotFound(f"{receiving.topic} has no type yet.", "Give destination_type, too.") from error
+    if request.destination_type:
         raise BadInput("destination_type needs a mapping.", "Without one, the messages pass as they are.")
     try:
-        return await robot.types.topic(there, source_type)
+        return await robot.topic_type(receiving, source_type)
     except TypeConflict as error:
         raise TypeConflict(error.message, "Give a mapping of its fields, or another destination.") from error
 
 
-def _relay(robot: Robot, wanted: Wanted, source: str, destination: str, types: tuple[str, str]) -> Relay:
-    transform = TRANSFORMS[wanted.transform]
-    return Relay(
-        robot.relays.new_id(),
-        source,
-        destination,
-        *types,
-        transform,
-        wanted.target_rate_hz if transform == "rate_limit" else None,
-        wanted.duration_s,
-        dict(wanted.tolerances),
-        dict(wanted.mapping),
-        in_server=transform == "on_change" or bool(wanted.mapping),
-    )
+def _transform(robot: Robot, types: tuple[str, str], request: RelayRequest, rate_hz: float | None) -> Transform:
+    """What becomes of a message, for types that have been learnt; raises `BadInput` if an option does not fit them."""
+    # Imported with the first relay: numpy, which these need, would double the time until tools/list is answered.
+    from ros2_mcp.codec.change import ChangeDetector
+    from ros2_mcp.codec.mapping import FieldMapping
+
+    codec = robot.values.codec
+    is_on_change = TRANSFORMS[request.transform] == "on_change"
+    change = ChangeDetector(codec, types[0], request.tolerances) if is_on_change else None
+    rhythm = Rhythm(rate_hz) if rate_hz else None
+    mapping = FieldMapping(codec, *types, request.mapping) if request.mapping else None
+
+    def transform(sample: Sample) -> bytes | None:
+        if change is not None and not change.is_change(sample.data):
+            return None
+        if rhythm is not None and not rhythm.passes(sample.received_ns):
+            return None
+        return mapping.apply(sample.data) if mapping is not None else sample.data
+
+    return transform
 
 
-def _command(robot: Robot, relay: Relay, present: TopicEndpoints, there: TopicEndpoints) -> commands.Relay:
-    """What the bridge does of it: where the server feeds it, it has neither source, rate nor end."""
-    publishers = [publisher for publisher in present.publishers if publisher.type == relay.source_type]
-    subscribers = [subscriber for subscriber in there.subscribers if subscriber.type == relay.destination_type]
-    reading = for_subscribing(publishers, depth=1000)
-    asked = any(subscriber.qos.durability == "transient_local" for subscriber in subscribers)
-    latched = reading.qos.durability == "transient_local"
-    depths = [publisher.qos.depth or _LATCHED_DEPTH for publisher in publishers]
-    writing = QoS(
-        durability="transient_local" if latched or asked else "volatile",
-        depth=min(sum(depths) or _LATCHED_DEPTH, 100) if latched or asked else 100,
-    )
-    relay.qos = _words(reading, writing)
-    return commands.Relay(
-        principal=robot.principal,
-        name=relay.destination,
-        type=relay.destination_type,
-        relay_id=relay.relay_id,
-        qos=writing,
-        source="" if relay.in_server else relay.source,
-        rate_hz=None if relay.in_server else relay.rate_hz,
-        duration_s=None if relay.in_server else relay.duration_s,
-        wait_match_s=_MATCH_S if subscribers else 0.0,
-    )
-
-
-def _words(reading: Choice, writing: QoS) -> list[str]:
-    return [
-        f"source: {reading.qos.reliability}, {reading.qos.durability} ({reading.reason})",
-        f"destination: {writing.reliability}, {writing.durability}",
-    ]
-
-
-async def _until_started(relay: Relay) -> None:
-    deadline = monotonic() + _STARTED_S
-    while relay.state == "starting" and monotonic() < deadline:
-        await asyncio.sleep(0.01)
-    if relay.failure is not None:
-        raise relay.failure
-
-
-def _state(relay: Relay) -> RelayState:
-    counts = relay.counts
-    return RelayState(
-        relay.relay_id,
-        relay.state,
-        relay.source,
-        relay.destination,
-        relay.source_type,
-        relay.destination_type,
-        relay.transform,
-        relay.rate_hz,
-        relay.duration_s,
-        round(counts.elapsed_s, 3),
-        counts.passed,
-        counts.dropped + relay.held_back,
-        _lost(relay),
-        relay.failed,
-        None if relay.in_server else counts.publishers,
-        counts.matched,
-        counts.final_sent,
-        "server" if relay.in_server else "bridge",
-        relay.qos,
-        " ".join(_notes(relay)),
-    )
-
-
-def _lost(relay: Relay) -> int | None:
-    in_bridge: int | None = relay.counts.lost
-    if in_bridge is None or relay.lost_here is None:
-        return None
-    return in_bridge + relay.lost_here + relay.dropped_here
-
-
-def _notes(relay: Relay) -> list[str]:
-    notes = [str(relay.failure)] if relay.failure else []
-    if relay.failed:
-        notes.append(f"{relay.failed} message(s) could not be passed on, the last because: {relay.last_trouble}")
-    if relay.dropped_here:
-        notes.append(f"{relay.dropped_here} message(s) came faster than they could be compared.")
-    if relay.is_open and not relay.counts.matched:
-        notes.append("Nobody subscribes to the destination.")
-    if relay.is_open and not relay.in_server and not relay.counts.publishers:
-        notes.append("Nobody publishes on the source now; the relay waits.")
-    return notes
+def _batches(messages: Sequence[bytes]) -> Iterator[list[bytes]]:
+    """The messages in their order, several together as long as they are small."""
+    batch: list[bytes] = []
+    size = 0
+    for message in messages:
+        if batch and size + len(message) > _BATCH_BYTES:
+            yield batch
+            batch, size = [], 0
+        batch.append(message)
+        size += len(message)
+    if batch:
+        yield batch

@@ -11,7 +11,7 @@ import logging
 import math
 import secrets
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from time import monotonic
 from typing import ClassVar, Literal, TypeVar
 
@@ -22,6 +22,8 @@ from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import NotFound, Refused, RobotError
 from ros2_mcp.model.names import did_you_mean
 
+Tell = Callable[[], Awaitable[None]]
+"""Tells somebody how a job stands."""
 State = Literal["starting", "running", "ended", "stopped", "failed"]
 _logger = logging.getLogger(__name__)
 
@@ -75,8 +77,11 @@ class Job(ABC):
         than whether `stop` was called how it ended sets `outcome`.
         """
 
+    def check_beside(self, running: Sequence[Job]) -> None:
+        """Raises a `RobotError` if it must not run beside those that do; nothing can start in between."""
+
     async def wind_down(self) -> None:
-        """Asks the work to end in good order; without it, `stop` cancels the work at once."""
+        """Asks work that has begun to end in good order; without it, `stop` cancels the work at once."""
         self.cancel()
 
     def begun(self) -> None:
@@ -111,8 +116,10 @@ class Job(ABC):
         is_first, self._is_told_to_stop = not self._is_told_to_stop, True
         try:
             with anyio.move_on_after(self.patience_s):
-                if is_first:
+                if is_first and self.state == "running":
                     await self.wind_down()
+                elif self.state == "starting":
+                    self.cancel()
                 await self._over.wait()
         finally:
             self.cancel()
@@ -174,7 +181,9 @@ class Jobs:
             Exception: whatever kept it from beginning.
         """
         group = await self._task_group()
-        self._make_room(type(job))
+        self.require_room(type(job))
+        job.check_beside(self.running(Job))
+        self._forget_oldest(type(job))
         job._scope = anyio.CancelScope()  # pyright: ignore[reportPrivateUsage] - the two classes are one subject
         self._known[job.id] = job
         group.start_soon(job._supervise, name=job.id)  # pyright: ignore[reportPrivateUsage]
@@ -188,19 +197,27 @@ class Jobs:
         if job.failure:
             raise job.failure
 
-    async def run(self, job: Job) -> None:
+    async def wait(self, job: Job, timeout_s: float = math.inf, *, every_second: Tell | None = None) -> None:
+        """Waits for the end of a job, at most that long, and tells of it every second; ends it if that is cancelled."""
+        deadline = monotonic() + timeout_s
+        try:
+            while job.is_running and (left_s := deadline - monotonic()) > 0:
+                await job.wait(min(1.0, left_s) if every_second else left_s)
+                if every_second:
+                    await every_second()
+        except BaseException:  # cancelled, or nobody hears any more what is told
+            with anyio.CancelScope(shield=True):
+                await job.stop()
+            raise
+
+    async def run(self, job: Job, *, every_second: Tell | None = None) -> None:
         """Starts a job and waits for its end, for those that one call awaits; ends it if that is cancelled.
 
         Raises:
             Exception: as `start`, and whatever it failed with.
         """
         await self.start(job)
-        try:
-            await job.wait()
-        except BaseException:  # cancelled
-            with anyio.CancelScope(shield=True):
-                await job.stop()
-            raise
+        await self.wait(job, every_second=every_second)
         if job.failure:
             raise job.failure
 
@@ -254,6 +271,9 @@ class Jobs:
     async def close(self) -> None:
         """Stops all, and starts no other: the end of the server. Safe to call twice."""
         self._is_closed = True
+        for job in self.running(Job):
+            if job.moves:  # at once: what it moves is stopped by the bridge's fail-safes as the stream ends
+                job.cancel()
         await self._stop(self._known.values())
         self._host_may_end.set()
         if self._host:
@@ -266,8 +286,7 @@ class Jobs:
                 group.start_soon(_stop_or_log, job)
         return running
 
-    def _make_room(self, kind: type[Job]) -> None:
-        self.require_room(kind)
+    def _forget_oldest(self, kind: type[Job]) -> None:
         running = self.running(kind)
         if len(running) >= kind.most_running:
             running[0].cancel()

@@ -38,20 +38,27 @@ async def ros2_record_start(
 
     Latched messages are included; topics that appear later join within a second.
     """
-    wanted = recording.Wanted(topics or (), patterns or (), max_duration_sec, max_bytes, split_bytes, name)
-    return await recording.start(robot, memory, wanted)
+    request = recording.RecordRequest(
+        topics=topics or (),
+        patterns=patterns or (),
+        max_duration_s=max_duration_sec,
+        max_bytes=max_bytes,
+        split_bytes=split_bytes,
+        name=name,
+    )
+    return await recording.start(robot, memory, request)
 
 
 @tool(title="Recordings", risk="read", group="memory", by_default=False)
-async def ros2_record_status(memory: Memory, recording_id: RecordingId = "") -> recording.RecordingStates:
+async def ros2_record_status(robot: Robot, recording_id: RecordingId = "") -> recording.RecordingStates:
     """Show how recordings stand: messages, bytes and losses of each topic, and why one ended."""
-    return await recording.status(memory, recording_id)
+    return await recording.status(robot, recording_id)
 
 
 @tool(title="Stop recording", risk="write", group="memory", by_default=False)
-async def ros2_record_stop(memory: Memory, recording_id: RecordingId) -> recording.RecordingState:
+async def ros2_record_stop(robot: Robot, recording_id: RecordingId) -> recording.RecordingState:
     """End a recording and close its files."""
-    return await recording.stop(memory, recording_id)
+    return await recording.stop(robot, recording_id)
 
 
 @tool(title="List bags", risk="read", group="memory", by_default=False, recorded=True)
@@ -101,17 +108,19 @@ async def ros2_bag_play(
     wait_sec: Annotated[Number, Field(ge=0, le=3600, description="Wait this long for its end; it goes on.")] = 40.0,
 ) -> playing.PlaybackState:
     """Publish a bag's messages again in their rhythm. Can move the robot if it holds commands: choose topics."""
-    wanted = playing.Wanted(bag, rate, start, end, topics or (), remaps or {}, loop, force)
-    return await playing.play(robot, memory, wanted, wait_sec, report)
+    request = playing.PlayRequest(
+        bag=bag, rate=rate, start=start, end=end, topics=topics or (), remaps=remaps or {}, loop=loop, force=force
+    )
+    return await playing.play(robot, memory, request, wait_sec, report)
 
 
 @tool(title="Playbacks", risk="read", group="memory", by_default=False)
-async def ros2_bag_play_status(memory: Memory, playback_id: PlaybackId = "") -> playing.PlaybackStates:
+async def ros2_bag_play_status(robot: Robot, playback_id: PlaybackId = "") -> playing.PlaybackStates:
     """Show how playbacks of bags stand."""
-    return await playing.status(memory, playback_id)
+    return await playing.status(robot, playback_id)
 
 
 @tool(title="Stop playing", risk="write", group="memory", by_default=False)
-async def ros2_bag_play_stop(memory: Memory, playback_id: PlaybackId) -> playing.PlaybackState:
+async def ros2_bag_play_stop(robot: Robot, playback_id: PlaybackId) -> playing.PlaybackState:
     """Stop playing a bag."""
-    return await playing.stop(memory, playback_id)
+    return await playing.stop(robot, playback_id)

@@ -45,18 +45,18 @@ async def ros2_relay_start(
     Returns at once with a relay_id. It ends with its duration, with ros2_relay_stop or ros2_stop, and with this
     server; velocity topics then get a zero command.
     """
-    wanted = relay.Wanted(
-        source_topic,
-        destination_topic,
-        message_type,
-        transform,
-        target_rate_hz,
-        duration_sec,
-        tolerances or {},
-        mapping or {},
-        destination_type,
+    request = relay.RelayRequest(
+        source_topic=source_topic,
+        destination_topic=destination_topic,
+        message_type=message_type,
+        transform=transform,
+        target_rate_hz=target_rate_hz,
+        duration_s=duration_sec,
+        tolerances=tolerances or {},
+        mapping=mapping or {},
+        destination_type=destination_type,
     )
-    return await relay.start(robot, wanted)
+    return await relay.start(robot, request)
 
 
 @tool(title="List relays", risk="read", group="relay", by_default=False)
