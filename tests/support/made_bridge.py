@@ -26,7 +26,8 @@ class MadeBridge:
 
     def __init__(self) -> None:
         self.ready = True
-        self._lost = asyncio.Event()
+        self._is_lost = False
+        self._ended: dict[str, asyncio.Event] = {}
         self.relays: dict[str, str] = {}
         self.heard: list[tuple[str, float]] = []
         self.trouble: Exception | None = None
@@ -37,16 +38,24 @@ class MadeBridge:
         return Reply(await getattr(self, f"_{op}")(**arguments), b"")
 
     async def _relay(self, name: str, topic: str, **_: Any) -> Any:
-        self.relays[name] = topic
+        self.relays[name], self._ended[name] = topic, asyncio.Event()
         try:
-            await self._lost.wait()
-            raise BridgeLost("The bridge was lost.")
+            await self._ended[name].wait()
         finally:
             del self.relays[name]
+        if self._is_lost:
+            raise BridgeLost("The bridge was lost.")
+        return {"running": False, "passed": 5, "cancelled": True}
+
+    async def _relay_stop(self, name: str) -> Any:
+        self._ended[name].set()
+        return {"repeats": 0, "relays": 1}
 
     def lose_relays(self) -> None:
         """As when the process is killed; the next one knows none of them."""
-        self._lost.set()
+        self._is_lost = True
+        for ended in self._ended.values():
+            ended.set()
 
     async def _relay_feed(self, name: str, sizes: list[int]) -> Any:
         if self.trouble:
@@ -57,7 +66,7 @@ class MadeBridge:
         return {}
 
     async def _relays(self) -> Any:
-        return {"relays": {name: {"matched": 1} for name in self.relays}}
+        return {"relays": {name: {"running": True, "matched": 1} for name in self.relays}}
 
     async def _endpoints(self, **_: Any) -> Any:
         return {"publishers": [], "subscribers": []}

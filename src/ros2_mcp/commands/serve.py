@@ -96,7 +96,7 @@ async def _until_told_to_end(robot: Robot, memory: Memory, settings: Settings, r
         for task in background:
             task.cancel()
         await robot.jobs.close()
-        memory.close()
+        await memory.close()
         await robot.bridge.close()
     if serving.done():
         serving.result()

@@ -93,8 +93,8 @@ class Memory:
         """Notes a bag that this server begins to write, and how to know whether it still does."""
         self.own[folder.name] = OwnBag(folder, is_growing)
 
-    def close(self) -> None:
-        """Closes the bags that are open."""
+    async def close(self) -> None:
+        """Closes the bags that are open; what is being recorded goes on."""
         for opened in self._opened.values():
             if opened.bag:
                 opened.bag.close()

@@ -111,6 +111,7 @@ class Playback(Job):
         self._topics = topics
         self._published = dict.fromkeys(topics, 0)
         self._note = ""
+        self._problems: Sequence[str] = ()
         self._progress = 0.0
         self._loops = 0
         self._late_s = 0.0
@@ -129,13 +130,16 @@ class Playback(Job):
                 await self._play()
                 publishers.cancel_scope.cancel()
         finally:
-            notes = ["It did not begin."] if self.state == "starting" else [self._note]
-            self._note = " ".join(filter(None, (*notes, *self._bag.problems)))
+            self._problems = list(self._bag.problems)
             self._bag.close()
 
     def report(self) -> PlaybackState:
         """How it stands."""
-        has_failed = self.failure and not self._note
+        note = self._note
+        if not self.has_begun and not self.is_running:
+            note = "It did not begin."
+        elif self.failure:
+            note = str(self.failure)
         return PlaybackState(
             playback_id=self.id,
             bag=self._request.bag,
@@ -145,7 +149,7 @@ class Playback(Job):
             loops=self._loops,
             elapsed_s=round(self.elapsed_s, 3),
             late_s=round(self._late_s, 3),
-            note=str(self.failure) if has_failed else self._note,
+            note=" ".join(filter(None, (note, *self._problems))),
         )
 
     def _destination(self, topic: str) -> str:
@@ -244,18 +248,18 @@ async def play(
     robot.jobs.require_room(Playback)
     request = replace(request, remaps={names.absolute(a): names.absolute(b) for a, b in request.remaps.items()})
     bag, span, topics = await to_thread.run_sync(_prepare, memory, request)
-    try:
-        await _check(robot, request, topics)
-    except BaseException:  # also where the call is cancelled
-        bag.close()
-        raise
     playback = Playback(robot, bag, request, span, topics)
 
     async def tell() -> None:
         state = playback.report()
         await report(state.progress, 1.0, state.summary())
 
-    await robot.jobs.start(playback)
+    try:
+        await _check(robot, request, topics)
+        await robot.jobs.start(playback)
+    except BaseException:  # also where the call is cancelled
+        bag.close()
+        raise
     await robot.jobs.wait(playback, wait_s, every_second=tell)
     return playback.report()
 

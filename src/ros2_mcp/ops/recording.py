@@ -160,9 +160,7 @@ class Recording(Job):
     listed_by = "ros2_record_status"
     stopped_by = "ros2_record_stop"
 
-    def __init__(
-        self, robot: Robot, memory: Memory, request: RecordRequest, *, owner: Principal | None = None
-    ) -> None:
+    def __init__(self, robot: Robot, memory: Memory, request: RecordRequest, *, owner: Principal | None = None) -> None:
         super().__init__(owner=owner or robot.principal)
         self._robot = robot
         self._memory = memory
@@ -301,7 +299,7 @@ class Recording(Job):
             except RobotError as error:
                 joined.error = str(error)
                 return
-            except Exception as error:  # noqa: BLE001 - one topic that nobody foresaw must not end all others
+            except Exception as error:
                 joined.error = f"It cannot be recorded: {error}"
                 _logger.exception("%s cannot be recorded", name)
                 return

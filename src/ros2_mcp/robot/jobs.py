@@ -62,6 +62,7 @@ class Job(ABC):
         self.state: State = "starting"
         self.failure: Exception | None = None
         self.outcome: State | None = None
+        self.has_begun = False
         self._started_at = monotonic()
         self._ended_at = 0.0
         self._scope: anyio.CancelScope | None = None
@@ -77,7 +78,7 @@ class Job(ABC):
         than whether `stop` was called how it ended sets `outcome`.
         """
 
-    def check_beside(self, running: Sequence[Job]) -> None:
+    def check_beside(self, running: Sequence[Job]) -> None:  # noqa: B027 - most kinds may run beside any other
         """Raises a `RobotError` if it must not run beside those that do; nothing can start in between."""
 
     async def wind_down(self) -> None:
@@ -86,8 +87,7 @@ class Job(ABC):
 
     def begun(self) -> None:
         """Notes that the work runs, so that the call that began it returns."""
-        if self.state == "starting":
-            self.state = "running"
+        self.has_begun, self.state = True, "running"
         self._settled.set()
 
     @property

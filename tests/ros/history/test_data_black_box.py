@@ -173,13 +173,13 @@ def test_an_answer_that_breaks_off_gives_what_is_whole(agent: Agent) -> None:
 
 def test_what_the_box_does_not_have_comes_from_the_own_recording(agent: Agent) -> None:
     said = {"topic_name": "/aside", "message_type": "std_msgs/msg/Int32"}
-    agent.call("ros2_record_start", topics=["/aside"], name="aside")
+    recording_id = agent.call("ros2_record_start", topics=["/aside"], name="aside")["recording_id"]
     publishing = agent.begin("ros2_topic_publish", data={"data": 1}, frequency=20.0, duration=60.0, **said)
-    while agent.call("ros2_record_status", recording_id="aside")["recordings"][0]["messages"] <= 5:
+    while agent.call("ros2_record_status", recording_id=recording_id)["recordings"][0]["messages"] <= 5:
         assert not publishing.done()
         time.sleep(0.1)
     publishing.cancel()
-    agent.call("ros2_record_stop", recording_id="aside")
+    agent.call("ros2_record_stop", recording_id=recording_id)
     answer = agent.call(TOOL, **said)
     assert answer["source"] == "this server's recording aside" and answer["found"] > 5
 

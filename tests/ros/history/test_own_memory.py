@@ -24,14 +24,14 @@ def test_a_recording_answers_while_it_runs_and_a_bag_once_it_is_opened(
     assert "Nobody has kept messages of /said" in agent.refusal(TOOL, topic_name="/said")
     agent.call("ros2_topic_publish", topic_name="/said", message_type="std_msgs/msg/Int32", data={"data": 0})
     before = agent.call("ros2_status")["subscriptions"]
-    agent.call("ros2_record_start", topics=["/said"], name="mine")
+    begun = agent.call("ros2_record_start", topics=["/said"], name="mine")
     until(lambda: agent.call("ros2_status")["subscriptions"] == before + 1)
     publish(agent, 1, 2, 3)
     answer = until(lambda: kept(agent, 3))
     assert answer["source"] == "this server's recording mine"
     assert [each["data"] for each in answer["messages"]] == [1, 2, 3]
     assert [each["data"] for each in agent.call(TOOL, topic_name="said", number_of_messages=2)["messages"]] == [2, 3]
-    agent.call("ros2_record_stop", recording_id="mine")
+    agent.call("ros2_record_stop", recording_id=begun["recording_id"])
 
     other = start_agent()
     assert "Nobody has kept" in other.refusal(TOOL, topic_name="/said")

@@ -33,7 +33,7 @@ MOST_MISSING_S = 1.0
 
 def written(agent: Agent) -> dict[str, int]:
     found = agent.call("ros2_record_status")["recordings"]
-    return {each["recording_id"]: each["messages"] for each in found}
+    return {each["bag"]: each["messages"] for each in found}
 
 
 def wait_written(agent: Agent, more_than: dict[str, int], seconds: float = 30.0) -> None:

@@ -63,9 +63,9 @@ def check_that_numbers_are_the_same(live: dict[str, Any], ask: Callable[..., dic
     assert not missing, numbers(ask(topic_names=TOPICS, **window_of(live)))
 
 
-def has_begun(agent: Agent, recording: str, topics: list[str]) -> bool:
-    """Whether messages of all these topics are in the recording."""
-    (state,) = agent.call("ros2_record_status", recording_id=recording)["recordings"]
+def has_begun(agent: Agent, bag: str, topics: list[str]) -> bool:
+    """Whether messages of all these topics are in the recording of that name."""
+    (state,) = (each for each in agent.call("ros2_record_status")["recordings"] if each["bag"] == bag)
     return {topic["topic_name"] for topic in state["topics"] if topic["written"]} >= set(topics)
 
 
@@ -75,7 +75,7 @@ def recorded(start_agent: StartAgent, robot: object) -> tuple[Agent, dict[str, A
     agent = start_agent()
     others = ["/rosout", "/diagnostics", PICTURES, "/map"]
     agent.knows(*TOPICS, *others)
-    agent.call("ros2_record_start", topics=[*TOPICS, *others], name="run")
+    begun = agent.call("ros2_record_start", topics=[*TOPICS, *others], name="run")
     until(lambda: has_begun(agent, "run", TOPICS))
     live = undisturbed(lambda: agent.call("ros2_topic_statistics", topic_names=TOPICS, duration=2.0))
     agent.call("ros2_parameter_set", node_name="/lidar", values={"enabled": False})
@@ -83,7 +83,7 @@ def recorded(start_agent: StartAgent, robot: object) -> tuple[Agent, dict[str, A
     time.sleep(2)  # of silence
     for topic in (PICTURES, "/odom"):  # which others do not keep: the recording has them of its last moments
         assert agent.call("ros2_topic_echo_wait", topic_name=topic, timeout=30)["received"]
-    agent.call("ros2_record_stop", recording_id="run")
+    agent.call("ros2_record_stop", recording_id=begun["recording_id"])
     return agent, live
 
 

@@ -35,12 +35,17 @@ def bodies(path: Path) -> dict[str, list[bytes]]:
     return found
 
 
+def of(agent: Agent, bag: str) -> str:
+    """The id of the recording that writes this bag."""
+    return next(each["recording_id"] for each in agent.call("ros2_record_status")["recordings"] if each["bag"] == bag)
+
+
 def written(agent: Agent, recording: str) -> int:
-    return agent.call("ros2_record_status", recording_id=recording)["recordings"][0]["messages"]
+    return agent.call("ros2_record_status", recording_id=of(agent, recording))["recordings"][0]["messages"]
 
 
 def topic_of(agent: Agent, recording: str, topic: str) -> dict[str, Any]:
-    state = agent.call("ros2_record_status", recording_id=recording)["recordings"][0]
+    state = agent.call("ros2_record_status", recording_id=of(agent, recording))["recordings"][0]
     return next((each for each in state["topics"] if each["topic_name"] == topic), {"written": 0, "error": ""})
 
 
@@ -64,7 +69,7 @@ def test_record_read_play_and_record_again_give_the_same_bytes(
     agent = start_agent()
     agent.call("ros2_record_start", patterns=["/t/*"], name="first")
     until(lambda: written(agent, "first") >= sum(map(published, types)), 60.0)
-    stopped = agent.call("ros2_record_stop", recording_id="first")
+    stopped = agent.call("ros2_record_stop", recording_id=of(agent, "first"))
     assert stopped["state"] == "ended" and not any(topic["dropped"] for topic in stopped["topics"])
     assert {topic["topic_name"]: topic["written"] for topic in stopped["topics"]} == {
         f"/t/{name}": published(name) for name in types
@@ -84,7 +89,7 @@ def test_record_read_play_and_record_again_give_the_same_bytes(
     played = agent.call("ros2_bag_play", bag="first", remaps=remaps, force=True)
     assert played["state"] == "ended" and sum(played["published"].values()) == count
     until(lambda: written(agent, "second") >= count)
-    agent.call("ros2_record_stop", recording_id="second")
+    agent.call("ros2_record_stop", recording_id=of(agent, "second"))
     again = bodies(tmp_path / "second")
     for topic in COMMANDS & set(once):  # whoever plays commands ends with those that stop the robot
         sent = again[remaps[topic]]
@@ -131,7 +136,7 @@ def test_a_recording_goes_on_with_the_next_bridge(
         os.kill(int(pid), signal.SIGKILL)
     before = written(agent, "run")
     until(lambda: written(agent, "run") > before + 20)
-    state = agent.call("ros2_record_stop", recording_id="run")
+    state = agent.call("ros2_record_stop", recording_id=of(agent, "run"))
     assert state["notes"]
     with Bag(tmp_path / "run") as bag:
         assert bag.problems == []

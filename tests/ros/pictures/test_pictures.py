@@ -72,11 +72,11 @@ def test_a_trajectory_is_as_large_as_the_way_driven(agent: Agent) -> None:
 
 
 def test_a_recording_shows_what_was_seen_live(agent: Agent) -> None:
-    agent.call("ros2_record_start", topics=["/odom", "/map", "/cloud"], name="run")
+    begun = agent.call("ros2_record_start", topics=["/odom", "/map", "/cloud"], name="run")
     live, _ = seen(agent, "ros2_plot", series=["/odom:pose.pose.position.x"], duration=1.5)
-    while not {"/odom", "/map", "/cloud"} <= recorded_topics(agent):
+    while not {"/odom", "/map", "/cloud"} <= recorded_topics(agent, begun["recording_id"]):
         pass
-    agent.call("ros2_record_stop", recording_id="run")
+    agent.call("ros2_record_stop", recording_id=begun["recording_id"])
     begin = datetime.fromisoformat(live["started_at"].replace("Z", "+00:00"))
     time_of_it = {"start": begin.isoformat(), "end": (begin + timedelta(seconds=live["duration"])).isoformat()}
     again, _ = seen(agent, "ros2_plot", series=["/odom:pose.pose.position.x"], bag="run", **time_of_it)
@@ -88,8 +88,8 @@ def test_a_recording_shows_what_was_seen_live(agent: Agent) -> None:
     assert seen(agent, "ros2_get_pointcloud_as_bev", topic_name="/cloud", bag="run")[0]["frame_id"] == "room"
 
 
-def recorded_topics(agent: Agent) -> set[str]:
-    [run] = agent.call("ros2_record_status", recording_id="run")["recordings"]
+def recorded_topics(agent: Agent, recording_id: str) -> set[str]:
+    [run] = agent.call("ros2_record_status", recording_id=recording_id)["recordings"]
     return {topic["topic_name"] for topic in run["topics"] if topic["written"]}
 
 

@@ -21,11 +21,9 @@ from ros2_mcp.model.errors import BadData, NotFound, UnknownInterface
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import bags, history
-from ros2_mcp.ops.black_box import BLACK_BOX
 from ros2_mcp.ops.history import StoredMessages
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.memory import BLACK_BOX, Memory
 from ros2_mcp.ops.recorded_robot import recorded_robot
-from ros2_mcp.ops.recording import Recording, Wanted
 from ros2_mcp.ops.selection import Selection
 from ros2_mcp.ops.source import SourceRequest
 from ros2_mcp.tools import DECLARED
@@ -75,12 +73,11 @@ class Asker:
         for name in names:
             asyncio.run(bags.info(self.memory, name))
 
-    def running(self, name: str, folder: Path) -> Recording:
+    def records(self, folder: Path) -> Recorder:
         recorder = Recorder(RingWriter(folder, 10**8, 3600), folder)
         recorder.add_topic(COUNT)
-        recording = Recording(self.robot, name, folder, recorder, Wanted())
-        self.memory.running[name] = recording
-        return recording
+        self.memory.writes(folder, lambda: not recorder.ended)
+        return recorder
 
     def close(self) -> None:
         asyncio.run(self.memory.close())
@@ -125,15 +122,15 @@ def test_the_black_box_answers_first_while_it_runs_and_last_when_it_has_ended(
     tmp_path: Path, asker: Callable[..., Asker]
 ) -> None:
     agent = asker()
-    box, mine = agent.running(BLACK_BOX, tmp_path / BLACK_BOX), agent.running("mine", tmp_path / "mine")
-    for value, recording in enumerate((box, mine)):
-        recording._recorder.put("/count", [number_at(value)])
-    asyncio.run(mine.end())
+    box, mine = agent.records(tmp_path / BLACK_BOX), agent.records(tmp_path / "mine")
+    for value, recorder in enumerate((box, mine)):
+        recorder.put("/count", [number_at(value)])
+    mine.stop()
     deadline = time.monotonic() + 10
     while agent.get().source != f"this server's recording {BLACK_BOX}":
         assert time.monotonic() < deadline, "the black box that runs was never asked first"
         time.sleep(0.05)
-    asyncio.run(box.end())
+    box.stop()
     answer = agent.get()
     assert (answer.source, values(answer)) == ("this server's recording mine", [1])
 

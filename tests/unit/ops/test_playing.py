@@ -15,11 +15,12 @@ from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import playing
 from ros2_mcp.ops.memory import Memory
-from ros2_mcp.ops.playing import MAX_PLAYBACKS, PlaybackState, Wanted, playbacks, status, stop
+from ros2_mcp.ops.playing import Playback, PlaybackState, PlayRequest, status, stop
+from ros2_mcp.robot import Robot
 from support.made_bridge import NUMBER, MadeBridge, robot_of, soon
 
 START_NS = 1_700_000_000_000_000_000
-GOAL = Wanted("run", topics=["/goal"])
+GOAL = PlayRequest(bag="run", topics=["/goal"])
 Play = Callable[..., Awaitable[PlaybackState]]
 
 
@@ -41,12 +42,18 @@ async def memory(tmp_path: Path, bridge: MadeBridge) -> AsyncIterator[Memory]:
     memory = Memory(tmp_path)
     yield memory
     await memory.close()
-    await soon(lambda: not bridge.relays)
 
 
 @pytest.fixture
-def play(bridge: MadeBridge, memory: Memory) -> Play:
+async def robot(bridge: MadeBridge) -> AsyncIterator[Robot]:
     robot = robot_of(bridge)
+    yield robot
+    await robot.jobs.close()
+    assert not bridge.relays
+
+
+@pytest.fixture
+def play(robot: Robot, memory: Memory) -> Play:
     return lambda wanted, wait_s=5.0: playing.play(robot, memory, wanted, wait_s)
 
 
@@ -57,65 +64,65 @@ def times_of(bridge: MadeBridge) -> list[float]:
 async def test_a_loop_lasts_as_long_as_the_bag_even_if_its_topic_has_one_message(
     bridge: MadeBridge, play: Play
 ) -> None:
-    state = await play(Wanted("run", rate=2.0, topics=["/goal"], loop=True), 0.75)
+    state = await play(PlayRequest(bag="run", rate=2.0, topics=["/goal"], loop=True), 0.75)
     assert state.state == "playing" and 2 <= len(times_of(bridge)) <= 3
     assert min(b - a for a, b in pairwise(times_of(bridge))) > 0.25
 
 
 async def test_the_loop_of_a_single_moment_lasts_a_tenth_of_a_second(bridge: MadeBridge, play: Play) -> None:
     end = "2023-11-14T22:13:20Z"
-    await play(Wanted("run", topics=["/goal"], end=end, loop=True), 0.45)
+    await play(PlayRequest(bag="run", topics=["/goal"], end=end, loop=True), 0.45)
     assert 2 <= len(times_of(bridge)) <= 5
 
 
 async def test_a_play_of_nothing_ends_and_says_so(bridge: MadeBridge, play: Play) -> None:
     for loop in (False, True):
-        state = await play(Wanted("run", topics=["/goal"], start="0.3 s in", loop=loop))
+        state = await play(PlayRequest(bag="run", topics=["/goal"], start="0.3 s in", loop=loop))
         assert state.state == "ended" and not bridge.heard
         assert "Nothing was published" in state.note and "Nothing was published" in state.summary()
 
 
 async def test_a_play_that_is_cancelled_before_it_began_leaves_nothing(
-    bridge: MadeBridge, memory: Memory, play: Play
+    bridge: MadeBridge, robot: Robot, play: Play
 ) -> None:
     bridge.ready = False
-    for _ in range(MAX_PLAYBACKS):
+    for _ in range(Playback.most_running):
         with anyio.move_on_after(0.05) as scope:  # as the MCP server cancels: again and again
             await play(GOAL)
         assert scope.cancelled_caught
         await soon(lambda: not bridge.relays)
-    assert not any(each.is_running for each in playbacks(memory).values())
+    assert not robot.jobs.running(Playback)
     bridge.ready = True
     assert (await play(GOAL)).state == "ended"
 
 
-async def test_whatever_keeps_a_play_from_beginning_closes_it(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+async def test_whatever_keeps_a_play_from_beginning_closes_it(bridge: MadeBridge, robot: Robot, play: Play) -> None:
     bridge.trouble = ValueError("not foreseen")
     with pytest.raises(ValueError, match="not foreseen"):
         await play(GOAL)
-    [state] = (await status(memory)).playbacks
+    [state] = (await status(robot)).playbacks
     assert (state.state, state.note) == ("failed", "It did not begin.") and not bridge.relays
 
 
-async def test_a_playback_can_be_stopped_while_it_is_beginning(bridge: MadeBridge, memory: Memory, play: Play) -> None:
+async def test_a_playback_can_be_stopped_while_it_is_beginning(bridge: MadeBridge, robot: Robot, play: Play) -> None:
     bridge.ready = False
     beginning = asyncio.ensure_future(play(GOAL))
     await soon(lambda: bool(bridge.relays))
-    assert (await stop(memory, next(iter(playbacks(memory))))).state == "stopped"
+    assert (await stop(robot, robot.jobs.running(Playback)[0].id)).state == "stopped"
     assert not bridge.relays and (await beginning).state == "stopped"
 
 
 @pytest.mark.parametrize("cancelled", [True, False])
 async def test_a_play_goes_on_after_its_waiting_but_not_after_a_cancel(
-    bridge: MadeBridge, memory: Memory, play: Play, cancelled: bool
+    bridge: MadeBridge, robot: Robot, play: Play, cancelled: bool
 ) -> None:
-    endless = Wanted("run", rate=6.0, topics=["/goal"], loop=True)
+    endless = PlayRequest(bag="run", rate=6.0, topics=["/goal"], loop=True)
     with anyio.move_on_after(0.7 if cancelled else 5.0):
         await play(endless, 5.0 if cancelled else 0.15)
-    [playback] = playbacks(memory).values()
+    [playback] = robot.jobs.all(Playback)
     if cancelled:
         await soon(lambda: not bridge.relays)
-        assert playback.state().state == "stopped"
+        assert playback.report().state == "stopped"
     else:
         heard = len(bridge.heard)
         await soon(lambda: len(bridge.heard) > heard + 2)
@@ -123,10 +130,10 @@ async def test_a_play_goes_on_after_its_waiting_but_not_after_a_cancel(
 
 
 async def test_a_playback_whose_bridge_is_lost_has_failed_and_is_not_called_stopped(
-    bridge: MadeBridge, memory: Memory, play: Play
+    bridge: MadeBridge, robot: Robot, play: Play
 ) -> None:
-    await play(Wanted("run", rate=6.0, topics=["/goal"], loop=True), 0.0)
-    [playback] = playbacks(memory).values()
+    await play(PlayRequest(bag="run", rate=6.0, topics=["/goal"], loop=True), 0.0)
+    [playback] = robot.jobs.all(Playback)
     bridge.lose_relays()
     await soon(lambda: not playback.is_running)
-    assert (playback.state().state, playback.state().note) == ("failed", "The bridge was lost.")
+    assert (playback.report().state, playback.report().note) == ("failed", "The bridge was lost.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +16,14 @@ from ros2_mcp.bags.bag import Bag
 from ros2_mcp.bags.recorder import Recorder
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
-from ros2_mcp.model.errors import TimedOut
+from ros2_mcp.model.errors import BadInput, TimedOut
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import bags, recording, timing
-from ros2_mcp.ops.black_box import keep_black_box
 from ros2_mcp.ops.memory import BLACK_BOX, Memory
 from ros2_mcp.ops.recorded import open_bag
-from ros2_mcp.ops.recording import Recording, Wanted, recordings
+from ros2_mcp.ops.recording import BlackBox, Recording, RecordRequest, keep_black_box
 from ros2_mcp.ops.selection import Selection
+from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
 from support.made_bridge import NUMBER, MadeBridge, robot_of, soon
 
@@ -36,8 +36,22 @@ def no_thread_records_on() -> Iterator[None]:
     assert not [each for each in threading.enumerate() if each.name.startswith("recording")]
 
 
-async def test_a_recording_that_is_cancelled_before_it_began_is_ended(tmp_path: Path) -> None:
-    bridge, memory, scope = MadeBridge(), Memory(tmp_path), anyio.CancelScope()
+@pytest.fixture
+def bridge() -> MadeBridge:
+    return MadeBridge()
+
+
+@pytest.fixture
+async def robot(bridge: MadeBridge) -> AsyncIterator[Robot]:
+    robot = robot_of(bridge)
+    yield robot
+    await robot.jobs.close()
+
+
+async def test_a_recording_that_is_cancelled_before_it_began_is_ended(
+    tmp_path: Path, bridge: MadeBridge, robot: Robot
+) -> None:
+    scope = anyio.CancelScope()
 
     async def look() -> None:
         asyncio.get_running_loop().call_later(0.1, scope.cancel)
@@ -45,34 +59,51 @@ async def test_a_recording_that_is_cancelled_before_it_began_is_ended(tmp_path: 
 
     bridge.topics = look
     with scope:  # as the MCP server cancels: again and again
-        await recording.start(robot_of(bridge), memory, Wanted())
+        await recording.start(robot, Memory(tmp_path), RecordRequest())
     assert scope.cancelled_caught
-    [begun] = recordings(memory).values()
-    await soon(lambda: not begun.is_running)
-    assert (tmp_path / begun.id / "metadata.yaml").exists()
+    [begun] = robot.jobs.all(Recording)
+    assert not begun.is_running
+    assert (tmp_path / begun.report().bag / "metadata.yaml").exists()
 
 
-async def test_a_recording_that_is_cancelled_while_its_folder_is_made_never_begins(tmp_path: Path) -> None:
-    memory = Memory(tmp_path)
-    starting = asyncio.create_task(recording.start(robot_of(MadeBridge()), memory, Wanted()))
-    await asyncio.sleep(0)
+async def test_a_recording_that_is_cancelled_while_its_folder_is_made_never_begins(
+    tmp_path: Path, bridge: MadeBridge, robot: Robot
+) -> None:
+    bridge.topics = lambda: asyncio.sleep(1000)
+    starting = asyncio.create_task(recording.start(robot, Memory(tmp_path), RecordRequest()))
+    while not list(tmp_path.iterdir()):
+        await asyncio.sleep(0)
     starting.cancel()
     with pytest.raises(asyncio.CancelledError):
         await starting
-    assert not memory.running
+    [begun] = robot.jobs.all(Recording)
+    assert not begun.has_begun and not begun.is_running
 
     assert len(list(tmp_path.glob("*/metadata.yaml"))) == 1
 
 
-async def test_a_recording_that_fails_to_begin_for_another_reason_is_ended(tmp_path: Path) -> None:
-    bridge, memory = MadeBridge(), Memory(tmp_path)
+async def test_a_recording_that_fails_to_begin_for_another_reason_is_ended(
+    tmp_path: Path, bridge: MadeBridge, robot: Robot
+) -> None:
     bridge.topics = lambda: [["not", "as", "foreseen"]]
     with pytest.raises(TypeError, match="TopicRow"):
-        await recording.start(robot_of(bridge), memory, Wanted())
-    assert not any(each.is_running for each in recordings(memory).values())
+        await recording.start(robot, Memory(tmp_path), RecordRequest())
+    assert not robot.jobs.running(Recording)
+    [failed] = (await recording.status(robot)).recordings
+    assert failed.state == "failed" and "TopicRow" in failed.reason
 
 
-async def test_the_black_box_looks_again_if_its_first_look_fails(tmp_path: Path) -> None:
+async def test_a_recording_whose_folder_cannot_be_made_says_so(tmp_path: Path, robot: Robot) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BadInput, match="cannot be written"):
+        await recording.start(robot, Memory(tmp_path / "file"), RecordRequest())
+    [failed] = (await recording.status(robot)).recordings
+    assert (failed.state, failed.bag, failed.messages) == ("failed", "", 0)
+
+
+async def test_the_black_box_looks_again_if_its_first_look_fails(
+    tmp_path: Path, bridge: MadeBridge, robot: Robot
+) -> None:
     answers: list[Any] = [TimedOut("The bridge is busy.")]
 
     def topics() -> Any:
@@ -80,13 +111,11 @@ async def test_the_black_box_looks_again_if_its_first_look_fails(tmp_path: Path)
             raise answers.pop()
         return [["/said", ["a/msg/One", "a/msg/Other"], 1, 0]]
 
-    bridge, memory = MadeBridge(), Memory(tmp_path)
     bridge.topics = topics
-    await keep_black_box(robot_of(bridge), memory, Settings(black_box=()))
-    box = recordings(memory)[BLACK_BOX]
-    assert box.is_running and list(box.state().notes) == ["The bridge is busy."]
-    await soon(lambda: [each.topic_name for each in box.state().topics] == ["/said"])
-    await memory.close()
+    await keep_black_box(robot, Memory(tmp_path), Settings(black_box=()))
+    [box] = robot.jobs.running(BlackBox)
+    assert box.report().bag == BLACK_BOX and list(box.report().notes) == ["The bridge is busy."]
+    await soon(lambda: [topic.topic_name for topic in box.report().topics] == ["/said"])
 
 
 def is_on_the_disk(folder: Path) -> bool:
@@ -98,7 +127,7 @@ async def test_a_recording_that_runs_goes_on_until_now_however_long_nothing_came
     robot, memory = robot_of(MadeBridge()), Memory(tmp_path)
     (folder := tmp_path / "run").mkdir()
     recorder = Recorder(BagWriter(folder, "run"), folder)
-    memory.running["run"] = Recording(robot, "run", folder, recorder, Wanted())
+    memory.writes(folder, lambda: not recorder.ended)
     recorder.add_topic(StoredTopic("/said", NUMBER, None, "ros2msg", "int32 data\n"))
     silent_since_ns = time.time_ns() - 600 * SECOND
     recorder.put("/said", [Sample(silent_since_ns, 0, None, b"\0\1\0\0\7\0\0\0")])
@@ -111,22 +140,22 @@ async def test_a_recording_that_runs_goes_on_until_now_however_long_nothing_came
     source = await open_bag(memory, "run", "last 30 s")
     assert abs(source.duration_s - 30.0) < 1.0
     assert (await timing.measure(source, ["/said"])).topics[0].count == 0
+    recorder.stop()
     await memory.close()
     later = Memory(tmp_path)
     assert await count("last 30 s", later) == 1
     await later.close()
 
 
-async def test_a_named_topic_that_nobody_publishes_is_told(tmp_path: Path) -> None:
-    memory = Memory(tmp_path)
-    state = await recording.start(robot_of(MadeBridge()), memory, Wanted(topics=["/later"]))
+async def test_a_named_topic_that_nobody_publishes_is_told(tmp_path: Path, robot: Robot) -> None:
+    state = await recording.start(robot, Memory(tmp_path), RecordRequest(topics=["/later"]))
     assert state.notes == ["/later: nobody has published it so far; it joins within a second after somebody does."]
-    await memory.close()
 
 
-async def test_what_is_still_being_recorded_is_not_called_damaged(tmp_path: Path) -> None:
+async def test_what_is_still_being_recorded_is_not_called_damaged(tmp_path: Path, robot: Robot) -> None:
     memory = Memory(tmp_path)
-    await recording.start(robot_of(MadeBridge()), memory, Wanted(name="run"))
+    await recording.start(robot, memory, RecordRequest(name="run"))
     assert (await bags.info(memory, "run")).problems == ["It is still being recorded."]
+    await robot.jobs.close()
     await memory.close()
     assert (await bags.info(Memory(tmp_path), "run")).problems == []
