@@ -13,21 +13,20 @@ from anyio import to_thread
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
+from ros2_mcp.model.commands import Feed, Play
 from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, TypeConflict
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.recorded import find_topic, span_in
 from ros2_mcp.ops.results import Report, silent
-from ros2_mcp.robot import Robot
-from ros2_mcp.robot.door import VELOCITY_TYPES
+from ros2_mcp.robot import VELOCITY_TYPES, Robot
 from ros2_mcp.robot.jobs import Job
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
     from ros2_mcp.bags.stored import Span, StoredTopic
 
-_FOREVER_S = 1e9
 _SHORTEST_LOOP_S = 0.1
 """A bag of one moment, looped, would otherwise be published as fast as the processor can."""
 _MATCH_S = 1.0
@@ -140,6 +139,8 @@ class Playback(Job):
             note = "It did not begin."
         elif self.failure:
             note = str(self.failure)
+        elif self.stop_reason and not self.is_running:
+            note = f"Its publishers have been ended, as {self.stop_reason} does."
         return PlaybackState(
             playback_id=self.id,
             bag=self._request.bag,
@@ -159,23 +160,23 @@ class Playback(Job):
         return f"{self.id}{topic}"
 
     async def _open(self, name: str, topic: StoredTopic) -> None:
-        zero = self._robot.values.encode_known(topic.type, {}) if topic.type in VELOCITY_TYPES else b""
-        await self._robot.graph.ask(
-            "relay",
-            zero,
-            timeout_s=_FOREVER_S,
-            name=self._relay(name),
-            topic=self._destination(name),
+        play = Play(
+            principal=self.owner,
+            name=self._destination(name),
             type=topic.type,
-            qos=_qos(topic).request(),
+            relay_id=self._relay(name),
+            qos=_qos(topic),
+            bag=self._request.bag,
+            topic=name,
             wait_match_s=_MATCH_S,
         )
+        await self._robot.do(play)
 
     async def _until_ready(self, name: str) -> None:
         deadline = monotonic() + _READY_S
         while True:
             try:
-                await self._robot.graph.ask("relay_feed", name=self._relay(name), sizes=[])
+                await self._pass_on(name, ())
                 return
             except NotFound:
                 if monotonic() > deadline:
@@ -203,7 +204,7 @@ class Playback(Job):
                     return
                 await anyio.sleep(max(0.0, begun + self._loop_s - monotonic()))
         except NotFound:
-            self.outcome, self._note = "stopped", "Its publishers have been ended, as ros2_stop does."
+            self.outcome, self.stop_reason = "stopped", "ros2_stop"
 
     @property
     def _loop_s(self) -> float:
@@ -226,9 +227,13 @@ class Playback(Job):
         """Publishes messages in their order, those of the same topic that follow each other at once."""
         for topic, members in itertools.groupby(group, key=lambda each: each[0]):
             bodies = [sample.data for _, sample in members]
-            sizes = [len(body) for body in bodies]
-            await self._robot.graph.ask("relay_feed", b"".join(bodies), name=self._relay(topic), sizes=sizes)
+            await self._pass_on(topic, bodies)
             self._published[topic] += len(bodies)
+
+    async def _pass_on(self, topic: str, messages: Sequence[bytes]) -> None:
+        to, kind, relay_id = self._destination(topic), self._topics[topic].type, self._relay(topic)
+        feed = Feed(principal=self.owner, name=to, type=kind, relay_id=relay_id, messages=messages)
+        await self._robot.do(feed)
 
 
 async def play(
@@ -243,7 +248,6 @@ async def play(
         TypeConflict: if a topic is there with another type.
         UnknownInterface: if the robot does not know a type.
     """
-    robot.policy.require_write("Playing a bag")
     bounded("rate", request.rate, 0.01, 100.0, "times")
     robot.jobs.require_room(Playback)
     request = replace(request, remaps={names.absolute(a): names.absolute(b) for a, b in request.remaps.items()})

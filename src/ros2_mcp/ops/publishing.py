@@ -5,16 +5,16 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
-from time import monotonic
 from typing import Any
 
 from ros2_mcp.guard.policy import MAX_DURATION_S, MAX_RATE_HZ, bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import Publish, Repeat
-from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.model.errors import BadInput, LinkError, RobotError
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.topics import mismatches
 from ros2_mcp.robot import VELOCITY_TYPES, Robot, Sent
+from ros2_mcp.robot.jobs import Job
 
 MATCH_S = 1.0
 """Who is there matches within milliseconds; who has just come up gets the message all the same."""
@@ -129,30 +129,51 @@ async def _send(robot: Robot, publication: Publication, report: Report) -> Sent:
         raise BadInput(f"{given} is given without {missing}.", "To repeat, give both; to publish once, give neither.")
     bounded("frequency", rate_hz, 0.01, MAX_RATE_HZ, "Hz")
     bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
-    ticking = asyncio.create_task(_tick(topic, duration_s, report))
-    try:
-        to = await robot.types.destination(topic, kind)
-        repeat = Repeat(
-            principal=robot.principal,
-            name=to.topic,
-            type=to.type,
-            value=publication.data,
-            choice=to.choice,
-            rate_hz=rate_hz,
-            duration_s=duration_s,
-            wait_match_s=MATCH_S,
-        )
-        return await robot.do(repeat)
-    finally:
-        ticking.cancel()
+    to = await robot.types.destination(topic, kind)
+    command = Repeat(
+        principal=robot.principal,
+        name=to.topic,
+        type=to.type,
+        value=publication.data,
+        choice=to.choice,
+        rate_hz=rate_hz,
+        duration_s=duration_s,
+        wait_match_s=MATCH_S,
+    )
+    repetition = Repetition(robot, command)
+
+    async def tell() -> None:
+        elapsed_s = min(repetition.elapsed_s, duration_s)
+        await report(elapsed_s, duration_s, f"{topic}: publishing for {elapsed_s:.0f} of {duration_s:g} s")
+
+    await robot.jobs.run(repetition, every_second=tell)
+    if repetition.sent is None:
+        raise LinkError(f"Publishing on {topic} was stopped, and the bridge has not said in time what was sent.")
+    return repetition.sent
 
 
-async def _tick(topic: str, duration_s: float, report: Report) -> None:
-    started = monotonic()
-    while True:
-        await asyncio.sleep(1.0)
-        elapsed = min(monotonic() - started, duration_s)
-        await report(elapsed, duration_s, f"{topic}: publishing for {elapsed:.0f} of {duration_s:g} s")
+class Repetition(Job):
+    """One message that is published again and again, which its call awaits. `sent` is what became of it."""
+
+    kind = "repeat"
+    most_running = 256
+    """More topics than anybody publishes on at once; `ros2_topic_publish_several` counts as many as it has topics."""
+    patience_s = 1.0
+    """The bridge answers at once when it has ended a repetition, as `ros2_stop` tells it to before it asks the jobs."""
+
+    def __init__(self, robot: Robot, command: Repeat) -> None:
+        super().__init__(owner=command.principal, moves=[command.name])
+        self._robot = robot
+        self._command = command
+        self.sent: Sent | None = None
+
+    async def run(self) -> None:
+        """Publishes in the bridge until its time is over, or the bridge is told to stop."""
+        self.begun()
+        self.sent = await self._robot.do(self._command)
+
+    async def wind_down(self) -> None:
+        """Leaves its call the time to tell what was sent."""
 
 
 async def _note(robot: Robot, sent: Sent) -> str:

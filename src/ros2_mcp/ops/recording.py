@@ -21,7 +21,7 @@ from anyio.abc import TaskGroup
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names, qos
-from ros2_mcp.model.commands import SERVER, Principal
+from ros2_mcp.model.commands import SERVER, Principal, Record
 from ros2_mcp.model.errors import BadInput, LinkError, Refused, RobotError
 from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.ops.memory import BLACK_BOX, Memory
@@ -377,8 +377,9 @@ async def start(robot: Robot, memory: Memory, request: RecordRequest) -> Recordi
         BadInput: if the folder cannot be written or the disk is nearly full.
         BadValue: if a limit is out of range.
     """
-    robot.policy.require_write("Recording")
-    recording = Recording(robot, memory, _checked(request))
+    request = _checked(request)
+    await robot.do(Record(principal=robot.principal, name=request.name, topics=request.topics))
+    recording = Recording(robot, memory, request)
     await robot.jobs.start(recording)
     return recording.report()
 

@@ -12,20 +12,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from time import monotonic
-from typing import Any
 
 import anyio
 
 from ros2_mcp.guard.policy import MAX_RATE_HZ, bounded
-from ros2_mcp.model import names
+from ros2_mcp.model import commands, names
 from ros2_mcp.model.errors import BadData, BadInput, BadValue, LinkError, NotFound, TypeConflict
 from ros2_mcp.model.graph import RelayCounts, TopicEndpoints
 from ros2_mcp.model.qos import QoS, for_subscribing, mismatch
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.robot import Listening, Robot
-from ros2_mcp.robot.door import VELOCITY_TYPES
 from ros2_mcp.robot.jobs import Job
-from ros2_mcp.robot.wills import Will
 from ros2_mcp_bridge.rhythm import Rhythm
 
 Transform = Callable[[Sample], "bytes | None"]
@@ -34,7 +31,6 @@ Transform = Callable[[Sample], "bytes | None"]
 TRANSFORMS = {"identity": "identity", "rate_limit": "rate_limit", "on_change": "on_change", "filter": "on_change"}
 MAX_RELAY_S = 86_400.0
 """A day: longer than any task of a robot, and short enough that a forgotten relay ends."""
-_FOREVER_S = 1e9
 _STARTED_S = 5.0
 """A relay that has not begun by then (the bridge is busy) is told as `starting`, and goes on."""
 _MATCH_S = 1.0
@@ -176,13 +172,13 @@ class Relay(Job):
         """Keeps the bridge's part open until that ends, and feeds it where values count."""
         async with anyio.create_task_group() as group:
             group.start_soon(self._feed_until_over if self._in_server else self._until_open)
-            self.counts = await self._in_bridge()
+            self.counts = await self._robot.do(self._command())
             group.cancel_scope.cancel()
         self.outcome = "stopped" if self.counts.cancelled and not self._time_is_over else "ended"
 
     async def wind_down(self) -> None:
         """Lets the bridge send the zero command, if there is one, and tell its last counts."""
-        await self._robot.graph.ask("relay_stop", name=self.id)
+        await self._robot.end_relay(self.id)
 
     def report(self) -> RelayState:
         """How it stands."""
@@ -243,26 +239,19 @@ class Relay(Job):
             f"destination: {self._qos.reliability}, {self._qos.durability}",
         ]
 
-    async def _in_bridge(self) -> RelayCounts:
-        """The bridge's part, until it ends: where the server feeds it, it has neither source, rate nor end."""
-        where = {"topic": self.destination, "type": self._types[1], "qos": self._qos.request()}
-        arguments: dict[str, Any] = {**where, "wait_match_s": self._wait_match_s}
-        if not self._in_server:
-            rate = {"rate_hz": self._rate_hz} if self._rate_hz else {}
-            arguments |= {**rate, "source": self.source, "duration_s": self._request.duration_s}
-        reply = await self._robot.graph.ask(
-            "relay", self._leave_zero(where), timeout_s=_FOREVER_S, name=self.id, **arguments
+    def _command(self) -> commands.Relay:
+        """The bridge's part: where the server feeds it, it has neither source, rate nor end."""
+        return commands.Relay(
+            principal=self.owner,
+            name=self.destination,
+            type=self._types[1],
+            relay_id=self.id,
+            qos=self._qos,
+            source="" if self._in_server else self.source,
+            rate_hz=None if self._in_server else self._rate_hz,
+            duration_s=None if self._in_server else self._request.duration_s,
+            wait_match_s=self._wait_match_s,
         )
-        return RelayCounts(**reply.ok)
-
-    def _leave_zero(self, where: Mapping[str, Any]) -> bytes:
-        """Where the messages keep a robot moving, the bytes that stop it, also left as a last will."""
-        if self._types[1] not in VELOCITY_TYPES:
-            return b""
-        zero = self._robot.values.encode_known(self._types[1], {})
-        self._robot.driven.drove(self.destination, self._types[1], zero)
-        self._robot.wills.leave(self.destination, Will("will_publish", zero, where))
-        return zero
 
     async def _until_open(self) -> None:
         while not (counts := await self._robot.graph.relays()).get(self.id, RelayCounts()).running:
@@ -317,9 +306,11 @@ class Relay(Job):
             else:
                 messages.append(message)
         for batch in _batches(messages):
-            sizes = [len(message) for message in batch]
+            feed = commands.Feed(
+                principal=self.owner, name=self.destination, type=self._types[1], relay_id=self.id, messages=batch
+            )
             try:
-                await self._robot.graph.ask("relay_feed", b"".join(batch), name=self.id, sizes=sizes)
+                await self._robot.do(feed)
             except NotFound:
                 await anyio.sleep_forever()  # the bridge has ended the relay, and its answer to that is under way
 
@@ -333,12 +324,11 @@ async def start(robot: Robot, request: RelayRequest) -> RelayState:
         NotFound, TypeConflict: if there is no source topic and no type is given, or the types differ.
     """
     source, destination = names.absolute(request.source_topic), names.absolute(request.destination_topic)
-    robot.policy.require_write(f"Relaying to {destination}")
     _check(request, source, destination)
     robot.jobs.require_room(Relay)
     sending = await robot.graph.wait_for(source, publishers=0 if request.message_type else 1, timeout_s=_APPEARS_S)
     receiving = await robot.graph.endpoints(destination)
-    source_type = await robot.topic_type(sending, request.message_type)
+    source_type = await robot.types.topic(sending, request.message_type)
     destination_type = await _destination_type(robot, request, source_type, receiving)
     await robot.values.learn(source_type, destination_type)
     relay = Relay(
@@ -404,13 +394,13 @@ def _check(request: RelayRequest, source: str, destination: str) -> None:
 async def _destination_type(robot: Robot, request: RelayRequest, source_type: str, receiving: TopicEndpoints) -> str:
     if request.mapping:
         try:
-            return await robot.topic_type(receiving, request.destination_type)
+            return await robot.types.topic(receiving, request.destination_type)
         except NotFound as error:
             raise NotFound(f"{receiving.topic} has no type yet.", "Give destination_type, too.") from error
     if request.destination_type:
         raise BadInput("destination_type needs a mapping.", "Without one, the messages pass as they are.")
     try:
-        return await robot.topic_type(receiving, source_type)
+        return await robot.types.topic(receiving, source_type)
     except TypeConflict as error:
         raise TypeConflict(error.message, "Give a mapping of its fields, or another destination.") from error
 

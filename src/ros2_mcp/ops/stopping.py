@@ -84,8 +84,9 @@ async def stop(robot: Robot) -> Stopped:
     Raises:
         LinkError: if the bridge cannot be reached at all.
     """
-    repeats, relays = await robot.end_streams()
-    topics, ended = await asyncio.gather(
+    repeats, relays = await robot.end_streams()  # first, and by the bridge itself: nothing it publishes is in between
+    _, topics, ended = await asyncio.gather(
+        robot.jobs.stop_moving("ros2_stop"),
         asyncio.gather(*(_zero(robot, topic, kind) for topic, kind in robot.failsafes.zeros)),
         asyncio.gather(*(_cancel(robot, goal) for goal in robot.goals.open.values())),
     )

@@ -32,8 +32,8 @@ class Job(ABC):
     """Work that goes on after the call that began it has returned.
 
     `state` is `starting`, `running`, `ended` (by itself), `stopped` (somebody stopped it) or `failed` (`failure` says
-    why). `owner` is who began it. `moves` are the topics and actions that it may move something on: `ros2_stop` ends
-    all jobs that have some, and leaves the others.
+    why). `stop_reason` is what stopped it, where that was not its own tool. `owner` is who began it. `moves` are the
+    topics and actions that it may move something on: `ros2_stop` ends all jobs that have some, and leaves the others.
 
     Started and awaited with `Jobs`; neither the state nor the id survives this process.
     """
@@ -63,6 +63,7 @@ class Job(ABC):
         self.failure: Exception | None = None
         self.outcome: State | None = None
         self.has_begun = False
+        self.stop_reason = ""
         self._started_at = monotonic()
         self._ended_at = 0.0
         self._scope: anyio.CancelScope | None = None
@@ -260,31 +261,43 @@ class Jobs:
         await job.stop()
         return job
 
-    async def stop_moving(self) -> list[Job]:
-        """Stops all that may move something, at the same time; returns those that ran."""
-        return await self._stop(job for job in self._known.values() if job.moves)
+    async def stop_moving(self, reason: str = "") -> list[Job]:
+        """Stops all that may move something, at the same time, and notes the reason; returns those that ran.
+
+        None of those that were still beginning moves anything from the moment of the call on.
+        """
+        moving = [job for job in self.running(Job) if job.moves]
+        for job in moving:
+            job.stop_reason = reason
+            if job.state == "starting":
+                job.cancel()
+        return await self._stop(moving)
 
     async def stop_owned(self, owner: Principal) -> list[Job]:
         """Stops all of one owner, who is gone; returns those that ran."""
-        return await self._stop(job for job in self._known.values() if job.owner == owner)
+        return await self._end(job for job in self.running(Job) if job.owner == owner)
 
     async def close(self) -> None:
         """Stops all, and starts no other: the end of the server. Safe to call twice."""
         self._is_closed = True
-        for job in self.running(Job):
-            if job.moves:  # at once: what it moves is stopped by the bridge's fail-safes as the stream ends
-                job.cancel()
-        await self._stop(self._known.values())
+        await self._end(self.running(Job))
         self._host_may_end.set()
         if self._host:
             await asyncio.wait({self._host})
 
-    async def _stop(self, jobs: Iterable[Job]) -> list[Job]:
-        running = [job for job in jobs if job.is_running]
+    async def _end(self, jobs: Iterable[Job]) -> list[Job]:
+        """Stops those that move something at once: nobody waits for what they could still tell."""
+        ending = list(jobs)
+        for job in ending:
+            if job.moves:
+                job.cancel()
+        return await self._stop(ending)
+
+    async def _stop(self, jobs: Sequence[Job]) -> list[Job]:
         async with anyio.create_task_group() as group:
-            for job in running:
+            for job in jobs:
                 group.start_soon(_stop_or_log, job)
-        return running
+        return list(jobs)
 
     def _forget_oldest(self, kind: type[Job]) -> None:
         running = self.running(kind)

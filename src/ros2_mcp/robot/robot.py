@@ -8,12 +8,12 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import Policy
-from ros2_mcp.guard.relays import Relays
 from ros2_mcp.model import commands, names, qos
 from ros2_mcp.model.commands import LOCAL, Answer, Command, Principal, R
 from ros2_mcp.robot import goals, publishing, services
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.graph import Graph
+from ros2_mcp.robot.jobs import Jobs
 from ros2_mcp.robot.listening import Listening
 from ros2_mcp.robot.log import LogRing
 from ros2_mcp.robot.translation import as_meant
@@ -62,7 +62,7 @@ class Robot(Core):
         self.policy = policy or Policy()
         self.principal = LOCAL
         self.log = LogRing(bridge)
-        self.relays = Relays()
+        self.jobs = Jobs()
         self.result_bytes = result_bytes
         self.limitations: list[str] = []
 

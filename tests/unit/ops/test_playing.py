@@ -54,7 +54,10 @@ async def robot(bridge: MadeBridge) -> AsyncIterator[Robot]:
 
 @pytest.fixture
 def play(robot: Robot, memory: Memory) -> Play:
-    return lambda wanted, wait_s=5.0: playing.play(robot, memory, wanted, wait_s)
+    async def play(request: PlayRequest, wait_s: float = 5.0) -> PlaybackState:
+        return await playing.play(robot, memory, request, wait_s)
+
+    return play
 
 
 def times_of(bridge: MadeBridge) -> list[float]:
