@@ -14,6 +14,7 @@ from mcp.server.stdio import stdio_server
 from mcp.server.subscriptions import InMemorySubscriptionBus, SubscriptionBus
 
 from ros2_mcp import resources
+from ros2_mcp.adapters.wisevision_prompts import code_of
 from ros2_mcp.binding import RobotTool, bind
 from ros2_mcp.completions import Wanted, offer_completions
 from ros2_mcp.guard.policy import Policy
@@ -21,7 +22,7 @@ from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.prompts.arguments import shown
-from ros2_mcp.prompts.catalog import Catalog, code_of
+from ros2_mcp.prompts.catalog import Catalog
 from ros2_mcp.prompts.serving import offer_prompts
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings

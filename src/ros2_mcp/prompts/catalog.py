@@ -10,12 +10,10 @@ from pathlib import Path
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.prompts.base import base_prompts
-from ros2_mcp.prompts.custom import from_entry_points, from_module
 from ros2_mcp.prompts.folder import PromptFolder
 from ros2_mcp.prompts.mistakes import Mistake, Tell, tell_on_stderr
 from ros2_mcp.prompts.prompt import Message, Prompt
 from ros2_mcp.robot import Robot
-from ros2_mcp.settings import Settings
 
 _TOOL = re.compile(r"\bros2_\w+")
 Load = Callable[[Tell], Sequence[Prompt]]
@@ -111,12 +109,3 @@ class Catalog:
             else:
                 kept[prompt.name] = prompt
         return list(kept.values())
-
-
-def code_of(settings: Settings) -> Load | None:
-    """What finds the prompts of the user's code, as the settings say; None where they are off."""
-    if not settings.custom_prompts:
-        return None
-    if settings.prompts_local:
-        return lambda tell: from_module(settings.prompts_path, settings.prompts_module, tell)
-    return from_entry_points

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from ros2_mcp.adapters.wisevision_prompts import code_of, from_entry_points, from_module
 from ros2_mcp.model.errors import BadInput, RobotError
-from ros2_mcp.prompts.catalog import Catalog, code_of
-from ros2_mcp.prompts.custom import from_entry_points, from_module
+from ros2_mcp.prompts.catalog import Catalog
 from ros2_mcp.prompts.mistakes import Mistake
 from ros2_mcp.prompts.prompt import Prompt
 from ros2_mcp.robot import Robot
