@@ -1,4 +1,3 @@
-# pyright: basic
 """The bridge as a process: its stdin and stdout are the stream to the server. See docs/reference/stream.md."""
 
 from __future__ import annotations
@@ -8,20 +7,33 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 from . import definitions, interfaces
 from .loop import Loop, log_failure
 from .packets import PacketError
+from .protocol import DefinitionsReply, InterfacesReply, PingReply
 from .request import Request
 from .stream import Outbox, claim_standard_streams, read_packets
 
+if TYPE_CHECKING:
+    from .operations import Operation, Operations
+
+T = TypeVar("T")
+
+# The ROS thread carries the fail-safes out when it leaves its loop, usually at once. If it hangs in the middleware,
+# another thread does it after this time.
 FAILSAFES_AFTER_S = 0.3
+# From the end of the stream to the end of the process, whatever hangs: time for the fail-safes (0.3 s, and 0.3 s for
+# their arrival) and for leaving ROS. The server waits for half a second more.
 GIVE_UP_AFTER_S = 1.0
+# What waits to be written at the end is little, and nobody may be reading any more.
+LAST_WORDS_S = 0.2
 
 
-def main():
+def main() -> None:
     """Run the bridge until its stdin ends; does not return."""
     incoming, outgoing = claim_standard_streams()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C goes to the server, which then closes us
@@ -31,19 +43,29 @@ def main():
 
 
 class Bridge:
-    """The threads of the bridge, and how they end together."""
+    """The threads of the bridge, and how they end together.
 
-    def __init__(self, incoming, outgoing):
+    `_table` has a row for each operation. Those that need no ROS are there from the start and run on the reading
+    thread, so that they answer while ROS comes up or hangs; `Operations` adds those of the ROS thread.
+    """
+
+    def __init__(self, incoming: int, outgoing: int) -> None:
         self._loop = Loop()
         self._outbox = Outbox()
         self._ros_is_up = threading.Event()
-        self._operations: Any = None
+        self._table: dict[str, Operation] = {
+            "ping": self._ping,
+            "interfaces": _interfaces,
+            "definitions": _definitions,
+        }
+        self._without_ros = frozenset(self._table)
+        self._operations: Operations | None = None
         self._ending = threading.Lock()
         self._start_thread(self._read, incoming)
         self._writer = self._start_thread(self._outbox.write_packets, outgoing)
         self._start_thread(signal.sigwait, {signal.SIGTERM})
 
-    def run(self):
+    def run(self) -> None:
         """Be the ROS thread; ends the process."""
         missing = "no_rclpy"
         try:
@@ -51,9 +73,12 @@ class Bridge:
 
             missing = "init_failed"
             node, executor = ros.enter(f"ros2_mcp_{os.getpid()}")
-            self._operations = operations.Operations(node, self._loop, self._outbox)
+            self._operations = operations.Operations(node, self._loop, self._outbox, self._table)
         except Exception as error:  # noqa: BLE001 - a broken installation can raise anything here
-            self._fail(missing, error)
+            log_failure(None, error)
+            message = f"{type(error).__name__}: {error}"
+            self._outbox.send({"event": "failed", "kind": missing, "message": message})
+            self._exit(1)
         self._outbox.send(ros.hello(node, executor))
         self._ros_is_up.set()
         self._loop.run(executor)
@@ -61,10 +86,10 @@ class Bridge:
         ros.leave(node, executor)
         self._exit(0)
 
-    def _start_thread(self, work, argument):
+    def _start_thread(self, work: Callable[[T], object], argument: T) -> threading.Thread:
         """A thread that ends the bridge when it ends."""
 
-        def work_then_end():
+        def work_then_end() -> None:
             try:
                 work(argument)
             except PacketError as error:
@@ -76,29 +101,24 @@ class Bridge:
         thread.start()
         return thread
 
-    def _end(self):
+    def _end(self) -> None:
         if self._ending.acquire(blocking=False):
             signal.setitimer(signal.ITIMER_REAL, GIVE_UP_AFTER_S)  # ends the process, even where nothing of Python runs
             threading.Timer(FAILSAFES_AFTER_S, self._carry_out_failsafes).start()
             self._loop.end()
 
-    def _carry_out_failsafes(self):
+    def _carry_out_failsafes(self) -> None:
         if self._operations is not None:
             self._operations.failsafes.carry_out()
 
-    def _fail(self, kind, error):
-        log_failure(None, error)
-        self._outbox.send({"event": "failed", "kind": kind, "message": f"{type(error).__name__}: {error}"})
-        self._exit(1)
-
-    def _exit(self, status):
+    def _exit(self, status: int) -> NoReturn:
         # threads of ours may still wait for the stream, which the interpreter's own end does not survive
         self._outbox.finish()
-        self._writer.join(0.2)
+        self._writer.join(LAST_WORDS_S)
         sys.stderr.flush()
         os._exit(status)
 
-    def _read(self, incoming):
+    def _read(self, incoming: int) -> None:
         for header, body in read_packets(incoming):
             request = Request(header, body)
             try:
@@ -106,20 +126,30 @@ class Bridge:
             except Exception as error:  # noqa: BLE001 - whatever it is, it answers this request
                 self._outbox.reply_error(request.id, error)
 
-    def _accept(self, request):
+    def _accept(self, request: Request) -> None:
         """Answer what needs no ROS; prepare the rest on this thread, so that the ROS thread never waits for imports."""
-        if request.op == "ping":
-            self._outbox.reply(request.id, {"ros_idle_s": round(time.monotonic() - self._loop.last_turn, 6)})
-        elif request.op == "interfaces":
-            self._outbox.reply(request.id, {"interfaces": definitions.interfaces()})
-        elif request.op == "definitions":
-            found, missing = definitions.definitions(request.texts("types"))
-            self._outbox.reply(request.id, {"definitions": found, "missing": missing})
-        else:
-            self._ros_is_up.wait()
-            if request.has("type"):
-                request.interface = interfaces.load(request.text("type"))
+        if request.op in self._without_ros:
+            answer = self._table[request.op](request)
+            assert isinstance(answer, Mapping)
+            self._outbox.reply(request.id, answer)
+            return
+        self._ros_is_up.wait()
+        if request.has("type"):
+            request.interface = interfaces.load(request.text("type"))
+        if self._operations is not None:
             self._loop.submit(partial(self._operations.start, request))
+
+    def _ping(self, _request: Request) -> PingReply:
+        return {"ros_idle_s": round(time.monotonic() - self._loop.last_turn, 6)}
+
+
+def _interfaces(_request: Request) -> InterfacesReply:
+    return {"interfaces": definitions.interfaces()}
+
+
+def _definitions(request: Request) -> DefinitionsReply:
+    found, missing = definitions.definitions(request.texts("types"))
+    return {"definitions": found, "missing": missing}
 
 
 if __name__ == "__main__":

@@ -1,40 +1,53 @@
-# pyright: basic
 """Service calls: request bytes in, response bytes out, many at once."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Generator
 from contextlib import contextmanager
 from functools import partial
+from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
 
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
-from rclpy.serialization import deserialize_message, serialize_message
 
+from . import rcl
+from .failsafes import FailSafes
 from .pace import Pace
 from .pool import Pool
-from .request import OperationError
+from .protocol import CallReply
+from .request import OperationError, Request, Steps
 
+if TYPE_CHECKING:
+    from rclpy.client import Client
+    from rclpy.node import Node
+
+# An answer wakes its request; this is only for noticing that a server has gone or time is up.
 POLL_S = 0.1
+# While a server is waited for: nothing tells of its coming.
 APPEARS_POLL_S = 0.005
-# A server that has just come up throws its answer away if it has not discovered our client yet.
+# A server that has just come up throws its answer away if it has not discovered our client yet. Who was there at once,
+# or came within the first of these, has had time to discover us; others are given the second.
 JUST_STARTED_S = 0.3
 KNOWS_US_S = 0.5
+# Discovery can lose sight of a server for a moment; so long is no moment. Chosen.
 GONE_AFTER_S = 0.3
 # The default depth of 10 loses responses where more are on their way at the same moment.
 MANY_AT_ONCE = QoSProfile(depth=500, reliability=QoSReliabilityPolicy.RELIABLE)
+
+ServiceKey = tuple[str, str]
 
 
 class Clients:
     """Pooled clients of services, those of actions included."""
 
-    def __init__(self, node, failsafes):
+    def __init__(self, node: Node, failsafes: FailSafes) -> None:
         self._node = node
         self._failsafes = failsafes
-        self.pool = Pool(node.destroy_client)
-        self._paces = WeakKeyDictionary()
+        self.pool: Pool[ServiceKey, Client] = Pool(node.destroy_client)
+        self._paces: WeakKeyDictionary[Client, Pace] = WeakKeyDictionary()
 
-    def call(self, request):
+    def call(self, request: Request) -> Steps[tuple[CallReply, bytes]]:
         """Send a request and wait for its response."""
         service = request.text("service")
         wait_s, timeout_s = request.number("wait_s", 0.0), request.number("timeout_s")
@@ -49,46 +62,52 @@ class Clients:
                 late = f"The server of {service} appeared too late: nothing was sent."
                 raise OperationError("timeout", late, "Try again: it is there now.")
             future = client.call_async(message)
-            future.add_done_callback(lambda _: (pace.answered(request), request.wake()))
+
+            def answered(_: object) -> None:
+                pace.answered(request)
+                request.wake()
+
+            future.add_done_callback(answered)  # pyright: ignore[reportUnknownMemberType]
             try:
                 yield from _wait_response(client, service, future, timeout_s, latest)
             finally:
                 client.remove_pending_request(future)
-            body = serialize_message(future.result())
+            body = rcl.serialize(future.result())
         elapsed_s = round(time.monotonic() - sent_at, 6)
         return {"waited_s": round(sent_at - started, 6), "elapsed_s": elapsed_s}, body
 
-    def unserved(self):
+    def unserved(self) -> set[ServiceKey]:
         """The services that we have a client of and nobody serves: pairs of name and type."""
         return {key for key, client in self.pool.entities().items() if not client.service_is_ready()}
 
-    def failsafe(self, request):
+    def failsafe(self, request: Request) -> Steps[dict[str, bool]]:
         """A request to send at the end, if its server is there, unless this request is cancelled before."""
         with self._use(request) as (client, message):
-            return (yield from self._failsafes.until_cancelled(request, partial(_call_if_ready, client, message)))
+            action = partial(_call_if_ready, client, message)
+            return (yield from self._failsafes.until_cancelled(request, action))
 
     @contextmanager
-    def _use(self, request):
+    def _use(self, request: Request) -> Generator[tuple[Client, Any], None, None]:
         """The pooled client of the service that a request names, and the message to send."""
         message, service = _deserialize(request), request.text("service")
-        create = partial(self._node.create_client, request.interface, service, qos_profile=MANY_AT_ONCE)
+        create = partial(rcl.client, self._node, request.interface, service, MANY_AT_ONCE)
         with self.pool.use((service, request.text("type")), create) as (client, _):
             yield client, message
 
 
-def _call_if_ready(client, message):
+def _call_if_ready(client: Client, message: Any) -> rcl.Response | None:
     return client.call_async(message) if client.service_is_ready() else None
 
 
-def _deserialize(request):
+def _deserialize(request: Request) -> Any:
     try:
-        return deserialize_message(request.body, request.interface.Request)
+        return rcl.deserialize(request.body, request.interface.Request)
     except Exception as error:  # the middlewares raise errors of many kinds
         message = f"{request.op}: the body is no request of {request.text('type')}: {error}"
         raise OperationError("bad_request", message) from error
 
 
-def _wait_server(client, service, wait_s, latest):
+def _wait_server(client: Client, service: str, wait_s: float, latest: float) -> Steps[None]:
     started = time.monotonic()
     deadline = started + wait_s
     while not client.service_is_ready():
@@ -99,7 +118,7 @@ def _wait_server(client, service, wait_s, latest):
         yield min(KNOWS_US_S, max(0.0, latest - time.monotonic()))
 
 
-def _wait_response(client, service, future, timeout_s, latest):
+def _wait_response(client: Client, service: str, future: rcl.Response, timeout_s: float, latest: float) -> Steps[None]:
     deadline = min(time.monotonic() + timeout_s, latest)
     last_ready = time.monotonic()
     while not future.done():

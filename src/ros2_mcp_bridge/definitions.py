@@ -1,4 +1,3 @@
-# pyright: basic
 """The texts of interface definitions, read from the ament index; needs no rclpy."""
 
 from __future__ import annotations
@@ -6,14 +5,17 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+
+from .protocol import Definition
 
 _PRIMITIVES = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
 _FIELD_TYPE = re.compile(r"\s*([A-Za-z][A-Za-z0-9_/]*)")
 _INCLUDE = re.compile(r'^\s*#include\s+[<"]([^/>"]+/[^/>"]+/[^/>"]+)\.idl[>"]', re.MULTILINE)
 _INTERFACE_FILE = re.compile(r"(msg|srv|action)/([A-Za-z0-9]+)\.(msg|srv|action|idl)$")
 _PART = re.compile(r"_[^/]*$")
-_WHAT_ACTIONS_USE = (
+_USED_BY_ACTIONS = (
     "action_msgs/msg/GoalInfo",
     "action_msgs/msg/GoalStatusArray",
     "action_msgs/srv/CancelGoal",
@@ -22,9 +24,9 @@ _WHAT_ACTIONS_USE = (
 )
 
 
-def interfaces():
+def interfaces() -> list[str]:
     """All `package/kind/Name` of the ament index, sorted."""
-    found = set()
+    found: set[str] = set()
     for prefix in _prefixes():
         for index in prefix.glob("share/ament_index/resource_index/rosidl_interfaces/*"):
             for line in index.read_text("utf-8").splitlines():
@@ -34,12 +36,14 @@ def interfaces():
     return sorted(found)
 
 
-def definitions(types):
+def definitions(types: Sequence[str]) -> tuple[dict[str, Definition], list[str]]:
     """Definitions of `types` with everything they refer to, and the list of those that are missing.
 
     The parts of an action or service (`Fibonacci_FeedbackMessage`) are defined by the whole (`Fibonacci`).
     """
-    found, missing, open_types = {}, [], [*types]
+    found: dict[str, Definition] = {}
+    missing: list[str] = []
+    open_types = [*types]
     while open_types:
         type_name = open_types.pop()
         whole = _PART.sub("", type_name)
@@ -54,12 +58,12 @@ def definitions(types):
     return found, missing
 
 
-def _prefixes():
+def _prefixes() -> list[Path]:
     listed = os.environ.get("AMENT_PREFIX_PATH") or sys.prefix
     return [Path(prefix) for prefix in listed.split(os.pathsep) if prefix]
 
 
-def _read(type_name):
+def _read(type_name: str) -> Definition | None:
     parts = type_name.split("/")
     if len(parts) != 3 or not all(re.fullmatch(r"[A-Za-z0-9_]+", part) for part in parts):
         return None
@@ -72,16 +76,16 @@ def _read(type_name):
     return None
 
 
-def _references(type_name, definition):
+def _references(type_name: str, definition: Definition) -> list[str]:
     package, kind, _ = type_name.split("/")
     if definition["format"] == "idl":
         found = set(_INCLUDE.findall(definition["text"]))
     else:
         lines = (_FIELD_TYPE.match(line) for line in definition["text"].splitlines())
         found = {_full_name(package, line[1]) for line in lines if line and not _PRIMITIVES.fullmatch(line[1])}
-    return sorted(found.union(_WHAT_ACTIONS_USE if kind == "action" else ()))
+    return sorted(found.union(_USED_BY_ACTIONS if kind == "action" else ()))
 
 
-def _full_name(package, written):
+def _full_name(package: str, written: str) -> str:
     parts = written.split("/")
     return "/".join((parts[0] if len(parts) > 1 else package, "msg", parts[-1]))

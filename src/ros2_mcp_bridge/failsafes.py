@@ -1,31 +1,42 @@
-# pyright: basic
 """Fail-safes: what is done when the stream ends, whatever ends it: final messages, and what the server has left."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from typing import Protocol
 
-from .request import Cancelled
+from .request import Cancelled, Request, Steps
 
+# A request that only holds a fail-safe has nothing to wake up for; it is thrown out of its sleep when it is cancelled.
 HOLD_S = 3600.0
 
 
+class Arrival(Protocol):
+    """What tells whether something sent has arrived: a future of rclpy, or a `Publisher`."""
+
+    def done(self) -> bool:
+        """Whether there is nothing more to wait for."""
+        ...
+
+
+Action = Callable[[], "Arrival | None"]
+"""Sends something at the end; returns what is to be waited for, if anything."""
+
+
 class FailSafes:
-    """The fail-safe of each open request that has one: what is called at the end.
+    """The fail-safe of each open request that has one."""
 
-    It returns what is `done()` when it has arrived, or None.
-    """
+    def __init__(self) -> None:
+        self._actions: dict[Request, Action] = {}
 
-    def __init__(self):
-        self._actions = {}
-
-    def count(self, op):
+    def count(self, op: str) -> int:
         """How many requests of that kind have a fail-safe in force."""
         return sum(request.op == op for request in self._actions)
 
     @contextmanager
-    def in_force(self, request, action):
+    def in_force(self, request: Request, action: Action) -> Generator[None, None, None]:
         """The action is in force inside of this context."""
         self._actions[request] = action
         try:
@@ -33,7 +44,7 @@ class FailSafes:
         finally:
             self._actions.pop(request, None)
 
-    def until_cancelled(self, request, action):
+    def until_cancelled(self, request: Request, action: Action) -> Steps[dict[str, bool]]:
         """Steps that keep the action in force until the request is cancelled."""
         with self.in_force(request, action):
             try:
@@ -42,16 +53,18 @@ class FailSafes:
             except Cancelled:
                 return {"cancelled": True}
 
-    def carry_out(self):
+    def carry_out(self) -> list[Arrival]:
         """Do it all, calls after messages, because they can block; returns what to wait for.
 
         Another thread does it when the ROS thread does not come to it. The ROS thread then does it once more, for what
         it was about to publish may have followed.
         """
-        pending = []
+        pending: list[Arrival] = []
         for request, action in sorted(self._actions.items(), key=lambda entry: entry[0].op == "failsafe_call"):
             try:
-                pending.append(action())
+                arrival = action()
             except Exception as error:  # noqa: BLE001 - one that fails must not keep the others from being done
                 sys.stderr.write(f"the fail-safe of {request.op} could not be carried out: {error}\n")
-        return [future for future in pending if future is not None]
+            else:
+                pending += [] if arrival is None else [arrival]
+        return pending

@@ -1,28 +1,43 @@
-# pyright: basic
 """What is in the ROS graph, told once discovery has settled."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from . import participants, qos
-from .request import OperationError
+from .protocol import Endpoint, EndpointsReply, NodeReply, NodesReply, ServicesReply, TopicsReply
+from .request import OperationError, Request, Steps
 
+if TYPE_CHECKING:
+    from rclpy.node import Node
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+# Each look lists the whole graph; about seven of them fit into QUIET_S.
 POLL_S = 0.06
+# So long nothing has changed. The participants of this machine are counted besides, so that it need not bridge an
+# announcement's period.
 QUIET_S = 0.4
+# Fast DDS announces itself every 3 s: whoever is there has been heard after that and a little more.
 ANNOUNCEMENT_PERIOD_S = 3.5
+# A graph that keeps changing is told as it is.
 LONGEST_SETTLING_S = 10.0
+# What `settle_s` is if it is not given.
+SETTLE_S = 3.0
+# While a request waits; it costs a look at one number, or at the endpoints of one topic.
+WAIT_POLL_S = 0.02
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 
 
 class Graph:
-    """Answers the requests about the graph; each is a generator of steps, because it may have to wait."""
+    """Answers the requests about the graph; each is steps, because it may have to wait."""
 
-    def __init__(self, node):
+    def __init__(self, node: Node) -> None:
         self.settled = False
         self._node = node
 
-    def settle(self):
+    def settle(self) -> Steps[None]:
         """Steps that watch discovery until the graph has been quiet for a while, or has had ample time."""
         started = looked_at = time.monotonic()
         seen, quiet_s = None, 0.0
@@ -36,26 +51,26 @@ class Graph:
             is_whole = self._hears_all() or now - started >= ANNOUNCEMENT_PERIOD_S
             self.settled = (is_quiet and is_whole) or now - started >= LONGEST_SETTLING_S
 
-    def topics(self, request):
+    def topics(self, request: Request) -> Steps[TopicsReply]:
         """Every topic with its types and numbers of endpoints."""
         yield from self._wait_settled(request)
-        found = [
-            [name, types, self._node.count_publishers(name), self._node.count_subscribers(name)]
+        topics = [
+            (name, types, self._node.count_publishers(name), self._node.count_subscribers(name))
             for name, types in self._node.get_topic_names_and_types()
         ]
-        return {"topics": found, "settled": self.settled}
+        return {"topics": topics, "settled": self.settled}
 
-    def services(self, request):
+    def services(self, request: Request) -> Steps[ServicesReply]:
         """Every service with its types."""
         yield from self._wait_settled(request)
         return {"services": self._node.get_service_names_and_types(), "settled": self.settled}
 
-    def nodes(self, request):
+    def nodes(self, request: Request) -> Steps[NodesReply]:
         """Every node."""
         yield from self._wait_settled(request)
         return {"nodes": self._node.get_node_names_and_namespaces(), "settled": self.settled}
 
-    def node(self, request):
+    def node(self, request: Request) -> Steps[NodeReply]:
         """What one node publishes, subscribes, serves and calls."""
         name, namespace = request.text("name"), request.text("namespace")
         yield from self._wait_settled(request)
@@ -68,61 +83,56 @@ class Graph:
             "clients": self._node.get_client_names_and_types_by_node(name, namespace),
         }
 
-    def endpoints(self, request):
+    def endpoints(self, request: Request) -> Steps[EndpointsReply]:
         """The publishers and subscribers of a topic with their QoS."""
         topic = request.text("topic")
         yield from self._wait_settled(request)
         return self._endpoints(topic)
 
-    def wait_endpoints(self, request):
+    def wait_endpoints(self, request: Request) -> Steps[EndpointsReply]:
         """The same, as soon as there are enough of them."""
         topic = request.text("topic")
-        wanted = request.number("publishers", 0), request.number("subscribers", 0)
+        publishers, subscribers = request.number("publishers", 0), request.number("subscribers", 0)
         deadline = time.monotonic() + request.number("timeout_s")
         while True:
-            there = self._node.count_publishers(topic), self._node.count_subscribers(topic)
-            is_there = there[0] >= wanted[0] and there[1] >= wanted[1]
+            present = self._node.count_publishers(topic), self._node.count_subscribers(topic)
+            is_enough = present[0] >= publishers and present[1] >= subscribers
             is_late = time.monotonic() >= deadline
-            if is_there and (is_late or not self._has_unknown_nodes([topic])):
+            if is_enough and (is_late or not self._has_unknown_nodes([topic])):
                 return self._endpoints(topic)
             if is_late:
                 message = "{} has {} publishers and {} subscribers; waited for {} and {}."
-                raise OperationError("timeout", message.format(topic, *there, *wanted))
-            yield 0.02
+                raise OperationError("timeout", message.format(topic, *present, publishers, subscribers))
+            yield WAIT_POLL_S
 
-    def create(self, kind, interface, topic, profile):
-        """An endpoint of ours, of rclpy's C++ part: no executor knows it."""
-        with self._node.handle:
-            return kind(self._node.handle, interface, topic, profile.get_c_qos_profile())
-
-    def subscribers(self, topic):
+    def subscribers(self, topic: str) -> list[TopicEndpointInfo]:
         """rclpy's information about every subscriber of a topic."""
         return self._node.get_subscriptions_info_by_topic(topic)
 
-    def publishers(self, topic):
+    def publishers(self, topic: str) -> list[TopicEndpointInfo]:
         """rclpy's information about every publisher of a topic."""
         return self._node.get_publishers_info_by_topic(topic)
 
-    def publisher_gids(self, topic):
+    def publisher_gids(self, topic: str) -> set[bytes]:
         """The global identifiers of a topic's publishers."""
-        return {bytes(info.endpoint_gid) for info in self._node.get_publishers_info_by_topic(topic)}
+        return {participants.gid(info) for info in self.publishers(topic)}
 
-    def _wait_settled(self, request):
-        deadline = time.monotonic() + request.number("settle_s", 3.0)
+    def _wait_settled(self, request: Request) -> Steps[None]:
+        deadline = time.monotonic() + request.number("settle_s", SETTLE_S)
         while not self.settled and time.monotonic() < deadline:
-            yield min(0.02, max(0.0, deadline - time.monotonic()))
+            yield min(WAIT_POLL_S, max(0.0, deadline - time.monotonic()))
 
-    def _endpoints(self, topic):
+    def _endpoints(self, topic: str) -> EndpointsReply:
         return {
-            "publishers": [_endpoint(info) for info in self._node.get_publishers_info_by_topic(topic)],
+            "publishers": [_endpoint(info) for info in self.publishers(topic)],
             "subscribers": [_endpoint(info) for info in self.subscribers(topic)],
             "settled": self.settled,
         }
 
-    def _topics(self):
+    def _topics(self) -> list[str]:
         return [name for name, _ in self._node.get_topic_names_and_types()]
 
-    def _snapshot(self):
+    def _snapshot(self) -> object:
         node = self._node
         return (
             node.get_topic_names_and_types(),
@@ -130,7 +140,7 @@ class Graph:
             sorted(node.get_node_names_and_namespaces()),
         )
 
-    def _hears_all(self):
+    def _hears_all(self) -> bool:
         """Whether all participants on this machine are there.
 
         Where the kernel cannot tell of everybody, one who is heard stands for all who are not.
@@ -141,21 +151,21 @@ class Graph:
         ours = self._node.get_name(), self._node.get_namespace()
         return bool(is_told or set(self._node.get_node_names_and_namespaces()) - {ours})
 
-    def _has_unknown_nodes(self, topics):
+    def _has_unknown_nodes(self, topics: Iterable[str]) -> bool:
         return any(
             info.node_name == UNKNOWN_NODE
             for topic in topics
-            for info in (*self._node.get_publishers_info_by_topic(topic), *self.subscribers(topic))
+            for info in (*self.publishers(topic), *self.subscribers(topic))
         )
 
 
-def _endpoint(info):
+def _endpoint(info: TopicEndpointInfo) -> Endpoint:
     found_hash = str(getattr(info, "topic_type_hash", ""))  # Humble tells none
     return {
         "node": info.node_name,
         "namespace": info.node_namespace,
         "type": info.topic_type,
         "hash": found_hash if found_hash.startswith("RIHS01_") else "",
-        "gid": bytes(info.endpoint_gid).hex(),
+        "gid": participants.gid(info).hex(),
         "qos": qos.describe(info.qos_profile),
     }

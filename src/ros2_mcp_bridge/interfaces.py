@@ -1,10 +1,10 @@
-# pyright: basic
 """Python classes of interfaces, by the names that the graph uses."""
 
 from __future__ import annotations
 
 import importlib
 from functools import lru_cache
+from typing import Any
 
 from .request import OperationError
 
@@ -16,13 +16,14 @@ _PARTS_OF_ACTIONS = {
 }
 
 
+# More types than a robot has; a class stays loaded anyway, so that forgetting one frees nothing.
 @lru_cache(maxsize=1024)
-def load(type_name):
+def load(type_name: str) -> Any:
     """The class of `std_msgs/msg/String`, `nav2_msgs/action/Wait_SendGoal` and the like, its type support loaded.
 
     Raises `OperationError` of kind `unknown_type`.
     """
-    from rclpy.type_support import check_for_type_support
+    from rclpy.type_support import check_for_type_support  # pyright: ignore[reportUnknownVariableType]
 
     try:
         interface = _find(*type_name.split("/"))
@@ -36,7 +37,7 @@ def load(type_name):
     return interface
 
 
-def _find(package, kind, name):
+def _find(package: str, kind: str, name: str) -> Any:
     module = importlib.import_module(f"{package}.{kind}")
     if kind == "action" and "_" in name:
         action, _, part = name.partition("_")

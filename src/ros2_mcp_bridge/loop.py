@@ -1,8 +1,4 @@
-# pyright: basic
-"""The ROS thread's loop: it spins the executor and runs operations that wait, without ever blocking on one.
-
-An operation that waits is a generator of *steps*: it yields the seconds after which it wants to go on.
-"""
+"""The ROS thread's loop: it spins the executor and runs operations that wait, without ever blocking on one."""
 
 from __future__ import annotations
 
@@ -12,35 +8,56 @@ import sys
 import time
 import traceback
 from collections import deque
-from typing import Any
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
 
+from .request import Steps
+
+T = TypeVar("T")
+
+# The longest sleep of the ROS thread. Requests and due work wake it; `ping` tells how long ago it went round, and the
+# server takes 4 s of that for a hang.
 IDLE_S = 0.25
+# After a callback has failed: one that fails in every round must not take the whole processor.
+AFTER_FAILURE_S = 0.01
 
 
-class Task:
-    """A generator of steps that runs on the loop."""
+class Executor(Protocol):
+    """What the loop needs of rclpy's executors."""
 
-    def __init__(self, loop, steps, finished):
+    def create_task(self, callback: Callable[[], None]) -> object:
+        """Run it in the next round; wakes `spin_once`. From any thread."""
+        ...
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Wait for work, at most that long, and do it."""
+        ...
+
+
+class Task(Generic[T]):
+    """Steps that run on the loop."""
+
+    def __init__(self, loop: Loop, steps: Steps[T], finished: Callable[[T | None, Exception | None], None]) -> None:
         self._loop = loop
         self._steps = steps
         self._finished = finished
         self.entry = 0
         self.open = True
 
-    def wake(self):
+    def wake(self) -> None:
         """Let it go on now instead of after the seconds it asked for; ROS thread only."""
         if self.open:
             self._loop.resume_after(self, 0.0)
 
-    def throw(self, error):
-        """Raise an exception inside the generator, where it waits."""
+    def throw(self, error: Exception) -> None:
+        """Raise an exception inside the steps, where they wait."""
         self._advance(lambda: self._steps.throw(error))
 
-    def advance(self):
+    def advance(self) -> None:
         """Run it up to where it waits next."""
         self._advance(lambda: next(self._steps))
 
-    def _advance(self, step):
+    def _advance(self, step: Callable[[], float]) -> None:
         try:
             self._loop.resume_after(self, step())
         except StopIteration as stop:
@@ -48,7 +65,7 @@ class Task:
         except Exception as error:  # noqa: BLE001 - whatever it is, it answers the request and not the loop
             self._finish(None, error)
 
-    def _finish(self, result, error):
+    def _finish(self, result: T | None, error: Exception | None) -> None:
         self.open = False
         self._finished(result, error)
 
@@ -56,83 +73,85 @@ class Task:
 class Loop:
     """Everything that touches rclpy entities runs in here, on the thread that calls `run`."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.last_turn = time.monotonic()
-        self._executor: Any = None
-        self._submitted = deque()
-        self._waiting = []
+        self._executor: Executor | None = None
+        self._submitted: deque[Callable[[], None]] = deque()
+        self._waiting: list[tuple[float, int, Task[object]]] = []
         self._numbers = itertools.count(1)
         self._ending = False
 
-    def submit(self, call):
+    def submit(self, call: Callable[[], None]) -> None:
         """Let the ROS thread run `call` soon; from any thread."""
         self._submitted.append(call)
         self._wake()
 
-    def end(self):
+    def end(self) -> None:
         """Let `run` return soon; from any thread."""
         self._ending = True
         self._wake()
 
-    def start(self, steps, finished):
-        """Run a generator of steps; `finished(result, error)` is called once, at the end. ROS thread only."""
+    def start(self, steps: Steps[T], finished: Callable[[T | None, Exception | None], None]) -> Task[T]:
+        """Run steps; `finished(result, error)` is called once, at the end. ROS thread only."""
         task = Task(self, steps, finished)
         self.resume_after(task, 0.0)
         return task
 
-    def resume_after(self, task, seconds):
+    def resume_after(self, task: Task[T], seconds: float) -> None:
         """Let a task go on later; replaces what it asked for before."""
         task.entry = next(self._numbers)
-        heapq.heappush(self._waiting, (time.monotonic() + seconds, task.entry, task))
+        # A replaced entry stays in the heap and is skipped when its time comes: its number is not the task's any more.
+        heapq.heappush(self._waiting, (time.monotonic() + seconds, task.entry, task))  # pyright: ignore[reportArgumentType]
 
-    def has_due(self):
+    def has_due(self) -> bool:
         """Whether something else waits for the ROS thread now."""
         return bool(self._submitted or self._ending or (self._waiting and self._waiting[0][0] <= time.monotonic()))
 
-    def turn_of(self, seconds):
+    def turn_of(self, seconds: float) -> Callable[[], bool]:
         """What tells whether a turn has been long enough: something else waits, or so many seconds are over."""
         deadline = time.monotonic() + seconds
         return lambda: self.has_due() or time.monotonic() > deadline
 
-    def run(self, executor):
+    def run(self, executor: Executor) -> None:
         """Go round until `end` is called."""
         self._executor = executor
         while not self._ending:
             try:
-                self._turn()
+                self._turn(executor)
             except Exception:  # noqa: BLE001 - one failing callback must not end the bridge
                 traceback.print_exc(file=sys.stderr)
-                time.sleep(0.01)
+                time.sleep(AFTER_FAILURE_S)
 
-    def _turn(self):
+    def _turn(self, executor: Executor) -> None:
         self.last_turn = time.monotonic()
+        # Only as many as wait now: what they submit themselves waits for the next round, so that the executor has one.
         for _ in range(len(self._submitted)):
             self._submitted.popleft()()
         self._resume_due()
         pause = self._waiting[0][0] - time.monotonic() if self._waiting else IDLE_S
         if self._submitted or self._ending:
             pause = 0.0
-        self._executor.spin_once(timeout_sec=min(max(pause, 0.0), IDLE_S))
+        executor.spin_once(timeout_sec=min(max(pause, 0.0), IDLE_S))
 
-    def _resume_due(self):
+    def _resume_due(self) -> None:
         now = time.monotonic()
-        due = []
+        due: list[tuple[float, int, Task[object]]] = []
         while self._waiting and self._waiting[0][0] <= now:
             due.append(heapq.heappop(self._waiting))
         for _, entry, task in due:
             if task.open and task.entry == entry:
                 task.advance()
 
-    def _wake(self):
+    def _wake(self) -> None:
         if self._executor is not None:
             self._executor.create_task(_nothing)
 
 
-def log_failure(_result, error):
+def log_failure(_result: object, error: Exception | None) -> None:
     """For tasks that answer nobody."""
     if error is not None:
         traceback.print_exception(type(error), error, error.__traceback__, file=sys.stderr)
 
 
-def _nothing():
+def _nothing() -> None:
     """A task of no work: creating it wakes the executor."""

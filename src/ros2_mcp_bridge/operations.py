@@ -1,72 +1,88 @@
-# pyright: basic
-"""What the server can ask for: one name for each operation, and how each request gets its one answer."""
+"""What the server can ask of ROS: a row of the table for each operation, and how each request gets its one answer."""
 
 from __future__ import annotations
 
-import inspect
 import os
 import signal
 import sys
 import time
+from collections.abc import Callable, Generator
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from . import shared_memory
 from .clients import Clients
 from .failsafes import FailSafes
 from .graph import Graph
-from .loop import log_failure
+from .loop import Loop, log_failure
+from .protocol import Empty, ServicesReply, StatsReply, StopReply
 from .publishers import Publishers
 from .relay import Relays
-from .request import OperationError
+from .request import Answer, OperationError, Request, Steps
+from .stream import Outbox
 from .subscriptions import Subscriptions
 
+if TYPE_CHECKING:
+    from rclpy.executors import Executor
+    from rclpy.node import Node
+
+Operation = Callable[[Request], "Answer | Steps[Answer]"]
+
+# Often enough for entities that go after a minute without use.
 EXPIRE_EVERY_S = 5.0
+# What is lost stays lost, and is rare: two seconds later is soon enough for a look at all mapped files.
 HEARING_CHECKED_EVERY_S = 2.0
+# For acknowledgements of what is sent last. Who would need longer is too far away to be waited for: the whole end is
+# enforced after 1 s (GIVE_UP_AFTER_S).
 ARRIVAL_S = 0.3
+ARRIVAL_POLL_S = 0.005
 
 
 class Operations:
-    """All that needs ROS; lives on the ROS thread. `node` is the bridge's own node."""
+    """All that needs ROS; lives on the ROS thread. `node` is the bridge's own node, `table` is what it adds to."""
 
-    def __init__(self, node, loop, outbox):
+    def __init__(self, node: Node, loop: Loop, outbox: Outbox, table: dict[str, Operation]) -> None:
         self._node = node
         self._loop = loop
         self._outbox = outbox
         self._started = time.monotonic()
-        self._requests = {}
+        self._requests: dict[int | None, Request] = {}
         self.failsafes = FailSafes()
         self._graph = Graph(node)
-        self._subscriptions = Subscriptions(self._graph, loop, outbox)
+        self._subscriptions = Subscriptions(node, self._graph, loop, outbox)
         self._clients = Clients(node, self.failsafes)
-        self._publishers = Publishers(self._graph, self.failsafes)
-        self._relays = Relays(self._graph, loop, self.failsafes)
-        self._table = {
-            "cancel": self._cancel,
-            "topics": self._graph.topics,
-            "services": self._services,
-            "nodes": self._graph.nodes,
-            "node": self._graph.node,
-            "endpoints": self._graph.endpoints,
-            "wait_endpoints": self._graph.wait_endpoints,
-            "subscribe": self._subscriptions.subscribe,
-            "unsubscribe": self._subscriptions.unsubscribe,
-            "publish": self._publishers.publish,
-            "repeat": self._publishers.repeat,
-            "relay": self._relays.relay,
-            "relay_feed": self._relays.feed,
-            "relay_stop": self._stop,
-            "relays": self._relays.counts,
-            "call": self._clients.call,
-            "failsafe_publish": self._publishers.failsafe,
-            "failsafe_call": self._clients.failsafe,
-            "stop": self._stop,
-            "stats": self._stats,
-        }
+        self._publishers = Publishers(node, self._graph, self.failsafes)
+        self._relays = Relays(node, self._graph, loop, self.failsafes)
+        self._table = table
+        table.update(
+            {
+                "cancel": self._cancel,
+                "topics": self._graph.topics,
+                "services": self._services,
+                "nodes": self._graph.nodes,
+                "node": self._graph.node,
+                "endpoints": self._graph.endpoints,
+                "wait_endpoints": self._graph.wait_endpoints,
+                "subscribe": self._subscriptions.subscribe,
+                "unsubscribe": self._subscriptions.unsubscribe,
+                "publish": self._publishers.publish,
+                "repeat": self._publishers.repeat,
+                "relay": self._relays.relay,
+                "relay_feed": self._relays.feed,
+                "relay_stop": self._stop,
+                "relays": self._relays.counts,
+                "call": self._clients.call,
+                "failsafe_publish": self._publishers.failsafe,
+                "failsafe_call": self._clients.failsafe,
+                "stop": self._stop,
+                "stats": self._stats,
+            }
+        )
         for steps in (self._graph.settle(), self._expire(), self._leave_when_deaf()):
             loop.start(steps, log_failure)
 
-    def start(self, request):
+    def start(self, request: Request) -> None:
         """Begin to work on a request; it is answered when that is done."""
         try:
             if request.op not in self._table:
@@ -75,22 +91,22 @@ class Operations:
         except Exception as error:  # noqa: BLE001 - whatever it is, it answers this request
             self._outbox.reply_error(request.id, error)
             return
-        if inspect.isgenerator(result):
+        if isinstance(result, Generator):
             self._requests[request.id] = request
             request.task = self._loop.start(result, partial(self._finish, request))
         else:
             self._finish(request, result, None)
 
-    def end(self, executor):
+    def end(self, executor: Executor) -> None:
         """Stop everything, sending what must be sent last."""
         pending = [*self.failsafes.carry_out(), *self._publishers.pool.entities().values()]
         deadline = time.monotonic() + ARRIVAL_S
-        while time.monotonic() < deadline and not all(each.done() for each in pending):
-            executor.spin_once(timeout_sec=0.005)
+        while time.monotonic() < deadline and not all(arrival.done() for arrival in pending):
+            executor.spin_once(timeout_sec=ARRIVAL_POLL_S)
         for kind in (self._publishers.pool, self._relays, self._subscriptions, self._clients.pool):
             kind.clear()
 
-    def _finish(self, request, result, error):
+    def _finish(self, request: Request, result: Answer, error: Exception | None) -> None:
         self._requests.pop(request.id, None)
         if error is not None:
             self._outbox.reply_error(request.id, error)
@@ -99,27 +115,30 @@ class Operations:
         elif result is not None:  # unsubscribe leaves its answer to the queue of samples
             self._outbox.reply(request.id, result)
 
-    def _services(self, request):
+    def _services(self, request: Request) -> Steps[ServicesReply]:
         """Without what is in the graph only because we have called it."""
         found, unserved = (yield from self._graph.services(request)), self._clients.unserved()
-        served = [[name, [each for each in types if (name, each) not in unserved]] for name, types in found["services"]]
-        return {**found, "services": [[name, types] for name, types in served if types]}
+        served = [
+            (name, [type_name for type_name in types if (name, type_name) not in unserved])
+            for name, types in found["services"]
+        ]
+        return {"services": [(name, types) for name, types in served if types], "settled": found["settled"]}
 
-    def _cancel(self, request):
-        target = self._requests.get(request.number("request"))
+    def _cancel(self, request: Request) -> Empty:
+        target = self._requests.get(int(request.number("request")))
         if target is not None and target.op != "unsubscribe":
             target.cancel()
         return {}
 
-    def _stop(self, request):
+    def _stop(self, request: Request) -> StopReply:
         """End all repeating and relaying, or one relay by its name."""
-        meant = [each for each in self._requests.values() if each.op in ("repeat", "relay")]
+        meant = [found for found in self._requests.values() if found.op in ("repeat", "relay")]
         if request.op == "relay_stop":
-            meant = [each for each in meant if each.op == "relay" and each.text("name") == request.text("name")]
-        ended = [each.op for each in meant if each.cancel()]
+            meant = [found for found in meant if found.op == "relay" and found.text("name") == request.text("name")]
+        ended = [found.op for found in meant if found.cancel()]
         return {"repeats": ended.count("repeat"), "relays": ended.count("relay")}
 
-    def _stats(self, _request):
+    def _stats(self, _request: Request) -> StatsReply:
         return {
             "publishers": len(self._publishers.pool),
             "subscriptions": len(self._subscriptions),
@@ -131,13 +150,13 @@ class Operations:
             "uptime_s": round(time.monotonic() - self._started, 3),
         }
 
-    def _expire(self):
+    def _expire(self) -> Steps[None]:
         while True:
             yield EXPIRE_EVERY_S
             self._publishers.pool.expire()
             self._clients.pool.expire()
 
-    def _leave_when_deaf(self):
+    def _leave_when_deaf(self) -> Steps[None]:
         """The server then starts another bridge, which hears again."""
         while not shared_memory.is_lost(self._node.context.get_domain_id()):
             yield HEARING_CHECKED_EVERY_S
@@ -145,5 +164,5 @@ class Operations:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def _count(folder):
+def _count(folder: str) -> int:
     return sum(1 for _ in Path(folder).iterdir())

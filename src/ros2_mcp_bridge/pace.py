@@ -1,4 +1,3 @@
-# pyright: basic
 """How fast requests go to one service: its server loses those for which its queue, usually of 10, has no room."""
 
 from __future__ import annotations
@@ -6,9 +5,11 @@ from __future__ import annotations
 import time
 from collections import deque
 
-from .request import OperationError
+from .request import OperationError, Request, Steps
 
+# Of the 10 places in the queue of a server with the default profile; two are left for its other clients.
 ROOM = 8
+# Presumed time in which a server takes one request that it has not answered yet.
 TAKEN_EVERY_S = 0.05
 NOT_SENT = "It was not sent in time: too many others wait for their answers."
 
@@ -19,12 +20,12 @@ class Pace:
     So the first requests go out at once, the others as fast as they are answered, and about 20 a second.
     """
 
-    def __init__(self):
-        self._queue = deque()
-        self._untaken = {}  # requests in the order in which they were sent
+    def __init__(self) -> None:
+        self._queue: deque[Request] = deque()
+        self._untaken: dict[Request, None] = {}  # requests in the order in which they were sent
         self._taken_at = time.monotonic()
 
-    def wait_turn(self, request, latest):
+    def wait_turn(self, request: Request, latest: float) -> Steps[None]:
         """Steps that end when the request may be sent; `latest` is the time to give up, on the steady clock."""
         if not self._queue:
             self._take(int((time.monotonic() - self._taken_at) / TAKEN_EVERY_S))
@@ -39,23 +40,23 @@ class Pace:
             self._queue.remove(request)
             self._wake_next()
 
-    def answered(self, request):
+    def answered(self, request: Request) -> None:
         """Its answer has come."""
         self._untaken.pop(request, None)
         self._wake_next()
 
-    def _has_room(self):
+    def _has_room(self) -> bool:
         # One at a look, however long it has been: where this process was not run, the server may not have been either.
         if time.monotonic() - self._taken_at >= TAKEN_EVERY_S:
             self._take(1)
         return len(self._untaken) < ROOM
 
-    def _take(self, count):
+    def _take(self, count: int) -> None:
         if count:
             self._taken_at = time.monotonic()
             for request in list(self._untaken)[:count]:
                 del self._untaken[request]
 
-    def _wake_next(self):
+    def _wake_next(self) -> None:
         if self._queue:
             self._queue[0].wake()

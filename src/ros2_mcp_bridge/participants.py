@@ -1,4 +1,3 @@
-# pyright: basic
 """How many DDS participants there are on this machine, and how many of them a node has discovered.
 
 A participant of RTPS listens on well-known UDP ports, which the kernel tells: 7400 + 250 * domain + 10 + 2 * number.
@@ -8,8 +7,15 @@ So what discovery has not found yet, on this machine, is known without waiting f
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
+if TYPE_CHECKING:
+    from rclpy.node import Node
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+# Of the RTPS specification: PB, DG, and the first of d1 (10) and d3 (11).
 FIRST_PORT = 7400
 PORTS_PER_DOMAIN = 250
 FIRST_UNICAST = 10
@@ -17,36 +23,41 @@ DISCOVERY_TOPIC = "ros_discovery_info"
 GUID_PREFIX_BYTES = 12
 
 
-def reach_is_local():
+def reach_is_local() -> bool:
     """Whether the environment keeps ROS on this machine."""
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
     return reach in ("LOCALHOST", "OFF") or os.environ.get("ROS_LOCALHOST_ONLY") == "1"
 
 
-def all_discovered(node):
+def all_discovered(node: Node) -> bool:
     """Whether a node has discovered as many participants as there are on this machine; True if that is not known."""
     return discovered(node) >= on_this_machine(node.context.get_domain_id())
 
 
-def on_this_machine(domain_id):
+def on_this_machine(domain_id: int) -> int:
     """The number of participants of a domain in this network namespace."""
     of_discovery = ports_of(domain_id)[::2]
     return sum(1 for port in set(_bound_udp_ports()) if port in of_discovery)
 
 
-def ports_of(domain_id):
+def ports_of(domain_id: int) -> range:
     """The ports of the participants of a domain: even ones for discovery, odd ones for data."""
     first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     return range(first + FIRST_UNICAST, first + PORTS_PER_DOMAIN)
 
 
-def discovered(node):
+def discovered(node: Node) -> int:
     """The number of participants with ROS nodes that a node knows of, its own included."""
     infos = node.get_publishers_info_by_topic(DISCOVERY_TOPIC, no_mangle=True)
-    return len({bytes(info.endpoint_gid)[:GUID_PREFIX_BYTES] for info in infos})
+    return len({gid(info)[:GUID_PREFIX_BYTES] for info in infos})
 
 
-def _bound_udp_ports():
+def gid(info: TopicEndpointInfo) -> bytes:
+    """The global identifier of an endpoint; its first 12 bytes are its participant's."""
+    return bytes(cast("list[int]", info.endpoint_gid))  # pyright: ignore[reportUnknownMemberType]
+
+
+def _bound_udp_ports() -> Iterator[int]:
     for table in (Path("/proc/net/udp"), Path("/proc/net/udp6")):
         if table.exists():
             for line in table.read_text().splitlines()[1:]:

@@ -1,45 +1,60 @@
-# pyright: basic
 """Publishing bytes: once with proof of who got it, or repeatedly at a rate that the bridge keeps by itself."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Hashable
+from contextlib import AbstractContextManager
 from functools import partial
+from typing import TYPE_CHECKING
 
-from rclpy.duration import Duration
-from rclpy.impl.implementation_singleton import rclpy_implementation
-
-from . import qos
+from . import qos, rcl
+from .failsafes import FailSafes
+from .graph import Graph
 from .pool import Pool
-from .request import Cancelled, OperationError
+from .protocol import PublishReply, RepeatReply
+from .request import Cancelled, OperationError, Request, Steps
 
+if TYPE_CHECKING:
+    from rclpy.node import Node
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+# While a publication waits for a match or an acknowledgement: a local one comes within milliseconds.
 POLL_S = 0.002
+# Chosen: if no further subscriber has matched for so long, the others are not waited for, only counted.
 NO_MORE_MATCHES_S = 0.1
+# A repetition waits for its first message only: a second one would replace it. Chosen; it goes on without, afterwards.
 FIRST_ACK_S = 0.5
+# For the answer of a repetition that has ended; the final message was sent twice and goes on without us. Chosen.
 FINAL_ACK_S = 0.1
 # A subscriber gets to know a new publisher a moment later than this the subscriber.
 KNOWN_S = 0.1
+# A latched publisher keeps as many messages for late joiners as it was asked for, up to this.
+MAX_LATCHED_DEPTH = 1000
+# A period counts as missed, or the end as reached, with this share of a period to spare: sums of floats are inexact.
+ROUNDING = 1e-6
 
 
 class Publisher:
     """A publisher of serialized messages."""
 
-    def __init__(self, graph, request, max_depth=None):
+    def __init__(self, node: Node, graph: Graph, request: Request, max_depth: int | None = None) -> None:
         self._graph = graph
         self._topic, self._type = request.text("topic"), request.text("type")
         # Fast DDS asks for acknowledgement at once (5 ms) only when its history is full, else every 3 s. A depth of 1
         # is always full. Nobody can tell the difference but late joiners of a transient-local topic.
         is_volatile = request.qos().get("durability") != "transient_local"
-        self._profile = qos.profile(request.qos(), max_depth=max_depth or (1 if is_volatile else 1000))
+        max_depth = max_depth or (1 if is_volatile else MAX_LATCHED_DEPTH)
+        self._profile = qos.profile(request.qos(), max_depth=max_depth)
         self.is_busy = False
-        self._accepted = None
-        self._handle = graph.create(rclpy_implementation.Publisher, request.interface, self._topic, self._profile)
+        self._accepted: tuple[int, int] | None = None
+        self._raw = rcl.publisher(node, request.interface, self._topic, self._profile)
 
-    def publish(self, data):
+    def publish(self, data: bytes) -> None:
         """Hand one message to the middleware."""
-        self._handle.publish_raw(data)
+        self._raw.publish_raw(data)
 
-    def publish_last(self, data):
+    def publish_last(self, data: bytes) -> Publisher | None:
         """Publish a final message, if there is one: twice, for best-effort subscribers; returns what is then `done`."""
         if not data:
             return None
@@ -47,11 +62,11 @@ class Publisher:
         self.publish(data)
         return self
 
-    def matched(self):
+    def matched(self) -> int:
         """The number of subscribers that would get a message now."""
-        return self._handle.get_subscription_count()
+        return self._raw.get_subscription_count()
 
-    def wait_match(self, created, wait_s):
+    def wait_match(self, created: bool, wait_s: float) -> Steps[None]:
         """Steps until every subscriber in the graph that can match does, or no more of them come, or time is up."""
         changed_at = time.monotonic()
         deadline, before = changed_at + wait_s, None
@@ -68,7 +83,7 @@ class Publisher:
         if created and self.matched() and not all(is_reliable):
             yield KNOWN_S  # a best-effort one would not ask for what it has missed
 
-    def publish_acknowledged(self, data, wait_s):
+    def publish_acknowledged(self, data: bytes, wait_s: float) -> Steps[tuple[int, bool | None]]:
         """Steps that publish one message after the other: returns the number of matches and `wait_acknowledged`."""
         while self.is_busy:
             yield POLL_S
@@ -81,7 +96,7 @@ class Publisher:
             self.is_busy = False
         return matched, acked
 
-    def wait_acknowledged(self, wait_s):
+    def wait_acknowledged(self, wait_s: float) -> Steps[bool | None]:
         """Steps until all is acknowledged: returns True, False when time is up, None where nobody acknowledges."""
         subscribers = self._fitting_subscribers()
         is_reliable = any(info.qos_profile.reliability.name == "RELIABLE" for info in subscribers)
@@ -94,15 +109,15 @@ class Publisher:
             yield POLL_S
         return True
 
-    def done(self):
+    def done(self) -> bool:
         """Whether every reliable subscriber has acknowledged everything."""
-        return self._handle.wait_for_all_acked(Duration(seconds=0)._duration_handle)
+        return rcl.is_acknowledged(self._raw)
 
-    def destroy(self):
+    def destroy(self) -> None:
         """End it."""
-        self._handle.destroy_when_not_in_use()
+        self._raw.destroy_when_not_in_use()
 
-    def _fitting_subscribers(self):
+    def _fitting_subscribers(self) -> list[TopicEndpointInfo]:
         return [
             info
             for info in self._graph.subscribers(self._topic)
@@ -113,14 +128,14 @@ class Publisher:
 class Repeat:
     """Repeated publishing of one message."""
 
-    def __init__(self, publisher, message):
+    def __init__(self, publisher: Publisher, message: bytes) -> None:
         self.sent = 0
         self.late = 0
         self.started = time.monotonic()
         self._publisher = publisher
         self._message = message
 
-    def run(self, rate_hz, duration_s):
+    def run(self, rate_hz: float, duration_s: float) -> Steps[None]:
         """Steps that publish at the rate; periods that were missed are counted and not made up for."""
         period = 1.0 / rate_hz
         self._publish()
@@ -131,15 +146,15 @@ class Repeat:
         while True:
             due += period
             behind_s = min(time.monotonic(), end) - due  # there are no periods after the end
-            missed = int(max(0.0, behind_s) / period + 1e-6)
+            missed = int(max(0.0, behind_s) / period + ROUNDING)
             self.late += missed
             due += missed * period
             yield max(0.0, min(due, end) - time.monotonic())
-            if due >= end - period * 1e-6:
+            if due >= end - period * ROUNDING:
                 return
             self._publish()
 
-    def _publish(self):
+    def _publish(self) -> None:
         self._publisher.publish(self._message)
         self.sent += 1
 
@@ -147,12 +162,13 @@ class Repeat:
 class Publishers:
     """Pooled publishers and what is done with them."""
 
-    def __init__(self, graph, failsafes):
+    def __init__(self, node: Node, graph: Graph, failsafes: FailSafes) -> None:
+        self._node = node
         self._graph = graph
         self._failsafes = failsafes
-        self.pool = Pool(lambda publisher: publisher.destroy())
+        self.pool: Pool[Hashable, Publisher] = Pool(Publisher.destroy)
 
-    def publish(self, request):
+    def publish(self, request: Request) -> Steps[PublishReply]:
         """Publish once, when those who listen are matched, and wait for their acknowledgement."""
         wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
         started = time.monotonic()
@@ -162,7 +178,7 @@ class Publishers:
         waited_s = round(time.monotonic() - started, 6)
         return {"matched": matched, "acked": acked, "created": created, "waited_s": waited_s}
 
-    def repeat(self, request):
+    def repeat(self, request: Request) -> Steps[RepeatReply]:
         """Publish at a rate for a while, then the final message."""
         rate_hz, duration_s = request.rate(), request.number("duration_s")
         wait_match_s = request.number("wait_match_s", 0.0)
@@ -193,12 +209,13 @@ class Publishers:
             "cancelled": cancelled,
         }
 
-    def failsafe(self, request):
+    def failsafe(self, request: Request) -> Steps[dict[str, bool]]:
         """A message to publish at the end, unless the request is cancelled before."""
         with self._use(request) as (publisher, _):
-            return (yield from self._failsafes.until_cancelled(request, partial(publisher.publish_last, request.body)))
+            action = partial(publisher.publish_last, request.body)
+            return (yield from self._failsafes.until_cancelled(request, action))
 
-    def _use(self, request):
+    def _use(self, request: Request) -> AbstractContextManager[tuple[Publisher, bool]]:
         """The pooled publisher that a request names: a context of it and whether it was created for it."""
         key = (request.text("topic"), request.text("type"), tuple(sorted(request.qos().items())))
-        return self.pool.use(key, lambda: Publisher(self._graph, request))
+        return self.pool.use(key, lambda: Publisher(self._node, self._graph, request))

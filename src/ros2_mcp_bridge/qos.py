@@ -1,7 +1,10 @@
-# pyright: basic
 """Quality of service: between the stream's JSON and rclpy's profiles."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from typing import TYPE_CHECKING, TypeVar
 
 from rclpy.qos import (
     QoSDurabilityPolicy,
@@ -10,12 +13,20 @@ from rclpy.qos import (
     QoSReliabilityPolicy,
 )
 
+from .protocol import EndpointQoS
 from .request import OperationError
 
-INFINITE_NS = 2**63 - 1
+if TYPE_CHECKING:
+    from rclpy.duration import Duration
+
+P = TypeVar("P", bound=IntEnum)
+
+INFINITE_NS = 2**63 - 1  # as rmw spells it
+# More than any queue that fits into memory: no limit.
+MAX_DEPTH = 1_000_000
 
 
-def profile(qos, min_depth=1, max_depth=1_000_000):
+def profile(qos: Mapping[str, object], min_depth: int = 1, max_depth: int = MAX_DEPTH) -> QoSProfile:
     """An rclpy profile of a request's `qos` object, its depth within the limits.
 
     Raises `OperationError` of kind `bad_request`.
@@ -31,7 +42,7 @@ def profile(qos, min_depth=1, max_depth=1_000_000):
     )
 
 
-def describe(profile_found):
+def describe(profile_found: QoSProfile) -> EndpointQoS:
     """The `qos` object of an endpoint; what the middleware does not tell is "unknown", infinity is None."""
     history = profile_found.history.name.lower()
     return {
@@ -46,7 +57,7 @@ def describe(profile_found):
     }
 
 
-def offers_enough(offered, requested):
+def offers_enough(offered: QoSProfile, requested: QoSProfile) -> bool:
     """Whether a publisher of one profile can match a subscriber of another, by reliability and durability."""
     return not (
         (offered.reliability.name == "BEST_EFFORT" and requested.reliability.name == "RELIABLE")
@@ -54,13 +65,13 @@ def offers_enough(offered, requested):
     )
 
 
-def _policy(policies, qos, name, default, choices):
+def _policy(policies: type[P], qos: Mapping[str, object], name: str, default: str, choices: Sequence[str]) -> P:
     value = qos.get(name, default)
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         raise OperationError("bad_request", f"qos: {name} is {value!r}, expected one of {', '.join(choices)}.")
     return policies[value.upper()]
 
 
-def _nanoseconds(duration):
+def _nanoseconds(duration: Duration) -> int | None:
     # 0 is how rmw spells "not specified", which means infinite for all three
     return None if duration.nanoseconds in (0, INFINITE_NS) else duration.nanoseconds

@@ -1,4 +1,3 @@
-# pyright: basic
 """Relays: the messages of one topic appear on another, as bytes, for a while.
 
 A relay without a source is fed by the server, which sees values and so can compare and change them.
@@ -8,16 +7,30 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
+from typing import TYPE_CHECKING
 
 from . import qos
+from .failsafes import FailSafes
+from .graph import Graph
+from .loop import Loop
+from .protocol import RelayCounts, RelayEnd, RelayFeedReply, RelayReply, RelaysReply
 from .publishers import Publisher
-from .request import Cancelled, OperationError
+from .request import Cancelled, OperationError, Request, Steps
 from .rhythm import Rhythm
+from .stream import Sample
 from .subscriptions import DEPTH_FOR_ALL, DRAIN_AT_MOST_S, DRAIN_PERIOD_S, LAST_DRAIN_S, RawSubscription
 
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+# A relay that is fed has nothing to do but to see that its time is over.
 FED_PERIOD_S = 0.25
+# Who publishes is looked up only while nobody is matched.
 LOOK_EVERY_S = 0.1
+# A burst must fit while a subscriber is slow; a relay that drives has 1 (decision 10).
 DEPTH = 100
+# As for repetitions, only the first message is waited for; a relay begins more rarely and has more to lose. Chosen.
 FIRST_ACK_S = 1.0
 # Fast DDS asks every 3 s for what is missing; who discovered us late gets it all then.
 LAST_ACK_S = 3.5
@@ -29,20 +42,20 @@ class FollowedSource:
     Its QoS is the strongest that every publisher offers.
     """
 
-    def __init__(self, graph, request):
+    def __init__(self, node: Node, graph: Graph, request: Request) -> None:
         self._graph = graph
         self._topic, self._type = request.text("source"), request.text("type")
-        self._open = lambda profile: RawSubscription(graph, self._topic, request.interface, profile)
+        self._open = partial(RawSubscription, node, graph, self._topic, request.interface)
         self._look_at = 0.0
-        self._chosen = None
-        self.source = None
+        self._chosen: dict[str, str] | None = None
+        self.subscription: RawSubscription | None = None
 
-    def look(self):
+    def look(self) -> None:
         """Every now and then, where nobody is matched: subscribe in a way that matches those who are there."""
         if time.monotonic() < self._look_at:
             return
         self._look_at = time.monotonic() + LOOK_EVERY_S
-        if self.source is not None and self.source.publisher_count():
+        if self.subscription is not None and self.subscription.publisher_count():
             return
         profiles = [p.qos_profile for p in self._graph.publishers(self._topic) if p.topic_type == self._type]
         reliable = all(profile.reliability.name == "RELIABLE" for profile in profiles)
@@ -53,29 +66,26 @@ class FollowedSource:
         }
         if profiles and chosen != self._chosen:
             self._chosen = chosen
-            self._subscribe(qos.profile(chosen, DEPTH_FOR_ALL))
+            self.destroy()
+            lost = self.subscription.lost if self.subscription else 0
+            self.subscription = self._open(qos.profile(chosen, DEPTH_FOR_ALL))
+            self.subscription.lost = lost
 
-    def destroy(self):
+    def destroy(self) -> None:
         """End receiving."""
-        if self.source is not None:
-            self.source.destroy()
-
-    def _subscribe(self, profile):
-        self.destroy()
-        lost = self.source.lost if self.source else 0
-        self.source = self._open(profile)
-        self.source.lost = lost
+        if self.subscription is not None:
+            self.subscription.destroy()
 
 
 class Relay:
     """One relay with its entities and counts: `passed` messages were published, `dropped` held back by the rate."""
 
-    def __init__(self, graph, loop, request):
+    def __init__(self, node: Node, graph: Graph, loop: Loop, request: Request) -> None:
         # A depth of 1 is acknowledged at once (see `Publisher`), which the final message needs; else a burst must fit.
         self._is_unheard = bool(request.body)
         self._rhythm = Rhythm(request.rate()) if request.has("rate_hz") else None
-        self._source = FollowedSource(graph, request) if request.has("source") else None
-        self._publisher = Publisher(graph, request, max_depth=1 if self._is_unheard else DEPTH)
+        self._source = FollowedSource(node, graph, request) if request.has("source") else None
+        self._publisher = Publisher(node, graph, request, max_depth=1 if self._is_unheard else DEPTH)
         self._loop = loop
         self._started = time.monotonic()
         self._final = b""
@@ -83,7 +93,7 @@ class Relay:
         self.passed = 0
         self.dropped = 0
 
-    def run(self, request, duration_s):
+    def run(self, request: Request, duration_s: float) -> Steps[None]:
         """Steps that relay: first wait for those who listen, so that they miss nothing."""
         yield from self._publisher.wait_match(True, request.number("wait_match_s", 0.0))
         self._final, self.is_running, self._started = request.body, True, time.monotonic()
@@ -93,13 +103,13 @@ class Relay:
             yield from self.wait_heard()
             yield max(0.0, min(pause, end - time.monotonic()))
 
-    def publish(self, data):
+    def publish(self, data: bytes) -> None:
         """Pass one message on, unless it has ended; afterwards `wait_heard`, before the next replaces it."""
         if self.is_running:
             self._publisher.publish(data)
             self.passed += 1
 
-    def wait_heard(self):
+    def wait_heard(self) -> Steps[None]:
         """Steps until the first message is acknowledged, where there is no room for a second one beside it.
 
         A subscriber learns of a new publisher a moment later than the publisher of the subscriber.
@@ -108,7 +118,7 @@ class Relay:
             self._is_unheard = False
             yield from self._publisher.wait_acknowledged(FIRST_ACK_S)
 
-    def finish(self):
+    def finish(self) -> Steps[RelayEnd]:
         """Steps that pass on what has come, send the final message and wait until that is acknowledged; its counts."""
         deadline = time.monotonic() + LAST_DRAIN_S
         while self.is_running and self._relay_waiting() == 0.0 and time.monotonic() < deadline:
@@ -118,67 +128,66 @@ class Relay:
         yield from self._publisher.wait_acknowledged(LAST_ACK_S)
         return {**counts, "final_sent": bool(self._final)}
 
-    def send_final(self):
+    def send_final(self) -> Publisher | None:
         """Send the final message, if there is one and it has begun; nothing passes any more."""
         self.is_running = False
         return self._publisher.publish_last(self._final)
 
-    def counts(self):
+    def counts(self) -> RelayCounts:
         """What became of the messages so far."""
-        source = self._source.source if self._source else None
+        subscription = self._source.subscription if self._source else None
         return {
             "running": self.is_running,
             "passed": self.passed,
             "dropped": self.dropped,
-            "lost": source.lost if source else 0,
-            "publishers": source.publisher_count() if source else 0,
+            "lost": subscription.lost if subscription else 0,
+            "publishers": subscription.publisher_count() if subscription else 0,
             "matched": self._publisher.matched(),
             "elapsed_s": round(time.monotonic() - self._started, 6),
         }
 
-    def destroy(self):
+    def destroy(self) -> None:
         """End it."""
         if self._source is not None:
             self._source.destroy()
         self._publisher.destroy()
 
-    def _relay_waiting(self):
+    def _relay_waiting(self) -> float:
         """Relay what the middleware holds, from whoever publishes; returns when to come again, in seconds."""
         if self._source is None:
             return FED_PERIOD_S
         self._source.look()
-        source, started = self._source.source, time.monotonic()
-        if source is None:
+        subscription, started = self._source.subscription, time.monotonic()
+        if subscription is None:
             return DRAIN_PERIOD_S
-        if not source.drain(self._take_in, self._loop.turn_of(DRAIN_AT_MOST_S)):
+        if not subscription.drain(self._take_in, self._loop.turn_of(DRAIN_AT_MOST_S)):
             return 0.0
-        source.check_publishers()
+        subscription.check_publishers()
         return started + DRAIN_PERIOD_S - time.monotonic()
 
-    def _take_in(self, sample):
+    def _take_in(self, sample: Sample) -> bool:
         """Relay one sample; true where it must be heard before the next."""
-        if self._rhythm is None or self._rhythm.passes(sample[0]):
-            self.publish(sample[3])
+        if self._rhythm is None or self._rhythm.passes(sample.received_ns):
+            self.publish(sample.data)
         else:
             self.dropped += 1
-        return self._is_unheard and self.passed
+        return self._is_unheard and self.passed > 0
 
 
 class Relays:
     """All relays of the bridge, by the names that the server gave them."""
 
-    def __init__(self, graph, loop, failsafes):
-        self._graph = graph
-        self._loop = loop
+    def __init__(self, node: Node, graph: Graph, loop: Loop, failsafes: FailSafes) -> None:
+        self._create = partial(Relay, node, graph, loop)
         self._failsafes = failsafes
-        self._open = {}
+        self._open: dict[str, Relay] = {}
 
-    def relay(self, request):
+    def relay(self, request: Request) -> Steps[RelayReply]:
         """Relay until its time is over or the request is cancelled, then send the final message."""
         name, duration_s, cancelled = request.text("name"), request.number("duration_s", 0.0), False
         if name in self._open:
             raise OperationError("bad_request", f"There is a relay {name!r} already.")
-        relay = self._open[name] = Relay(self._graph, self._loop, request)
+        relay = self._open[name] = self._create(request)
         try:
             with self._failsafes.in_force(request, relay.send_final):
                 try:
@@ -193,7 +202,7 @@ class Relays:
             relay.destroy()
         return {**counts, "cancelled": cancelled}
 
-    def feed(self, request):
+    def feed(self, request: Request) -> Steps[RelayFeedReply]:
         """Publish messages through a relay of that name: the body is one after the other, of these sizes."""
         relay, offset = self._open.get(request.text("name")), 0
         if relay is None or not relay.is_running:
@@ -204,11 +213,11 @@ class Relays:
             offset += size
         return {"passed": relay.passed}
 
-    def counts(self, _request):
+    def counts(self, _request: Request) -> RelaysReply:
         """What became of the messages of every relay so far."""
         return {"relays": {name: relay.counts() for name, relay in self._open.items()}}
 
-    def clear(self):
+    def clear(self) -> None:
         """End all."""
         while self._open:
             self._open.popitem()[1].destroy()

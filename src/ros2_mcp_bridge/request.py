@@ -1,21 +1,36 @@
-# pyright: basic
 """One request of the server with its arguments checked, and the error that answers a request that failed."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Union, cast
+
 from .limits import MAX_RATE_HZ
+
+if TYPE_CHECKING:
+    from typing import TypeGuard
+
+    from .protocol import ErrorKind, Failure
+
+T = TypeVar("T")
+
+Steps = Generator[float, None, T]
+"""What an operation that waits is: it yields the seconds after which it wants to go on, and returns its result."""
+
+Answer = Union[Mapping[str, object], "tuple[Mapping[str, object], bytes]", None]
+"""The `ok` part of an answer, with a body where there is one; None where the answer is sent by other means."""
 
 
 class OperationError(Exception):
-    """Answers a request with an error; `kind` is one of the kinds in docs/reference/stream.md."""
+    """Answers a request with an error."""
 
-    def __init__(self, kind, message, hint=""):
+    def __init__(self, kind: ErrorKind, message: str, hint: str = "") -> None:
         super().__init__(message)
-        self.kind = kind
+        self.kind: ErrorKind = kind
         self.message = message
         self.hint = hint
 
-    def as_json(self):
+    def as_json(self) -> Failure:
         """The `error` part of the answer."""
         return {"kind": self.kind, "message": self.message, "hint": self.hint}
 
@@ -23,8 +38,20 @@ class OperationError(Exception):
 class Cancelled(OperationError):
     """Thrown into an operation when the server cancels its request."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__("cancelled", "The request was cancelled.")
+
+
+class Work(Protocol):
+    """What works on a request: a `Task` of the loop."""
+
+    def wake(self) -> None:
+        """Let it go on at once."""
+        ...
+
+    def throw(self, error: Exception) -> None:
+        """Raise an exception where it waits."""
+        ...
 
 
 class Request:
@@ -34,74 +61,95 @@ class Request:
     long as it can be cancelled.
     """
 
-    interface = None
-    task = None
-
-    def __init__(self, header, body):
-        self.id = header.get("id")
-        self.op = header.get("op")
+    def __init__(self, header: Mapping[str, Any], body: bytes) -> None:
+        self.id: int | None = header.get("id")
+        self.op: str = header.get("op") or ""
         self.body = body
+        self.interface: Any = None
+        self.task: Work | None = None
         self._header = header
 
-    def wake(self):
+    def wake(self) -> None:
         """Let the operation look again at once at what it waits for."""
         if self.task is not None:
             self.task.wake()
 
-    def cancel(self):
+    def cancel(self) -> bool:
         """End the operation; returns whether it did. A second time does nothing, it may be finishing its work."""
         task, self.task = self.task, None
         if task is not None:
             task.throw(Cancelled())
         return task is not None
 
-    def text(self, name):
+    def text(self, name: str) -> str:
         """A required string that is not empty."""
-        return self._required(name, "a string that is not empty", lambda value: isinstance(value, str) and value)
+        return self._required(name, "a string that is not empty", _is_text)
 
-    def texts(self, name):
+    def texts(self, name: str) -> list[str]:
         """A required list of strings."""
-        return self._required(name, "a list of strings", lambda value: _is_list_of(str, value))
+        return self._required(name, "a list of strings", _is_list_of_texts)
 
-    def number(self, name, default=None):
+    def number(self, name: str, default: float | None = None) -> float:
         """A number that is not negative; the default where it is absent or null, an error if there is no default."""
         if default is not None and not self.has(name):
             return default
         return self._required(name, "a number that is not negative", _is_number)
 
-    def rate(self):
+    def rate(self) -> float:
         """The required `rate_hz`."""
-        expected = f"a number above 0, up to {MAX_RATE_HZ:g}"
-        return self._required("rate_hz", expected, lambda value: _is_number(value) and 0 < value <= MAX_RATE_HZ)
 
-    def sizes(self, name):
+        def is_rate(value: object) -> TypeGuard[float]:
+            return _is_number(value) and 0 < value <= MAX_RATE_HZ
+
+        return self._required("rate_hz", f"a number above 0, up to {MAX_RATE_HZ:g}", is_rate)
+
+    def sizes(self, name: str) -> list[int]:
         """The required sizes of the parts that the body is made of."""
         size = len(self.body)
-        expected = f"a list of sizes that add up to the body's {size} bytes"
-        return self._required(name, expected, lambda value: _is_list_of(int, value) and sum(value) == size)
 
-    def choice(self, name, choices):
+        def add_up(value: object) -> TypeGuard[list[int]]:
+            return _is_list_of_sizes(value) and sum(value) == size
+
+        return self._required(name, f"a list of sizes that add up to the body's {size} bytes", add_up)
+
+    def choice(self, name: str, choices: Sequence[str]) -> str:
         """A required string out of `choices`."""
-        return self._required(name, "one of " + ", ".join(choices), lambda value: value in choices)
 
-    def has(self, name):
+        def is_one(value: object) -> TypeGuard[str]:
+            return value in choices
+
+        return self._required(name, "one of " + ", ".join(choices), is_one)
+
+    def has(self, name: str) -> bool:
         """Whether the argument is there and not null."""
         return self._header.get(name) is not None
 
-    def qos(self):
+    def qos(self) -> Mapping[str, object]:
         """A required object of policies."""
-        return self._required("qos", "an object", lambda value: isinstance(value, dict))
+        return self._required("qos", "an object", _is_object)
 
-    def _required(self, name, expected, fits):
-        value = self._header.get(name)
+    def _required(self, name: str, expected: str, fits: Callable[[object], TypeGuard[T]]) -> T:
+        value: object = self._header.get(name)
         if not fits(value):
             raise OperationError("bad_request", f"{self.op}: {name} is {value!r}, expected {expected}.")
         return value
 
 
-def _is_number(value):
+def _is_text(value: object) -> TypeGuard[str]:
+    return isinstance(value, str) and value != ""
+
+
+def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and value >= 0
 
 
-def _is_list_of(kind, value):
-    return isinstance(value, list) and all(isinstance(each, kind) for each in value)
+def _is_list_of_texts(value: object) -> TypeGuard[list[str]]:
+    return isinstance(value, list) and all(isinstance(item, str) for item in cast("list[object]", value))
+
+
+def _is_list_of_sizes(value: object) -> TypeGuard[list[int]]:
+    return isinstance(value, list) and all(isinstance(item, int) for item in cast("list[object]", value))
+
+
+def _is_object(value: object) -> TypeGuard[Mapping[str, object]]:
+    return isinstance(value, dict)

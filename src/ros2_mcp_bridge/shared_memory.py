@@ -1,4 +1,3 @@
-# pyright: basic
 """Whether the shared memory that messages come through is still the one that others find.
 
 Fast DDS lets a participant receive through `/dev/shm/fastrtps_portN`, where N is the UDP port that it would use for the
@@ -19,19 +18,19 @@ _LOCK_OF_A_PORT = re.compile(r"/dev/shm/fast\w+_port(\d+)_el")
 _MAPPED_PORT = re.compile(r"/dev/shm/fast\w+_port(\d+)( \(deleted\))?$", re.MULTILINE)
 
 
-def is_lost(domain_id):
+def is_lost(domain_id: int) -> bool:
     """Whether this process waits at a port of a domain whose file has been replaced or removed."""
     maps = Path("/proc/self/maps")
     if not maps.exists():
         return False
-    found = _MAPPED_PORT.findall(maps.read_text())
+    found: list[tuple[str, str]] = _MAPPED_PORT.findall(maps.read_text())
     removed = {port for port, deleted in found if deleted} - {port for port, deleted in found if not deleted}
     return any(int(port) in ports_of(domain_id) for port in removed & _own_ports())
 
 
-def _own_ports():
+def _own_ports() -> set[str]:
     """Who listens at a port keeps its lock file open."""
-    ports = set()
+    ports: set[str] = set()
     for descriptor in Path("/proc/self/fd").iterdir():
         with suppress(OSError):  # that of the listing itself is closed by now
             lock = _LOCK_OF_A_PORT.match(os.readlink(str(descriptor)))  # noqa: PTH115 - Path's is newer than 3.8

@@ -44,8 +44,9 @@ def test_every_module_says_what_it_is() -> None:
     assert [path for path, tree in trees().items() if not ast.get_docstring(tree)] == []
 
 
-def test_the_server_is_checked_strictly() -> None:
-    relaxed = [path for path in trees() if path.startswith("src/ros2_mcp/") and _pyright_mode(path)]
+def test_server_and_bridge_are_checked_strictly() -> None:
+    strict = ("src/ros2_mcp/", "src/ros2_mcp_bridge/")
+    relaxed = [path for path in trees() if path.startswith(strict) and _pyright_mode(path)]
     assert relaxed == []
 
 

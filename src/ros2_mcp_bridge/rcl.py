@@ -1,0 +1,99 @@
+"""What of rclpy has no types, or lies below its public classes, typed here: the only place that knows those parts.
+
+The endpoints are those of rclpy's C++ part. No executor knows them, so that publishing and receiving cost no Python of
+rclpy's; see decision 7.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.serialization import (
+    deserialize_message,  # pyright: ignore[reportUnknownVariableType]
+    serialize_message,  # pyright: ignore[reportUnknownVariableType]
+)
+
+if TYPE_CHECKING:
+    from rclpy.client import Client
+    from rclpy.node import Node
+    from rclpy.qos import QoSProfile
+
+RCLError: type[Exception] = rclpy_implementation.RCLError
+
+
+class RawPublisher(Protocol):
+    """Publishes serialized messages."""
+
+    def publish_raw(self, data: bytes) -> None:
+        """Hand one message to the middleware."""
+        ...
+
+    def get_subscription_count(self) -> int:
+        """The number of matched subscribers."""
+        ...
+
+    def wait_for_all_acked(self, timeout: object) -> bool:
+        """Whether every reliable subscriber has acknowledged everything within the time."""
+        ...
+
+    def destroy_when_not_in_use(self) -> None:
+        """End it."""
+        ...
+
+
+class RawSubscription(Protocol):
+    """Receives serialized messages."""
+
+    def take_message(self, interface: Any, raw: bool) -> tuple[bytes, dict[str, Any]] | None:
+        """The next message that waits, with what the middleware tells of it."""
+        ...
+
+    def destroy_when_not_in_use(self) -> None:
+        """End it."""
+        ...
+
+
+class Response(Protocol):
+    """The future of a service's response."""
+
+    def done(self) -> bool:
+        """Whether it is there."""
+        ...
+
+    def result(self) -> Any:
+        """The response."""
+        ...
+
+
+def publisher(node: Node, interface: Any, topic: str, profile: QoSProfile) -> RawPublisher:
+    """A new publisher of a node."""
+    with node.handle:
+        return rclpy_implementation.Publisher(node.handle, interface, topic, profile.get_c_qos_profile())
+
+
+def subscription(node: Node, interface: Any, topic: str, profile: QoSProfile) -> RawSubscription:
+    """A new subscription of a node."""
+    with node.handle:
+        return rclpy_implementation.Subscription(node.handle, interface, topic, profile.get_c_qos_profile())
+
+
+def client(node: Node, interface: Any, service: str, profile: QoSProfile) -> Client:
+    """A new client of a node, which its executor knows."""
+    return node.create_client(interface, service, qos_profile=profile)  # pyright: ignore[reportUnknownMemberType]
+
+
+def is_acknowledged(raw: RawPublisher) -> bool:
+    """Whether every reliable subscriber has acknowledged everything; waits for nothing."""
+    return raw.wait_for_all_acked(Duration(seconds=0)._duration_handle)  # pyright: ignore[reportPrivateUsage]
+
+
+def serialize(message: Any) -> bytes:
+    """The CDR of a message."""
+    return serialize_message(message)
+
+
+def deserialize(data: bytes, message_class: Any) -> Any:
+    """The message of that class in CDR; the middlewares raise errors of many kinds."""
+    return deserialize_message(data, message_class)
