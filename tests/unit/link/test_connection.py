@@ -11,24 +11,9 @@ from ros2_mcp.link.connection import Connection
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BridgeLost, BridgeRefused, LinkError
 from ros2_mcp.model.samples import Counts
-from ros2_mcp_bridge.packets import PacketError, PacketReader, pack
 from support.stream_peer import Peer, connected
 
 Play = Callable[[Coroutine[Any, Any, None]], None]
-
-
-def test_packets_come_whole_out_of_pieces_of_any_size() -> None:
-    sent = pack({"id": 1}, b"body") + pack({"id": 2}) + pack({"id": 3}, bytes(1000))
-    for size in (1, 7, 100, len(sent)):
-        reader = PacketReader()
-        pieces = [sent[at : at + size] for at in range(0, len(sent), size)]
-        packets = [packet for piece in pieces for packet in reader.feed(piece)]
-        assert packets == [({"id": 1}, b"body"), ({"id": 2}, b""), ({"id": 3}, bytes(1000))]
-
-
-def test_a_packet_larger_than_allowed_is_refused_before_it_is_collected() -> None:
-    with pytest.raises(PacketError):
-        list(PacketReader().feed(b"\xff" * 8))
 
 
 async def test_answers_find_their_askers_in_any_order() -> None:
