@@ -14,8 +14,8 @@ from ros2_mcp.model.goals import TERMINAL, goal_id_hex
 from ros2_mcp.model.names import is_hidden
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import log
+from ros2_mcp.ops.actions import STATUS_TYPE
 from ros2_mcp.ops.diagnostics import DIAGNOSTICS, DiagnosticTable
-from ros2_mcp.ops.goal_states import STATUS_TYPE
 from ros2_mcp.robot import Listening, Robot, TopicEndpoints
 
 POLL_S = 0.25

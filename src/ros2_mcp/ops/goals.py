@@ -1,4 +1,4 @@
-"""Sending goals and waiting for their results, through the services and topics under `<action>/_action/`."""
+"""Goals: sending and cancelling them, and waiting for their results."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
-from ros2_mcp.model.commands import SendGoal
-from ros2_mcp.model.errors import LinkError, NotFound, RobotError, TimedOut
+from ros2_mcp.model.commands import CancelGoals, SendGoal
+from ros2_mcp.model.errors import BadValue, LinkError, NotFound, RobotError, TimedOut
 from ros2_mcp.model.goals import (
+    CANCEL_CODES,
     STATUS,
     TERMINAL,
     goal_id_bytes,
@@ -21,18 +22,27 @@ from ros2_mcp.model.goals import (
     new_goal_id,
 )
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.cancelling import cancel_sent
-from ros2_mcp.ops.goal_states import states_now
+from ros2_mcp.ops.actions import SERVER_S, states_now
 from ros2_mcp.ops.results import Report, in_words, reporting, silent
 from ros2_mcp.robot import Answer, Listening, Robot
 
 MAX_WAIT_S = 3600.0
-SERVER_S = 3.0
+"""What takes longer is asked for again: the goal goes on meanwhile."""
 ACCEPT_S = 10.0
+"""A server that is alive says at once whether it takes a goal; of one that thinks longer the caller is told."""
+ENDED_ALREADY = 3
+UNKNOWN_GOAL = 2
+"""These two are codes of action_msgs/srv/CancelGoal (`CANCEL_CODES`)."""
 _STATUS_AFTER_S = 1.0
+"""Answers come within milliseconds; after this the action's status is looked at, in case the answer was lost."""
 _STATUS_EVERY_S = 3.0
+"""Looking costs a subscription each time; a result whose answer was lost comes that much later."""
 _AT_LEAST_S = 0.1
+"""A service call needs some time even if none is left, so that a result that is there comes."""
 _LAST_FEEDBACK_S = 0.02
+"""Feedback and result come on different ways: what was sent before the result may arrive a little after it."""
+_AGAIN_S = 0.1
+"""Between requests to cancel a goal that its server has yet to accept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,3 +330,83 @@ async def _is_lost(robot: Robot, action: str, goal_id: str, asking: asyncio.Futu
         if goal_id in ended:
             return not (await asyncio.wait({asking}, timeout=_STATUS_AFTER_S))[0]
     return False
+
+
+@dataclass(frozen=True, slots=True)
+class CancelledGoal:
+    """A goal that the server is cancelling."""
+
+    goal_id: str
+    stamp: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Cancellation:
+    """The server's answer to a cancel request."""
+
+    service: str
+    return_code: int
+    return_code_text: str
+    goals_canceling: Sequence[CancelledGoal]
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        refused = f"{self.return_code_text}: " if self.return_code else ""
+        return f"{refused}{len(self.goals_canceling)} goal(s) are being cancelled. {self.note}".rstrip()
+
+
+async def cancel(
+    robot: Robot,
+    action: str,
+    goal_id: str = "",
+    *,
+    cancel_all: bool = False,
+    stamp: Mapping[str, int] | None = None,
+    timeout_s: float = 3.0,
+) -> Cancellation:
+    """Asks the server to cancel one goal, all goals, or all that were accepted up to a stamp.
+
+    Raises:
+        BadValue: if there is neither a goal id nor `cancel_all`.
+        NotFound: if no such action is there.
+        TimedOut: if the server did not answer.
+    """
+    action = names.absolute(action, "action")
+    if not goal_id and not cancel_all:
+        raise BadValue("goal_id_hex", "no goal is named.", "Give its id, or set cancel_all to cancel every goal.")
+    goal_id = "" if cancel_all else goal_id_hex(goal_id_bytes(goal_id))
+    await robot.types.action(action)
+    command = CancelGoals(principal=robot.principal, name=action, goal_id=goal_id, stamp=stamp, timeout_s=timeout_s)
+    response = robot.fields_of(await robot.do(command))
+    code = int(response["return_code"])
+    goals = [CancelledGoal(goal_id_hex(goal["goal_id"]["uuid"]), goal["stamp"]) for goal in response["goals_canceling"]]
+    return Cancellation(command.service, code, CANCEL_CODES.get(code, str(code)), goals, _note(code, goals, cancel_all))
+
+
+async def cancel_sent(robot: Robot, action: str, goal_id: str, within_s: float) -> Cancellation:
+    """Cancels a goal of ours; asks again, for so long, while its server has yet to accept it and so does not know it.
+
+    Raises:
+        NotFound: if no such action is there.
+        TimedOut: if the server did not answer.
+    """
+    deadline = monotonic() + within_s
+    while True:
+        is_on_its_way = robot.goals.is_on_its_way(goal_id)
+        answer = await cancel(robot, action, goal_id)
+        if answer.return_code != UNKNOWN_GOAL or not is_on_its_way or monotonic() > deadline:
+            return answer
+        await asyncio.sleep(_AGAIN_S)
+
+
+def _note(code: int, goals: Sequence[CancelledGoal], cancel_all: bool) -> str:
+    if code == 0 and goals:
+        return "A goal ends when the server has stopped it: ros2_action_request_result tells."
+    notes: Mapping[int, str] = {
+        0: "Nothing was running, or the server refuses." if cancel_all else "The server refuses to cancel this goal.",
+        1: "The server refuses to cancel.",
+        UNKNOWN_GOAL: "The server does not know such a goal.",
+        ENDED_ALREADY: "The goal had ended already.",
+    }
+    return notes.get(code, "")

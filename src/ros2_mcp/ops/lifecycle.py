@@ -8,14 +8,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names
-from ros2_mcp.model.commands import Answer, ChangeState
+from ros2_mcp.model.commands import ChangeState
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError, TimedOut
+from ros2_mcp.ops.nodes import ask_node
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.translation import CHANGE_STATE
 
 TIMEOUT_S = 5.0
+"""A node that spins answers within milliseconds."""
 CHANGE_S = 30.0
+"""A transition may start hardware: drivers take seconds to configure."""
 _APPEAR_S = 1.0
+"""For a service of a node that has only just come up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +83,7 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
     if transition not in before.transitions:
         possible = ", ".join(before.transitions) or "nothing"
         raise BadInput(f"{node} is {before.state}: {transition!r} is not possible.", f"Possible now: {possible}.")
-    available = await _call(robot, node, "get_available_transitions")
+    available = await _call(robot, node, "GetAvailableTransitions")
     offered = [entry["transition"] for entry in available["available_transitions"]]
     chosen = next((entry for entry in offered if entry["label"] == transition), {"id": 0, "label": transition})
     command = ChangeState(
@@ -93,7 +97,7 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
         timeout_s=CHANGE_S,
         wait_s=_APPEAR_S,
     )
-    response = await _answer_of(robot, node, robot.do(command), CHANGE_S)
+    response = await _told(robot, node, _done(robot, command), CHANGE_S)
     after = await _state(robot, node)
     return Transition(node, transition, response["success"], before.state, after.state, after.transitions)
 
@@ -113,22 +117,25 @@ async def _state_or_error(robot: Robot, node: str) -> LifecycleState:
 
 async def _state(robot: Robot, node: str) -> LifecycleState:
     current, available = await asyncio.gather(
-        _call(robot, node, "get_state"), _call(robot, node, "get_available_transitions")
+        _call(robot, node, "GetState"), _call(robot, node, "GetAvailableTransitions")
     )
     labels = [entry["transition"]["label"] for entry in available["available_transitions"]]
     return LifecycleState(node, current["current_state"]["label"], sorted(set(labels)))
 
 
-async def _call(robot: Robot, node: str, service: str) -> dict[str, Any]:
-    kind = "lifecycle_msgs/srv/" + "".join(word.capitalize() for word in service.split("_"))
-    asking = robot.ask_service(f"{node}/{service}", kind, {}, timeout_s=TIMEOUT_S, wait_s=_APPEAR_S)
-    return await _answer_of(robot, node, asking, TIMEOUT_S)
+async def _call(robot: Robot, node: str, kind: str) -> dict[str, Any]:
+    kind = f"lifecycle_msgs/srv/{kind}"
+    return await _told(robot, node, ask_node(robot, node, kind, {}, timeout_s=TIMEOUT_S, wait_s=_APPEAR_S), TIMEOUT_S)
 
 
-async def _answer_of(robot: Robot, node: str, asking: Awaitable[Answer], timeout_s: float) -> dict[str, Any]:
-    """The response in full; what went wrong is told of the node."""
+async def _done(robot: Robot, command: ChangeState) -> dict[str, Any]:
+    return robot.fields_of(await robot.do(command))
+
+
+async def _told(robot: Robot, node: str, asking: Awaitable[dict[str, Any]], timeout_s: float) -> dict[str, Any]:
+    """The response; what went wrong is told of the node."""
     try:
-        return robot.fields_of(await asking)
+        return await asking
     except NotFound as error:
         known = await _lifecycle_nodes(robot)
         hint = names.did_you_mean(node, known, f"Lifecycle nodes: {', '.join(known) or 'none'}.")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from ros2_mcp.model.graph import NamedTypes, NodeEndpoints
 from ros2_mcp.robot import Robot
 
 ANSWER_S = 0.4
+"""A node that spins answers within milliseconds; what else is told of it must not wait for one that does not."""
 _PARAMETER_SERVICES = (
     "describe_parameters",
     "get_parameter_types",
@@ -103,19 +105,34 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
         raise NotFound(f"There is no node {full}.", hint) from error
     served = {entry.name for entry in found.servers}
     listed, current = await asyncio.gather(
-        _ask(robot, served, f"{full}/list_parameters", "rcl_interfaces/srv/ListParameters"),
-        _ask(robot, served, f"{full}/get_state", "lifecycle_msgs/srv/GetState"),
+        _at_once(robot, full, "rcl_interfaces/srv/ListParameters", served),
+        _at_once(robot, full, "lifecycle_msgs/srv/GetState", served),
     )
     parameters = None if listed is None else len(listed["result"]["names"])
     return _assemble(full, found, parameters, None if current is None else current["current_state"]["label"])
 
 
-async def _ask(robot: Robot, served: set[str], service: str, kind: str) -> dict[str, Any] | None:
-    """The answer of a service that the node has; None where it has not, or does not answer at once."""
-    if service not in served:
+async def ask_node(
+    robot: Robot, node: str, kind: str, request: Mapping[str, Any], *, timeout_s: float, wait_s: float | None = None
+) -> dict[str, Any]:
+    """The response, in full, of the service of a node whose name follows from its type: `GetState` is `get_state`.
+
+    Raises as `Robot.ask_service`.
+    """
+    answer = await robot.ask_service(_service_of(node, kind), kind, request, timeout_s=timeout_s, wait_s=wait_s)
+    return robot.fields_of(answer)
+
+
+def _service_of(node: str, kind: str) -> str:
+    return f"{node}/{re.sub(r'(?<=[a-z])(?=[A-Z])', '_', kind.rpartition('/')[2]).lower()}"
+
+
+async def _at_once(robot: Robot, node: str, kind: str, served: set[str]) -> dict[str, Any] | None:
+    """The same; None where the node has no such service, or does not answer at once."""
+    if _service_of(node, kind) not in served:
         return None
     try:
-        return robot.fields_of(await robot.ask_service(service, kind, {}, timeout_s=ANSWER_S))
+        return await ask_node(robot, node, kind, {}, timeout_s=ANSWER_S)
     except RobotError:
         return None
 

@@ -8,15 +8,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names, parameters
-from ros2_mcp.model.commands import Answer, SetParameters
+from ros2_mcp.model.commands import SetParameters
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound, RobotError, TimedOut
-from ros2_mcp.ops.nodes import list_nodes
+from ros2_mcp.ops.nodes import ask_node, list_nodes
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.translation import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
 TIMEOUT_S = 5.0
+"""A node that spins answers within milliseconds, and one that is starting up within seconds."""
 _DISCOVERY_S = 6.0
+"""How old a bridge is that has discovered the services of every node: they come up to 3 s after the nodes."""
 _APPEAR_S = 1.0
+"""For a service of a node that has only just come up, where the bridge knows the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +161,7 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
         timeout_s=TIMEOUT_S,
         wait_s=await _time_to_appear(robot),
     )
-    response = await _answer_of(robot, node, robot.do(command))
+    response = await _told(robot, node, _done(robot, command))
     results = [response["result"]] * len(messages) if atomic else response["results"]
     result_of = {message["name"]: result for message, result in zip(messages, results, strict=True)}
     now = {parameter.name: parameter.value for parameter in await _read(robot, node, list(values))}
@@ -208,7 +211,7 @@ def _check_range(name: str, value: Any, allowed: Mapping[str, Any] | None) -> No
 
 async def _allows_undeclared(robot: Robot, node: str, name: str) -> bool:
     """Whether a node answers a question for an undeclared parameter, which only nodes that allow them do."""
-    response = await _call(robot, node, "get_parameters", {"names": [name]})
+    response = await _call(robot, node, "GetParameters", {"names": [name]})
     return len(response["values"]) == 1
 
 
@@ -221,7 +224,7 @@ async def _describe_or_error(robot: Robot, node: str, pattern: str) -> NodeParam
 
 
 async def _names(robot: Robot, node: str) -> list[str]:
-    response = await _call(robot, node, "list_parameters", {"prefixes": [], "depth": 0})
+    response = await _call(robot, node, "ListParameters", {"prefixes": [], "depth": 0})
     return sorted(response["result"]["names"])
 
 
@@ -229,8 +232,8 @@ async def _read(robot: Robot, node: str, wanted: list[str]) -> list[Parameter]:
     if not wanted:
         return []
     values, descriptors = await asyncio.gather(
-        _call(robot, node, "get_parameters", {"names": wanted}),
-        _call(robot, node, "describe_parameters", {"names": wanted}),
+        _call(robot, node, "GetParameters", {"names": wanted}),
+        _call(robot, node, "DescribeParameters", {"names": wanted}),
     )
     return [
         _parameter(name, value, descriptor)
@@ -259,24 +262,25 @@ def _range(descriptor: Mapping[str, Any]) -> dict[str, Any] | None:
     return None
 
 
+async def _done(robot: Robot, command: SetParameters) -> dict[str, Any]:
+    return robot.fields_of(await robot.do(command))
+
+
 async def _time_to_appear(robot: Robot) -> float:
     """How long a service may take to be seen: the younger the bridge, the longer. Services come after their nodes."""
     return max(_APPEAR_S, _DISCOVERY_S - (await robot.graph.bridge_status()).uptime_s)
 
 
-async def _call(robot: Robot, node: str, service: str, request: Mapping[str, Any]) -> dict[str, Any]:
+async def _call(robot: Robot, node: str, kind: str, request: Mapping[str, Any]) -> dict[str, Any]:
     """One of a node's reading parameter services; the response in full."""
-    kind = "rcl_interfaces/srv/" + "".join(word.capitalize() for word in service.split("_"))
-    wait_s = await _time_to_appear(robot)
-    return await _answer_of(
-        robot, node, robot.ask_service(f"{node}/{service}", kind, request, timeout_s=TIMEOUT_S, wait_s=wait_s)
-    )
+    kind, wait_s = f"rcl_interfaces/srv/{kind}", await _time_to_appear(robot)
+    return await _told(robot, node, ask_node(robot, node, kind, request, timeout_s=TIMEOUT_S, wait_s=wait_s))
 
 
-async def _answer_of(robot: Robot, node: str, asking: Awaitable[Answer]) -> dict[str, Any]:
-    """The response in full; what went wrong is told of the node."""
+async def _told(robot: Robot, node: str, asking: Awaitable[dict[str, Any]]) -> dict[str, Any]:
+    """The response; what went wrong is told of the node."""
     try:
-        return robot.fields_of(await asking)
+        return await asking
     except NotFound as error:
         known = (await list_nodes(robot, include_hidden=True)).nodes
         if node in known:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from ros2_mcp.model.commands import Publish
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.model.goals import STATUS, TERMINAL
-from ros2_mcp.ops import cancelling, goals
+from ros2_mcp.ops import goals
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.sent_goals import SentGoal
 
@@ -137,8 +137,8 @@ async def _zero(robot: Robot, topic: str, kind: str) -> StoppedTopic:
 async def _cancel(robot: Robot, goal: SentGoal) -> StoppedGoal:
     """Cancels a goal and sees it end; one that its server does not know, or no longer, is not running."""
     try:
-        answer = await cancelling.cancel_sent(robot, goal.action, goal.goal_id, ENDED_S)
-        if answer.return_code == cancelling.UNKNOWN_GOAL and robot.goals.is_on_its_way(goal.goal_id):
+        answer = await goals.cancel_sent(robot, goal.action, goal.goal_id, ENDED_S)
+        if answer.return_code == goals.UNKNOWN_GOAL and robot.goals.is_on_its_way(goal.goal_id):
             undecided = f"The server of {goal.action} has not said whether it accepts goal {goal.goal_id}: stop again."
             return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, error=undecided)
         ended = await goals.request_result(robot, goal.action, goal.action_type, goal.goal_id, timeout_s=ENDED_S)
@@ -147,6 +147,6 @@ async def _cancel(robot: Robot, goal: SentGoal) -> StoppedGoal:
         return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, error=str(error))
     except RobotError as error:
         return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, error=str(error))
-    is_unknown = answer.return_code == cancelling.UNKNOWN_GOAL and ended.status == STATUS[0]
+    is_unknown = answer.return_code == goals.UNKNOWN_GOAL and ended.status == STATUS[0]
     confirmed = is_unknown or ended.status_code in TERMINAL
     return StoppedGoal(goal.action, goal.goal_id, ended.status, confirmed, bool(answer.goals_canceling))

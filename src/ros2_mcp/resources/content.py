@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence, Sized
 from typing import Any, cast
 
 from ros2_mcp.model.errors import NotFound, RobotError
-from ros2_mcp.ops import actions, following, interfaces, nodes, parameters, services, topics
+from ros2_mcp.ops import actions, interfaces, nodes, parameters, services, topics
 from ros2_mcp.ops import log as ops_log
 from ros2_mcp.ops.changes import Seen, TopicSamples, WorseDiagnostics
 from ros2_mcp.ops.diagnostics import read_diagnostics
@@ -54,7 +54,7 @@ async def all_services(robot: Robot, _: Watcher) -> Content:
 
 async def all_actions(robot: Robot, _: Watcher) -> Content:
     """The actions with their goals."""
-    listed, goals = await asyncio.gather(actions.list_actions(robot), following.all_goals(robot))
+    listed, goals = await asyncio.gather(actions.list_actions(robot), actions.all_goals(robot))
     return {"actions": as_json(listed.actions), "goals": as_json(goals.goals), "note": goals.note}
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ros2_mcp.ops import actions, cancelling, following, goals
+from ros2_mcp.ops import actions, goals
 from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Number, Pattern, Whole
@@ -67,9 +67,9 @@ async def ros2_cancel_action_goal(
     ] = 0,
     stamp_nanosec: Annotated[Whole, Field(ge=0, lt=1_000_000_000, description="Nanoseconds of that time.")] = 0,
     wait_timeout_sec: Annotated[Number, Field(gt=0, le=60, description="Wait at most this long for the answer.")] = 3.0,
-) -> cancelling.Cancellation:
+) -> goals.Cancellation:
     """Ask an action server to cancel a goal, or all goals."""
-    return await cancelling.cancel(
+    return await goals.cancel(
         robot,
         action_name,
         goal_id_hex,
@@ -110,9 +110,9 @@ async def ros2_action_subscribe_feedback(
     goal_id_hex: Annotated[str | None, Field(description="Only this goal; default: every goal.")] = None,
     duration_sec: Duration = 5.0,
     max_messages: MaxMessages = 100,
-) -> following.FeedbackMessages:
+) -> actions.FeedbackMessages:
     """Follow the feedback of an action's goals for a while, whoever sent them."""
-    return await following.follow_feedback(
+    return await actions.follow_feedback(
         robot,
         action_name,
         action_type,
@@ -130,14 +130,14 @@ async def ros2_action_subscribe_status(
     action_name: ActionName,
     duration_sec: Duration = 5.0,
     max_messages: MaxMessages = 100,
-) -> following.StatusFrames:
+) -> actions.StatusFrames:
     """Follow how the states of an action's goals change for a while; the last known states come first."""
-    return await following.follow_status(
+    return await actions.follow_status(
         robot, action_name, duration_s=duration_sec, max_messages=max_messages, report=report
     )
 
 
 @tool(title="All goals", risk="read", group="actions", by_default=False)
-async def ros2_action_status(robot: Robot) -> following.KnownGoals:
+async def ros2_action_status(robot: Robot) -> actions.KnownGoals:
     """Show every goal of every action with its state and age, in one look."""
-    return await following.all_goals(robot)
+    return await actions.all_goals(robot)
