@@ -5,7 +5,6 @@ Run it after every change of a tool or of a setting: `python docs/generate.py`. 
 
 from __future__ import annotations
 
-import asyncio
 import inspect
 import json
 import re
@@ -15,10 +14,7 @@ from typing import Any
 
 from mcp.types import Tool
 
-from ros2_mcp.link.carriers import start_carrier
-from ros2_mcp.link.client import Bridge
-from ros2_mcp.robot import Robot
-from ros2_mcp.server import build_server
+from ros2_mcp.assembly import assemble
 from ros2_mcp.settings import OPTIONS, Option, Settings
 from ros2_mcp.tools import TOOLS, ToolDeclaration
 
@@ -73,8 +69,7 @@ def setting(option: Option) -> Sequence[str]:
 
 def served_tools() -> list[Tool]:
     """Every tool as a client sees it. No bridge is started."""
-    robot = Robot(Bridge(lambda: start_carrier(Settings())))
-    return asyncio.run(build_server(robot, groups=("all",)).list_tools())
+    return [tool.listed for tool in assemble(Settings(tools=("all",))).toolset.by_name.values()]
 
 
 def reference(tools: Sequence[Tool]) -> str:

@@ -1,19 +1,16 @@
-"""A declared tool as the SDK runs it: strict arguments in, text and structured content out, errors mapped once."""
+"""A declared tool as clients meet it: strict arguments in, text and structured content out, errors mapped once."""
 
 from __future__ import annotations
 
 import base64
-import inspect
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from inspect import Parameter
 from typing import Any
 
-from mcp.server.mcpserver import Context
-from mcp.server.mcpserver.exceptions import ToolError
-from mcp.server.mcpserver.tools.base import Tool
-from mcp.server.mcpserver.utilities.func_metadata import ArgModelBase, FuncMetadata
-from mcp.types import CallToolResult, ContentBlock, ImageContent, TextContent, ToolAnnotations
-from pydantic import ConfigDict, PrivateAttr, ValidationError, create_model
+from mcp.types import CallToolResult, ContentBlock, ImageContent, TextContent, Tool, ToolAnnotations
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.names import did_you_mean
@@ -26,66 +23,90 @@ from ros2_mcp.tools.injection import Call
 from ros2_mcp.tools.schema import argument_schema, result_schema
 
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
+# About 10,000 tokens: one terminal client refuses more than 25,000, and text costs the model's attention before that.
 _MAX_TEXT = 40_000
+# Twice a second looks alive, and does not fill the client's log during a minute's wait.
 _PROGRESS_S = 0.5
 
 
-class StrictArguments(ArgModelBase):
+class CallFailed(Exception):
+    """A call that did not do what was asked; its text is what the model reads."""
+
+
+class StrictArguments(BaseModel):
     """The arguments of a tool; an unknown one is an error."""
 
     model_config = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
 
 
-class RobotTool(Tool):
-    """A declared tool as the SDK runs it: strict arguments in, text and structured content out."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoundTool:
+    """A declared tool with what it works on: `listed` is how clients see it, `arguments` checks what they send."""
 
-    _declaration: ToolDeclaration = PrivateAttr()
-    _robot: Robot = PrivateAttr()
-    _memory: Memory = PrivateAttr()
+    declaration: ToolDeclaration
+    listed: Tool
+    arguments: type[StrictArguments]
+    robot: Robot
+    memory: Memory
 
-    async def run(self, arguments: dict[str, Any], context: Context[Any, Any], convert_result: bool = False) -> Any:  # noqa: ARG002
-        """One call from a client; raises as `perform`."""
+    @property
+    def name(self) -> str:
+        """The name under which it is listed."""
+        return self.declaration.name
 
-        async def report(done: float, whole: float, line: str) -> None:
-            await context.report_progress(done, whole, line)
-
-        return await self.perform(arguments, report)
-
-    async def perform(self, arguments: Mapping[str, Any], report: Report) -> CallToolResult:
+    async def call(self, arguments: Mapping[str, Any], report: Report, robot: Robot | None = None) -> CallToolResult:
         """Validates the arguments, calls the function and renders its result.
 
+        Args:
+            arguments: as the client sent them.
+            report: is told of progress, at most twice a second.
+            robot: the robot as it is for the client that asks; the robot of the server if nobody in particular does.
+
         Raises:
-            ToolError: with the text that the model reads.
+            CallFailed: with the text that the model reads.
         """
         try:
-            values = self.fn_metadata.validate_arguments(self._renamed(arguments))
+            checked = self.arguments.model_validate(self._as_meant(arguments))
         except ValidationError as error:
-            raise ToolError(_explain(self.name, error, self.parameters)) from error
+            raise CallFailed(_explain(self.name, error, self.listed.input_schema)) from error
+        # One level only: an argument that is an object stays the model that the tool declared.
+        values = {name: getattr(checked, name) for name in self.arguments.model_fields}
         try:
-            call = Call(self._robot, self._memory, at_most_every(_PROGRESS_S, report))
-            result = await self._declaration.perform(call, values)
+            made_for = Call(robot or self.robot, self.memory, at_most_every(_PROGRESS_S, report))
+            result = await self.declaration.perform(made_for, values)
         except RobotError as error:
-            raise ToolError(f"{type(error).__name__}: {error}") from error
+            raise CallFailed(f"{type(error).__name__}: {error}") from error
         return answer(result)
 
-    def _renamed(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        return {self._declaration.aliases.get(name, name): value for name, value in arguments.items()}
+    def _as_meant(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """The arguments under their own names, and lists and objects that came as text taken apart.
+
+        One desktop client sends a list or an object as a string of JSON, always.
+        """
+        meant: dict[str, Any] = {}
+        for name, value in arguments.items():
+            own_name = self.declaration.aliases.get(name, name)
+            field = self.arguments.model_fields.get(own_name)
+            if isinstance(value, str) and field and field.annotation is not str:
+                value = _parsed(value)  # noqa: PLW2901
+            meant[own_name] = value
+        return meant
 
 
-def bind(declaration: ToolDeclaration, robot: Robot, memory: Memory) -> RobotTool:
-    """The tool that the SDK registers: plain closed schemas, annotations from the declared risk."""
+def bind(declaration: ToolDeclaration, robot: Robot, memory: Memory) -> BoundTool:
+    """The tool with plain closed schemas, and annotations from the declared risk."""
     signature = declaration.arguments()
-    arguments = create_model(declaration.name, __base__=StrictArguments, **_model_fields(signature))
-    metadata = FuncMetadata(arg_model=arguments, output_schema=result_schema(signature.return_annotation))
-    tool = RobotTool(
-        fn=declaration.function,
+    fields: dict[str, Any] = {
+        name: (parameter.annotation, ... if parameter.default is Parameter.empty else parameter.default)
+        for name, parameter in signature.parameters.items()
+    }
+    arguments = create_model(declaration.name, __base__=StrictArguments, **fields)
+    listed = Tool(
         name=declaration.name,
         title=declaration.title,
         description=declaration.description,
-        parameters=argument_schema(arguments.model_json_schema()),
-        fn_metadata=metadata,
-        is_async=True,
-        context_kwarg=None,
+        input_schema=argument_schema(arguments.model_json_schema()),
+        output_schema=result_schema(signature.return_annotation),
         annotations=ToolAnnotations(
             title=declaration.title,
             read_only_hint=declaration.risk == "read",
@@ -94,18 +115,7 @@ def bind(declaration: ToolDeclaration, robot: Robot, memory: Memory) -> RobotToo
             open_world_hint=True,
         ),
     )
-    tool._declaration = declaration  # pyright: ignore[reportPrivateUsage]
-    tool._robot = robot  # pyright: ignore[reportPrivateUsage]
-    tool._memory = memory  # pyright: ignore[reportPrivateUsage]
-    return tool
-
-
-def _model_fields(signature: inspect.Signature) -> dict[str, Any]:
-    """Each argument as the pair of type and default that pydantic takes."""
-    return {
-        name: (parameter.annotation, ... if parameter.default is inspect.Parameter.empty else parameter.default)
-        for name, parameter in signature.parameters.items()
-    }
+    return BoundTool(declaration=declaration, listed=listed, arguments=arguments, robot=robot, memory=memory)
 
 
 def answer(result: Any) -> CallToolResult:
@@ -117,6 +127,15 @@ def answer(result: Any) -> CallToolResult:
         data = base64.b64encode(image.data).decode()
         content.append(ImageContent(type="image", data=data, mime_type=image.mime))
     return CallToolResult(content=content, structured_content=structured)
+
+
+def _parsed(text: str) -> Any:
+    """What a text says in JSON, if that is a list, an object or null; the text itself otherwise."""
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+    return text if isinstance(value, (str, int, float)) else value
 
 
 def _shown(text: str) -> str:

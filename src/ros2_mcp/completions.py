@@ -4,15 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from mcp.server.mcpserver import MCPServer
-from mcp.types import (
-    Completion,
-    CompletionArgument,
-    CompletionContext,
-    PromptReference,
-    ResourceTemplateReference,
-)
+from mcp.types import CompleteRequestParams, CompleteResult, Completion, PromptReference
 
 from ros2_mcp.ops.live_names import live_names, topic_types
 from ros2_mcp.robot import Robot
@@ -38,29 +32,25 @@ Find = Callable[[str, str], Awaitable[Wanted | None]]
 """What the argument of a prompt (its name, the argument's name) or of a resource template (its URI, …) takes."""
 
 
-async def _nothing(_owner: str, _argument: str) -> Wanted | None:
-    return None
+class Completions:
+    """Answers `completion/complete`: `of_prompt` and `of_template` say what an argument takes."""
 
+    def __init__(self, robot: Robot, *, of_prompt: Find, of_template: Find) -> None:
+        self._robot = robot
+        self._of_prompt = of_prompt
+        self._of_template = of_template
 
-def offer_completions(
-    server: MCPServer[None], robot: Robot, *, of_prompt: Find = _nothing, of_template: Find = _nothing
-) -> None:
-    """Lets the server answer `completion/complete` for prompts and resource templates. Call it once."""
-
-    async def complete(
-        ref: PromptReference | ResourceTemplateReference,
-        argument: CompletionArgument,
-        context: CompletionContext | None,
-    ) -> Completion | None:
+    async def complete(self, _: Any, params: CompleteRequestParams) -> CompleteResult:
+        """The completions of one argument; none for an argument, a prompt or a template that there is not."""
+        ref, argument = params.ref, params.argument
         if isinstance(ref, PromptReference):
-            wanted = await of_prompt(ref.name, argument.name)
+            wanted = await self._of_prompt(ref.name, argument.name)
         else:
-            wanted = await of_template(ref.uri, argument.name)
+            wanted = await self._of_template(ref.uri, argument.name)
         if wanted is None:
-            return None
-        return await completion(robot, wanted, argument.value, (context and context.arguments) or {})
-
-    server.completion()(complete)
+            return CompleteResult(completion=Completion(values=[]))
+        others = (params.context and params.context.arguments) or {}
+        return CompleteResult(completion=await completion(self._robot, wanted, argument.value, others))
 
 
 async def completion(robot: Robot, wanted: Wanted, typed: str, given: Mapping[str, str]) -> Completion:

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import uvicorn
+from mcp.server.sse import SseServerTransport
 from mcp.server.transport_security import TransportSecuritySettings
+from starlette.applications import Starlette
+from starlette.routing import Mount, Route
 
 if TYPE_CHECKING:
-    from mcp.server.mcpserver import MCPServer
+    from mcp.server.lowlevel import Server
+    from starlette.types import Receive, Scope, Send
 
     from ros2_mcp.settings import Settings
 
 
-async def serve_http(server: MCPServer[None], settings: Settings) -> None:
+async def serve_http(server: Server[Any], settings: Settings) -> None:
     """Serves `/mcp` (streamable HTTP) or `/sse`, until cancelled."""
     guard = security(settings.host, settings.port)
     if settings.transport == "sse":
-        await server.run_sse_async(host=settings.host, port=settings.port, transport_security=guard)
+        app = _sse_app(server, guard)
     else:
-        await server.run_streamable_http_async(host=settings.host, port=settings.port, transport_security=guard)
+        app = server.streamable_http_app(host=settings.host, transport_security=guard)
+    config = uvicorn.Config(app, host=settings.host, port=settings.port, log_level=settings.log_level)
+    await uvicorn.Server(config).serve()
 
 
 def security(host: str, port: int) -> TransportSecuritySettings:
@@ -31,3 +38,22 @@ def security(host: str, port: int) -> TransportSecuritySettings:
         allowed_hosts=[f"{name}:{port}" for name in named],
         allowed_origins=[f"http://{name}:{port}" for name in named],
     )
+
+
+def _sse_app(server: Server[Any], guard: TransportSecuritySettings) -> Starlette:
+    """The application of the older HTTP transport: a stream of events, and a place for messages to it."""
+    sse = SseServerTransport("/messages/", security_settings=guard)
+    routes = [Route("/sse", endpoint=_Stream(server, sse)), Mount("/messages/", app=sse.handle_post_message)]
+    return Starlette(routes=routes)
+
+
+class _Stream:
+    """One client's stream of events, as an ASGI application: a function would get a request instead of the streams."""
+
+    def __init__(self, server: Server[Any], sse: SseServerTransport) -> None:
+        self._server = server
+        self._sse = sse
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async with self._sse.connect_sse(scope, receive, send) as (incoming, outgoing):
+            await self._server.run(incoming, outgoing, self._server.create_initialization_options())

@@ -19,8 +19,8 @@ STREAM_MODULES = {"client", "connection", "subscription", "carrier", "carriers",
 """Modules of `link/` that carry the stream; the others look for installations."""
 EXECUTORS = {"core", "failsafes", "goals", "publishing", "services", "sent_goals", "translation"}
 SPEAKING = {"ask", "query", "request", "subscribe"}
-OF_MCP = ("_bus", "events", "push")
-"""Who is subscribed with is a client of ours, and no robot."""
+OF_MCP = ("_bus", "events", "push", "context")
+"""Who is subscribed with, or has made a request, is a client of ours, and no robot."""
 FAILSAFES = {"leave_zero", "leave_cancel", "withdraw"}
 
 

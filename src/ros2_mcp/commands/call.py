@@ -10,6 +10,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,31 +20,26 @@ from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.settings import Settings
 
 if TYPE_CHECKING:
-    from ros2_mcp.server import RobotTool
+    from ros2_mcp.binding import BoundTool
 
 
 def call(settings: Settings, tool: str | None, assignments: Sequence[str], *, as_json: bool) -> int:
     """Calls the tool and prints its answer; pictures are saved beside and named. Without a tool, lists the tools."""
     arguments = parse_assignments(assignments)
+    # Who calls by hand knows what is wanted: nothing is left out to keep a list short.
+    settings = replace(settings, tools=settings.tools or ("all",))
     bridge = launch(settings)
-    from ros2_mcp.guard.policy import Policy
-    from ros2_mcp.ops.memory import Memory
-    from ros2_mcp.robot import Robot
-    from ros2_mcp.server import build_tools
+    from ros2_mcp.assembly import assemble
 
     async def once() -> int:
-        await bridge.attach()
-        try:
-            robot = Robot(bridge, Policy(settings.read_only), settings.result_bytes)
-            memory = Memory(settings.record_dir, settings.bag_dir)
-            tools = {tool.name: tool for tool in build_tools(robot, settings.tools or ("all",), memory)}
+        assembly = assemble(settings, bridge)
+        async with assembly.running():
+            tools = assembly.toolset.by_name
             if tool is None:
                 return _print_tools(tools)
             if tool not in tools:
                 raise BadInput(f"There is no tool {tool}.", did_you_mean(tool, list(tools), "See: ros2-mcp call"))
             return await _print_answer(tools[tool], arguments, as_json)
-        finally:
-            await bridge.close()
 
     return asyncio.run(once())
 
@@ -71,18 +67,18 @@ def first_sentence(text: str) -> str:
     return " ".join(text.split()).partition(". ")[0].rstrip(".") + "."
 
 
-def _print_tools(tools: Mapping[str, RobotTool]) -> int:
+def _print_tools(tools: Mapping[str, BoundTool]) -> int:
     for tool in tools.values():
-        print(f"{tool.name:36} {first_sentence(tool.description)}")
+        print(f"{tool.name:36} {first_sentence(tool.declaration.description)}")
     return 0
 
 
-async def _print_answer(tool: RobotTool, arguments: dict[str, Any], as_json: bool) -> int:
-    from mcp.server.mcpserver.exceptions import ToolError
+async def _print_answer(tool: BoundTool, arguments: dict[str, Any], as_json: bool) -> int:
+    from ros2_mcp.binding import CallFailed
 
     try:
-        result = await tool.perform(arguments, _print_progress)
-    except ToolError as error:
+        result = await tool.call(arguments, _print_progress)
+    except CallFailed as error:
         print(error, file=sys.stderr)
         return 1
     summary = getattr(result.content[0], "text", "").partition("\n{")[0]

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 from ros2_mcp.settings import Settings
 
 if TYPE_CHECKING:
+    from ros2_mcp.assembly import Assembly
     from ros2_mcp.link.client import Bridge
-    from ros2_mcp.ops.memory import Memory
-    from ros2_mcp.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,64 +39,60 @@ def serve(settings: Settings) -> int:
     """Serves until the client goes away or the process is told to end."""
     gc.disable()  # looking for garbage among what is imported, where there is none, is a fifth of the start
     wire = claim_wire() if settings.transport == "stdio" else None
-    bridge = None if settings.bag else launch(settings)
-    asyncio.run(_serve(bridge, settings, wire))
+    asyncio.run(_serve(launch(settings), settings, wire))
     return 0
 
 
-def launch(settings: Settings) -> Bridge:
-    """Starts the bridge; it comes up while the rest is imported."""
+def launch(settings: Settings) -> Bridge | None:
+    """Starts the bridge, if there is a robot; it comes up while the rest is imported."""
     from ros2_mcp.link.carriers import start_carrier
     from ros2_mcp.link.client import Bridge
 
+    if settings.bag:
+        return None
     bridge = Bridge(lambda: start_carrier(settings))
     bridge.launch()
     return bridge
 
 
 async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None) -> None:
-    from ros2_mcp.guard.policy import Policy
-    from ros2_mcp.http import serve_http
-    from ros2_mcp.ops.memory import Memory
-    from ros2_mcp.ops.recorded_robot import recorded_robot
-    from ros2_mcp.robot import Robot
-    from ros2_mcp.server import build_server, serve_stdio
+    from ros2_mcp.assembly import assemble
 
-    memory = Memory(settings.record_dir, settings.bag_dir, settings.bag)
-    if bridge is None:
-        robot = recorded_robot(memory, settings.result_bytes)
+    assembly = assemble(settings, bridge)
+    # One line for each message, without time and place: it is read in a client's log, which adds its own.
+    logging.basicConfig(level=settings.log_level.upper(), format="%(message)s")
+    if wire:
+        from ros2_mcp.server import serve_stdio
+
+        running = serve_stdio(assembly.server, wire.read_fd, wire.write_fd)
     else:
-        robot = Robot(bridge, Policy(settings.read_only), settings.result_bytes)
-    server = build_server(
-        robot, groups=settings.tools, log_level=settings.log_level.upper(), settings=settings, memory=memory
-    )
+        from ros2_mcp.http import serve_http  # brings uvicorn, which stdio does not need
+
+        running = serve_http(assembly.server, settings)
     gc.freeze()
     gc.enable()
-    running = serve_stdio(server, wire.read_fd, wire.write_fd) if wire else serve_http(server, settings)
-    await _until_told_to_end(robot, memory, settings, running)
+    await _until_told_to_end(assembly, running)
 
 
-async def _until_told_to_end(robot: Robot, memory: Memory, settings: Settings, running: Awaitable[None]) -> None:
+async def _until_told_to_end(assembly: Assembly, running: Awaitable[None]) -> None:
     from ros2_mcp.ops.recording import keep_black_box
 
     told_to_end = asyncio.Event()
     background: list[asyncio.Task[None]] = []
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(number, told_to_end.set)
-    if not memory.subject:
-        await robot.bridge.attach()
-        robot.log.start()
-        background.append(asyncio.create_task(keep_black_box(robot, memory, settings)))
-    serving = asyncio.ensure_future(running)
-    ending = asyncio.create_task(told_to_end.wait())
-    try:
-        await asyncio.wait({serving, ending}, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        for task in background:
-            task.cancel()
-        await robot.jobs.close()
-        await memory.close()
-        await robot.bridge.close()
+    async with assembly.running():
+        if not assembly.memory.subject:
+            assembly.robot.log.start()
+            keeping = keep_black_box(assembly.robot, assembly.memory, assembly.settings)
+            background.append(asyncio.create_task(keeping))
+        serving = asyncio.ensure_future(running)
+        ending = asyncio.create_task(told_to_end.wait())
+        try:
+            await asyncio.wait({serving, ending}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in background:
+                task.cancel()
     if serving.done():
         serving.result()
     # The robot is left in peace. The thread that reads stdin cannot be interrupted, and asyncio would wait for it.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from mcp.server.context import CallNext, ServerRequestContext
-from mcp.server.mcpserver import MCPServer
 from mcp.server.subscriptions import SubscriptionBus
 from mcp.shared.exceptions import MCPError
 from mcp.shared.subscriptions import PromptsListChanged
@@ -26,16 +25,26 @@ from ros2_mcp.prompts.catalog import Catalog
 from ros2_mcp.prompts.prompt import Prompt
 
 
-def offer_prompts(server: MCPServer[None], catalog: Catalog, events: SubscriptionBus) -> None:
-    """Lets the server answer with the prompts of the catalog, and tell listeners of either era when they change."""
+class Prompts:
+    """Answers `prompts/list` and `prompts/get` from the catalog; as a middleware, tells clients when it changes."""
 
-    async def list_prompts(_: Any, __: PaginatedRequestParams) -> ListPromptsResult:
-        return ListPromptsResult(prompts=[_listed(prompt) for prompt in (await catalog.prompts()).values()])
+    def __init__(self, catalog: Catalog, events: SubscriptionBus) -> None:
+        self._catalog = catalog
+        self._events = events
 
-    async def get_prompt(_: Any, params: GetPromptRequestParams) -> GetPromptResult:
+    async def list(self, _: Any, __: PaginatedRequestParams | None) -> ListPromptsResult:
+        """Every prompt there is now."""
+        return ListPromptsResult(prompts=[_listed(prompt) for prompt in (await self._catalog.prompts()).values()])
+
+    async def get(self, _: Any, params: GetPromptRequestParams) -> GetPromptResult:
+        """The messages of one prompt.
+
+        Raises:
+            MCPError: if there is none of that name, or its arguments are wrong.
+        """
         try:
-            messages = await catalog.messages(params.name, params.arguments or {})
-            description = (await catalog.prompt(params.name)).description
+            messages = await self._catalog.messages(params.name, params.arguments or {})
+            description = (await self._catalog.prompt(params.name)).description
         except RobotError as error:
             raise MCPError(INVALID_PARAMS, str(error)) from error
         return GetPromptResult(
@@ -43,17 +52,12 @@ def offer_prompts(server: MCPServer[None], catalog: Catalog, events: Subscriptio
             messages=[PromptMessage(role=m.role, content=TextContent(type="text", text=m.text)) for m in messages],
         )
 
-    async def tell_news(ctx: ServerRequestContext[Any], call_next: CallNext) -> Any:
-        """A change is noticed with the next request of a client, whatever that asks for."""
-        if ctx.request_id is not None and ctx.method != "prompts/list" and catalog.has_news():
-            await events.publish(PromptsListChanged())
+    async def tell_news(self, ctx: ServerRequestContext[Any], call_next: CallNext) -> Any:
+        """A change is noticed with the next request of a client, whatever that asks for: no file is watched."""
+        if ctx.request_id is not None and ctx.method != "prompts/list" and self._catalog.has_news():
+            await self._events.publish(PromptsListChanged())
             await ctx.session.send_prompt_list_changed()
         return await call_next(ctx)
-
-    server.middleware.append(tell_news)
-    lowlevel = server._lowlevel_server  # pyright: ignore[reportPrivateUsage]
-    lowlevel.add_request_handler("prompts/list", PaginatedRequestParams, list_prompts)
-    lowlevel.add_request_handler("prompts/get", GetPromptRequestParams, get_prompt)
 
 
 def _listed(prompt: Prompt) -> ListedPrompt:

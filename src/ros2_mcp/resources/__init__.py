@@ -1,6 +1,6 @@
 """Resources: what a client can read by URI, and be told of when it changes."""
 
 from ros2_mcp.resources.catalogue import RESOURCES, Declared
-from ros2_mcp.resources.offering import offer
+from ros2_mcp.resources.offering import Resources
 
-__all__ = ["RESOURCES", "Declared", "offer"]
+__all__ = ["RESOURCES", "Declared", "Resources"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 from mcp.shared.uri_template import UriTemplate
 
@@ -152,6 +153,15 @@ RESOURCES = (
 )
 
 
+def matching(uri: str) -> tuple[Declared, Mapping[str, Any]]:
+    """The resource that a URI means, with the values of its variables; raises `NotFound` if it is none of ours."""
+    for declared in RESOURCES:
+        variables = declared.template.match(uri)
+        if variables is not None:
+            return declared, variables
+    raise NotFound(f"There is no resource {uri}.", names.did_you_mean(uri, [declared.uri for declared in RESOURCES]))
+
+
 def subject_of(uri: str) -> Subject:
     """What is watched for a subscriber to this URI.
 
@@ -159,8 +169,5 @@ def subject_of(uri: str) -> Subject:
         NotFound: if it is none of ours.
         BadInput: if it has a name that ROS does not allow, or a level that is none.
     """
-    for declared in RESOURCES:
-        variables = declared.template.match(uri)
-        if variables is not None:
-            return declared.subject(**variables)
-    raise NotFound(f"There is no resource {uri}.", names.did_you_mean(uri, [declared.uri for declared in RESOURCES]))
+    declared, variables = matching(uri)
+    return declared.subject(**variables)

@@ -1,64 +1,92 @@
-"""The resources as the SDK serves them, with the methods to subscribe to them."""
+"""The resources as clients meet them: lists, reading, and the methods to subscribe to them."""
 
 from __future__ import annotations
 
-from inspect import Parameter, Signature
+import logging
 from typing import Any
 
-from mcp.server.mcpserver import MCPServer
-from mcp.server.mcpserver.exceptions import ResourceError, ResourceNotFoundError
-from mcp.server.mcpserver.resources import ResourceSecurity
 from mcp.server.subscriptions import SubscriptionBus
-from mcp.types import SubscribeRequestParams, SubscriptionsListenRequestParams, UnsubscribeRequestParams
+from mcp.shared.exceptions import MCPError
+from mcp.types import (
+    INTERNAL_ERROR,
+    INVALID_PARAMS,
+    ListResourcesResult,
+    ListResourceTemplatesResult,
+    PaginatedRequestParams,
+    ReadResourceRequestParams,
+    ReadResourceResult,
+    Resource,
+    ResourceTemplate,
+    TextResourceContents,
+)
 
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
 from ros2_mcp.ops.watching import Watcher
-from ros2_mcp.resources.catalogue import RESOURCES, Declared
+from ros2_mcp.resources.catalogue import RESOURCES, matching
 from ros2_mcp.resources.content import fitting
 from ros2_mcp.resources.push import Push
 from ros2_mcp.robot import Robot
 
+_MIME_TYPE = "application/json"
+_logger = logging.getLogger(__name__)
 
-def offer(server: MCPServer[Any], robot: Robot, bus: SubscriptionBus) -> Watcher:
-    """Registers every resource and the subscription methods of both eras; events of `bus` reach listeners too."""
-    watcher = Watcher(robot)
-    for declared in RESOURCES:
-        names_are_no_paths = ResourceSecurity(exempt_params=set(declared.template.variable_names))
-        register = server.resource(
-            declared.uri,
-            name=declared.name,
-            title=declared.title,
-            description=declared.description,
-            mime_type="application/json",
-            security=names_are_no_paths,
+
+class Resources:
+    """Answers what clients ask of resources; `push` answers their subscriptions."""
+
+    def __init__(self, robot: Robot, bus: SubscriptionBus) -> None:
+        self._robot = robot
+        self._watcher = Watcher(robot)
+        self.push = Push(self._watcher, bus)
+
+    async def list(self, _: Any, __: PaginatedRequestParams | None) -> ListResourcesResult:
+        """The resources without variables."""
+        return ListResourcesResult(
+            resources=[
+                Resource(
+                    uri=each.uri,
+                    name=each.name,
+                    title=each.title,
+                    description=each.description,
+                    mime_type=_MIME_TYPE,
+                )
+                for each in RESOURCES
+                if not each.template.variable_names
+            ]
         )
-        register(_reader(declared, robot, watcher))
-    push, lowlevel = Push(watcher, bus), server._lowlevel_server  # pyright: ignore[reportPrivateUsage]
-    lowlevel.add_request_handler("resources/subscribe", SubscribeRequestParams, push.subscribe)
-    lowlevel.add_request_handler("resources/unsubscribe", UnsubscribeRequestParams, push.unsubscribe)
-    lowlevel.add_request_handler("subscriptions/listen", SubscriptionsListenRequestParams, push.listen)
-    return watcher
 
+    async def list_templates(self, _: Any, __: PaginatedRequestParams | None) -> ListResourceTemplatesResult:
+        """The resources with variables."""
+        return ListResourceTemplatesResult(
+            resource_templates=[
+                ResourceTemplate(
+                    uri_template=each.uri,
+                    name=each.name,
+                    title=each.title,
+                    description=each.description,
+                    mime_type=_MIME_TYPE,
+                )
+                for each in RESOURCES
+                if each.template.variable_names
+            ]
+        )
 
-def _reader(declared: Declared, robot: Robot, watcher: Watcher) -> Any:
-    """The function that the SDK calls, with the template's variables as its parameters."""
+    async def read(self, _: Any, params: ReadResourceRequestParams) -> ReadResourceResult:
+        """The content of one resource as JSON.
 
-    async def read(**variables: str) -> str:
+        Raises:
+            MCPError: as `subject_of` and the resource's own reading; the data names the URI.
+        """
+        uri = str(params.uri)
         try:
-            return fitting(await declared.read(robot, watcher, **variables), robot.result_bytes)
+            resource, variables = matching(uri)
+            chosen = {**dict.fromkeys(resource.template.query_variable_names, ""), **variables}
+            text = fitting(await resource.read(self._robot, self._watcher, **chosen), self._robot.result_bytes)
         except (NotFound, BadInput) as error:
-            raise ResourceNotFoundError(str(error)) from error
+            raise MCPError(INVALID_PARAMS, str(error), {"uri": uri}) from error
         except RobotError as error:
-            raise ResourceError(f"{type(error).__name__}: {error}") from error
-
-    template = declared.template
-    read.__annotations__ = dict.fromkeys(template.variable_names, str)
-    read.__signature__ = Signature(  # pyright: ignore[reportFunctionMemberAccess]
-        [_parameter(name, may_lack=name in template.query_variable_names) for name in template.variable_names]
-    )
-    return read
-
-
-def _parameter(name: str, *, may_lack: bool) -> Parameter:
-    default = "" if may_lack else Parameter.empty
-    return Parameter(name, Parameter.KEYWORD_ONLY, annotation=str, default=default)
+            raise MCPError(INTERNAL_ERROR, f"{type(error).__name__}: {error}", {"uri": uri}) from error
+        except Exception as error:  # a fault of ours: its traceback is for the log, not for the client
+            _logger.exception("reading %s failed", uri)
+            raise MCPError(INTERNAL_ERROR, f"Error reading resource {uri}", {"uri": uri}) from error
+        return ReadResourceResult(contents=[TextResourceContents(uri=uri, text=text, mime_type=_MIME_TYPE)])

@@ -11,12 +11,15 @@ from contextlib import ExitStack
 from typing import Any
 
 from mcp.server.context import ServerRequestContext
+from mcp.server.session import ServerSession
 from mcp.server.subscriptions import SUBSCRIPTION_ID_META_KEY, ResourceUpdated, ServerEvent, SubscriptionBus
 from mcp.shared.exceptions import MCPError
 from mcp.shared.subscriptions import event_matches, event_to_notification
 from mcp.types import (
     INVALID_PARAMS,
+    INVALID_REQUEST,
     EmptyResult,
+    NotificationParams,
     SubscribeRequestParams,
     SubscriptionFilter,
     SubscriptionsAcknowledgedNotification,
@@ -30,11 +33,12 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.ops.watching import Watcher
 from ros2_mcp.resources.catalogue import subject_of
 
+# Several times what any client was seen to watch; each may be a subscription on the robot.
 MAX_URIS = 200
 """Watched by one client."""
+# Each costs a task and a mailbox; requests that are never ended must not add up without bound.
 MAX_LISTENING = 256
 """Open `subscriptions/listen` requests."""
-_STATE = "ros2_mcp.resources"
 
 Request = ServerRequestContext[Any, Any]
 
@@ -62,44 +66,59 @@ class Mailbox:
 
 
 class Subscriber:
-    """A client of the handshake era: its URIs and the task that tells it."""
+    """A client of the handshake era: the URIs that it watches, and its mailbox."""
 
-    def __init__(self, request: Request) -> None:
+    def __init__(self) -> None:
         self.watched: dict[str, Callable[[], None]] = {}
         self.mailbox = Mailbox()
-        self._session = request.session
-        self._telling = asyncio.create_task(self._tell())
 
-    async def close(self) -> None:
-        """Ends everything when the client is gone."""
-        for leave in self.watched.values():
-            leave()
-        self.watched.clear()
-        self._telling.cancel()
-        await asyncio.wait({self._telling})
-
-    async def _tell(self) -> None:
+    async def tell(self, session: ServerSession) -> None:
+        """Tells the client of what arrives, until cancelled."""
         while True:
             event = await self.mailbox.take()
             if isinstance(event, ResourceUpdated) and event.uri in self.watched:
-                await self._session.send_resource_updated(event.uri)
+                await session.send_resource_updated(event.uri)
+
+    def leave(self) -> None:
+        """Watches nothing any more."""
+        for leave in self.watched.values():
+            leave()
+        self.watched.clear()
 
 
 class Push:
-    """The handlers of the subscription methods of both eras."""
+    """Answers the subscription methods of both eras."""
 
     def __init__(self, watcher: Watcher, bus: SubscriptionBus) -> None:
         self._watcher = watcher
         self._bus = bus
+        self._subscribers: dict[int, Subscriber] = {}
         self._listening = 0
+
+    async def initialized(self, request: Request, _: NotificationParams) -> None:
+        """Handshake era; as the answer to `notifications/initialized` it lasts as long as the client is connected.
+
+        The SDK runs the handlers of a connection in one task group, and cancels them with it: that is its only public
+        word of a client's end. A client is known by the parameters of its `initialize`: they are one object for all
+        requests of one connection, and of no other.
+        """
+        client = request.session.client_params
+        if id(client) in self._subscribers:
+            return
+        subscriber = self._subscribers[id(client)] = Subscriber()
+        try:
+            await subscriber.tell(request.session)
+        finally:
+            subscriber.leave()
+            del self._subscribers[id(client)]
 
     async def subscribe(self, request: Request, params: SubscribeRequestParams) -> EmptyResult:
         """Handshake era; answers when nothing that happens from now on is missed.
 
         Raises:
-            MCPError: for a URI that is none of ours.
+            MCPError: for a URI that is none of ours, or a client that has not said that it is initialized.
         """
-        uri, subscriber = str(params.uri), _subscriber(request)
+        uri, subscriber = str(params.uri), self._subscriber(request)
         subject = _known(uri)
         if len(subscriber.watched) >= MAX_URIS:
             raise MCPError(INVALID_PARAMS, f"You are subscribed to {MAX_URIS} resources: unsubscribe from some first.")
@@ -110,7 +129,7 @@ class Push:
 
     async def unsubscribe(self, request: Request, params: UnsubscribeRequestParams) -> EmptyResult:
         """Handshake era; without effect where there is no such subscription."""
-        leave = _subscriber(request).watched.pop(str(params.uri), None)
+        leave = self._subscriber(request).watched.pop(str(params.uri), None)
         if leave:
             leave()
         return EmptyResult()
@@ -137,6 +156,12 @@ class Push:
             await _tell_listener(request, honored, mailbox)
         return SubscriptionsListenResult()
 
+    def _subscriber(self, request: Request) -> Subscriber:
+        subscriber = self._subscribers.get(id(request.session.client_params))
+        if subscriber is None:
+            raise MCPError(INVALID_REQUEST, "Send notifications/initialized before you subscribe to resources.")
+        return subscriber
+
     def _watch(self, uri: str, mailbox: Mailbox) -> Callable[[], None]:
         return self._watcher.watch(subject_of(uri), lambda: mailbox.put(ResourceUpdated(uri)))
 
@@ -155,15 +180,6 @@ async def _tell_listener(request: Request, honored: SubscriptionFilter, mailbox:
         await request.session.send_notification(
             event_to_notification(event, stamp), related_request_id=request.request_id
         )
-
-
-def _subscriber(request: Request) -> Subscriber:
-    """What we keep for the client's connection; ends with it."""
-    connection = request.session._connection  # pyright: ignore[reportPrivateUsage]
-    if _STATE not in connection.state:
-        subscriber = connection.state[_STATE] = Subscriber(request)
-        connection.exit_stack.push_async_callback(subscriber.close)
-    return connection.state[_STATE]
 
 
 def _known(uri: str) -> Any:

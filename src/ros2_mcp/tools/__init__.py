@@ -1,41 +1,20 @@
-"""What the model sees: one module per family of tools."""
+"""What the model sees: one module per family of tools. Every module of this folder is found by itself.
 
-from ros2_mcp.tools import (
-    actions,
-    graph,
-    history,
-    log,
-    measure,
-    memory,
-    parameters,
-    pictures,
-    publishing,
-    relay,
-    services,
-    stop,
-    topics,
-)
+A module says with `PLACE` where its tools stand in `tools/list`: the list must be the same for every connection, and
+models read it from the top, so what is looked at first stands first. Within a module it is the order of declaration.
+"""
+
+import pkgutil
+from importlib import import_module
+
 from ros2_mcp.tools.declare import DECLARED, ToolDeclaration
 
 __all__ = ["GROUPS", "TOOLS", "ToolDeclaration"]
 
-_FAMILIES = (
-    graph,
-    topics,
-    measure,
-    pictures,
-    log,
-    publishing,
-    stop,
-    services,
-    actions,
-    parameters,
-    relay,
-    history,
-    memory,
-)
+_MODULES = [import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
+_PLACES = {module.__name__: getattr(module, "PLACE", 1000) for module in _MODULES}
 
-TOOLS = [tool for family in _FAMILIES for tool in DECLARED if tool.function.__module__ == family.__name__]
+TOOLS = sorted(DECLARED, key=lambda tool: _PLACES[tool.function.__module__])
 """Every tool, in the order of `tools/list`."""
 
 GROUPS = tuple(dict.fromkeys(tool.group for tool in TOOLS))

@@ -12,6 +12,8 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Number, Pattern, Whole
 from ros2_mcp.tools.declare import tool
 
+PLACE = 90
+
 ActionName = Annotated[str, Field(description="Name of the action, such as /navigate_to.")]
 ActionType = Annotated[
     str, Field(description="Type such as nav2_msgs/action/NavigateToPose. Leave it out to use the action's own.")

@@ -11,6 +11,8 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Hidden, Limit, Pattern
 from ros2_mcp.tools.declare import tool
 
+PLACE = 10
+
 
 @tool(title="Server and robot status", risk="read")
 async def ros2_status(robot: Robot) -> status.Status:

@@ -16,6 +16,8 @@ from ros2_mcp.tools.arguments import MessageType, TopicName, Whole
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Messages
 
+PLACE = 120
+
 Moment = Annotated[
     str, Field(description='ISO 8601 with zone, such as 2026-11-21T03:00:00.5Z, or relative: "last 30 s", "5 min ago".')
 ]

@@ -13,6 +13,8 @@ from ros2_mcp.tools.arguments import Since, Whole
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import LogSource
 
+PLACE = 50
+
 
 @tool(title="Read the log", risk="read", recorded=True)
 async def ros2_log_read(

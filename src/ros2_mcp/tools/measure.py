@@ -14,6 +14,8 @@ from ros2_mcp.tools.arguments import Flag, Number, NumericFields, TopicName
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Numbers
 
+PLACE = 30
+
 MeasuredFor = Annotated[Number, Field(ge=0.1, le=600, description="Measure for this long, in seconds.")]
 Names = Annotated[list[str] | None, Field(max_length=100, description="Names that must be there.")]
 

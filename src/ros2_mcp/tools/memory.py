@@ -15,6 +15,8 @@ from ros2_mcp.tools.arguments import BagEnd, BagName, BagStart, Flag, Limit, Num
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Messages
 
+PLACE = 130
+
 Bytes = Annotated[Whole, Field(ge=0, le=10**13)]
 Topics = Annotated[list[str] | None, Field(description="Only these topics.")]
 RecordingId = Annotated[str, Field(description="The recording's id.")]

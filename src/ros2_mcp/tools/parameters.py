@@ -11,6 +11,8 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Limit, Pattern
 from ros2_mcp.tools.declare import tool
 
+PLACE = 100
+
 NodeName = Annotated[str, Field(description="Full name of the node, such as /base_controller.")]
 NodeNames = Annotated[list[str] | None, Field(description="Full names of nodes; default: every node.")]
 

@@ -13,6 +13,8 @@ from ros2_mcp.ops.source import Source
 from ros2_mcp.tools.arguments import Number, TopicName, Whole
 from ros2_mcp.tools.declare import tool
 
+PLACE = 40
+
 Timeout = Annotated[Number, Field(gt=0, le=600, description="Wait at most this long, in seconds.")]
 Pixels = Annotated[Whole, Field(ge=300, le=MAX_SIDE, description="Size of the picture in pixels.")]
 Height = Annotated[Number | None, Field(description="Only points within these heights, in metres. Default: all.")]

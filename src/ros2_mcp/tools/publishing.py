@@ -12,6 +12,8 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import MessageType, Number, TopicName
 from ros2_mcp.tools.declare import tool
 
+PLACE = 60
+
 Data = Annotated[
     dict[str, Any],
     Field(description='The message\'s fields, such as {"linear": {"x": 0.2}}. Fields left out get their default.'),

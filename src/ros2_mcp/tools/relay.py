@@ -11,6 +11,8 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import MessageType, Number
 from ros2_mcp.tools.declare import tool
 
+PLACE = 110
+
 Tolerances = Annotated[
     dict[str, Number],
     Field(

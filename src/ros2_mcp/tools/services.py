@@ -12,6 +12,8 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Number, Pattern
 from ros2_mcp.tools.declare import tool
 
+PLACE = 80
+
 
 @tool(title="List services", risk="read", group="services")
 async def ros2_service_list(

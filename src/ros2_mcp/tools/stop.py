@@ -6,6 +6,8 @@ from ros2_mcp.ops import stopping
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.declare import tool
 
+PLACE = 70
+
 
 @tool(title="Stop the robot", risk="actuate")
 async def ros2_stop(robot: Robot) -> stopping.Stopped:

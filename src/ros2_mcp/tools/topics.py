@@ -15,6 +15,8 @@ from ros2_mcp.tools.arguments import Duration, Hidden, Limit, MessageLimit, Mess
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import LimitedMessages, Messages, OneMessage
 
+PLACE = 20
+
 MEASURE_S = 3.0
 """Enough for the rate of anything above 1 Hz, and short enough to be asked often."""
 

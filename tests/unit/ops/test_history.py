@@ -228,5 +228,5 @@ def test_limit_is_another_name_for_the_number_of_messages(tmp_path: Path, asker:
     async def nobody(done: float, whole: float, line: str) -> None:
         pass
 
-    answer = asyncio.run(tool.perform({"topic_name": "/count", "limit": 2}, nobody)).structured_content
+    answer = asyncio.run(tool.call({"topic_name": "/count", "limit": 2}, nobody)).structured_content
     assert answer and [each["data"] for each in answer["messages"]] == [3, 4]

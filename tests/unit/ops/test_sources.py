@@ -51,7 +51,7 @@ class MadeSources(SourceKind):
 
 async def called(robot: Robot, memory: Memory, name: str, **arguments: Any) -> Mapping[str, Any]:
     tool = bind(next(each for each in DECLARED if each.name == name), robot, memory)
-    answer = (await tool.perform(arguments, silent)).structured_content
+    answer = (await tool.call(arguments, silent)).structured_content
     assert answer
     return answer
 

@@ -1,0 +1,90 @@
+"""One composition for everything that needs a robot with tools: `serve`, `call`, the documentation and the tests."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from mcp.server.lowlevel import Server
+
+from ros2_mcp.adapters.wisevision_prompts import code_of
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp.link.carriers import start_carrier
+from ros2_mcp.link.client import Bridge
+from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.recorded_robot import recorded_robot
+from ros2_mcp.prompts.catalog import Catalog
+from ros2_mcp.robot import Robot
+from ros2_mcp.server import build_server
+from ros2_mcp.settings import Settings
+from ros2_mcp.tools import TOOLS
+from ros2_mcp.toolset import Toolset
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assembly:
+    """Everything of one server, put together and not yet running.
+
+    `robot` is a recording where the settings name a bag, `toolset` the tools that are offered, `memory` the bags.
+    """
+
+    settings: Settings
+    robot: Robot
+    memory: Memory
+    toolset: Toolset
+
+    @cached_property
+    def catalog(self) -> Catalog:
+        """The prompts: ours, and those that the settings name."""
+        return Catalog(
+            self.robot,
+            folder=self.settings.prompts,
+            load_code=code_of(self.settings),
+            missing=self.toolset.missing,
+            tools=[tool.name for tool in TOOLS],
+        )
+
+    @cached_property
+    def server(self) -> Server[Any]:
+        """The MCP server."""
+        return build_server(self.robot, self.toolset, self.catalog, recording=self.memory.subject_name)
+
+    @asynccontextmanager
+    async def running(self) -> AsyncGenerator[None, None]:
+        """While it is entered the bridge is there, if there is a robot; at the end all work of this server is ended.
+
+        The work ends first, as long as the bridge can still stop what it moves; the bridge leaves the robot last.
+        """
+        if not self.memory.subject:
+            await self.robot.bridge.attach()
+        try:
+            yield
+        finally:
+            await self.robot.jobs.close()
+            await self.memory.close()
+            await self.robot.bridge.close()
+
+
+def assemble(settings: Settings, bridge: Bridge | None = None) -> Assembly:
+    """Puts everything together. Starts nothing.
+
+    Args:
+        settings: what was asked for.
+        bridge: the one that is already coming up; without it, one is made, and launched when it is first needed.
+
+    Raises:
+        BadInput: for a group of tools that does not exist.
+    """
+    memory = Memory(settings.record_dir, settings.bag_dir, settings.bag)
+    if settings.bag:
+        robot = recorded_robot(memory, settings.result_bytes)
+    else:
+        robot = Robot(
+            bridge or Bridge(lambda: start_carrier(settings)), Policy(settings.read_only), settings.result_bytes
+        )
+    toolset = Toolset(robot, memory, settings.tools)
+    robot.limitations = toolset.limitations
+    return Assembly(settings=settings, robot=robot, memory=memory, toolset=toolset)
