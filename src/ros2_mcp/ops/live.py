@@ -128,7 +128,7 @@ class Live(Source):
     ) -> Sequence[Capture | Missing]:
         """Listens to all topics over truly the same time, which begins when every subscription has been matched."""
         async with AsyncExitStack() as subscriptions:
-            opened = [await self._open(subscriptions, topic) for topic in topics]
+            opened = await asyncio.gather(*(self._open(subscriptions, topic) for topic in topics))
             streams = [each for each in opened if isinstance(each, _LiveStream)]
             await _matched(streams)
             start_ns, started = time.time_ns(), monotonic()

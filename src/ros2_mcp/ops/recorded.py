@@ -43,9 +43,18 @@ class BagSource(Source):
     """
 
     def __init__(
-        self, opened: OpenedBag, span: Span, *, covers: tuple[int, int], robot: Robot | None, from_end: bool, title: str
+        self,
+        opened: OpenedBag,
+        span: Span,
+        *,
+        name: str,
+        title: str,
+        covers: tuple[int, int],
+        robot: Robot | None,
+        from_end: bool,
     ) -> None:
         self.covers = covers
+        self._name = name
         self._opened = opened
         self._span = span
         self._robot = robot
@@ -61,7 +70,7 @@ class BagSource(Source):
     @property
     def words(self) -> str:
         """What it is, with its time."""
-        return f"bag {self._opened.name}, {self.duration_s:g} s from {iso_time(self._span.start_ns)} on"
+        return f"bag {self._name}, {self.duration_s:g} s from {iso_time(self._span.start_ns)} on"
 
     @property
     def duration_s(self) -> float:
@@ -199,10 +208,11 @@ async def open_bag(
         return BagSource(
             opened,
             Span(None, start_ns, end_ns),
+            name=bag,
+            title=title or f"the bag {bag}",
             covers=(first_ns, last_ns),
             robot=robot,
             from_end=from_end or not start.strip(),
-            title=title or f"the bag {bag}",
         )
 
     return await asyncio.to_thread(opened)

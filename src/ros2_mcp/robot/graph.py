@@ -141,10 +141,19 @@ class Graph:
         return endpoints_from(topic, await self.query("endpoints", topic=topic))
 
     async def wait_for(
-        self, topic: str, *, publishers: int = 0, subscribers: int = 0, timeout_s: float
+        self,
+        topic: str,
+        *,
+        publishers: int = 0,
+        subscribers: int = 0,
+        timeout_s: float,
+        present: TopicEndpoints | None = None,
     ) -> TopicEndpoints:
-        """The endpoints of a topic as soon as it has that many; what there is when the time is over."""
-        present = await self.endpoints(topic)
+        """The endpoints of a topic as soon as it has that many; what there is when the time is over.
+
+        Whoever has just asked who is `present` need not ask again.
+        """
+        present = present or await self.endpoints(topic)
         if len(present.publishers) >= publishers and len(present.subscribers) >= subscribers:
             return present
         try:

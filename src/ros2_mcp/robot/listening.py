@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import asyncio
+from collections.abc import Awaitable, Coroutine, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ros2_mcp.model.qos import Choice, Endpoint
 from ros2_mcp.model.samples import Counts, Sample
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Subscription
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,3 +34,17 @@ class Listening:
     def counts(self) -> Counts:
         """What became of the messages so far."""
         return self._subscription.counts
+
+
+async def subscribed_while(subscribe: Coroutine[Any, Any, Subscription], other: Awaitable[T]) -> tuple[Subscription, T]:
+    """Both at the same time, in one round trip; no subscription is left behind if one fails or this is cancelled."""
+    subscribing = asyncio.create_task(subscribe)
+    try:
+        result = await other
+        return await subscribing, result
+    except BaseException:  # whatever it is, it is raised again
+        subscribing.cancel()  # the link then takes back what is under way
+        await asyncio.wait({subscribing})
+        if not subscribing.cancelled() and not subscribing.exception():
+            await subscribing.result().close()
+        raise

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Mapping
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -14,13 +14,17 @@ from ros2_mcp.robot import goals, publishing, services
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.graph import Graph
 from ros2_mcp.robot.jobs import Jobs
-from ros2_mcp.robot.listening import Listening
+from ros2_mcp.robot.listening import Listening, subscribed_while
 from ros2_mcp.robot.log import LogRing
 from ros2_mcp.robot.translation import as_meant
 from ros2_mcp.robot.values import Values
 
 if TYPE_CHECKING:
-    from ros2_mcp.link.client import Bridge
+    from ros2_mcp.link.client import Bridge, Subscription
+    from ros2_mcp.model.qos import Choice
+
+_MOST_REMEMBERED = 256
+"""Topics of which it is known how they were subscribed to: more than robots have that are read again and again."""
 
 
 async def _nothing(_core: Core, _command: Command[Any]) -> None:
@@ -63,6 +67,7 @@ class Robot(Core):
         self.principal = LOCAL
         self.log = LogRing(bridge)
         self.jobs = Jobs()
+        self._listened: dict[tuple[str, str, str], tuple[str, Choice]] = {}
         self.result_bytes = result_bytes
         self.limitations: list[str] = []
 
@@ -123,15 +128,41 @@ class Robot(Core):
             TypeConflict: if it has several types and none is given, or not the given one.
         """
         topic = names.absolute(topic)
-        present = await self.graph.wait_for(topic, publishers=1, timeout_s=wait_s)
-        type_name = await self.types.topic(present, type_name)
-        await self.values.learn(type_name)
-        publishers = [publisher for publisher in present.publishers if publisher.type == type_name]
-        choice = qos.for_subscribing(publishers, depth=1 if keep == "latest" else 1000)
-        async with await self.bridge.subscribe(
-            topic, type_name, choice.qos.request(), keep=keep, max_samples=max_samples, max_bytes=max_bytes
-        ) as subscription:
-            yield Listening(topic, type_name, choice, publishers, subscription)
+        key, depth = (topic, type_name, keep), 1 if keep == "latest" else 1000
+
+        def subscribed(full_type: str, choice: Choice) -> Coroutine[Any, Any, Subscription]:
+            request = choice.qos.request()
+            return self.bridge.subscribe(
+                topic, full_type, request, keep=keep, max_samples=max_samples, max_bytes=max_bytes
+            )
+
+        subscription: Subscription | None = None
+        former = self._listened.get(key)
+        if former:  # subscribed to as the last time, while it is looked whether that is still right: one round trip
+            subscription, present = await subscribed_while(subscribed(*former), self.graph.endpoints(topic))
+        else:
+            present = await self.graph.endpoints(topic)
+        try:
+            present = await self.graph.wait_for(topic, publishers=1, timeout_s=wait_s, present=present)
+            full_type = await self.types.topic(present, type_name)
+            publishers = [publisher for publisher in present.publishers if publisher.type == full_type]
+            choice = qos.for_subscribing(publishers, depth=depth)
+            if subscription is None or former is None or (former[0], former[1].qos) != (full_type, choice.qos):
+                if subscription:
+                    await subscription.close()
+                subscription, _ = await subscribed_while(subscribed(full_type, choice), self.values.learn(full_type))
+            self._remember(key, (full_type, choice))
+            yield Listening(topic, full_type, choice, publishers, subscription)
+        finally:
+            if subscription:
+                await subscription.close()
+
+    def _remember(self, key: tuple[str, str, str], how: tuple[str, Choice]) -> None:
+        """How a topic was subscribed to, for the next time; of the topics that were read last."""
+        self._listened.pop(key, None)
+        self._listened[key] = how
+        if len(self._listened) > _MOST_REMEMBERED:
+            del self._listened[next(iter(self._listened))]
 
     @asynccontextmanager
     async def listen_again(self, former: Listening, *, max_bytes: int) -> AsyncGenerator[Listening, None]:

@@ -1,0 +1,137 @@
+"""How often a read waits for the bridge: what does not depend on each other is asked at the same time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any, cast
+
+import pytest
+
+from ros2_mcp.link.client import Bridge, Reply, Subscription
+from ros2_mcp.model.errors import BridgeRefused, NotFound
+from ros2_mcp.robot import Robot
+from support.made_bridge import NUMBER
+
+QOS = {
+    "reliability": "reliable",
+    "durability": "volatile",
+    "history": "keep_last",
+    "depth": 10,
+    "deadline_ns": None,
+    "lifespan_ns": None,
+    "liveliness": "automatic",
+    "liveliness_lease_ns": None,
+}
+
+
+class SlowBridge:
+    """A bridge that is far away: answers to all that was asked meanwhile come together, once in a round."""
+
+    hello = None
+    nodes = frozenset[str]()
+    is_closed = False
+
+    def __init__(self) -> None:
+        self.rounds = 0
+        self.asked: list[str] = []
+        self.open_subscriptions = 0
+        self.durability = "volatile"
+        self.is_published = True
+        self._waiting: list[asyncio.Event] = []
+
+    async def request(self, op: str, *_: bytes, **arguments: Any) -> Reply:
+        await self._round(op)
+        return Reply(getattr(self, f"_{op}")(**arguments), b"")
+
+    async def subscribe(self, topic: str, type_name: str, qos: dict[str, Any], **_: Any) -> Subscription:  # noqa: ARG002
+        await self._round(f"subscribe {qos['durability']}")
+        self.open_subscriptions += 1
+
+        async def unsubscribe(_: Subscription) -> None:
+            self.open_subscriptions -= 1
+
+        return Subscription("all", 10, 1000, unsubscribe)
+
+    @asynccontextmanager
+    async def answering(self) -> AsyncIterator[None]:
+        async def rounds() -> None:
+            while True:
+                await asyncio.sleep(0.005)  # until everybody has asked what he can
+                if self._waiting:
+                    self.rounds += 1
+                answered, self._waiting = self._waiting, []
+                for each in answered:
+                    each.set()
+
+        work = asyncio.create_task(rounds())
+        try:
+            yield
+        finally:
+            work.cancel()
+            await asyncio.wait({work})
+
+    async def _round(self, op: str) -> None:
+        self.asked.append(op)
+        answered = asyncio.Event()
+        self._waiting.append(answered)
+        await answered.wait()
+
+    def _endpoints(self, **_: Any) -> Any:
+        if not self.is_published:
+            return {"publishers": [], "subscribers": []}
+        qos = {**QOS, "durability": self.durability}
+        publisher = {"node": "n", "namespace": "/", "type": NUMBER, "hash": "", "gid": "1", "qos": qos}
+        return {"publishers": [publisher], "subscribers": []}
+
+    def _wait_endpoints(self, **_: Any) -> Any:
+        raise BridgeRefused("timeout", "It did not come.")
+
+    def _topics(self, **_: Any) -> Any:
+        return {"settled": True, "topics": []}
+
+    def _definitions(self, types: list[str], **_: Any) -> Any:
+        missing = [each for each in types if each != NUMBER]
+        return {"missing": missing, "definitions": {NUMBER: {"format": "msg", "text": "int32 data\n"}}}
+
+
+@pytest.fixture
+def bridge() -> SlowBridge:
+    return SlowBridge()
+
+
+async def rounds_of_a_read(bridge: SlowBridge, robot: Robot) -> int:
+    before = bridge.rounds
+    async with robot.listen("/count") as listening:
+        assert listening.type == NUMBER and bridge.open_subscriptions == 1
+        return bridge.rounds - before
+
+
+async def test_the_first_read_of_a_topic_takes_two_round_trips_and_every_other_one(bridge: SlowBridge) -> None:
+    robot = Robot(cast(Bridge, bridge))
+    async with bridge.answering():
+        assert [await rounds_of_a_read(bridge, robot) for _ in range(3)] == [2, 1, 1]
+    assert bridge.open_subscriptions == 0
+
+
+async def test_publishers_that_offer_another_qos_meanwhile_are_subscribed_to_anew(bridge: SlowBridge) -> None:
+    robot = Robot(cast(Bridge, bridge))
+    async with bridge.answering():
+        await rounds_of_a_read(bridge, robot)
+        bridge.durability = "transient_local"
+        assert await rounds_of_a_read(bridge, robot) == 2
+        assert await rounds_of_a_read(bridge, robot) == 1
+    assert bridge.open_subscriptions == 0
+    subscribed = [each for each in bridge.asked if each.startswith("subscribe")]
+    assert subscribed == ["subscribe volatile"] * 2 + ["subscribe transient_local"] * 2
+
+
+async def test_no_subscription_is_left_of_a_topic_that_has_gone(bridge: SlowBridge) -> None:
+    robot = Robot(cast(Bridge, bridge))
+    async with bridge.answering():
+        await rounds_of_a_read(bridge, robot)
+        bridge.is_published = False
+        with pytest.raises(NotFound):
+            await rounds_of_a_read(bridge, robot)
+    assert bridge.open_subscriptions == 0
