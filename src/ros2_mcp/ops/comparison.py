@@ -142,18 +142,23 @@ def evaluate(
     tolerance_percent: float = 0.1,
     by_stamp: bool = True,
 ) -> Comparison:
-    """Compares two captures; raises as `compare`, and `BadData` if a message does not fit its type."""
+    """Compares two captures; raises as `compare`, and `BadData` if no message of one is what its type says."""
     from ros2_mcp.ops import signals
 
     readings = common_fields(first, (first.type, second.type), fields)
+    first, first_messages, first_trouble = first.readable()
+    second, second_messages, second_trouble = second.readable()
+    messages = [first_messages, second_messages]
     times, paired_by = _times(first, second, by_stamp)
     partners = signals.pairs(*times)
-    messages = [[capture.decode(sample) for sample in capture.samples] for capture in (first, second)]
     compared = [_compare_field(pair, messages, (seconds(first), seconds(second)), partners) for pair in readings]
     received = [
         (second.samples[j].received_ns - first.samples[i].received_ns) / 1e9 for i, j in partners
     ]  # fmt: skip
     verdict, reasons = _judge(first, second, len(partners), compared, tolerance_percent)
+    reasons += [
+        f"{topic}: {said}" for topic, said in ((first.topic, first_trouble), (second.topic, second_trouble)) if said
+    ]
     return Comparison(
         first.topic,
         second.topic,

@@ -16,8 +16,8 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.graph import OF_EVERY_NODE
 from ros2_mcp.ops.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
+from ros2_mcp.ops.flow import Silence, rate_hz, silence_in
 from ros2_mcp.ops.results import Report, iso_time, silent
-from ros2_mcp.ops.silence import Silence, silence_in
 from ros2_mcp.ops.source import Capture, GraphSnapshot, Missing, Source
 from ros2_mcp.ops.topics import mismatches
 from ros2_mcp.robot import TopicEndpoints
@@ -189,11 +189,9 @@ def flow(capture: Capture) -> Flow:
     times = [(sample.received_ns - capture.start_ns) / 1e9 for sample in capture.samples]
     edges = [0.0, *times, capture.duration_s]
     longest = max(later - earlier for earlier, later in pairwise(edges))
-    span = times[-1] - times[0] if len(times) > 1 else 0.0
-    rate_hz = (len(times) - 1) / span if span > 0 else None
     received_ns = [sample.received_ns for sample in capture.samples]
     silence = silence_in(received_ns, capture.end_ns, STOPPED_PERIODS, STOPPED_S)
-    return Flow(len(times), rate_hz, 1 / longest if longest > 0 else 0.0, silence)
+    return Flow(len(times), rate_hz(times), 1 / longest if longest > 0 else 0.0, silence)
 
 
 def _judge(
@@ -269,8 +267,8 @@ def _state(found: TopicEndpoints, measured: Flow | None, is_expected: bool, min_
         return "OK"
     if measured.silence:
         return "STOPPED" if measured.silence.is_end else "INTERRUPTED"
-    rate_hz = measured.most_hz if measured.rate_hz is None else measured.rate_hz
-    return "SLOW" if rate_hz < RATE_TOLERANCE * min_rate_hz else "OK"
+    found_hz = measured.most_hz if measured.rate_hz is None else measured.rate_hz
+    return "SLOW" if found_hz < RATE_TOLERANCE * min_rate_hz else "OK"
 
 
 def _missing(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:

@@ -6,13 +6,14 @@ import asyncio
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timezone
+from datetime import timezone
 from fnmatch import fnmatchcase
 from typing import Any
 
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.moments import absolute_ns
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.source import Missing, Source
 from ros2_mcp.robot import Robot
@@ -21,8 +22,12 @@ from ros2_mcp.robot.log import LOG_TYPE, TOPIC, level_of
 LEVELS: Mapping[str, int] = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 MAX_TEXT = 2000
 _HISTORY_S = 1.0
+"""Nodes send what they said lately as soon as they have matched, which takes them up to a second."""
 _READY_S = 20.0
+"""As long as a bridge may take to start."""
 _LINE_BYTES = 100
+"""Of a line beside its texts: time, level, and the names of the fields."""
+_SINCE_HINT = "It is neither seconds nor a time: give seconds ago, such as 30, or a time like 2030-01-31T12:00:00Z."
 _NAMES = {number: name.upper() for name, number in LEVELS.items()}
 
 
@@ -157,19 +162,10 @@ def since(given: str, now_ns: int) -> int:
     try:
         seconds = float(given)
     except ValueError:
-        return _iso(given.strip())
+        return absolute_ns("since", given.strip(), timezone.utc, _SINCE_HINT)
     if not 0 <= seconds < 1e9:
         raise BadValue("since", f"{given} is no number of seconds ago.", "Give one that is not negative, such as 30.")
     return now_ns - int(seconds * 1e9)
-
-
-def _iso(text: str) -> int:
-    try:
-        moment = datetime.fromisoformat(text[:-1] + "+00:00" if text.endswith(("Z", "z")) else text)
-    except ValueError:
-        hint = "Give seconds ago, such as 30, or a time like 2030-01-31T12:00:00Z."
-        raise BadValue("since", f"{text!r} is neither seconds nor a time.", hint) from None
-    return int((moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)).timestamp() * 1e6) * 1000
 
 
 def is_node(name: str, wanted: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from datetime import datetime
+from datetime import datetime, timezone
 
 from ros2_mcp.bags.stored import FOREVER, Span
 from ros2_mcp.model.errors import BadValue
@@ -40,7 +40,7 @@ def span_of(start: str, end: str, first_ns: int, last_ns: int) -> Span:
 def moment_ns(name: str, text: str, first_ns: int | None, last_ns: int) -> int:
     """One moment as Unix time in nanoseconds, at most 64 bits; raises as `span_of`, also if it needs no `first_ns`."""
     relative = _RELATIVE.fullmatch(text.strip())
-    found_ns = _relative_ns(name, relative, first_ns, last_ns) if relative else _absolute_ns(name, text.strip())
+    found_ns = _relative_ns(name, relative, first_ns, last_ns) if relative else absolute_ns(name, text.strip())
     return min(max(found_ns, _EARLIEST), FOREVER)
 
 
@@ -72,14 +72,20 @@ def _relative_ns(name: str, relative: re.Match[str], first_ns: int | None, last_
     return first_ns + away_ns
 
 
-def _absolute_ns(name: str, text: str) -> int:
+def absolute_ns(name: str, text: str, zone: timezone | None = None, hint: str = _HINT) -> int:
+    """A time in ISO 8601 as Unix time in nanoseconds; of `zone` where it names none.
+
+    Raises:
+        BadValue: if it is no such time, or names no zone and none is assumed.
+    """
     whole, fraction = text, ""
     if found := _FRACTION.search(text):
         whole, fraction = text[: found.start()] + text[found.end() :], found[1]
     try:
         moment = datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", whole))
     except ValueError as error:
-        raise BadValue(name, f"{text!r} is not a moment.", _HINT) from error
-    if moment.tzinfo is None:
+        raise BadValue(name, f"{text!r} is not a moment.", hint) from error
+    if moment.tzinfo is None and zone is None:
         raise BadValue(name, f"{text!r} has no time zone.", "Add Z for UTC, or an offset such as +01:00.")
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=zone)
     return round(moment.timestamp()) * 1_000_000_000 + int(fraction.ljust(9, "0") or 0)

@@ -12,10 +12,12 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.pictures import MAX_SIDE, Picture
+from ros2_mcp.ops.flow import GAP_FACTOR
 from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.source import Capture, Missing, Source
 
 if TYPE_CHECKING:
+    from ros2_mcp.codec.cdr import Message
     from ros2_mcp.codec.plot import Figure, Panel
     from ros2_mcp.ops.signals import Numbers
 
@@ -143,7 +145,7 @@ class _Values:
         return f"{self.topic}:{self.field}"
 
 
-def _values_of(capture: Capture, field: str, most: int | None) -> Iterator[_Values]:
+def _values_of(capture: Capture, messages: Sequence[Message], field: str, most: int | None) -> Iterator[_Values]:
     """The values of each number that a path stands for, of lists of each element; at most so many fields."""
     from ros2_mcp.codec.select import measurable
     from ros2_mcp.codec.units import unit_of
@@ -152,7 +154,6 @@ def _values_of(capture: Capture, field: str, most: int | None) -> Iterator[_Valu
     readings = measurable(capture.definitions, capture.type, [field] if field else ())
     if not field:
         readings = [each for each in readings if not each.is_list]
-    messages = [capture.decode(sample) for sample in capture.samples]
     times = [max(sample.received_ns - capture.start_ns, 0) / 1e9 for sample in capture.samples]
     for each in readings[:most]:
         found = [(time, _value(each, message)) for time, message in zip(times, messages, strict=True)]
@@ -197,8 +198,6 @@ def _breaks(times: Numbers) -> Any:
     """True at each value that came after a gap."""
     import numpy as np
 
-    from ros2_mcp.ops.signals import GAP_FACTOR
-
     periods = np.diff(times)
     usual = float(np.median(periods)) if len(periods) > 2 else np.inf
     return np.concatenate(([False], periods > GAP_FACTOR * usual))[: len(times)]
@@ -209,8 +208,12 @@ def _breaks(times: Numbers) -> Any:
 
 def _plotted(words: str, found: Sequence[tuple[Capture, str]], look: Look, notes: list[str]) -> Plot:
     most = 2 if look.kind == "xy" else None
-    values = list({each.name: each for capture, field in found for each in _values_of(capture, field, most)}.values())
-    first = found[0][0]
+    readable = {topic: capture.readable() for topic, capture in {each.topic: each for each, _ in found}.items()}
+    by_name = {
+        each.name: each for capture, field in found for each in _values_of(*readable[capture.topic][:2], field, most)
+    }
+    values, first = list(by_name.values()), found[0][0]
+    notes += [f"{topic}: {trouble}" for topic, (_, _, trouble) in readable.items() if trouble]
     if look.kind == "time":
         values, left_out = _chosen(values)
         notes += left_out

@@ -139,9 +139,7 @@ class Fitted:
         if self.left_out:
             notes.append(f"{self.left_out} more do not fit, evenly left out: choose fields, or every_n.")
         if self.undecodable:
-            notes.append(
-                f"{self.undecodable} message(s) are not what their type says and are left out: {self.trouble}".rstrip()
-            )
+            notes.append(undecodable(self.undecodable, self.trouble))
         return " ".join(notes)
 
 
@@ -193,6 +191,11 @@ def fit(codec: Codec, type_name: str, samples: Sequence[Sample], selection: Sele
         len(troubles),
         troubles[0] if troubles else "",
     )
+
+
+def undecodable(count: int, trouble: str = "") -> str:
+    """What is said of messages that are skipped because their bytes do not fit their type."""
+    return f"{count} message(s) are not what their type says and are left out{': ' if trouble else '.'}{trouble}"
 
 
 def spread(samples: Sequence[Sample], most: int) -> list[Sample]:

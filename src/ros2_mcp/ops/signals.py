@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 Numbers: TypeAlias = "NDArray[np.float64]"
 
-GAP_FACTOR = 3.0
-"""A gap is a period longer than this many times the median period."""
 JUMP_FACTOR = 8.0
 """A jump is a step larger than this many times the usual step (a robust standard deviation)."""
 STUCK_SAMPLES = 5
@@ -31,14 +29,6 @@ _NEAR_BEST = 0.98
 _ROUNDING = 1e-28
 _ROUNDING_STEP = 1e-5
 """A step that is smaller than this part of the largest value is no jump of a robot, but of its arithmetic."""
-
-
-@dataclass(frozen=True, slots=True)
-class Gap:
-    """A time without messages: from the message before it (or the window's beginning), `duration_s` long."""
-
-    at_s: float
-    duration_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,22 +53,6 @@ class Stuck:
 def number(value: Any) -> float | None:
     """A finite number as a float; None for anything else, as JSON has no other."""
     return float(value) if math.isfinite(value) else None
-
-
-def rate(times: Numbers) -> float | None:
-    """Messages per second between the first and the last."""
-    span = float(times[-1] - times[0]) if len(times) > 1 else 0.0
-    return (len(times) - 1) / span if span > 0 else None
-
-
-def gaps(times: Numbers, duration_s: float) -> list[Gap]:
-    """Periods longer than three times the median one, the silence before the first and after the last included."""
-    if len(times) <= _MOST_SAMPLES:
-        return []
-    limit = GAP_FACTOR * float(np.median(np.diff(times)))
-    edges = np.concatenate(([0.0], times, [duration_s]))
-    periods = np.diff(edges)
-    return [Gap(float(edges[index]), float(periods[index])) for index in np.flatnonzero(periods > limit)]
 
 
 def slope(times: Numbers, values: Numbers) -> float | None:

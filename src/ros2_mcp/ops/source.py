@@ -8,15 +8,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.errors import BadData, RobotError
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.model.samples import Counts, Sample, header_stamp_ns
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report, silent
-from ros2_mcp.ops.selection import Collector
+from ros2_mcp.ops.selection import Collector, undecodable
 from ros2_mcp.robot import Robot, TopicEndpoints
 
 if TYPE_CHECKING:
@@ -65,6 +65,28 @@ class Capture:
     def decode(self, sample: Sample) -> Message:
         """The values of one of the samples; raises `BadData` where its bytes do not fit the type."""
         return self.codec.decode(self.type, sample.data)
+
+    def readable(self) -> tuple[Capture, list[Message], str]:
+        """Without the samples that are not what their type says; the messages of the others; and in words how many.
+
+        Raises:
+            BadData: if none can be decoded.
+        """
+        samples: list[Sample] = []
+        messages: list[Message] = []
+        trouble: BadData | None = None
+        for sample in self.samples:
+            try:
+                messages.append(self.decode(sample))
+                samples.append(sample)
+            except BadData as error:
+                trouble = trouble or error
+        if trouble is None:
+            return self, messages, ""
+        if not samples:
+            raise trouble
+        bad = len(self.samples) - len(samples)
+        return replace(self, samples=samples), messages, undecodable(bad, str(trouble))
 
     def stamps_ns(self) -> list[int] | None:
         """The header's stamp of each sample; None where the type does not begin with a header."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.errors import BadInput, BadValue, RobotError
+from ros2_mcp.ops.flow import gaps, rate_hz
 from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.selection import Selection
 from ros2_mcp.ops.source import Capture, Missing, Source
@@ -161,32 +162,30 @@ def evaluate(capture: Capture, fields: Sequence[str] = (), most_fields: int = 80
     """The statistics of one capture; a chosen field that this type does not have is left out.
 
     Raises:
-        BadData: if a message does not fit the type.
+        BadData: if no message is what the type says.
     """
     import numpy as np
 
-    from ros2_mcp.ops import signals
-
-    times = seconds(capture)
     readings, note = _readings(capture, fields, most_fields)
-    messages = [capture.decode(sample) for sample in capture.samples] if readings else []
+    readable, messages, trouble = capture.readable() if readings else (capture, [], "")
+    times = seconds(capture)
     periods = np.diff(times)
     return TopicStatistics(
         capture.topic,
         capture.type,
         count=len(times),
-        rate_hz=signals.rate(times),
+        rate_hz=rate_hz(times.tolist()),
         period_median_s=float(np.median(periods)) if len(periods) else None,
         period_std_s=float(periods.std()) if len(periods) > 1 else None,
         gaps=_gap_lines(capture, times),
-        fields=[_field(each, messages, times) for each in readings],
+        fields=[_field(each, messages, seconds(readable)) for each in readings],
         started_at=iso_time(capture.start_ns),
         duration=capture.duration_s,
         received=capture.received,
         dropped=capture.dropped,
         lost=capture.lost,
         publishers=capture.publishers,
-        note=f"{_note(capture)} {note}".strip(),
+        note=" ".join(filter(None, (_note(capture), note, trouble))),
     )
 
 
@@ -220,9 +219,7 @@ def _note(capture: Capture) -> str:
 
 
 def _gap_lines(capture: Capture, times: Numbers) -> list[str]:
-    from ros2_mcp.ops.signals import gaps
-
-    found = sorted(gaps(times, capture.duration_s), key=lambda gap: -gap.duration_s)
+    found = sorted(gaps(times.tolist(), 0.0, capture.duration_s), key=lambda gap: -gap.duration_s)
     shown = sorted(found[: 2 * _LISTED], key=lambda gap: gap.at_s)
     lines = [f"nothing for {gap.duration_s:.3f} s from {gap.at_s:.3f} s on" for gap in shown]
     return lines + ([f"{len(found) - len(shown)} shorter gaps"] if len(found) > len(shown) else [])

@@ -6,21 +6,23 @@ import asyncio
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from time import monotonic
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.samples import Sample, header_stamp_ns
+from ros2_mcp.ops.flow import GAP_FACTOR, Silence, gaps, rate_hz, silence_in
 from ros2_mcp.ops.results import HIDDEN, Report, iso_time, reporting, silent
-from ros2_mcp.ops.silence import Silence, silence_in
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.source import Source, Stream
 
 MAX_TOPICS = 20
-_GAP_FACTOR = 3.0
 _SILENCE_S = 0.5
+"""A shorter silence at the end is not told: a slow machine makes one now and then."""
 _OTHER_CLOCK_S = 1e6
+"""A stamp that is eleven days off is not of this clock: simulated time begins at zero."""
 _STAMP_END = 12
 _LEAST_S = 1e-3
 
@@ -127,25 +129,24 @@ async def _measure(source: Source, topic: str, report: Report) -> TopicStats:
 
 def _evaluate(stream: Stream, flow: Flow, duration_s: float) -> TopicStats:
     counts = stream.counts
-    periods = [(later - earlier) / 1e9 for earlier, later in zip(flow.received_ns, flow.received_ns[1:], strict=False)]
-    median = statistics.median(periods) if periods else 0.0
-    gaps = [period for period in periods if period > _GAP_FACTOR * median] if len(periods) > 2 else []
-    silence = silence_in(flow.received_ns, stream.end_ns, _GAP_FACTOR, _SILENCE_S)
-    gaps += [silence.duration_s] if silence and silence.is_end else []
-    span = sum(periods)
+    times_s = [(at_ns - flow.received_ns[0]) / 1e9 for at_ns in flow.received_ns]
+    periods = [later - earlier for earlier, later in pairwise(times_s)]
+    silence = silence_in(flow.received_ns, stream.end_ns, GAP_FACTOR, _SILENCE_S)
+    breaks_s = [gap.duration_s for gap in gaps(times_s)]
+    breaks_s += [silence.duration_s] if silence and silence.is_end else []
     same_clock = bool(flow.ages_s) and abs(statistics.fmean(flow.ages_s)) < _OTHER_CLOCK_S
     return TopicStats(
         stream.topic,
         stream.type,
         publishers=len(stream.publishers),
         count=len(flow.sizes),
-        rate_hz=len(periods) / span if span > 0 else None,
+        rate_hz=rate_hz(times_s),
         period_mean_s=statistics.fmean(periods) if periods else None,
         period_min_s=min(periods, default=None),
         period_max_s=max(periods, default=None),
         jitter_s=statistics.pstdev(periods) if len(periods) > 1 else None,
-        gaps=len(gaps),
-        longest_gap_s=max(gaps, default=None),
+        gaps=len(breaks_s),
+        longest_gap_s=max(breaks_s, default=None),
         bytes_per_second=sum(flow.sizes) / max(duration_s, _LEAST_S),
         mean_size_bytes=statistics.fmean(flow.sizes) if flow.sizes else None,
         age_mean_s=statistics.fmean(flow.ages_s) if same_clock else None,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model.errors import BadData, BadValue, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import HIDDEN, Report, iso_time, reporting, silent
+from ros2_mcp.ops.selection import undecodable
 from ros2_mcp.ops.source import Source, Stream
 
 if TYPE_CHECKING:
@@ -161,7 +162,7 @@ def _shown(stream: Stream, sample: Sample, paths: Sequence[str], max_bytes: int)
 def _note(stream: Stream, search: _Search) -> str:
     notes: list[str] = []
     if search.undecodable:
-        notes.append(f"{search.undecodable} message(s) are not what their type says and were left out.")
+        notes.append(undecodable(search.undecodable))
     elif not search.looked_at:
         notes.append("No message came." if stream.publishers else "No message came: nobody publishes on it.")
     if search.undecided:

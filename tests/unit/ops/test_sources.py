@@ -14,7 +14,7 @@ from ros2_mcp.binding import bind
 from ros2_mcp.codec.cdr import Codec
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops import bags, history, reading, sources
+from ros2_mcp.ops import bags, history, plotting, reading, sources, statistics
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.recorded import BagSource, open_bag
 from ros2_mcp.ops.recorded_robot import recorded_robot
@@ -67,8 +67,8 @@ async def test_a_new_kind_of_source_is_one_class_and_one_line(
     async def ask(name: str, **arguments: Any) -> Mapping[str, Any]:
         return await called(robot, memory, name, **arguments)
 
-    (statistics,) = (await ask("ros2_topic_statistics", topic_names=["/x"], bag="made"))["topics"]
-    assert (statistics["count"], statistics["fields"][0]["max"]) == (11, 10.0)
+    (measured,) = (await ask("ros2_topic_statistics", topic_names=["/x"], bag="made"))["topics"]
+    assert (measured["count"], measured["fields"][0]["max"]) == (11, 10.0)
     assert (await ask("ros2_topic_stats", topic_names=["/x"], bag="made"))["topics"][0]["rate_hz"] == pytest.approx(10)
     assert (await ask("ros2_wait_until", topic_name="/x", condition="data > 3", bag="made"))["looked_at"] == 5
     read = await ask("ros2_topic_subscribe", topic_name="/x", bag="made", message_limit=2, every_n=3)
@@ -118,6 +118,15 @@ async def test_what_cannot_be_decoded_is_skipped_counted_and_told_by_whoever_rea
     assert (read.received, read.count, kept.found) == (6, 4, 6)
     waited = await wait_until(await open_bag(damaged, "run"), "/count", "data > 9")
     assert (waited.looked_at, waited.message) == (4, {"data": 4}) and told in waited.note
+
+
+async def test_what_cannot_be_decoded_is_not_measured(damaged: Memory) -> None:
+    source = await open_bag(damaged, "run")
+    (found,) = (await statistics.measure(source, ["/count"], Selection())).topics
+    assert (found.count, found.fields[0].count, found.fields[0].max) == (6, 4, 4.0)
+    assert "2 message(s) are not what their type says" in found.note
+    drawn = await plotting.plot(source, ["/count:data"])
+    assert drawn.series[0].count == 4 and "2 message(s) are not what their type says" in drawn.note
 
 
 # ── decoding and collecting ──────────────────────────────────────────────────────────────────────────────────────────
