@@ -358,6 +358,7 @@ class BlackBox(Recording):
         topics = [names.absolute(topic) for topic in settings.black_box or ()]
         request = RecordRequest(topics=topics, largest=0 if topics else LARGEST_BYTES)
         super().__init__(robot, memory, request, owner=SERVER)
+        self._folder = memory.record_dir / BLACK_BOX
         self._settings = settings
 
     def _open(self) -> tuple[Path, Recorder]:

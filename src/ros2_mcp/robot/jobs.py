@@ -192,8 +192,7 @@ class Jobs:
             with anyio.move_on_after(within_s):
                 await job._settled.wait()  # pyright: ignore[reportPrivateUsage]
         except BaseException:  # cancelled: who began it will never learn its id
-            with anyio.CancelScope(shield=True):
-                await job.stop()
+            await _abandon(job)
             raise
         if job.failure:
             raise job.failure
@@ -207,8 +206,7 @@ class Jobs:
                 if every_second:
                     await every_second()
         except BaseException:  # cancelled, or nobody hears any more what is told
-            with anyio.CancelScope(shield=True):
-                await job.stop()
+            await _abandon(job)
             raise
 
     async def run(self, job: Job, *, every_second: Tell | None = None) -> None:
@@ -330,6 +328,13 @@ async def _stop_or_log(job: Job) -> None:
         await job.stop()
     except Exception as error:  # noqa: BLE001 - it has ended; that it was not in good order keeps no other from ending
         _logger.warning("%s %s did not end in good order: %s", job.kind, job.id, error)
+
+
+async def _abandon(job: Job) -> None:
+    """Ends a job that nobody awaits any more at once, without winding down: it may be moving the robot."""
+    job.cancel()
+    with anyio.CancelScope(shield=True):
+        await job.wait()
 
 
 def _single(error: Exception) -> Exception:

@@ -214,6 +214,18 @@ async def test_a_call_may_await_its_job() -> None:
         assert awaited.state == "stopped"
 
 
+async def test_a_call_that_is_cancelled_ends_what_it_awaits_at_once_and_not_after_its_patience() -> None:
+    class Patient(Polite):
+        patience_s = 20.0
+        is_stubborn = True
+
+    async with a_server() as jobs:
+        begun = monotonic()
+        with anyio.move_on_after(0.02):
+            await jobs.run(Patient())
+        assert monotonic() - begun < 5.0
+
+
 async def test_a_job_ends_in_good_order_if_it_can_and_else_after_its_patience() -> None:
     async with a_server() as jobs:
         polite, stubborn = Polite(), Polite()
