@@ -12,6 +12,7 @@ import operator
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, cast
 
 from ros2_mcp.codec.definitions import Definitions
@@ -20,8 +21,11 @@ from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.interfaces import TEXTS, FieldType
 
 MAX_LENGTH = 1000
+"""Characters. Far more than a condition that can still be understood."""
 MAX_DEPTH = 40
+"""Levels of nesting. Evaluation recurses, and Python's own parser gives up at about 200."""
 _LARGEST = 2**64
+"""Integers beyond every type of ROS; without a bound a literal of 1000 digits would be computed with."""
 
 Evaluate = Callable[[object], Any]
 
@@ -43,7 +47,6 @@ _MEMBERSHIP: Mapping[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.NotIn: lambda part, whole: part not in whole,
 }
 _CONSTANTS = {"true": True, "false": False, "nan": math.nan, "inf": math.inf}
-_FUNCTIONS = ("abs", "min", "max", "len", "hypot")
 _ALLOWED = (
     "A condition is made of fields, numbers, texts, comparisons, and, or, not, + - * /, parentheses, "
     "in, abs(), min(), max(), len() and hypot()."
@@ -117,12 +120,23 @@ def _syntax_hint(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Term:
-    """A part of the condition: how to evaluate it, and of which kind it is: number, truth, text or list."""
+    """A part of the condition: how to evaluate it, and of which kind it is: number, truth, text, list or message.
+
+    `words` describe it in errors; `element` is the kind of a list's elements.
+    """
 
     kind: str
     evaluate: Evaluate
     words: str
     element: str = ""
+
+
+def _truth(evaluate: Evaluate) -> _Term:
+    return _Term("truth", evaluate, "true or false")
+
+
+def _number(evaluate: Evaluate) -> _Term:
+    return _Term("number", evaluate, "a number")
 
 
 @dataclass(slots=True)
@@ -133,85 +147,72 @@ class _Compiler:
 
     def term(self, node: ast.expr) -> _Term:
         match node:
-            case ast.BoolOp():
-                return self._and_or(node)
-            case ast.UnaryOp():
-                return self._unary(node)
-            case ast.BinOp():
-                return self._arithmetic(node)
+            case ast.BoolOp(op=op, values=values):
+                parts = [self._of_kind(value, "truth").evaluate for value in values]
+                decide = all if isinstance(op, ast.And) else any
+                return _truth(lambda message: decide(part(message) for part in parts))
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                inner = self._of_kind(operand, "truth").evaluate
+                return _truth(lambda message: not inner(message))
+            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+                return _number(self._of_kind(operand, "number").evaluate)
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                value = self._of_kind(operand, "number").evaluate
+                return _number(lambda message: -value(message))
+            case ast.BinOp(op=op) if compute := _ARITHMETIC.get(type(op)):
+                left, right = (self._of_kind(side, "number").evaluate for side in (node.left, node.right))
+                return _number(lambda message: compute(left(message), right(message)))
             case ast.Compare():
                 return self._comparison(node)
             case ast.Call():
                 return self._call(node)
-            case ast.Constant():
-                return _constant(node.value)
+            case ast.Constant(value=value):
+                return _constant(value)
             case ast.Name() | ast.Attribute() | ast.Subscript():
                 return self._field(node)
             case _:
-                raise _refusal(node)
-
-    def _and_or(self, node: ast.BoolOp) -> _Term:
-        parts = [self._of_kind(each, "truth").evaluate for each in node.values]
-        decide = all if isinstance(node.op, ast.And) else any
-        return _Term("truth", lambda message: decide(part(message) for part in parts), "true or false")
-
-    def _unary(self, node: ast.UnaryOp) -> _Term:
-        if isinstance(node.op, ast.Not):
-            inner = self._of_kind(node.operand, "truth").evaluate
-            return _Term("truth", lambda message: not inner(message), "true or false")
-        if isinstance(node.op, ast.Invert):
-            raise _refusal(node)
-        number = self._of_kind(node.operand, "number").evaluate
-        if isinstance(node.op, ast.UAdd):
-            return _Term("number", number, "a number")
-        return _Term("number", lambda message: -number(message), "a number")
-
-    def _arithmetic(self, node: ast.BinOp) -> _Term:
-        compute = _ARITHMETIC.get(type(node.op))
-        if compute is None:
-            raise _refusal(node)
-        left = self._of_kind(node.left, "number").evaluate
-        right = self._of_kind(node.right, "number").evaluate
-        return _Term("number", lambda message: compute(left(message), right(message)), "a number")
+                raise BadInput(f"{_excerpt(node)} cannot be used in a condition.", _ALLOWED)
 
     def _comparison(self, node: ast.Compare) -> _Term:
-        terms = [self.term(each) for each in (node.left, *node.comparators)]
+        terms = [self.term(side) for side in (node.left, *node.comparators)]
         steps = [
             (_comparing(node, sign, left, right), left.evaluate, right.evaluate)
             for sign, left, right in zip(node.ops, terms, terms[1:], strict=False)
         ]
-
-        def holds(message: object) -> bool:
-            return all(compare(left(message), right(message)) for compare, left, right in steps)
-
-        return _Term("truth", holds, "true or false")
+        return _truth(lambda message: all(compare(left(message), right(message)) for compare, left, right in steps))
 
     def _call(self, node: ast.Call) -> _Term:
         name = node.func.id if isinstance(node.func, ast.Name) else ""
         if name not in _FUNCTIONS or node.keywords or not node.args:
             raise BadInput(f"{_excerpt(node)} cannot be called here.", f"There are {', '.join(_FUNCTIONS)}.")
-        arguments = [self.term(each) for each in node.args]
-        return _function(node, name, arguments)
+        arguments = [self.term(argument) for argument in node.args]
+        compute, takes, hint = _FUNCTIONS[name]
+        if not takes([f"{term.kind} {term.element}".strip() for term in arguments]):
+            given = ", ".join(term.words for term in arguments)
+            raise BadInput(f"{_excerpt(node)}: {name}() does not take {given}.", hint)
+        values = [term.evaluate for term in arguments]
+        return _number(lambda message: compute(*(value(message) for value in values)))
 
     def _field(self, node: ast.expr) -> _Term:
-        path = _text_of(node)
-        structure = self.definitions.structure(self.type_name)
-        if isinstance(node, ast.Name) and node.id not in {each.name for each in structure.fields}:
-            constants = {each.name: each.value for each in structure.constants}
-            known = {**_CONSTANTS, **constants}
-            if node.id in known:
-                return _constant(known[node.id])
-        found = parse_field(self.definitions, self.type_name, path)
-        self.fields[found.path] = None
-        kind, words, element = _kind_of(found)
-        return _Term(kind, _reader(found, kind), words, element)
+        if isinstance(node, ast.Name):
+            structure = self.definitions.structure(self.type_name)
+            constants = {**_CONSTANTS, **{constant.name: constant.value for constant in structure.constants}}
+            if node.id in constants and node.id not in {each.name for each in structure.fields}:
+                return _constant(constants[node.id])
+        path = parse_field(self.definitions, self.type_name, _text_of(node))
+        self.fields[path.path] = None
+        if path.is_list:
+            return _Term("list", _reader(path), f"a list ({path.type})", _single_kind(path.type.element))
+        kind = _single_kind(path.type)
+        return _Term(kind, _reader(path), f"a {kind} ({path.type})")
 
     def _of_kind(self, node: ast.expr, kind: str) -> _Term:
         term = self.term(node)
+        # a single boolean counts as 0 or 1; a whole comparison as a number would be a mistake
         if term.kind == kind or (kind == "number" and term.kind == "truth" and isinstance(node, _SINGLE)):
             return term
-        wanted = {"truth": "a condition", "number": "a number"}[kind]
-        raise BadInput(f"{_excerpt(node)} is {term.words}, but {wanted} is needed here.", _kind_hint(term, kind))
+        needed = {"truth": "a condition", "number": "a number"}[kind]
+        raise BadInput(f"{_excerpt(node)} is {term.words}, but {needed} is needed here.", _kind_hint(term, kind))
 
 
 _SINGLE = (ast.Name, ast.Attribute, ast.Subscript, ast.Constant)
@@ -219,18 +220,12 @@ _SINGLE = (ast.Name, ast.Attribute, ast.Subscript, ast.Constant)
 
 def _constant(value: object) -> _Term:
     if isinstance(value, bool):
-        return _Term("truth", lambda _: value, "true or false")
+        return _truth(lambda _: value)
     if isinstance(value, str):
         return _Term("text", lambda _: value, "a text")
     if isinstance(value, float) or (isinstance(value, int) and abs(value) <= _LARGEST):
-        return _Term("number", lambda _: value, "a number")
+        return _number(lambda _: value)
     raise BadInput(f"{str(value)[:40]} cannot be used here.", _ALLOWED) from None
-
-
-def _kind_of(found: FieldPath) -> tuple[str, str, str]:
-    if found.is_list:
-        return "list", f"a list ({found.type})", _single_kind(found.type.element)
-    return (kind := _single_kind(found.type)), f"a {kind} ({found.type})", ""
 
 
 def _single_kind(field_type: FieldType) -> str:
@@ -241,13 +236,15 @@ def _single_kind(field_type: FieldType) -> str:
     return "text" if field_type.base in TEXTS else "number"
 
 
-def _reader(found: FieldPath, kind: str) -> Evaluate:
+def _reader(path: FieldPath) -> Evaluate:
+    is_truth = not path.is_list and path.type.base == "bool"
+
     def read(message: object) -> Any:
         try:
-            value = found.value_in(message)
+            value = path.value_in(message)
         except BadValue as error:
             raise Undecided from error
-        return bool(value) if kind == "truth" else value
+        return bool(value) if is_truth else value
 
     return read
 
@@ -259,62 +256,48 @@ def _comparing(node: ast.Compare, sign: ast.cmpop, left: _Term, right: _Term) ->
         return compare
     if (compare := _ORDER.get(type(sign))) and kinds in ({"number"}, {"text"}):
         return compare
-    if (compare := _MEMBERSHIP.get(type(sign))) and (
-        (right.kind == "list" and right.element == left.kind) or kinds == {"text"}
-    ):
+    is_in_list = right.kind == "list" and right.element == left.kind
+    if (compare := _MEMBERSHIP.get(type(sign))) and (is_in_list or kinds == {"text"}):
         return compare
     hint = _kind_hint(left, "") or _kind_hint(right, "") or "Numbers compare with numbers, texts with texts."
     raise BadInput(f"{_excerpt(node)}: {left.words} and {right.words} cannot be compared so.", hint)
 
 
-def _function(node: ast.Call, name: str, arguments: Sequence[_Term]) -> _Term:
-    kinds = [each.kind for each in arguments]
-    evaluates = [each.evaluate for each in arguments]
-    first = evaluates[0]
-    if name == "len" and kinds in (["list"], ["text"]):
-        return _Term("number", lambda message: len(first(message)), "a number")
-    if name == "abs" and kinds == ["number"]:
-        return _Term("number", lambda message: abs(first(message)), "a number")
-    if name == "hypot" and set(kinds) == {"number"}:
-        return _Term("number", lambda message: math.hypot(*(each(message) for each in evaluates)), "a number")
-    if name in ("min", "max"):
-        choose = min if name == "min" else max
-        if kinds == ["list"] and arguments[0].element == "number":
-            return _Term("number", lambda message: _extreme(choose, first(message)), "a number")
-        if len(kinds) > 1 and set(kinds) == {"number"}:
-            return _Term("number", lambda m: _extreme(choose, [each(m) for each in evaluates]), "a number")
-    given = ", ".join(each.words for each in arguments)
-    raise BadInput(f"{_excerpt(node)}: {name}() does not take {given}.", _FUNCTION_HINTS[name])
-
-
-_FUNCTION_HINTS = {
-    "len": "Give it one list or text.",
-    "abs": "Give it one number.",
-    "hypot": "Give it numbers, such as hypot(x - 1, y - 2).",
-    "min": "Give it one list of numbers, or several numbers.",
-    "max": "Give it one list of numbers, or several numbers.",
-}
-
-
-def _extreme(choose: Callable[..., Any], values: Any) -> Any:
-    """The smallest or largest, NaN left out."""
-    plain = cast("list[Any]", values.tolist() if hasattr(values, "tolist") else values)
+def _extreme(choose: Callable[..., Any], first: Any, *others: Any) -> Any:
+    """The smallest or largest of several numbers, or of one list of them; NaN left out."""
+    several = cast("Any", (first, *others) if others else first)
+    plain = cast("Sequence[Any]", several.tolist() if hasattr(several, "tolist") else several)
     numbers = [value for value in plain if not math.isnan(value)]
     if not numbers:
         raise Undecided
     return choose(numbers)
 
 
-def _kind_hint(term: _Term, wanted: str) -> str:
+def _several_numbers(kinds: Sequence[str]) -> bool:
+    return list(kinds) == ["list number"] or (len(kinds) > 1 and set(kinds) == {"number"})
+
+
+def _one_list_or_text(kinds: Sequence[str]) -> bool:
+    return len(kinds) == 1 and kinds[0].startswith(("list", "text"))
+
+
+_SEVERAL = "Give it one list of numbers, or several numbers."
+_FUNCTIONS: Mapping[str, tuple[Callable[..., Any], Callable[[Sequence[str]], bool], str]] = {
+    "abs": (abs, lambda kinds: list(kinds) == ["number"], "Give it one number."),
+    "min": (partial(_extreme, min), _several_numbers, _SEVERAL),
+    "max": (partial(_extreme, max), _several_numbers, _SEVERAL),
+    "len": (len, _one_list_or_text, "Give it one list or text."),
+    "hypot": (math.hypot, lambda kinds: set(kinds) == {"number"}, "Give it numbers, such as hypot(x - 1, y - 2)."),
+}
+"""What can be called: what it computes, whether it takes arguments of such kinds, and what to give it."""
+
+
+def _kind_hint(term: _Term, needed: str) -> str:
     if term.kind == "message":
         return "Name one of its fields."
     if term.kind == "list":
         return "Pick an element, such as [0], or use min(), max() or len()."
-    return "Compare it, such as: … > 1.0." if wanted == "truth" else ""
-
-
-def _refusal(node: ast.expr) -> BadInput:
-    return BadInput(f"{_excerpt(node)} cannot be used in a condition.", _ALLOWED)
+    return "Compare it, such as: … > 1.0." if needed == "truth" else ""
 
 
 def _excerpt(node: ast.expr) -> str:
