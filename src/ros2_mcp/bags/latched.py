@@ -8,6 +8,7 @@ from ros2_mcp.bags.writer import MESSAGE_BYTES
 from ros2_mcp.model.samples import Sample
 
 MOST_MESSAGES = 32
+"""Of one topic. /tf_static has a publisher for each driver and one message of each; more than 32 are rare."""
 
 
 class LatchedTopic:

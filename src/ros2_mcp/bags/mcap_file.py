@@ -20,6 +20,7 @@ from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.samples import Sample
 
 _MOST_PROBLEMS = 50
+"""Told of one file. A disk that fails damages thousands of chunks, and nobody reads further."""
 _Key: TypeAlias = tuple[int, int, int, int]
 _Item: TypeAlias = "tuple[_Key, ChunkPlace, str, Sample | None]"
 _UNKNOWN = chunks.Schema("", "", "")

@@ -21,6 +21,7 @@ _WINDOW = 4 << 20
 """Bytes that are searched at a time for the next chunk after damage."""
 _CANDIDATE = re.compile(rb"\x06(?=.{5}\0\0\0.{28}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4))", re.DOTALL)
 _CANDIDATE_BYTES = 64
+"""By how much windows overlap: more than the head of a chunk, which the pattern must see as a whole."""
 
 
 @dataclass(slots=True)

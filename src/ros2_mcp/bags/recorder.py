@@ -20,8 +20,11 @@ from ros2_mcp.bags.writer import free_bytes
 from ros2_mcp.model.samples import Sample
 
 FLUSH_S = 0.3
+"""At most this much is lost when the process is killed; shorter would make many small chunks."""
 QUEUE_BYTES = 64_000_000
+"""Two seconds of a camera at 30 MB/s: what a disk may stall for before messages are dropped."""
 FREE_FLOOR_BYTES = 500_000_000
+"""Left free, because a robot whose disk is full loses its logs and often its software too."""
 
 
 class Sink(Protocol):

@@ -14,6 +14,7 @@ from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
 
 _PARTS = 16
+"""Files of a ring. When the oldest goes, a sixteenth is lost; more files would repeat latched messages more often."""
 _CHANNEL_BYTES = 500
 """At most what a topic needs in a file beside its messages, definition and QoS, all of it twice."""
 

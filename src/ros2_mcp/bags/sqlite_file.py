@@ -17,6 +17,7 @@ from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.samples import Sample
 
 _BUSY_S = 1.0
+"""How long to wait for a recorder that writes to the file; its transactions take milliseconds."""
 
 
 class SqliteFile:

@@ -9,6 +9,7 @@ from typing import Protocol
 from ros2_mcp.model.samples import Sample
 
 FOREVER = 2**63 - 1
+"""The largest time in nanoseconds that SQLite (and ROS) can hold: the year 2262."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,8 @@ from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.model.samples import Sample
 
 CHUNK_BYTES = 1 << 20
-_SEQUENCE = 0xFFFFFFFF
+"""As the mcap library has it. It is what a damaged byte costs, and what is read for a single message."""
+_SEQUENCE = 0xFFFFFFFF  # MCAP has 32 bits for the number of a message, ROS 64
 MESSAGE_BYTES = 31 + 16
 """What a message needs beside its data: its record's head, and its place in the chunk's index."""
 _LIBRARY = "ros2-mcp"

@@ -1,4 +1,4 @@
-"""Bytes ↔ message objects."""
+"""Bytes ↔ message objects: the one place where a message is decoded or encoded."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ Message: TypeAlias = object
 """A message as an object with one attribute for each field; numeric arrays are read-only NumPy arrays."""
 
 _PADDING = 3
+"""Bytes. DDS pads a message to a multiple of four."""
 
 
 class Codec:

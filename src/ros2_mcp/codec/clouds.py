@@ -13,7 +13,9 @@ from ros2_mcp.model.errors import BadData
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _INTENSITIES = ("intensity", "intensities", "i", "reflectivity")
 _FARTHEST_M = 1e9
+"""Some drivers mark missing points with huge numbers as well as with NaN; no sensor sees a million kilometres."""
 _PACKED = ("rgb", "rgba")
+"""Fields of three or four colours in one number, as PCL packs them."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ _MAX_PIXELS = 64_000_000
 """Largest compressed image that is unpacked: 192 MB as RGB. A file of a few kB may claim far more."""
 _READ = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
 _MIMES = {"JPEG": "image/jpeg", "PNG": "image/png"}
-_DEPTH_HEADER = struct.Struct("<iff")
+_DEPTH_HEADER = struct.Struct("<iff")  # format, and the two numbers of the quantisation
 
 
 @dataclass(frozen=True, slots=True)

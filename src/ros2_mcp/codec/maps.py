@@ -14,8 +14,9 @@ from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import Bounds
 
 OCCUPIED = 50
-"""Cells from this percentage on count as occupied, below as free."""
+"""Cells from this percentage on count as occupied, below as free: the middle, as a map tells no threshold."""
 _UNKNOWN_GREY = 128
+"""Half way between free (white) and occupied (black)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,11 +28,15 @@ _EDGE, _GAP = 14, 12
 _FINE = 2
 """Lines are drawn this many times larger and scaled down, so that they are smooth."""
 _DOTS = 60
+"""Curves of up to this many points show each as a dot, so that the rate can be seen; more would be a thick line."""
 _MARK = 4
+"""Pixels from the middle of a mark of a value that is not finite to its edge."""
 _PADDING = 0.05
+"""Share of a span that is left free on both sides, so that extremes do not lie on the frame."""
 _LARGEST = 8e307
 """Beyond it the span of an axis would not be finite."""
 _LONGEST_LABEL = 9
+"""Characters. Longer labels of ticks are written with an exponent, as they would take the curves' room."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,9 +25,11 @@ from ros2_mcp.model.text import escaped_bytes, is_unicode
 from ros2_mcp.model.values import EXACT_INTEGER, SUMMARY
 
 _BYTES_AS_LIST = 64
-"""Bytes up to this many are shown as a list, more as base64."""
+"""Bytes up to this many are shown as a list, more as base64: a list takes three times the room, but can be read (a UUID)."""
 
 _FLOAT32 = Struct("<f")
+# What is tried, one after the other, where a message is longer than it may be: first shorter arrays and texts, each
+# step about a quarter of the one before, then fewer levels.
 _ARRAY_STEPS = (16, 4, 0)
 _STRING_STEPS = (256, 64)
 _DEPTH_STEPS = (4, 3, 2, 1, 0)

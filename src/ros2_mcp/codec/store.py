@@ -20,7 +20,7 @@ from ros2_mcp.model.interfaces import OCTETS, TEXTS, FieldType, Structure
 
 __all__ = ["MessageStore", "attribute", "type_hash"]
 
-_HEADER_SIZE = 4
+_HEADER_SIZE = 4  # of every CDR message: byte order, and options that ROS leaves zero
 _LENGTHS = {"le": Struct("<I"), "be": Struct(">I")}
 _WIDE = {"le": "utf-32-le", "be": "utf-32-be"}
 

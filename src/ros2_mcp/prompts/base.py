@@ -13,7 +13,9 @@ from ros2_mcp.robot import Robot
 MAX_WINDOW_S = 45.0
 """A call stays below the time that clients wait for one."""
 _MOST_TOPICS = 20
+"""Named and measured where none was chosen; a prompt with all topics of a large robot would be unreadable."""
 _DISCOVERY_S = 4.0
+"""For the first look at the graph: a bridge starts in about two seconds, and discovery takes another."""
 _TRUTH = "Report only what the results say; where a value is missing, say so."
 
 
@@ -111,6 +113,7 @@ _RELAYED = {
     "filter": "only messages that differ from the one before",
 }
 _CHECK_S = 3.0
+"""Seconds to measure a relay: enough to tell rates of 1 Hz and more from nothing."""
 
 
 async def _write_relay(values: Mapping[str, Any]) -> Sequence[Message]:

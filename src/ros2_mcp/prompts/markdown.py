@@ -18,6 +18,7 @@ from ros2_mcp.prompts.mistakes import Mistake
 from ros2_mcp.prompts.prompt import Message, Prompt
 
 MAX_CHARACTERS = 100_000
+"""Of a file; a longer one is no prompt but was put there by mistake, and would fill a model's memory."""
 _PROMPT_KEYS = ("name", "title", "description", "arguments")
 _ARGUMENT_KEYS = ("name", "description", "type", "required", "default", "choices", "minimum", "maximum")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
