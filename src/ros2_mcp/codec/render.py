@@ -25,7 +25,7 @@ from ros2_mcp.model.text import escaped_bytes, is_unicode
 from ros2_mcp.model.values import EXACT_INTEGER, SUMMARY
 
 _BYTES_AS_LIST = 64
-"""Bytes up to this many are shown as a list, more as base64: a list takes three times the room, but can be read (a UUID)."""
+"""Bytes up to this many are shown as a list, which can be read (a UUID); more as base64, a third as long."""
 
 _FLOAT32 = Struct("<f")
 # What is tried, one after the other, where a message is longer than it may be: first shorter arrays and texts, each
