@@ -27,6 +27,20 @@ def pytest_pycollect_makeitem(collector: pytest.Module, name: str, obj: object) 
         pytest.mark.usefixtures("no_task_is_left")(obj)
 
 
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
+    """How many files run side by side: with ROS one more than processors, since they mostly wait; else all in turn."""
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    has_turns = os.environ.get("ROS2_MCP_FULL") or not _several_files_wait_for_ros(config)
+    return 0 if has_turns else len(os.sched_getaffinity(0)) + 1
+
+
+def _several_files_wait_for_ros(config: pytest.Config) -> bool:
+    named = {(config.invocation_params.dir / argument.partition("::")[0]).resolve() for argument in config.args}
+    whole_folders = [path for path in named if path.is_dir() and (path in ROS.parents or path.is_relative_to(ROS))]
+    return bool(whole_folders) or sum(path.is_relative_to(ROS) for path in named) > 1
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files that wait for ROS begin first; what needs many rounds, long times or a quiet machine must be asked for."""
     items.sort(key=lambda item: not item.path.is_relative_to(ROS))
