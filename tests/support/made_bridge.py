@@ -81,11 +81,3 @@ class MadeBridge:
 
 def robot_of(bridge: MadeBridge) -> Robot:
     return Robot(cast(Bridge, bridge))
-
-
-async def soon(condition: Callable[[], bool]) -> None:
-    """Waits until the condition holds, at most 20 s."""
-    deadline = monotonic() + 20.0
-    while not condition() and monotonic() < deadline:
-        await asyncio.sleep(0.01)
-    assert condition()

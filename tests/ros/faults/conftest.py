@@ -9,24 +9,25 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 import pytest
 from mcp import Client, StdioServerParameters
 
-from support.trouble import Agent, Peer
+from support.async_agent import AsyncAgent
+from support.faulty_peer import FaultyPeer
 
 
 @pytest.fixture(scope="module")
-async def agent(anyio_backend: str, ros_environment: dict[str, str]) -> AsyncIterator[Agent]:
+async def agent(anyio_backend: str, ros_environment: dict[str, str]) -> AsyncIterator[AsyncAgent]:
     """A client of the server that all tests of the file share."""
     async with Client(server(ros_environment)) as client:
-        yield Agent(client)
+        yield AsyncAgent(client)
 
 
 @pytest.fixture
-def start_agent(ros_environment: dict[str, str]) -> Callable[[], AbstractAsyncContextManager[Agent]]:
+def start_agent(ros_environment: dict[str, str]) -> Callable[[], AbstractAsyncContextManager[AsyncAgent]]:
     """A client of a server of its own for a block: `async with start_agent() as agent`."""
 
     @asynccontextmanager
-    async def begin() -> AsyncIterator[Agent]:
+    async def begin() -> AsyncIterator[AsyncAgent]:
         async with Client(server(ros_environment)) as client:
-            yield Agent(client)
+            yield AsyncAgent(client)
 
     return begin
 
@@ -37,15 +38,15 @@ def server(environment: dict[str, str]) -> StdioServerParameters:
 
 
 @pytest.fixture
-def peer(ros_environment: dict[str, str]) -> Iterator[Callable[..., Peer]]:
+def peer(ros_environment: dict[str, str]) -> Iterator[Callable[..., FaultyPeer]]:
     """Starts nodes, `peer("repeat", "/topic", "std_msgs/msg/String", 100)`; all are ended after the test.
 
     It does not wait for them: `agent.knows("/topic")` does.
     """
-    peers: list[Peer] = []
+    peers: list[FaultyPeer] = []
 
-    def start(*arguments: object, **variables: str) -> Peer:
-        peers.append(Peer({**ros_environment, **variables}, tuple(map(str, arguments))))
+    def start(*arguments: object, **variables: str) -> FaultyPeer:
+        peers.append(FaultyPeer({**ros_environment, **variables}, tuple(map(str, arguments))))
         return peers[-1]
 
     yield start

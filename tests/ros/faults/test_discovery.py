@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from support.trouble import FULL
+from support.agent import FULL
 
 PROCESSES = 4
 

@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
-from support.trouble import FULL, Agent, count_threads_and_files, parent_of
+from support.agent import FULL
+from support.async_agent import AsyncAgent
+from support.faulty_peer import count_threads_and_files, parent_of
 
 
 @pytest.mark.parametrize(
@@ -15,7 +17,7 @@ from support.trouble import FULL, Agent, count_threads_and_files, parent_of
     [pytest.param(5000, 10 if FULL else 1, 40, id="small and fast"), pytest.param(300, 1.2, 256_000, id="large")],
 )
 async def test_every_message_of_a_flood_is_received_or_counted(
-    agent: Agent, peer, rate_hz: int, seconds: float, size: int
+    agent: AsyncAgent, peer, rate_hz: int, seconds: float, size: int
 ) -> None:
     count = int(rate_hz * seconds)
 
@@ -56,12 +58,12 @@ async def test_reading_again_and_again_leaves_no_entities_threads_or_files(start
         assert await everything_open(agent) == before
 
 
-async def read(agent: Agent, times: int) -> None:
+async def read(agent: AsyncAgent, times: int) -> None:
     for _ in range(times):
         assert (await agent.call("ros2_topic_subscribe", topic_name="/steady"))["count"] == 1
 
 
-async def everything_open(agent: Agent) -> dict[str, Any]:
+async def everything_open(agent: AsyncAgent) -> dict[str, Any]:
     status = await agent.call("ros2_status")
     bridge = int(status["bridge_pid"])
     entities = {name: status[name] for name in ("subscriptions", "publishers", "service_clients")}

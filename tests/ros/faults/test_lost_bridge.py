@@ -9,20 +9,21 @@ import time
 
 import pytest
 
+from support.agent import Refusal
+from support.async_agent import AsyncAgent
 from support.standstill import undisturbed_async
-from support.trouble import Agent, ToolFailed
 
 
 @pytest.mark.parametrize(
     ("number", "words"), [(signal.SIGKILL, "died with signal SIGKILL"), (signal.SIGSTOP, "was stopped")]
 )
 async def test_a_bridge_lost_during_a_read_is_told_within_a_second_and_the_next_read_works(
-    agent: Agent, peer, number: signal.Signals, words: str
+    agent: AsyncAgent, peer, number: signal.Signals, words: str
 ) -> None:
     topic = f"/steady_{number:d}"
     peer("repeat", topic, "std_msgs/msg/String", 100)
 
-    async def told_after_s(agent: Agent) -> float:
+    async def told_after_s(agent: AsyncAgent) -> float:
         before = await agent.call("ros2_status")
         bridge = before["bridge_pid"]
         reading = asyncio.ensure_future(agent.call("ros2_topic_subscribe", topic_name=topic, duration=20))
@@ -30,7 +31,7 @@ async def test_a_bridge_lost_during_a_read_is_told_within_a_second_and_the_next_
             await asyncio.sleep(0.02)
         os.kill(bridge, number)
         lost_at = time.monotonic()
-        with pytest.raises(ToolFailed, match=rf"BridgeLost: The bridge \(pid {bridge}\) {words}.*started again"):
+        with pytest.raises(Refusal, match=rf"BridgeLost: The bridge \(pid {bridge}\) {words}.*started again"):
             await reading
         told_after = time.monotonic() - lost_at
         again = await agent.call("ros2_topic_subscribe", topic_name=topic)
@@ -44,7 +45,7 @@ async def test_a_bridge_lost_during_a_read_is_told_within_a_second_and_the_next_
     assert await undisturbed_async(lambda: told_after_s(agent)) < 1.0
 
 
-async def test_all_calls_under_way_hear_of_a_lost_bridge_and_none_hangs(agent: Agent, peer) -> None:
+async def test_all_calls_under_way_hear_of_a_lost_bridge_and_none_hangs(agent: AsyncAgent, peer) -> None:
     peer("repeat", "/busy", "std_msgs/msg/String", 100)
 
     await agent.knows("/busy")

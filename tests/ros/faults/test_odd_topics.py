@@ -14,9 +14,10 @@ from typing import Any
 
 import pytest
 
+from support.agent import Refusal
+from support.async_agent import AsyncAgent
 from support.processes import SOURCES
 from support.standstill import undisturbed_async
-from support.trouble import Agent, ToolFailed
 
 
 @pytest.fixture(scope="session")
@@ -39,7 +40,9 @@ def built_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {"AMENT_PREFIX_PATH": f"{prefix}:{sys.prefix}", "PYTHONPATH": f"{prefix}/site-packages"}
 
 
-async def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(agent: Agent, peer, built_elsewhere) -> None:
+async def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(
+    agent: AsyncAgent, peer, built_elsewhere
+) -> None:
     peer("repeat", "/thing", "nobody_msgs/msg/Thing", 20, **built_elsewhere)
 
     info = await agent.knows("/thing")
@@ -47,9 +50,9 @@ async def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(agent
 
     async def refused_after() -> float:
         begun = time.monotonic()
-        with pytest.raises(ToolFailed, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
+        with pytest.raises(Refusal, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
             await agent.call("ros2_topic_subscribe", topic_name="/thing", duration=10)
-        with pytest.raises(ToolFailed, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
+        with pytest.raises(Refusal, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
             await agent.call("ros2_topic_publish", topic_name="/thing", data={"number": 1})
         return time.monotonic() - begun
 
@@ -58,22 +61,22 @@ async def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(agent
     await agent.call("ros2_status")
 
 
-async def test_a_topic_with_two_types_names_both_and_each_can_be_read(agent: Agent, peer) -> None:
+async def test_a_topic_with_two_types_names_both_and_each_can_be_read(agent: AsyncAgent, peer) -> None:
     types = ["std_msgs/msg/String", "std_msgs/msg/UInt64"]
     for kind in types:
         peer("repeat", "/both", kind, 50)
 
     await agent.knows("/both", publishers=2)
-    with pytest.raises(ToolFailed, match=r"2 types: std_msgs/msg/String, std_msgs/msg/UInt64.*type you mean"):
+    with pytest.raises(Refusal, match=r"2 types: std_msgs/msg/String, std_msgs/msg/UInt64.*type you mean"):
         await agent.call("ros2_topic_subscribe", topic_name="/both")
     for kind in types:
         reading = await agent.call("ros2_topic_subscribe", topic_name="/both", msg_type=kind)
         assert (reading["count"], reading["topic_type"], len(reading["publishers"])) == (1, kind, 1)
-    with pytest.raises(ToolFailed, match="not std_msgs/msg/Bool"):
+    with pytest.raises(Refusal, match="not std_msgs/msg/Bool"):
         await agent.call("ros2_topic_subscribe", topic_name="/both", msg_type="std_msgs/msg/Bool")
 
 
-async def test_policies_that_keep_third_parties_apart_are_told_in_words(agent: Agent, peer) -> None:
+async def test_policies_that_keep_third_parties_apart_are_told_in_words(agent: AsyncAgent, peer) -> None:
     pairs = {
         "/reliability": ({"reliability": "BEST_EFFORT"}, {}, "best_effort"),
         "/durability": ({}, {"durability": "TRANSIENT_LOCAL"}, "transient_local"),
@@ -88,7 +91,7 @@ async def test_policies_that_keep_third_parties_apart_are_told_in_words(agent: A
         assert word in info["mismatches"][0]
 
 
-async def test_a_publish_that_a_policy_keeps_from_its_subscriber_says_which(agent: Agent, peer) -> None:
+async def test_a_publish_that_a_policy_keeps_from_its_subscriber_says_which(agent: AsyncAgent, peer) -> None:
     peer("endpoints", "subscriptions", json.dumps({"/strict": {"deadline_ns": 100_000_000}}))
 
     await agent.knows("/strict", publishers=0, subscribers=1)
@@ -101,11 +104,11 @@ async def test_a_publish_that_a_policy_keeps_from_its_subscriber_says_which(agen
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 async def test_a_publisher_that_dies_during_a_read_is_told_with_what_had_come(
-    agent: Agent, peer, number: signal.Signals
+    agent: AsyncAgent, peer, number: signal.Signals
 ) -> None:
     attempts = count()
 
-    async def told(agent: Agent) -> tuple[dict[str, Any], float]:
+    async def told(agent: AsyncAgent) -> tuple[dict[str, Any], float]:
         topic = f"/brief_{number:d}_{next(attempts)}"
         publisher = peer("repeat", topic, "std_msgs/msg/String", 100)
         await agent.knows(topic)

@@ -17,7 +17,8 @@ from ros2_mcp.ops import playing
 from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.playing import Playback, PlaybackState, PlayRequest, status, stop
 from ros2_mcp.robot import Robot
-from support.made_bridge import NUMBER, MadeBridge, robot_of, soon
+from support.made_bridge import NUMBER, MadeBridge, robot_of
+from support.tasks import soon
 
 START_NS = 1_700_000_000_000_000_000
 GOAL = PlayRequest(bag="run", topics=["/goal"])

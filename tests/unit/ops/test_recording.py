@@ -25,7 +25,8 @@ from ros2_mcp.ops.recording import BlackBox, Recording, RecordRequest, keep_blac
 from ros2_mcp.ops.selection import Selection
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
-from support.made_bridge import NUMBER, MadeBridge, robot_of, soon
+from support.made_bridge import NUMBER, MadeBridge, robot_of
+from support.tasks import soon
 
 SECOND = 1_000_000_000
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
-from contextlib import suppress
+from collections.abc import AsyncGenerator, AsyncIterator
 from itertools import pairwise
 from typing import Any, cast
 
@@ -13,7 +12,7 @@ import pytest
 from ros2_mcp.model.errors import BridgeLost
 from ros2_mcp.ops.watching import MIN_PERIOD_S, Watcher
 from ros2_mcp.robot import Robot
-from support.tasks import running_tasks
+from support.tasks import running_tasks, soon
 
 NO_ROBOT = cast(Robot, None)
 
@@ -53,18 +52,6 @@ async def watcher(bell: Bell) -> AsyncIterator[Watcher]:
     await watcher.close()
     assert running_tasks() == before
     assert bell.begun == bell.ended
-
-
-async def soon(condition: Callable[[], bool]) -> None:
-    """Waits until the condition holds, at most 20 s."""
-    with suppress(asyncio.TimeoutError):
-        await asyncio.wait_for(_until(condition), 20.0)
-    assert condition()
-
-
-async def _until(condition: Callable[[], bool]) -> None:
-    while not condition():
-        await asyncio.sleep(0.005)
 
 
 async def test_a_change_is_told_to_everybody_who_listens(watcher: Watcher, bell: Bell) -> None:

@@ -30,8 +30,6 @@ from ros2_mcp.model.qos import Choice, QoS
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.translation import as_meant
 
-pytestmark = pytest.mark.anyio
-
 TWIST = "geometry_msgs/msg/Twist"
 CHOICE = Choice(QoS(), "as chosen")
 GOAL_ID = "0123456789abcdef" * 2

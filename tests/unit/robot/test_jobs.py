@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from time import monotonic
 
@@ -13,13 +13,7 @@ import pytest
 from ros2_mcp.model.commands import LOCAL, Principal
 from ros2_mcp.model.errors import BridgeLost, NotFound, Refused
 from ros2_mcp.robot.jobs import Job, Jobs
-
-pytestmark = pytest.mark.anyio
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
+from support.tasks import running_tasks, soon
 
 
 class Watch(Job):
@@ -78,20 +72,13 @@ class Other(Job):
 @asynccontextmanager
 async def a_server() -> AsyncGenerator[Jobs]:
     """Its jobs, none of which may be left when it ends."""
-    before, jobs = asyncio.all_tasks(), Jobs()
+    before, jobs = running_tasks(), Jobs()
     try:
         yield jobs
     finally:
         await jobs.close()
-    assert asyncio.all_tasks() == before
+    assert running_tasks() == before
     assert not jobs.running(Job)
-
-
-async def soon(condition: Callable[[], bool]) -> None:
-    deadline = monotonic() + 20.0
-    while not condition() and monotonic() < deadline:
-        await asyncio.sleep(0.005)
-    assert condition()
 
 
 async def test_a_new_kind_of_job_is_a_class_and_nothing_else() -> None:

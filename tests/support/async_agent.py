@@ -1,0 +1,34 @@
+"""An MCP client for async tests: as `support.agent`, but its calls are awaited, and several can be under way."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import Any
+
+from mcp import Client
+
+from support.agent import Refusal
+
+
+class AsyncAgent:
+    """What a client does with the server."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    async def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
+        """The structured content of one call."""
+        result = await self._client.call_tool(tool, arguments)
+        if result.is_error:
+            raise Refusal("".join(getattr(block, "text", "") for block in result.content))
+        return result.structured_content or {}
+
+    async def knows(self, topic: str, publishers: int = 1, subscribers: int = 0) -> dict[str, Any]:
+        """Waits until the server sees that many endpoints on the topic; returns the topic's information."""
+        while True:
+            with contextlib.suppress(Refusal):
+                info = await self.call("ros2_topic_info", topic_name=topic)
+                if len(info["publishers"]) >= publishers and len(info["subscribers"]) >= subscribers:
+                    return info
+            await asyncio.sleep(0.05)
