@@ -11,7 +11,8 @@ from ros2_mcp.model.errors import BadInput, BridgeLost
 from ros2_mcp.ops import relay
 from ros2_mcp.ops.relay import Relay, RelayRequest, way
 from ros2_mcp.robot import Robot
-from support.made_bridge import NUMBER, MadeBridge, robot_of, soon
+from support.made_bridge import NUMBER, MadeBridge, robot_of
+from support.tasks import soon
 
 
 @pytest.fixture
