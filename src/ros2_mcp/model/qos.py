@@ -86,6 +86,15 @@ def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100) -> Choice:
     )
 
 
+def still_fits(subscribed: QoS, publishers: Sequence[Endpoint]) -> bool:
+    """Whether a subscription to these publishers would be made in the same way; also where there is none (any more).
+
+    Not only those that do not match count: with others gone, what is left may be had more strictly.
+    """
+    now = for_subscribing(publishers).qos
+    return not publishers or (now.reliability, now.durability) == (subscribed.reliability, subscribed.durability)
+
+
 def for_publishing(subscribers: Sequence[Endpoint]) -> Choice:
     """What a publisher needs so that it reaches every subscriber."""
     if not subscribers:

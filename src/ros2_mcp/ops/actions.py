@@ -14,7 +14,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound, UnknownInterface
 from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_bytes, goal_id_hex, stamp_seconds
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import Report, iso_time, silent
+from ros2_mcp.ops.results import Report, iso_time, reporting, silent
 from ros2_mcp.robot import Listening, Robot
 
 STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
@@ -196,8 +196,11 @@ async def follow_feedback(
     topic, started = f"{action}/_action/feedback", monotonic()
     messages: list[FeedbackMessage] = []
     omitted, size = 0, 0
-    async with robot.listen(topic, f"{action_type}_FeedbackMessage", wait_s=SERVER_S) as heard:
-        async for sample in _samples(heard, duration_s, report):
+    async with (
+        reporting(report, duration_s, f"{topic}: listening"),
+        robot.listen(topic, f"{action_type}_FeedbackMessage", wait_s=SERVER_S) as heard,
+    ):
+        async for sample in _samples(heard, duration_s):
             rendered = robot.values.render(heard.type, sample.data)
             sender = goal_id_hex(rendered.value["goal_id"]["uuid"])
             if wanted not in (None, sender):
@@ -228,8 +231,11 @@ async def follow_status(
     await robot.types.action(action)
     topic, started = f"{action}/_action/status", monotonic()
     frames: list[StatusFrame] = []
-    async with robot.listen(topic, STATUS_TYPE, wait_s=SERVER_S) as heard:
-        async for sample in _samples(heard, duration_s, report):
+    async with (
+        reporting(report, duration_s, f"{topic}: listening"),
+        robot.listen(topic, STATUS_TYPE, wait_s=SERVER_S) as heard,
+    ):
+        async for sample in _samples(heard, duration_s):
             frames.append(StatusFrame(iso_time(sample.received_ns), states_in(robot, sample)))
             if len(frames) >= max_messages:
                 break
@@ -269,14 +275,11 @@ def _age(stamp: Mapping[str, Any]) -> float | None:
     return round(age_s, 3) if abs(age_s) < _OTHER_CLOCK_S else None
 
 
-async def _samples(heard: Listening, duration_s: float, report: Report) -> AsyncIterator[Sample]:
+async def _samples(heard: Listening, duration_s: float) -> AsyncIterator[Sample]:
     started = monotonic()
     while (left := started + duration_s - monotonic()) > 0:
         for sample in await heard.take(min(left, 1.0)):
             yield sample
-        elapsed = monotonic() - started
-        if elapsed > 1.0:
-            await report(elapsed, duration_s, f"{heard.topic}: listening")
 
 
 def _check_limits(duration_s: float, max_messages: int) -> None:

@@ -20,7 +20,7 @@ from anyio import to_thread
 from anyio.abc import TaskGroup
 
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model import names, qos
+from ros2_mcp.model import names
 from ros2_mcp.model.commands import SERVER, Principal, Record
 from ros2_mcp.model.errors import BadInput, LinkError, Refused, RobotError
 from ros2_mcp.model.samples import Counts, Sample
@@ -275,15 +275,7 @@ class Recording(Job):
                     topics.start_soon(self._record, row.name, joined)
             elif joined.publishers != row.publishers and joined.listening:
                 joined.publishers = row.publishers
-                joined.leaving = await self._needs_another_qos(row.name, joined.listening)
-
-    async def _needs_another_qos(self, name: str, listening: Listening) -> bool:
-        present = await self._robot.graph.endpoints(name)
-        publishers = [each for each in present.publishers if each.type == listening.type]
-        if not publishers:
-            return False
-        now, then = qos.for_subscribing(publishers).qos, listening.choice.qos
-        return (now.reliability, now.durability) != (then.reliability, then.durability)
+                joined.leaving = not joined.listening.still_fits(await self._robot.graph.endpoints(row.name))
 
     # ── one topic ──────────────────────────────────────────────────────────────────────────────────────────────
 

@@ -19,9 +19,9 @@ from ros2_mcp.guard.policy import MAX_RATE_HZ, bounded
 from ros2_mcp.model import commands, names
 from ros2_mcp.model.errors import BadData, BadInput, BadValue, LinkError, NotFound, TypeConflict
 from ros2_mcp.model.graph import RelayCounts, TopicEndpoints
-from ros2_mcp.model.qos import QoS, for_subscribing, mismatch
+from ros2_mcp.model.qos import QoS, for_subscribing
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.robot import Listening, Robot
+from ros2_mcp.robot import Robot
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp_bridge.rhythm import Rhythm
 
@@ -285,12 +285,9 @@ class Relay(Job):
                 counts = listening.counts
                 self._late = late_before + counts.dropped
                 self._lost = None if counts.lost is None or lost_before is None else lost_before + counts.lost
-                if not samples and left_s > _SILENT_S and await self._needs_another_qos(listening):
+                is_silent = not samples and left_s > _SILENT_S
+                if is_silent and not listening.still_fits(await self._robot.graph.endpoints(self.source)):
                     return
-
-    async def _needs_another_qos(self, listening: Listening) -> bool:
-        publishers = (await self._robot.graph.endpoints(self.source)).publishers
-        return any(mismatch(publisher.qos, listening.choice.qos) for publisher in publishers)
 
     async def _feed(self, samples: Sequence[Sample]) -> None:
         messages: list[bytes] = []

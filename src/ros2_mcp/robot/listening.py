@@ -7,7 +7,8 @@ from collections.abc import Awaitable, Coroutine, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from ros2_mcp.model.qos import Choice, Endpoint
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.qos import Choice, Endpoint, still_fits
 from ros2_mcp.model.samples import Counts, Sample
 
 if TYPE_CHECKING:
@@ -29,6 +30,10 @@ class Listening:
     async def take(self, timeout_s: float) -> list[Sample]:
         """The samples that wait; waits for the first one, returns an empty list when none came in time."""
         return await self._subscription.take(timeout_s)
+
+    def still_fits(self, present: TopicEndpoints) -> bool:
+        """Whether the topic would be subscribed to in the same way now; also where nobody publishes on it any more."""
+        return still_fits(self.choice.qos, [each for each in present.publishers if each.type == self.type])
 
     @property
     def counts(self) -> Counts:
