@@ -14,7 +14,7 @@ from ros2_mcp.adapters.wisevision_prompts import code_of
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.recorded_robot import recorded_robot
 from ros2_mcp.prompts.catalog import Catalog
 from ros2_mcp.robot import Robot
@@ -33,7 +33,7 @@ class Assembly:
 
     settings: Settings
     robot: Robot
-    memory: Memory
+    store: BagStore
     toolset: Toolset
 
     @cached_property
@@ -50,7 +50,7 @@ class Assembly:
     @cached_property
     def server(self) -> Server[Any]:
         """The MCP server."""
-        return build_server(self.robot, self.toolset, self.catalog, recording=self.memory.subject_name)
+        return build_server(self.robot, self.toolset, self.catalog, recording=self.store.subject_name)
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None, None]:
@@ -58,13 +58,13 @@ class Assembly:
 
         The work ends first, as long as the bridge can still stop what it moves; the bridge leaves the robot last.
         """
-        if not self.memory.subject:
+        if not self.store.subject:
             await self.robot.bridge.attach()
         try:
             yield
         finally:
             await self.robot.jobs.close()
-            await self.memory.close()
+            await self.store.close()
             await self.robot.bridge.close()
 
 
@@ -78,13 +78,13 @@ def assemble(settings: Settings, bridge: Bridge | None = None) -> Assembly:
     Raises:
         BadInput: for a group of tools that does not exist.
     """
-    memory = Memory(settings.record_dir, settings.bag_dir, settings.bag)
+    store = BagStore(settings.record_dir, settings.bag_dir, settings.bag)
     if settings.bag:
-        robot = recorded_robot(memory, settings.result_bytes)
+        robot = recorded_robot(store, settings.result_bytes)
     else:
         robot = Robot(
             bridge or Bridge(lambda: start_carrier(settings)), Policy(settings.read_only), settings.result_bytes
         )
-    toolset = Toolset(robot, memory, settings.tools)
+    toolset = Toolset(robot, store, settings.tools)
     robot.limitations = toolset.limitations
-    return Assembly(settings=settings, robot=robot, memory=memory, toolset=toolset)
+    return Assembly(settings=settings, robot=robot, store=store, toolset=toolset)

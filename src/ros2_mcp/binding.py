@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import visible
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.results import Report, as_json, at_most_every
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import ToolDeclaration
@@ -47,7 +47,7 @@ class BoundTool:
     listed: Tool
     arguments: type[StrictArguments]
     robot: Robot
-    memory: Memory
+    store: BagStore
 
     @property
     def name(self) -> str:
@@ -72,7 +72,7 @@ class BoundTool:
         # One level only: an argument that is an object stays the model that the tool declared.
         values = {name: getattr(checked, name) for name in self.arguments.model_fields}
         try:
-            made_for = Call(robot or self.robot, self.memory, at_most_every(_PROGRESS_S, report))
+            made_for = Call(robot or self.robot, self.store, at_most_every(_PROGRESS_S, report))
             result = await self.declaration.perform(made_for, values)
         except RobotError as error:
             raise CallFailed(f"{type(error).__name__}: {error}") from error
@@ -93,7 +93,7 @@ class BoundTool:
         return meant
 
 
-def bind(declaration: ToolDeclaration, robot: Robot, memory: Memory) -> BoundTool:
+def bind(declaration: ToolDeclaration, robot: Robot, store: BagStore) -> BoundTool:
     """The tool with plain closed schemas, and annotations from the declared risk."""
     signature = declaration.arguments()
     fields: dict[str, Any] = {
@@ -115,7 +115,7 @@ def bind(declaration: ToolDeclaration, robot: Robot, memory: Memory) -> BoundToo
             open_world_hint=True,
         ),
     )
-    return BoundTool(declaration=declaration, listed=listed, arguments=arguments, robot=robot, memory=memory)
+    return BoundTool(declaration=declaration, listed=listed, arguments=arguments, robot=robot, store=store)
 
 
 def answer(result: Any) -> CallToolResult:

@@ -82,9 +82,9 @@ async def _until_told_to_end(assembly: Assembly, running: Awaitable[None]) -> No
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(number, told_to_end.set)
     async with assembly.running():
-        if not assembly.memory.subject:
+        if not assembly.store.subject:
             assembly.robot.log.start()
-            keeping = keep_black_box(assembly.robot, assembly.memory, assembly.settings)
+            keeping = keep_black_box(assembly.robot, assembly.store, assembly.settings)
             background.append(asyncio.create_task(keeping))
         serving = asyncio.ensure_future(running)
         ending = asyncio.create_task(told_to_end.wait())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.reading import collect
 from ros2_mcp.ops.recorded import is_growing, open_bag
 from ros2_mcp.ops.results import iso_time
@@ -100,23 +100,23 @@ class BagMessages:
         )
 
 
-async def list_bags(memory: Memory, pattern: str = "", limit: int = 200) -> BagList:
+async def list_bags(store: BagStore, pattern: str = "", limit: int = 200) -> BagList:
     """The bags whose names match the pattern, the newest first."""
-    return await asyncio.to_thread(_list, memory, pattern, limit)
+    return await asyncio.to_thread(_list, store, pattern, limit)
 
 
-async def info(memory: Memory, bag: str) -> BagInfo:
+async def info(store: BagStore, bag: str) -> BagInfo:
     """What is in a bag.
 
     Raises:
         NotFound: if there is no such bag.
         BadData: if nothing of it can be read.
     """
-    return await asyncio.to_thread(_info, memory, bag)
+    return await asyncio.to_thread(_info, store, bag)
 
 
 async def read(
-    robot: Robot, memory: Memory, bag: str, topic: str, selection: Selection, start: str = "", end: str = ""
+    robot: Robot, store: BagStore, bag: str, topic: str, selection: Selection, start: str = "", end: str = ""
 ) -> BagMessages:
     """Messages of one topic of a bag: the first ones from `start` on where that is given, else the last ones.
 
@@ -126,7 +126,7 @@ async def read(
         BadValue: if a limit or a moment is out of range, or a field is not in the type.
     """
     bounded("limit", selection.message_limit or 1, 1, MAX_MESSAGES, "messages")
-    source = await open_bag(memory, bag, start, end, robot, may_be_empty=True)
+    source = await open_bag(store, bag, start, end, robot, may_be_empty=True)
     collected = await collect(source, topic, "", selection, latched=False)
     stream = collected.stream
     fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
@@ -142,28 +142,28 @@ async def read(
         received_at=[iso_time(sample.received_ns) for sample in fitted.samples],
         count=len(fitted.values),
         truncated=fitted.truncated,
-        problems=await asyncio.to_thread(_problems_of, memory, bag),
+        problems=await asyncio.to_thread(_problems_of, store, bag),
         note=" ".join(filter(None, notes)),
     )
 
 
-def _problems_of(memory: Memory, name: str) -> Sequence[str]:
-    with memory.reading(name) as bag:
-        return _problems(memory, bag)
+def _problems_of(store: BagStore, name: str) -> Sequence[str]:
+    with store.reading(name) as bag:
+        return _problems(store, bag)
 
 
-def _problems(memory: Memory, bag: Bag) -> Sequence[str]:
+def _problems(store: BagStore, bag: Bag) -> Sequence[str]:
     """What is damaged or missing; that the end is not written yet is no damage."""
-    if not is_growing(memory, bag):
+    if not is_growing(store, bag):
         return bag.problems
     return ["It is still being recorded.", *(each for each in bag.problems if not each.endswith(_UNFINISHED))]
 
 
-def _list(memory: Memory, pattern: str, limit: int) -> BagList:
-    found = memory.bag_names()
+def _list(store: BagStore, pattern: str, limit: int) -> BagList:
+    found = store.bag_names()
     chosen = [_entry(name, found[name]) for name in names.matching(found, pattern)]
     chosen.sort(key=lambda entry: entry.modified_at, reverse=True)
-    return BagList(chosen[:limit], len(found), str(memory.bag_dir))
+    return BagList(chosen[:limit], len(found), str(store.bag_dir))
 
 
 def _entry(name: str, path: Path) -> BagEntry:
@@ -172,8 +172,8 @@ def _entry(name: str, path: Path) -> BagEntry:
     return BagEntry(name, sum(f.st_size for f in facts), iso_time(max(f.st_mtime_ns for f in facts)))
 
 
-def _info(memory: Memory, name: str) -> BagInfo:
-    with memory.reading(name) as bag:
+def _info(store: BagStore, name: str) -> BagInfo:
+    with store.reading(name) as bag:
         counts = bag.counts()
         first_ns, last_ns = bag.times or (0, 0)
         topics = [
@@ -188,5 +188,5 @@ def _info(memory: Memory, name: str) -> BagInfo:
             sum(counts.values()),
             bag.size,
             topics,
-            _problems(memory, bag),
+            _problems(store, bag),
         )

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadValue, NotFound, RobotError, TimedOut, UnknownInterface
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.moments import last_ns_of, moment_ns
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.selection import MAX_MESSAGES
@@ -240,7 +240,7 @@ class DataBlackBoxSource(Source):
 class DataBlackBoxes(SourceKind):
     """The Data Black Box of the graph as a kind of source; both generations."""
 
-    async def named(self, robot: Robot, memory: Memory, request: SourceRequest) -> Source | None:  # noqa: ARG002
+    async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
         """The box of the graph, if it is asked for by name."""
         if request.name.lower() not in NAMES:
             return None
@@ -252,7 +252,7 @@ class DataBlackBoxes(SourceKind):
     async def kept(
         self,
         robot: Robot,
-        memory: Memory,  # noqa: ARG002
+        store: BagStore,  # noqa: ARG002
         request: SourceRequest,
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
         """The box of the graph, if there is one."""

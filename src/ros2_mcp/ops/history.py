@@ -11,8 +11,8 @@ from typing import Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.data_black_box import ANY, TIMEOUT_S
-from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.reading import Collected, collect
 from ros2_mcp.ops.recorded import end_note
 from ros2_mcp.ops.results import Report, iso_time, reporting, silent
@@ -54,7 +54,7 @@ class _Found:
 
 async def get_messages(
     robot: Robot,
-    memory: Memory,
+    store: BagStore,
     topic: str,
     type_name: str,
     request: SourceRequest,
@@ -76,18 +76,18 @@ async def get_messages(
     topic = names.absolute(topic)
     type_name = "" if type_name in ("", ANY) else names.interface_type(type_name, "msg")
     async with reporting(report, TIMEOUT_S, f"looking for earlier messages of {topic}"):
-        found = await _find(robot, memory, topic, type_name, request, selection)
+        found = await _find(robot, store, topic, type_name, request, selection)
     return await asyncio.to_thread(_show, found, type_name, request, selection)
 
 
 async def _find(
-    robot: Robot, memory: Memory, topic: str, type_name: str, request: SourceRequest, selection: Selection
+    robot: Robot, store: BagStore, topic: str, type_name: str, request: SourceRequest, selection: Selection
 ) -> _Found:
     """What the first source has that has messages, else what one without any says; and which sources failed."""
     all_of_them = replace(selection, fields=(), every_n=1, message_limit=selection.message_limit or MAX_MESSAGES)
     empty: _Found | None = None
     failed: list[RobotError] = []
-    async with aclosing(sources_of_the_past(robot, memory, request)) as sources:
+    async with aclosing(sources_of_the_past(robot, store, request)) as sources:
         async for source in sources:
             try:
                 if isinstance(source, RobotError):

@@ -14,7 +14,7 @@ from ros2_mcp.guard.policy import MAX_DURATION_S, bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.samples import Counts, Sample
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.results import Report, iso_time, reporting, silent
 from ros2_mcp.ops.selection import Collector
 from ros2_mcp.ops.source import (
@@ -254,6 +254,6 @@ def _without(nodes: Collection[str], present: TopicEndpoints) -> TopicEndpoints:
 class Robots(SourceKind):
     """The robot of this server as a kind of source."""
 
-    async def named(self, robot: Robot, memory: Memory, request: SourceRequest) -> Source | None:  # noqa: ARG002
+    async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
         """The robot now, where no other source is named."""
         return None if request.name else Live(robot)

@@ -17,7 +17,7 @@ from ros2_mcp.model.commands import Feed, Play
 from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, TypeConflict
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.recorded import find_topic, span_in
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.robot import VELOCITY_TYPES, Robot
@@ -237,7 +237,7 @@ class Playback(Job):
 
 
 async def play(
-    robot: Robot, memory: Memory, request: PlayRequest, wait_s: float = 40.0, report: Report = silent
+    robot: Robot, store: BagStore, request: PlayRequest, wait_s: float = 40.0, report: Report = silent
 ) -> PlaybackState:
     """Plays a bag, or a part of it; after `wait_s` it goes on by itself. A waiting that is cancelled stops it.
 
@@ -251,7 +251,7 @@ async def play(
     bounded("rate", request.rate, 0.01, 100.0, "times")
     robot.jobs.require_room(Playback)
     request = replace(request, remaps={names.absolute(a): names.absolute(b) for a, b in request.remaps.items()})
-    bag, span, topics = await to_thread.run_sync(_prepare, memory, request)
+    bag, span, topics = await to_thread.run_sync(_prepare, store, request)
     playback = Playback(robot, bag, request, span, topics)
 
     async def tell() -> None:
@@ -278,10 +278,10 @@ async def stop(robot: Robot, playback_id: str) -> PlaybackState:
     return (await robot.jobs.stop(Playback, playback_id)).report()
 
 
-def _prepare(memory: Memory, request: PlayRequest) -> tuple[Bag, Span, dict[str, StoredTopic]]:
+def _prepare(store: BagStore, request: PlayRequest) -> tuple[Bag, Span, dict[str, StoredTopic]]:
     from ros2_mcp.bags.bag import Bag
 
-    bag = Bag(memory.find_bag(request.bag))
+    bag = Bag(store.find_bag(request.bag))
     try:
         chosen = [find_topic(bag, name) for name in request.topics] or list(bag.topics.values())
         topics = {topic.name: topic for topic in chosen}
@@ -289,7 +289,7 @@ def _prepare(memory: Memory, request: PlayRequest) -> tuple[Bag, Span, dict[str,
         if unknown:
             raise BadInput(f"{sorted(unknown)[0]} is remapped, but not played.", f"Played: {', '.join(topics)}.")
         _check_types({(request.remaps.get(name, name), topic.type) for name, topic in topics.items()})
-        return bag, replace(span_in(memory, bag, request.start, request.end), topics=frozenset(topics)), topics
+        return bag, replace(span_in(store, bag, request.start, request.end), topics=frozenset(topics)), topics
     except RobotError:
         bag.close()
         raise

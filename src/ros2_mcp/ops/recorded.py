@@ -16,7 +16,7 @@ from ros2_mcp.model.errors import BadInput, BadValue, NotFound, TypeConflict, Un
 from ros2_mcp.model.interfaces import DefinitionText
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.memory import BLACK_BOX, Memory, OpenedBag
+from ros2_mcp.ops.bag_store import BLACK_BOX, BagStore, OpenedBag
 from ros2_mcp.ops.moments import is_relative, span_of
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.selection import MAX_BYTES
@@ -172,7 +172,7 @@ class BagSource(Source):
 
 
 async def open_bag(
-    memory: Memory,
+    store: BagStore,
     bag: str,
     start: str = "",
     end: str = "",
@@ -195,9 +195,9 @@ async def open_bag(
     def opened() -> BagSource:
         from ros2_mcp.bags.stored import Span
 
-        opened = memory.opened(bag)
+        opened = store.opened(bag)
         with opened.reading() as found:
-            first_ns, last_ns = times_of(memory, found)
+            first_ns, last_ns = times_of(store, found)
             asked = span_of(start, end, first_ns, last_ns)
         start_ns, end_ns = max(asked.start_ns, first_ns), min(asked.end_ns, last_ns + 1)
         if end_ns <= start_ns:
@@ -221,32 +221,32 @@ async def open_bag(
 class Bags(SourceKind):
     """The bags of this server as a kind of source: what it records itself, its black box among it, and all others."""
 
-    async def named(self, robot: Robot, memory: Memory, request: SourceRequest) -> Source | None:
+    async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:
         """The bag of that name; without one, the recording that stands for the robot, or for moments the black box."""
-        name = request.name or memory.subject_name
+        name = request.name or store.subject_name
         if not name and (request.start or request.end):
-            if BLACK_BOX not in memory.own:
+            if BLACK_BOX not in store.own:
                 hint = "Name it with bag; ros2_bag_list shows which there are."
                 raise BadInput("start and end are moments of a recording, and none is named.", hint)
             name = BLACK_BOX
-        return await open_bag(memory, name, request.start, request.end, robot) if name else None
+        return await open_bag(store, name, request.start, request.end, robot) if name else None
 
     async def kept(
-        self, robot: Robot, memory: Memory, request: SourceRequest
+        self, robot: Robot, store: BagStore, request: SourceRequest
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
         """This server's recordings, the bag that stands for the robot, and those that were opened, the last one first.
 
         The black box comes first while it runs; what former servers recorded is not this server's.
         """
-        own = dict(memory.own)
+        own = dict(store.own)
         running = [name for name in own if name == BLACK_BOX and own[name].is_growing()]
-        subject = [memory.subject_name] if memory.subject else []
-        known = dict.fromkeys([*running, *reversed(own), *subject, *memory.opened_names()])
+        subject = [store.subject_name] if store.subject else []
+        known = dict.fromkeys([*running, *reversed(own), *subject, *store.opened_names()])
 
         def opening(name: str) -> Callable[[], Awaitable[Source]]:
             title = f"this server's recording {name}" if name in own else f"the bag {name}"
             start, end = request.start, request.end
-            return lambda: open_bag(memory, name, start, end, robot, title=title, may_be_empty=True, from_end=True)
+            return lambda: open_bag(store, name, start, end, robot, title=title, may_be_empty=True, from_end=True)
 
         return [opening(name) for name in known]
 
@@ -279,25 +279,25 @@ def find_topic(bag: Bag, name: str) -> StoredTopic:
     return bag.topics[full]
 
 
-def span_in(memory: Memory, bag: Bag, start: str, end: str) -> Span:
+def span_in(store: BagStore, bag: Bag, start: str, end: str) -> Span:
     """The time between two moments of a bag."""
-    return span_of(start, end, *times_of(memory, bag))
+    return span_of(start, end, *times_of(store, bag))
 
 
-def times_of(memory: Memory, bag: Bag) -> tuple[int, int]:
+def times_of(store: BagStore, bag: Bag) -> tuple[int, int]:
     """Unix times in nanoseconds of a bag's beginning and end: its last message, or now while it is being recorded.
 
     As messages are on their way to the disk for up to a second, now is a second ago where there is no later one.
     """
     first_ns, last_ns = bag.times or (0, 0)
-    if bag.times and is_growing(memory, bag):
+    if bag.times and is_growing(store, bag):
         last_ns = max(last_ns, time.time_ns() - _TO_DISK_NS)
     return first_ns, last_ns
 
 
-def is_growing(memory: Memory, bag: Bag) -> bool:
+def is_growing(store: BagStore, bag: Bag) -> bool:
     """Whether this server is recording it."""
-    own = list(memory.own.values())  # at once: this is a thread, and recordings begin in another
+    own = list(store.own.values())  # at once: this is a thread, and recordings begin in another
     folders = [written.folder.resolve() for written in own if written.is_growing()]
     return any(bag.path.resolve().is_relative_to(folder) for folder in folders)
 

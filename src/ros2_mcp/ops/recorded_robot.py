@@ -12,7 +12,7 @@ from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.errors import RosNotFound, UnknownInterface
 from ros2_mcp.model.graph import Rows, TopicEndpoints, TopicRow
 from ros2_mcp.model.names import defining_type, did_you_mean
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.recorded import definitions_of, open_bag
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.graph import REQUEST_S, Graph
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from ros2_mcp.model.interfaces import DefinitionText
 
 
-def recorded_robot(memory: Memory, result_bytes: int) -> Robot:
+def recorded_robot(store: BagStore, result_bytes: int) -> Robot:
     """The recording that is the memory's subject, as far as it can be a robot: it has topics, and does nothing."""
     bridge = Bridge(_no_ros)
-    graph = RecordedGraph(bridge, memory)
+    graph = RecordedGraph(bridge, store)
     policy = Policy(read_only=True, recorded=True)
-    return Robot(bridge, policy, result_bytes, graph=graph, values=RecordedValues(graph, memory))
+    return Robot(bridge, policy, result_bytes, graph=graph, values=RecordedValues(graph, store))
 
 
 def _no_ros() -> NoReturn:
@@ -38,9 +38,9 @@ def _no_ros() -> NoReturn:
 class RecordedGraph(Graph):
     """The graph as far as a recording tells it: topics, what their publishers offered, and their types."""
 
-    def __init__(self, bridge: Bridge, memory: Memory) -> None:
+    def __init__(self, bridge: Bridge, store: BagStore) -> None:
         super().__init__(bridge)
-        self._memory = memory
+        self._store = store
 
     async def topics(self, within_s: float | None = None) -> Rows[TopicRow]:  # noqa: ARG002 - nothing has to settle
         """The recorded topics."""
@@ -49,28 +49,28 @@ class RecordedGraph(Graph):
 
     async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:  # noqa: ARG002 - a file does not make us wait
         """The types of the recorded topics, with those that they refer to."""
-        return sorted(await recorded_definitions(self._memory))
+        return sorted(await recorded_definitions(self._store))
 
     async def endpoints(self, topic: str) -> TopicEndpoints:
         """The publishers of a topic, without names; empty where the recording does not have it."""
         return (await self._recorded_topics()).get(topic, TopicEndpoints(topic, (), ()))
 
     async def _recorded_topics(self) -> Mapping[str, TopicEndpoints]:
-        return (await (await open_bag(self._memory, self._memory.subject_name)).graph()).topics
+        return (await (await open_bag(self._store, self._store.subject_name)).graph()).topics
 
 
 class RecordedValues(Values):
     """The types of the recorded topics, as the recording itself defines them."""
 
-    def __init__(self, graph: Graph, memory: Memory) -> None:
+    def __init__(self, graph: Graph, store: BagStore) -> None:
         super().__init__(graph)
-        self._memory = memory
+        self._store = store
 
     async def learn(self, *types: str) -> None:
         """Looks for the definitions in the recording; raises `UnknownInterface` for a type that is not in it."""
         if all(self.definitions.knows(defining_type(name)) for name in types):
             return
-        recorded = await recorded_definitions(self._memory)
+        recorded = await recorded_definitions(self._store)
         self.definitions.add(recorded)
         for name in types:
             if not self.definitions.knows(defining_type(name)):
@@ -78,11 +78,11 @@ class RecordedValues(Values):
                 raise UnknownInterface(f"The recording has no definition of {name}.", hint)
 
 
-async def recorded_definitions(memory: Memory) -> dict[str, DefinitionText]:
+async def recorded_definitions(store: BagStore) -> dict[str, DefinitionText]:
     """Every definition that is known of the types of the recorded topics, with those that they refer to."""
 
     def read() -> list[StoredTopic]:
-        with memory.reading(memory.subject_name) as bag:
+        with store.reading(store.subject_name) as bag:
             return list({topic.type: topic for topic in bag.topics.values()}.values())
 
     found: dict[str, DefinitionText] = {}

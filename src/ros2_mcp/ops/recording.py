@@ -24,7 +24,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.commands import SERVER, Principal, Record
 from ros2_mcp.model.errors import BadInput, LinkError, Refused, RobotError
 from ros2_mcp.model.samples import Counts, Sample
-from ros2_mcp.ops.memory import BLACK_BOX, Memory
+from ros2_mcp.ops.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.robot import Listening, Robot
 from ros2_mcp.robot.jobs import Job
@@ -160,10 +160,12 @@ class Recording(Job):
     listed_by = "ros2_record_status"
     stopped_by = "ros2_record_stop"
 
-    def __init__(self, robot: Robot, memory: Memory, request: RecordRequest, *, owner: Principal | None = None) -> None:
+    def __init__(
+        self, robot: Robot, store: BagStore, request: RecordRequest, *, owner: Principal | None = None
+    ) -> None:
         super().__init__(owner=owner or robot.principal)
         self._robot = robot
-        self._memory = memory
+        self._store = store
         self._request = request
         self._recorder: Recorder | None = None
         self._folder: Path | None = None
@@ -178,7 +180,7 @@ class Recording(Job):
             # A thread cannot be cancelled: anyio waits for it, so that what it has opened is always closed again.
             self._folder, self._recorder = await to_thread.run_sync(self._open)
             recorder = self._recorder
-            self._memory.writes(self._folder, lambda: not recorder.ended)
+            self._store.writes(self._folder, lambda: not recorder.ended)
             async with anyio.create_task_group() as topics:
                 await self._look_or_note(topics)
                 with anyio.move_on_after(_JOINED_S):
@@ -232,7 +234,7 @@ class Recording(Job):
         from ros2_mcp.bags.recorder import Limits, Recorder
         from ros2_mcp.bags.writer import BagWriter, fresh_folder
 
-        request, record_dir = self._request, self._memory.record_dir
+        request, record_dir = self._request, self._store.record_dir
         limits = Limits(request.max_duration_s, request.max_bytes)
         try:
             folder = fresh_folder(record_dir, request.name)
@@ -346,23 +348,23 @@ class Recording(Job):
 class BlackBox(Recording):
     """The recording that the server keeps of its own: what is too old makes room for the new."""
 
-    def __init__(self, robot: Robot, memory: Memory, settings: Settings) -> None:
+    def __init__(self, robot: Robot, store: BagStore, settings: Settings) -> None:
         topics = [names.absolute(topic) for topic in settings.black_box or ()]
         request = RecordRequest(topics=topics, largest=0 if topics else LARGEST_BYTES)
-        super().__init__(robot, memory, request, owner=SERVER)
-        self._folder = memory.record_dir / BLACK_BOX
+        super().__init__(robot, store, request, owner=SERVER)
+        self._folder = store.record_dir / BLACK_BOX
         self._settings = settings
 
     def _open(self) -> tuple[Path, Recorder]:
         from ros2_mcp.bags.recorder import Recorder
         from ros2_mcp.bags.ring import RingWriter
 
-        folder, settings = self._memory.record_dir / BLACK_BOX, self._settings
+        folder, settings = self._store.record_dir / BLACK_BOX, self._settings
         ring = RingWriter(folder, settings.black_box_bytes, settings.black_box_hours * 3600.0)
         return folder, Recorder(ring, folder)
 
 
-async def start(robot: Robot, memory: Memory, request: RecordRequest) -> RecordingState:
+async def start(robot: Robot, store: BagStore, request: RecordRequest) -> RecordingState:
     """Begins to record; it goes on until a limit is reached, it is stopped, or the server ends.
 
     Raises:
@@ -372,17 +374,17 @@ async def start(robot: Robot, memory: Memory, request: RecordRequest) -> Recordi
     """
     request = _checked(request)
     await robot.do(Record(principal=robot.principal, name=request.name, topics=request.topics))
-    recording = Recording(robot, memory, request)
+    recording = Recording(robot, store, request)
     await robot.jobs.start(recording)
     return recording.report()
 
 
-async def keep_black_box(robot: Robot, memory: Memory, settings: Settings) -> None:
+async def keep_black_box(robot: Robot, store: BagStore, settings: Settings) -> None:
     """Begins to keep the topics of the settings, if they name some; what goes wrong is logged."""
     if settings.black_box is None or settings.read_only:
         return
     try:
-        await robot.jobs.start(BlackBox(robot, memory, settings))
+        await robot.jobs.start(BlackBox(robot, store, settings))
     except (RobotError, OSError) as error:
         _logger.warning("the black box keeps nothing: %s", error)
 

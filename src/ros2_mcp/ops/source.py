@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from ros2_mcp.model.errors import BadData, RobotError
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.model.samples import Counts, Sample, header_stamp_ns
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.selection import Collector, undecodable
 from ros2_mcp.robot import Robot, TopicEndpoints
@@ -307,14 +307,14 @@ class Source(ABC):
 class SourceKind:
     """A kind of source: how its sources are found. By itself it has none."""
 
-    async def named(self, robot: Robot, memory: Memory, request: SourceRequest) -> Source | None:  # noqa: ARG002
+    async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
         """The source that is meant, or None where it is none of this kind."""
         return None
 
     async def kept(
         self,
         robot: Robot,  # noqa: ARG002
-        memory: Memory,  # noqa: ARG002
+        store: BagStore,  # noqa: ARG002
         request: SourceRequest,  # noqa: ARG002
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
         """What opens each of its sources that may have messages of the past, the likeliest first."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator
 
 from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.data_black_box import DataBlackBoxes
 from ros2_mcp.ops.live import Robots
-from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.recorded import Bags
 from ros2_mcp.ops.source import Source, SourceKind, SourceRequest
 from ros2_mcp.robot import Robot
@@ -20,7 +20,7 @@ KINDS: list[SourceKind] = [
 """In the order in which they are asked. The first that knows a name has it."""
 
 
-async def open_source(robot: Robot, memory: Memory, name: str = "", start: str = "", end: str = "") -> Source:
+async def open_source(robot: Robot, store: BagStore, name: str = "", start: str = "", end: str = "") -> Source:
     """The source of that name between two moments; without a name the recording that stands for the robot, else itself.
 
     Raises:
@@ -29,18 +29,18 @@ async def open_source(robot: Robot, memory: Memory, name: str = "", start: str =
     """
     request = SourceRequest(name.strip(), start.strip(), end.strip())
     for kind in KINDS:
-        if source := await kind.named(robot, memory, request):
+        if source := await kind.named(robot, store, request):
             return source
     raise NotFound(f"There is no source {name!r}.", "ros2_bag_list shows what can be read.")
 
 
 async def sources_of_the_past(
-    robot: Robot, memory: Memory, request: SourceRequest
+    robot: Robot, store: BagStore, request: SourceRequest
 ) -> AsyncGenerator[Source | RobotError, None]:
     """One source after the other that may have messages of the past, or why it cannot be opened."""
     for kind in KINDS:
         try:
-            openings = await kind.kept(robot, memory, request)
+            openings = await kind.kept(robot, store, request)
         except RobotError as error:
             yield error
             continue

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from ros2_mcp.ops import history
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.results import Report
 from ros2_mcp.ops.source import SourceRequest
 from ros2_mcp.robot import Robot
@@ -33,7 +33,7 @@ Moment = Annotated[
 )
 async def ros2_get_messages(
     robot: Robot,
-    memory: Memory,
+    store: BagStore,
     report: Report,
     topic_name: TopicName,
     message_type: MessageType = "",
@@ -47,4 +47,4 @@ async def ros2_get_messages(
     """Get messages that were sent earlier, and say from where: a WiseVision Data Black Box, recordings, opened bags."""
     request = SourceRequest(start=time_start.strip(), end=time_end.strip(), bucket=bucket_name)
     chosen = replace(selection, message_limit=number_of_messages or None)
-    return await history.get_messages(robot, memory, topic_name, message_type, request, chosen, report)
+    return await history.get_messages(robot, store, topic_name, message_type, request, chosen, report)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any
 
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.live import Live
-from ros2_mcp.ops.memory import Memory
 from ros2_mcp.ops.results import Report
 from ros2_mcp.ops.selection import Selection
 from ros2_mcp.ops.source import Source
@@ -41,7 +41,7 @@ class Call:
     """What there is in every call: the robot, the bags, and who is told of progress."""
 
     robot: Robot
-    memory: Memory
+    store: BagStore
     report: Report
 
 
@@ -59,8 +59,8 @@ def _robot(call: Call) -> Robot:
     return call.robot
 
 
-def _memory(call: Call) -> Memory:
-    return call.memory
+def _store(call: Call) -> BagStore:
+    return call.store
 
 
 def _report(call: Call) -> Report:
@@ -68,15 +68,15 @@ def _report(call: Call) -> Report:
 
 
 async def _source(call: Call, bag: FromBag = "", start: FromStart = "", end: UpToEnd = "") -> Source:
-    return await open_source(call.robot, call.memory, bag, start, end)
+    return await open_source(call.robot, call.store, bag, start, end)
 
 
 async def _log_source(call: Call, since: Since = "", bag: FromBag = "", end: UpToEnd = "") -> Source:
     """The log of the robot is not a bag's: moments alone do not mean the black box here."""
-    if not (bag or end or call.memory.subject_name):
+    if not (bag or end or call.store.subject_name):
         return Live(call.robot)
     is_number = since.strip().replace(".", "", 1).isdigit()
-    return await open_source(call.robot, call.memory, bag, f"{since} s ago" if is_number else since, end)
+    return await open_source(call.robot, call.store, bag, f"{since} s ago" if is_number else since, end)
 
 
 def _size(call: Call) -> Selection:
@@ -123,7 +123,7 @@ _MAKERS: Mapping[Any, Maker] = {
     Source: _source,
     Selection: _size,
     Robot: _robot,
-    Memory: _memory,
+    BagStore: _store,
     Report: _report,
 }
 """Of parameters whose type alone says what they are."""

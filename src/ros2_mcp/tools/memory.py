@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from ros2_mcp.ops import bags, playing, recording
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import BagEnd, BagName, BagStart, Flag, Limit, Number, Pattern, TopicName, Whole
@@ -26,7 +26,7 @@ PlaybackId = Annotated[str, Field(description="The playback's id.")]
 @tool(title="Record topics", risk="write", group="memory", by_default=False)
 async def ros2_record_start(
     robot: Robot,
-    memory: Memory,
+    store: BagStore,
     topics: Annotated[list[str] | None, Field(description="Topics to record, also if they appear later.")] = None,
     patterns: Annotated[
         list[str] | None, Field(description="Globs such as /camera/*, or parts of names. Default without topics: all.")
@@ -48,7 +48,7 @@ async def ros2_record_start(
         split_bytes=split_bytes,
         name=name,
     )
-    return await recording.start(robot, memory, request)
+    return await recording.start(robot, store, request)
 
 
 @tool(title="Recordings", risk="read", group="memory", by_default=False)
@@ -64,21 +64,21 @@ async def ros2_record_stop(robot: Robot, recording_id: RecordingId) -> recording
 
 
 @tool(title="List bags", risk="read", group="memory", by_default=False, recorded=True)
-async def ros2_bag_list(memory: Memory, pattern: Pattern = "", limit: Limit = 200) -> bags.BagList:
+async def ros2_bag_list(store: BagStore, pattern: Pattern = "", limit: Limit = 200) -> bags.BagList:
     """List the bags (recordings) that can be read, the newest first."""
-    return await bags.list_bags(memory, pattern, limit)
+    return await bags.list_bags(store, pattern, limit)
 
 
 @tool(title="What is in a bag", risk="read", group="memory", by_default=False, recorded=True)
-async def ros2_bag_info(memory: Memory, bag: BagName) -> bags.BagInfo:
+async def ros2_bag_info(store: BagStore, bag: BagName) -> bags.BagInfo:
     """Show the topics, types, counts and times of a bag, and what of it is damaged or missing."""
-    return await bags.info(memory, bag)
+    return await bags.info(store, bag)
 
 
 @tool(title="Read a bag", risk="read", group="memory", by_default=False, recorded=True)
 async def ros2_bag_read(
     robot: Robot,
-    memory: Memory,
+    store: BagStore,
     bag: BagName,
     topic_name: TopicName,
     start: BagStart = "",
@@ -88,13 +88,13 @@ async def ros2_bag_read(
     selection: Messages,
 ) -> bags.BagMessages:
     """Read messages of one topic of a bag: the first ones from start on, or without start the last ones."""
-    return await bags.read(robot, memory, bag, topic_name, replace(selection, message_limit=limit), start, end)
+    return await bags.read(robot, store, bag, topic_name, replace(selection, message_limit=limit), start, end)
 
 
 @tool(title="Play a bag", risk="actuate", group="memory", by_default=False)
 async def ros2_bag_play(
     robot: Robot,
-    memory: Memory,
+    store: BagStore,
     report: Report,
     bag: BagName,
     rate: Annotated[Number, Field(ge=0.01, le=100, description="Speed; 2 is twice as fast.")] = 1.0,
@@ -113,7 +113,7 @@ async def ros2_bag_play(
     request = playing.PlayRequest(
         bag=bag, rate=rate, start=start, end=end, topics=topics or (), remaps=remaps or {}, loop=loop, force=force
     )
-    return await playing.play(robot, memory, request, wait_sec, report)
+    return await playing.play(robot, store, request, wait_sec, report)
 
 
 @tool(title="Playbacks", risk="read", group="memory", by_default=False)

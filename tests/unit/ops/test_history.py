@@ -21,8 +21,8 @@ from ros2_mcp.model.errors import BadData, NotFound, UnknownInterface
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import bags, history
+from ros2_mcp.ops.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.history import StoredMessages
-from ros2_mcp.ops.memory import BLACK_BOX, Memory
 from ros2_mcp.ops.recorded_robot import recorded_robot
 from ros2_mcp.ops.selection import Selection
 from ros2_mcp.ops.source import SourceRequest
@@ -58,29 +58,29 @@ class Asker:
     """A server's memory; its robot is a recording, or none at all."""
 
     def __init__(self, folder: Path, subject: Path | None = None) -> None:
-        self.memory = Memory(folder, subject=subject)
-        self.robot = recorded_robot(self.memory, 32_000)
+        self.store = BagStore(folder, subject=subject)
+        self.robot = recorded_robot(self.store, 32_000)
 
     def get(self, topic: str = "/count", number: int = 0, **asked: str) -> StoredMessages:
         selection = Selection(message_limit=number or None)
-        return asyncio.run(history.get_messages(self.robot, self.memory, topic, "", SourceRequest(**asked), selection))
+        return asyncio.run(history.get_messages(self.robot, self.store, topic, "", SourceRequest(**asked), selection))
 
     def read(self, bag: str, topic: str, limit: int = 20, every_n: int = 1, **asked: str) -> bags.BagMessages:
         selection = Selection(message_limit=limit, every_n=every_n)
-        return asyncio.run(bags.read(self.robot, self.memory, bag, topic, selection, **asked))
+        return asyncio.run(bags.read(self.robot, self.store, bag, topic, selection, **asked))
 
     def open(self, *names: str) -> None:
         for name in names:
-            asyncio.run(bags.info(self.memory, name))
+            asyncio.run(bags.info(self.store, name))
 
     def records(self, folder: Path) -> Recorder:
         recorder = Recorder(RingWriter(folder, 10**8, 3600), folder)
         recorder.add_topic(COUNT)
-        self.memory.writes(folder, lambda: not recorder.ended)
+        self.store.writes(folder, lambda: not recorder.ended)
         return recorder
 
     def close(self) -> None:
-        asyncio.run(self.memory.close())
+        asyncio.run(self.store.close())
 
 
 @pytest.fixture
@@ -223,7 +223,7 @@ def test_a_latched_message_that_every_file_of_a_ring_has_is_shown_once(
 def test_limit_is_another_name_for_the_number_of_messages(tmp_path: Path, asker: Callable[..., Asker]) -> None:
     make_bag(tmp_path / "robot", COUNT, *(number_at(value, value) for value in range(5)))
     agent = asker("robot")
-    tool = bind(next(each for each in DECLARED if each.name == "ros2_get_messages"), agent.robot, agent.memory)
+    tool = bind(next(each for each in DECLARED if each.name == "ros2_get_messages"), agent.robot, agent.store)
 
     async def nobody(done: float, whole: float, line: str) -> None:
         pass

@@ -14,7 +14,7 @@ from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import playing
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.playing import Playback, PlaybackState, PlayRequest, status, stop
 from ros2_mcp.robot import Robot
 from support.made_bridge import NUMBER, MadeBridge, robot_of
@@ -31,7 +31,7 @@ def bridge() -> MadeBridge:
 
 
 @pytest.fixture
-async def memory(tmp_path: Path, bridge: MadeBridge) -> AsyncIterator[Memory]:
+async def store(tmp_path: Path, bridge: MadeBridge) -> AsyncIterator[BagStore]:
     """With a bag of 0.6 s, whose /goal has one message at its beginning; after the test no relay may be open."""
     (tmp_path / "run").mkdir()
     writer = BagWriter(tmp_path / "run", "run")
@@ -40,9 +40,9 @@ async def memory(tmp_path: Path, bridge: MadeBridge) -> AsyncIterator[Memory]:
         writer.write(topic, Sample(START_NS + at_ms * 1_000_000, 0, None, b"\0\1\0\0\0\0\0\0"))
     writer.close()
 
-    memory = Memory(tmp_path)
-    yield memory
-    await memory.close()
+    store = BagStore(tmp_path)
+    yield store
+    await store.close()
 
 
 @pytest.fixture
@@ -54,9 +54,9 @@ async def robot(bridge: MadeBridge) -> AsyncIterator[Robot]:
 
 
 @pytest.fixture
-def play(robot: Robot, memory: Memory) -> Play:
+def play(robot: Robot, store: BagStore) -> Play:
     async def play(request: PlayRequest, wait_s: float = 5.0) -> PlaybackState:
-        return await playing.play(robot, memory, request, wait_s)
+        return await playing.play(robot, store, request, wait_s)
 
     return play
 

@@ -18,7 +18,7 @@ from ros2_mcp.model.errors import BadInput, BadValue, NotFound, TypeConflict
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import bags, reading, timing
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.moments import moment_ns, span_of
 from ros2_mcp.ops.recorded import open_bag
 from ros2_mcp.ops.selection import Selection
@@ -34,7 +34,7 @@ def number_at(value: int) -> bytes:
 
 
 @pytest.fixture
-def memory(tmp_path: Path) -> Iterator[Memory]:
+def store(tmp_path: Path) -> Iterator[BagStore]:
     (tmp_path / "run").mkdir()
     writer = BagWriter(tmp_path / "run", "run")
     writer.add_topic(StoredTopic("/count", "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n"))
@@ -46,13 +46,13 @@ def memory(tmp_path: Path) -> Iterator[Memory]:
         at_ns = START_NS + number * SECOND // 10
         writer.write("/count", Sample(at_ns, at_ns, number + 1, number_at(number)))
     writer.close()
-    opened = Memory(tmp_path)
+    opened = BagStore(tmp_path)
     yield opened
     asyncio.run(opened.close())
 
 
-async def captures_of(memory: Memory, start: str, *topics: str) -> list[Capture | Missing]:
-    source: Source = await open_bag(memory, "run", start)
+async def captures_of(store: BagStore, start: str, *topics: str) -> list[Capture | Missing]:
+    source: Source = await open_bag(store, "run", start)
     assert abs(source.duration_s - 2.0) < 1e-6
     assert (await source.graph()).topics.keys() == {"/count", "/mode"}
     found = list(await source.captures(topics, lambda *_: asyncio.sleep(0)))
@@ -62,8 +62,8 @@ async def captures_of(memory: Memory, start: str, *topics: str) -> list[Capture 
     return found
 
 
-def test_a_window_of_a_bag_has_its_time_and_the_latched_message_before(memory: Memory) -> None:
-    count, mode, missing = asyncio.run(captures_of(memory, "last 2 s", "/count", "/mode", "/other"))
+def test_a_window_of_a_bag_has_its_time_and_the_latched_message_before(store: BagStore) -> None:
+    count, mode, missing = asyncio.run(captures_of(store, "last 2 s", "/count", "/mode", "/other"))
     assert isinstance(count, Capture) and isinstance(mode, Capture) and isinstance(missing, Missing)
     values = [count.decode(sample).data for sample in count.samples]  # type: ignore[attr-defined]
     assert values == list(range(80, 101))
@@ -73,9 +73,9 @@ def test_a_window_of_a_bag_has_its_time_and_the_latched_message_before(memory: M
 
 
 async def read_of(
-    memory: Memory, topic: str, selection: Selection, start: str = "", end: str = "", type_name: str = ""
+    store: BagStore, topic: str, selection: Selection, start: str = "", end: str = "", type_name: str = ""
 ) -> tuple[list[int], str]:
-    source = await open_bag(memory, "run", start, end)
+    source = await open_bag(store, "run", start, end)
     found = await reading.read(source, topic, type_name, selection)
     assert found.source == source.lasting(0.0, recorded_s=selection.duration_s).words and (
         found.received,
@@ -100,30 +100,30 @@ async def read_of(
     ],
 )
 def test_a_recording_is_read_from_its_start_or_without_one_from_its_end(
-    memory: Memory, start: str, end: str, duration_s: float | None, limit: int | None, expected: list[int]
+    store: BagStore, start: str, end: str, duration_s: float | None, limit: int | None, expected: list[int]
 ) -> None:
     selection = Selection(duration_s=duration_s, message_limit=limit)
-    values, note = asyncio.run(read_of(memory, "count", selection, start, end))
+    values, note = asyncio.run(read_of(store, "count", selection, start, end))
     assert values == expected
     assert ("has no more of it" in note) == (limit is not None and limit > len(expected))
 
 
-def test_a_latched_message_from_before_the_start_is_read(memory: Memory) -> None:
-    assert asyncio.run(read_of(memory, "/mode", Selection(), "last 1 s", type_name="std_msgs/Int32")) == ([7], "")
-    assert asyncio.run(read_of(memory, "/mode", Selection(), type_name="std_msgs/Int32")) == ([7], "")
+def test_a_latched_message_from_before_the_start_is_read(store: BagStore) -> None:
+    assert asyncio.run(read_of(store, "/mode", Selection(), "last 1 s", type_name="std_msgs/Int32")) == ([7], "")
+    assert asyncio.run(read_of(store, "/mode", Selection(), type_name="std_msgs/Int32")) == ([7], "")
     with pytest.raises(TypeConflict, match="not std_msgs/msg/Bool"):
-        asyncio.run(read_of(memory, "/mode", Selection(), type_name="std_msgs/msg/Bool"))
+        asyncio.run(read_of(store, "/mode", Selection(), type_name="std_msgs/msg/Bool"))
 
 
-def test_nothing_in_a_part_is_said_to_be_nothing(memory: Memory) -> None:
+def test_nothing_in_a_part_is_said_to_be_nothing(store: BagStore) -> None:
     selection = Selection(message_limit=5)
-    values, note = asyncio.run(read_of(memory, "/count", selection, "first 0.01 s", "first 0.09 s"))
+    values, note = asyncio.run(read_of(store, "/count", selection, "first 0.01 s", "first 0.09 s"))
     assert values == [] and note == "The recording has nothing of it in that part."
 
 
-def test_the_flow_of_a_recording_is_that_of_the_whole_or_of_a_part(memory: Memory) -> None:
+def test_the_flow_of_a_recording_is_that_of_the_whole_or_of_a_part(store: BagStore) -> None:
     async def flow(start: str) -> timing.Stats:
-        return await timing.measure(await open_bag(memory, "run", start), ["/count", "/mode", "/other"])
+        return await timing.measure(await open_bag(store, "run", start), ["/count", "/mode", "/other"])
 
     whole, part = asyncio.run(flow("")), asyncio.run(flow("last 2 s"))
     assert [topic.count for topic in whole.topics] == [101, 1, 0]
@@ -135,38 +135,38 @@ def test_the_flow_of_a_recording_is_that_of_the_whole_or_of_a_part(memory: Memor
     assert "no topic /other" in part.topics[2].error
 
 
-async def follow_while_it_grows(memory: Memory, writer: BagWriter) -> int:
-    source = await open_bag(memory, "growing", "first 0 s")
+async def follow_while_it_grows(store: BagStore, writer: BagWriter) -> int:
+    source = await open_bag(store, "growing", "first 0 s")
     async with source.follow("/count") as stream:
         sizes = [len(await anext(stream.batches))]
-        begun = memory.opened("growing").bag
+        begun = store.opened("growing").bag
         writer.write("/count", Sample(START_NS + SECOND, 0, 999, number_at(999)))
         writer.flush()
         sizes += [len(batch) async for batch in stream.batches]
-        assert memory.opened("growing").bag is begun
-    with memory.reading("growing") as bag:
+        assert store.opened("growing").bag is begun
+    with store.reading("growing") as bag:
         assert bag is not begun and bag.count == sum(sizes) + 1
     return sum(sizes)
 
 
-def test_a_recording_that_grows_while_it_is_followed_is_not_opened_again(memory: Memory, tmp_path: Path) -> None:
+def test_a_recording_that_grows_while_it_is_followed_is_not_opened_again(store: BagStore, tmp_path: Path) -> None:
     (tmp_path / "growing").mkdir()
     writer = BagWriter(tmp_path / "growing", "growing")
     writer.add_topic(StoredTopic("/count", "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n"))
     for number in range(600):
         writer.write("/count", Sample(START_NS + number, 0, number + 1, number_at(number)))
     writer.flush()
-    assert asyncio.run(follow_while_it_grows(memory, writer)) == 600
+    assert asyncio.run(follow_while_it_grows(store, writer)) == 600
     writer.close()
 
 
-def test_a_bag_outside_of_the_folders_is_never_opened(memory: Memory, tmp_path: Path) -> None:
+def test_a_bag_outside_of_the_folders_is_never_opened(store: BagStore, tmp_path: Path) -> None:
     for name in ("../run", "/etc", "run/../.."):
         with pytest.raises(BadInput):
-            memory.find_bag(name)
+            store.find_bag(name)
     (tmp_path / "link").symlink_to("/etc")
     with pytest.raises(BadInput):
-        memory.find_bag("link")
+        store.find_bag("link")
 
 
 @pytest.mark.parametrize(
@@ -236,13 +236,13 @@ async def test_what_is_read_between_the_times_that_were_shown_is_everything(tmp_
         writer.write("/count", Sample(at_ns, at_ns, number + 1, number_at(number)))
     writer.close()
 
-    memory, twenty = Memory(tmp_path), Selection(message_limit=20)
-    shown = await bags.info(memory, "run")
+    store, twenty = BagStore(tmp_path), Selection(message_limit=20)
+    shown = await bags.info(store, "run")
     robot = robot_of(MadeBridge())
-    assert (await bags.read(robot, memory, "run", "/count", twenty, shown.start, shown.end)).count == 20
-    source = await open_bag(memory, "run", shown.start, shown.end)
+    assert (await bags.read(robot, store, "run", "/count", twenty, shown.start, shown.end)).count == 20
+    source = await open_bag(store, "run", shown.start, shown.end)
     assert (await timing.measure(source, ["/count"])).topics[0].count == 20
-    await memory.close()
+    await store.close()
 
 
 @pytest.mark.parametrize(

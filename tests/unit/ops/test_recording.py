@@ -19,7 +19,7 @@ from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadInput, TimedOut
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import bags, recording, timing
-from ros2_mcp.ops.memory import BLACK_BOX, Memory
+from ros2_mcp.ops.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.recorded import open_bag
 from ros2_mcp.ops.recording import BlackBox, Recording, RecordRequest, keep_black_box
 from ros2_mcp.ops.selection import Selection
@@ -60,7 +60,7 @@ async def test_a_recording_that_is_cancelled_before_it_began_is_ended(
 
     bridge.topics = look
     with scope:  # as the MCP server cancels: again and again
-        await recording.start(robot, Memory(tmp_path), RecordRequest())
+        await recording.start(robot, BagStore(tmp_path), RecordRequest())
     assert scope.cancelled_caught
     [begun] = robot.jobs.all(Recording)
     assert not begun.is_running
@@ -71,7 +71,7 @@ async def test_a_recording_that_is_cancelled_while_its_folder_is_made_never_begi
     tmp_path: Path, bridge: MadeBridge, robot: Robot
 ) -> None:
     bridge.topics = lambda: asyncio.sleep(1000)
-    starting = asyncio.create_task(recording.start(robot, Memory(tmp_path), RecordRequest()))
+    starting = asyncio.create_task(recording.start(robot, BagStore(tmp_path), RecordRequest()))
     while not list(tmp_path.iterdir()):
         await asyncio.sleep(0)
     starting.cancel()
@@ -88,7 +88,7 @@ async def test_a_recording_that_fails_to_begin_for_another_reason_is_ended(
 ) -> None:
     bridge.topics = lambda: [["not", "as", "foreseen"]]
     with pytest.raises(TypeError, match="TopicRow"):
-        await recording.start(robot, Memory(tmp_path), RecordRequest())
+        await recording.start(robot, BagStore(tmp_path), RecordRequest())
     assert not robot.jobs.running(Recording)
     [failed] = (await recording.status(robot)).recordings
     assert failed.state == "failed" and "TopicRow" in failed.reason
@@ -97,7 +97,7 @@ async def test_a_recording_that_fails_to_begin_for_another_reason_is_ended(
 async def test_a_recording_whose_folder_cannot_be_made_says_so(tmp_path: Path, robot: Robot) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BadInput, match="cannot be written"):
-        await recording.start(robot, Memory(tmp_path / "file"), RecordRequest())
+        await recording.start(robot, BagStore(tmp_path / "file"), RecordRequest())
     [failed] = (await recording.status(robot)).recordings
     assert (failed.state, failed.bag, failed.messages) == ("failed", "", 0)
 
@@ -113,7 +113,7 @@ async def test_the_black_box_looks_again_if_its_first_look_fails(
         return [["/said", ["a/msg/One", "a/msg/Other"], 1, 0]]
 
     bridge.topics = topics
-    await keep_black_box(robot, Memory(tmp_path), Settings(black_box=()))
+    await keep_black_box(robot, BagStore(tmp_path), Settings(black_box=()))
     [box] = robot.jobs.running(BlackBox)
     assert box.report().bag == BLACK_BOX and list(box.report().notes) == ["The bridge is busy."]
     await soon(lambda: [topic.topic_name for topic in box.report().topics] == ["/said"])
@@ -125,38 +125,38 @@ def is_on_the_disk(folder: Path) -> bool:
 
 
 async def test_a_recording_that_runs_goes_on_until_now_however_long_nothing_came(tmp_path: Path) -> None:
-    robot, memory = robot_of(MadeBridge()), Memory(tmp_path)
+    robot, store = robot_of(MadeBridge()), BagStore(tmp_path)
     (folder := tmp_path / "run").mkdir()
     recorder = Recorder(BagWriter(folder, "run"), folder)
-    memory.writes(folder, lambda: not recorder.ended)
+    store.writes(folder, lambda: not recorder.ended)
     recorder.add_topic(StoredTopic("/said", NUMBER, None, "ros2msg", "int32 data\n"))
     silent_since_ns = time.time_ns() - 600 * SECOND
     recorder.put("/said", [Sample(silent_since_ns, 0, None, b"\0\1\0\0\7\0\0\0")])
 
-    async def count(start: str, of: Memory = memory) -> int:
+    async def count(start: str, of: BagStore = store) -> int:
         return (await bags.read(robot, of, "run", "/said", Selection(message_limit=20), start)).count
 
     await soon(lambda: is_on_the_disk(folder))
     assert (await count(""), await count("last 30 s"), await count("11 min ago")) == (1, 0, 1)
-    source = await open_bag(memory, "run", "last 30 s")
+    source = await open_bag(store, "run", "last 30 s")
     assert abs(source.duration_s - 30.0) < 1.0
     assert (await timing.measure(source, ["/said"])).topics[0].count == 0
     recorder.stop()
-    await memory.close()
-    later = Memory(tmp_path)
+    await store.close()
+    later = BagStore(tmp_path)
     assert await count("last 30 s", later) == 1
     await later.close()
 
 
 async def test_a_named_topic_that_nobody_publishes_is_told(tmp_path: Path, robot: Robot) -> None:
-    state = await recording.start(robot, Memory(tmp_path), RecordRequest(topics=["/later"]))
+    state = await recording.start(robot, BagStore(tmp_path), RecordRequest(topics=["/later"]))
     assert state.notes == ["/later: nobody has published it so far; it joins within a second after somebody does."]
 
 
 async def test_what_is_still_being_recorded_is_not_called_damaged(tmp_path: Path, robot: Robot) -> None:
-    memory = Memory(tmp_path)
-    await recording.start(robot, memory, RecordRequest(name="run"))
-    assert (await bags.info(memory, "run")).problems == ["It is still being recorded."]
+    store = BagStore(tmp_path)
+    await recording.start(robot, store, RecordRequest(name="run"))
+    assert (await bags.info(store, "run")).problems == ["It is still being recorded."]
     await robot.jobs.close()
-    await memory.close()
-    assert (await bags.info(Memory(tmp_path), "run")).problems == []
+    await store.close()
+    assert (await bags.info(BagStore(tmp_path), "run")).problems == []

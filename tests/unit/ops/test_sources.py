@@ -15,7 +15,7 @@ from ros2_mcp.codec.cdr import Codec
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import bags, history, plotting, reading, sources, statistics
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.ops.recorded import BagSource, open_bag
 from ros2_mcp.ops.recorded_robot import recorded_robot
 from ros2_mcp.ops.results import silent
@@ -39,7 +39,7 @@ class MadeSources(SourceKind):
     def __init__(self, source: Source) -> None:
         self._source = source
 
-    async def named(self, robot: Robot, memory: Memory, request: SourceRequest) -> Source | None:  # noqa: ARG002
+    async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
         return self._source if request.name == "made" else None
 
     async def kept(self, *_: Any) -> Sequence[Callable[[], Awaitable[Source]]]:
@@ -49,8 +49,8 @@ class MadeSources(SourceKind):
         return [opened]
 
 
-async def called(robot: Robot, memory: Memory, name: str, **arguments: Any) -> Mapping[str, Any]:
-    tool = bind(next(each for each in DECLARED if each.name == name), robot, memory)
+async def called(robot: Robot, store: BagStore, name: str, **arguments: Any) -> Mapping[str, Any]:
+    tool = bind(next(each for each in DECLARED if each.name == name), robot, store)
     answer = (await tool.call(arguments, silent)).structured_content
     assert answer
     return answer
@@ -61,11 +61,11 @@ async def test_a_new_kind_of_source_is_one_class_and_one_line(
 ) -> None:
     made = Recorded([window("/x", FLOAT, [(each / 10, {"data": float(each)}) for each in range(11)], 1.0)])
     monkeypatch.setattr(sources, "KINDS", [MadeSources(made), *sources.KINDS])
-    memory = Memory(tmp_path)
-    robot = recorded_robot(memory, 32_000)
+    store = BagStore(tmp_path)
+    robot = recorded_robot(store, 32_000)
 
     async def ask(name: str, **arguments: Any) -> Mapping[str, Any]:
-        return await called(robot, memory, name, **arguments)
+        return await called(robot, store, name, **arguments)
 
     (measured,) = (await ask("ros2_topic_statistics", topic_names=["/x"], bag="made"))["topics"]
     assert (measured["count"], measured["fields"][0]["max"]) == (11, 10.0)
@@ -79,19 +79,19 @@ async def test_a_new_kind_of_source_is_one_class_and_one_line(
 
 
 async def test_no_name_means_the_robot_and_moments_mean_a_recording(tmp_path: Path) -> None:
-    robot, memory = robot_of(MadeBridge()), Memory(tmp_path)
-    assert (await open_source(robot, memory)).is_live
+    robot, store = robot_of(MadeBridge()), BagStore(tmp_path)
+    assert (await open_source(robot, store)).is_live
     with pytest.raises(BadInput, match="none is named"):
-        await open_source(robot, memory, start="last 1 s")
+        await open_source(robot, store, start="last 1 s")
     with pytest.raises(NotFound, match="no bag"):
-        await open_source(robot, memory, "nowhere")
+        await open_source(robot, store, "nowhere")
 
 
 # ── messages that cannot be decoded ──────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.fixture
-async def damaged(tmp_path: Path) -> AsyncIterator[Memory]:
+async def damaged(tmp_path: Path) -> AsyncIterator[BagStore]:
     """A bag of six messages, of which the second and the last one are no Int32."""
     (tmp_path / "run").mkdir()
     writer = BagWriter(tmp_path / "run", "run")
@@ -100,12 +100,12 @@ async def damaged(tmp_path: Path) -> AsyncIterator[Memory]:
         data = b"\0\1\0\0" if number in (1, 5) else encoded("std_msgs/msg/Int32", {"data": number})
         writer.write("/count", Sample(START_NS + number * SECOND, 0, number, data))
     writer.close()
-    memory = Memory(tmp_path)
-    yield memory
-    await memory.close()
+    store = BagStore(tmp_path)
+    yield store
+    await store.close()
 
 
-async def test_what_cannot_be_decoded_is_skipped_counted_and_told_by_whoever_reads(damaged: Memory) -> None:
+async def test_what_cannot_be_decoded_is_skipped_counted_and_told_by_whoever_reads(damaged: BagStore) -> None:
     robot = recorded_robot(damaged, 32_000)
     six, told = Selection(message_limit=6), "2 message(s) are not what their type says"
     read = await reading.read(await open_bag(damaged, "run"), "/count", "", six)
@@ -120,7 +120,7 @@ async def test_what_cannot_be_decoded_is_skipped_counted_and_told_by_whoever_rea
     assert (waited.looked_at, waited.message) == (4, {"data": 4}) and told in waited.note
 
 
-async def test_what_cannot_be_decoded_is_not_measured(damaged: Memory) -> None:
+async def test_what_cannot_be_decoded_is_not_measured(damaged: BagStore) -> None:
     source = await open_bag(damaged, "run")
     (found,) = (await statistics.measure(source, ["/count"], Selection())).topics
     assert (found.count, found.fields[0].count, found.fields[0].max) == (6, 4, 4.0)
@@ -154,14 +154,14 @@ def test_a_picture_is_decoded_once() -> None:
     assert (len(images), problem, codec.decoded) == (2, "", 2)
 
 
-async def test_the_types_of_a_bag_are_compiled_once_for_all_who_read_it(damaged: Memory) -> None:
+async def test_the_types_of_a_bag_are_compiled_once_for_all_who_read_it(damaged: BagStore) -> None:
     first, second = await open_bag(damaged, "run"), await open_bag(damaged, "run", "last 2 s")
     assert isinstance(first, BagSource) and first.codec is second.codec
     await first.type_of("/count")
     assert second.codec.definitions.knows("std_msgs/msg/Int32")
 
 
-async def test_a_bag_whose_types_have_changed_is_read_with_the_new_ones(damaged: Memory, tmp_path: Path) -> None:
+async def test_a_bag_whose_types_have_changed_is_read_with_the_new_ones(damaged: BagStore, tmp_path: Path) -> None:
     before = (await open_bag(damaged, "run")).codec
     (tmp_path / "run" / "run_0.mcap").unlink()
     writer = BagWriter(tmp_path / "run", "other")
@@ -199,10 +199,10 @@ async def test_of_a_bag_every_nth_message_is_counted_from_the_end_where_the_last
         data = encoded("std_msgs/msg/Int32", {"data": number})
         writer.write("/count", Sample(START_NS + number * SECOND, 0, number, data))
     writer.close()
-    memory, thinned = Memory(tmp_path), Selection(message_limit=2, every_n=3)
-    robot = recorded_robot(memory, 32_000)
+    store, thinned = BagStore(tmp_path), Selection(message_limit=2, every_n=3)
+    robot = recorded_robot(store, 32_000)
     for start, expected in (("", [6, 9]), ("first 1 s", [1, 4])):
-        read = await reading.read(await open_bag(memory, "run", start), "/count", "", thinned)
-        from_bag = await bags.read(robot, memory, "run", "/count", thinned, start)
+        read = await reading.read(await open_bag(store, "run", start), "/count", "", thinned)
+        from_bag = await bags.read(robot, store, "run", "/count", thinned, start)
         assert [each["data"] for each in read.messages] == [each["data"] for each in from_bag.messages] == expected
-    await memory.close()
+    await store.close()

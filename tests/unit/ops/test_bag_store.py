@@ -17,7 +17,7 @@ from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadData, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import bags
-from ros2_mcp.ops.memory import Memory
+from ros2_mcp.ops.bag_store import BagStore
 
 NOBODY = 65534
 COUNT = StoredTopic("/count", "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n")
@@ -32,16 +32,16 @@ def make_bag(folder: Path, value: int = 1) -> None:
 
 
 @pytest.fixture
-def remember() -> Iterator[Callable[..., Memory]]:
-    made: list[Memory] = []
+def remember() -> Iterator[Callable[..., BagStore]]:
+    made: list[BagStore] = []
 
-    def make(*folders: Path) -> Memory:
-        made.append(Memory(*folders))
+    def make(*folders: Path) -> BagStore:
+        made.append(BagStore(*folders))
         return made[-1]
 
     yield make
-    for memory in made:
-        asyncio.run(memory.close())
+    for store in made:
+        asyncio.run(store.close())
 
 
 @contextmanager
@@ -57,7 +57,7 @@ def without_privileges() -> Iterator[None]:
 
 
 def test_loose_files_and_links_are_listed_as_far_as_they_can_be_read(
-    tmp_path: Path, remember: Callable[..., Memory]
+    tmp_path: Path, remember: Callable[..., BagStore]
 ) -> None:
     root, elsewhere = tmp_path / "bags", tmp_path / "elsewhere"
     make_bag(root / "deep" / "run")
@@ -67,64 +67,64 @@ def test_loose_files_and_links_are_listed_as_far_as_they_can_be_read(
     (root / "out").symlink_to(elsewhere / "run")
     (root / "out.mcap").symlink_to(elsewhere / "run" / "run_0.mcap")
     (root / "gone.mcap").symlink_to(root / "nowhere.mcap")
-    memory = remember(root, root)
-    listed = asyncio.run(bags.list_bags(memory))
+    store = remember(root, root)
+    listed = asyncio.run(bags.list_bags(store))
     assert sorted(entry.bag for entry in listed.bags) == ["bags_0.mcap", "deep/run", "latest"]
     for entry in listed.bags:
-        with memory.reading(entry.bag) as bag:
+        with store.reading(entry.bag) as bag:
             assert [topic for topic, _ in bag.messages()] == ["/count"]
-    assert len(memory.opened_names()) == 2  # the link and what it leads to are one bag
+    assert len(store.opened_names()) == 2  # the link and what it leads to are one bag
 
 
-def test_a_bag_goes_by_its_whole_path_too(tmp_path: Path, remember: Callable[..., Memory]) -> None:
+def test_a_bag_goes_by_its_whole_path_too(tmp_path: Path, remember: Callable[..., BagStore]) -> None:
     make_bag(tmp_path / "bags" / "run")
-    memory = remember(tmp_path / "recordings", tmp_path / "bags")
-    with memory.reading(str(tmp_path / "bags" / "run")) as bag:
+    store = remember(tmp_path / "recordings", tmp_path / "bags")
+    with store.reading(str(tmp_path / "bags" / "run")) as bag:
         assert set(bag.topics) == {"/count"}
 
 
 def test_what_was_recorded_here_comes_before_a_bag_of_the_same_name(
-    tmp_path: Path, remember: Callable[..., Memory]
+    tmp_path: Path, remember: Callable[..., BagStore]
 ) -> None:
     make_bag(tmp_path / "bags" / "black-box", 1)
     make_bag(tmp_path / "recordings" / "black-box", 2)
-    memory = remember(tmp_path / "recordings", tmp_path / "bags")
-    assert memory.bag_names()["black-box"] == tmp_path / "recordings" / "black-box"
-    with memory.reading("black box") as bag:
+    store = remember(tmp_path / "recordings", tmp_path / "bags")
+    assert store.bag_names()["black-box"] == tmp_path / "recordings" / "black-box"
+    with store.reading("black box") as bag:
         assert [sample.data[4] for _, sample in bag.messages()] == [2]
 
 
-def test_a_folder_that_cannot_be_looked_into_is_skipped(remember: Callable[..., Memory]) -> None:
+def test_a_folder_that_cannot_be_looked_into_is_skipped(remember: Callable[..., BagStore]) -> None:
     with tempfile.TemporaryDirectory(dir="/tmp") as name:
         root = Path(name)
         make_bag(root / "run")
-        memory = remember(root)
-        asyncio.run(bags.list_bags(memory))
+        store = remember(root)
+        asyncio.run(bags.list_bags(store))
         for closed, mode in (("lost+found", 0), ("names-only", 0o444)):
             make_bag(root / closed / "inside")
             make_bag(root / closed)
             (root / closed).chmod(mode)
         root.chmod(0o755)
         with without_privileges():
-            assert [entry.bag for entry in asyncio.run(bags.list_bags(memory)).bags] == ["run"]
+            assert [entry.bag for entry in asyncio.run(bags.list_bags(store)).bags] == ["run"]
             with pytest.raises(NotFound, match="no bag 'rum'"):
-                memory.find_bag("rum")
+                store.find_bag("rum")
             with pytest.raises(NotFound, match="no bag"):
-                memory.find_bag("lost+found/inside")
-            with pytest.raises(BadData, match="cannot be read"), memory.reading("lost+found"):
+                store.find_bag("lost+found/inside")
+            with pytest.raises(BadData, match="cannot be read"), store.reading("lost+found"):
                 pass
-            assert memory.opened_names() == []
+            assert store.opened_names() == []
 
 
-def test_a_bag_that_opens_slowly_keeps_nobody_else_waiting(tmp_path: Path, remember: Callable[..., Memory]) -> None:
+def test_a_bag_that_opens_slowly_keeps_nobody_else_waiting(tmp_path: Path, remember: Callable[..., BagStore]) -> None:
     for name in ("run", "slow"):
         make_bag(tmp_path / name)
     (tmp_path / "slow" / "metadata.yaml").unlink()
     os.mkfifo(tmp_path / "slow" / "metadata.yaml")  # whoever reads it waits for a writer
-    memory = remember(tmp_path)
+    store = remember(tmp_path)
 
     def topics_of(name: str) -> set[str]:
-        with memory.reading(name) as bag:
+        with store.reading(name) as bag:
             return set(bag.topics)
 
     with ThreadPoolExecutor(4) as threads:
@@ -132,7 +132,7 @@ def test_a_bag_that_opens_slowly_keeps_nobody_else_waiting(tmp_path: Path, remem
         writer = os.open(tmp_path / "slow" / "metadata.yaml", os.O_WRONLY)  # returns as soon as it is being read
         try:
             assert threads.submit(topics_of, "run").result(5) == {"/count"}
-            assert threads.submit(memory.opened_names).result(5) == ["run"]
+            assert threads.submit(store.opened_names).result(5) == ["run"]
             assert not any(each.done() for each in slow)
         finally:
             os.close(writer)

@@ -1,4 +1,4 @@
-"""What one server remembers with: its folders, and the bags in them."""
+"""The bags of one server: the folders that it may write and read, and the bags that are open."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 RECORDINGS = Path("~/ros2-mcp/recordings")
 _MOST_OPEN = 4
+"""Bags that stay open with their index and types, some MB each: enough to compare two, and two that are recorded."""
 _DEEPEST = 4
+"""Folders below the folder of bags that are looked through: robot/day/run and one more; a home folder has thousands."""
 BLACK_BOX = "black-box"
 """The name of the server's own black box among the bags."""
 _BLACK_BOX_WORDS = ("black box", "black_box", "blackbox")
@@ -69,7 +71,7 @@ class OpenedBag:
             yield self.bag
 
 
-class Memory:
+class BagStore:
     """The folders that may be written (`record_dir`) and read (`bag_dir`, and what was recorded).
 
     `subject` is the recording that stands for the robot, if one does; it may be read wherever it is.
