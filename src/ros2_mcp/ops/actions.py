@@ -16,6 +16,7 @@ from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_bytes, goal_id_hex, s
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import Report, iso_time, reporting, silent
 from ros2_mcp.robot import Listening, Robot
+from ros2_mcp.robot.sent_goals import Goal
 
 STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 """Of the latched topic `<action>/_action/status`, where a server tells the states of its goals."""
@@ -264,7 +265,7 @@ async def _goals_of(robot: Robot, action: str) -> list[KnownGoal]:
             state.status_code,
             state.status,
             _age(state.accept_stamp),
-            state.goal_id in robot.goals,
+            robot.jobs.get(Goal, state.goal_id) is not None,
         )
         for state in states
     ]

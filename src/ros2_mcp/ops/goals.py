@@ -25,6 +25,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.actions import SERVER_S, states_now
 from ros2_mcp.ops.results import Report, in_words, reporting, silent
 from ros2_mcp.robot import Answer, Listening, Robot
+from ros2_mcp.robot.sent_goals import Goal
 
 MAX_WAIT_S = 3600.0
 """What takes longer is asked for again: the goal goes on meanwhile."""
@@ -172,7 +173,8 @@ class _Goal:
         try:
             told = await self._told_before(calling)
             if told is not None:
-                robot.goals.accepted(self._id)
+                if sent := robot.jobs.get(Goal, self._id):
+                    sent.is_accepted = True
                 return True, told
             answer = await calling
         except NotFound as error:
@@ -201,7 +203,8 @@ class _Goal:
 
     async def give_up(self) -> None:
         """Cancels the goal, if it was sent and has not ended."""
-        if self._id in self._robot.goals.open:
+        goal = self._robot.jobs.get(Goal, self._id)
+        if goal and goal.is_running:
             with suppress(RobotError):
                 await cancel_sent(self._robot, self._action, self._id, ACCEPT_S)
 
@@ -393,7 +396,8 @@ async def cancel_sent(robot: Robot, action: str, goal_id: str, within_s: float) 
     """
     deadline = monotonic() + within_s
     while True:
-        is_on_its_way = robot.goals.is_on_its_way(goal_id)
+        goal = robot.jobs.get(Goal, goal_id)
+        is_on_its_way = bool(goal and goal.is_running and not goal.is_accepted)
         answer = await cancel(robot, action, goal_id)
         if answer.return_code != UNKNOWN_GOAL or not is_on_its_way or monotonic() > deadline:
             return answer

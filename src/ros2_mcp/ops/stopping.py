@@ -11,7 +11,7 @@ from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.model.goals import STATUS, TERMINAL
 from ros2_mcp.ops import goals
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.sent_goals import SentGoal
+from ros2_mcp.robot.sent_goals import Goal
 
 ENDED_S = 3.0
 """An action server that is alive ends a cancelled goal within its control period; who stops must be told soon."""
@@ -88,7 +88,7 @@ async def stop(robot: Robot) -> Stopped:
     _, topics, ended = await asyncio.gather(
         robot.jobs.stop_moving("ros2_stop"),
         asyncio.gather(*(_zero(robot, topic, kind) for topic, kind in robot.failsafes.zeros)),
-        asyncio.gather(*(_cancel(robot, goal) for goal in robot.goals.open.values())),
+        asyncio.gather(*(_cancel(robot, goal) for goal in robot.jobs.running(Goal))),
     )
     confirmed = all(_is_still(topic) for topic in topics) and all(goal.confirmed for goal in ended)
     return Stopped(repeats, relays, topics, ended, confirmed, _note(repeats + relays, topics, ended))
@@ -134,19 +134,19 @@ async def _zero(robot: Robot, topic: str, kind: str) -> StoppedTopic:
     return StoppedTopic(topic, sent.matched, sent.acked, others)
 
 
-async def _cancel(robot: Robot, goal: SentGoal) -> StoppedGoal:
+async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal:
     """Cancels a goal and sees it end; one that its server does not know, or no longer, is not running."""
     try:
-        answer = await goals.cancel_sent(robot, goal.action, goal.goal_id, ENDED_S)
-        if answer.return_code == goals.UNKNOWN_GOAL and robot.goals.is_on_its_way(goal.goal_id):
-            undecided = f"The server of {goal.action} has not said whether it accepts goal {goal.goal_id}: stop again."
-            return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, error=undecided)
-        ended = await goals.request_result(robot, goal.action, goal.action_type, goal.goal_id, timeout_s=ENDED_S)
+        answer = await goals.cancel_sent(robot, goal.action, goal.id, ENDED_S)
+        if answer.return_code == goals.UNKNOWN_GOAL and goal.is_running and not goal.is_accepted:
+            undecided = f"The server of {goal.action} has not said whether it accepts goal {goal.id}: stop again."
+            return StoppedGoal(goal.action, goal.id, "UNKNOWN", False, error=undecided)
+        ended = await goals.request_result(robot, goal.action, goal.action_type, goal.id, timeout_s=ENDED_S)
     except NotFound as error:
-        robot.goal_ended(goal.goal_id)
-        return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, error=str(error))
+        robot.goal_ended(goal.id)
+        return StoppedGoal(goal.action, goal.id, "UNKNOWN", False, error=str(error))
     except RobotError as error:
-        return StoppedGoal(goal.action, goal.goal_id, "UNKNOWN", False, error=str(error))
+        return StoppedGoal(goal.action, goal.id, "UNKNOWN", False, error=str(error))
     is_unknown = answer.return_code == goals.UNKNOWN_GOAL and ended.status == STATUS[0]
     confirmed = is_unknown or ended.status_code in TERMINAL
-    return StoppedGoal(goal.action, goal.goal_id, ended.status, confirmed, bool(answer.goals_canceling))
+    return StoppedGoal(goal.action, goal.id, ended.status, confirmed, bool(answer.goals_canceling))

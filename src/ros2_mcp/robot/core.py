@@ -1,4 +1,4 @@
-"""What every command is carried out with: the graph, values, types, fail-safes and goals of one robot."""
+"""What every command is carried out with: the graph, values, types, fail-safes and jobs of one robot."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from ros2_mcp.robot.failsafes import Failsafes
 from ros2_mcp.robot.graph import Graph
+from ros2_mcp.robot.jobs import Jobs
 from ros2_mcp.robot.resolution import Types
-from ros2_mcp.robot.sent_goals import SentGoals
+from ros2_mcp.robot.sent_goals import Goal
 from ros2_mcp.robot.values import Values
 
 if TYPE_CHECKING:
@@ -23,9 +24,10 @@ class Core:
         self.values = values or Values(self.graph)
         self.types = Types(self.graph)
         self.failsafes = Failsafes(self.graph, self.values)
-        self.goals = SentGoals()
+        self.jobs = Jobs()
 
     def goal_ended(self, goal_id: str) -> None:
-        """Forgets a goal that has ended or was not accepted."""
-        self.goals.ended(goal_id)
+        """Notes that a goal has ended or was not accepted, if it is one of ours."""
+        if goal := self.jobs.get(Goal, goal_id):
+            goal.has_been_seen_to_end()
         self.failsafes.withdraw(goal_id)

@@ -11,7 +11,7 @@ import logging
 import math
 import secrets
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from time import monotonic
 from typing import ClassVar, Literal, TypeVar
 
@@ -46,6 +46,8 @@ class Job(ABC):
     """How many that have ended are still known, so that their last state can be asked for."""
     is_displaced: ClassVar[bool] = False
     """Whether a new one makes the oldest one forgotten when too many run, instead of being refused itself."""
+    ends_elsewhere: ClassVar[bool] = False
+    """Whether the robot itself carries it out, so that cancelling it here only forgets it."""
     listed_by: ClassVar[str] = ""
     """The tool that lists them, for the hints of errors."""
     stopped_by: ClassVar[str] = "ros2_stop"
@@ -230,6 +232,11 @@ class Jobs:
         """Those of a kind that have not ended."""
         return [job for job in self.all(kind) if job.is_running]
 
+    def get(self, kind: type[_Job], job_id: str) -> _Job | None:
+        """One by its id, if it is known."""
+        job = self._known.get(job_id)
+        return job if isinstance(job, kind) else None
+
     def find(self, kind: type[_Job], job_id: str) -> _Job:
         """One by its id.
 
@@ -260,11 +267,13 @@ class Jobs:
         return job
 
     async def stop_moving(self, reason: str = "") -> list[Job]:
-        """Stops all that may move something, at the same time, and notes the reason; returns those that ran.
+        """Stops all that this server moves, at the same time, and notes the reason; returns those that ran.
+
+        Goals, which the robot itself carries out, are left: whoever stops them waits to see them end.
 
         None of those that were still beginning moves anything from the moment of the call on.
         """
-        moving = [job for job in self.running(Job) if job.moves]
+        moving = [job for job in self.running(Job) if job.moves and not job.ends_elsewhere]
         for job in moving:
             job.stop_reason = reason
             if job.state == "starting":
@@ -273,23 +282,25 @@ class Jobs:
 
     async def stop_owned(self, owner: Principal) -> list[Job]:
         """Stops all of one owner, who is gone; returns those that ran."""
-        return await self._end(job for job in self.running(Job) if job.owner == owner)
+        return await self._end([job for job in self.running(Job) if job.owner == owner])
 
     async def close(self) -> None:
         """Stops all, and starts no other: the end of the server. Safe to call twice."""
         self._is_closed = True
+        for job in self.running(Job):
+            if job.ends_elsewhere:
+                job.cancel()
         await self._end(self.running(Job))
         self._host_may_end.set()
         if self._host:
             await asyncio.wait({self._host})
 
-    async def _end(self, jobs: Iterable[Job]) -> list[Job]:
+    async def _end(self, jobs: Sequence[Job]) -> list[Job]:
         """Stops those that move something at once: nobody waits for what they could still tell."""
-        ending = list(jobs)
-        for job in ending:
-            if job.moves:
+        for job in jobs:
+            if job.moves and not job.ends_elsewhere:
                 job.cancel()
-        return await self._stop(ending)
+        return await self._stop(jobs)
 
     async def _stop(self, jobs: Sequence[Job]) -> list[Job]:
         async with anyio.create_task_group() as group:

@@ -13,7 +13,6 @@ from ros2_mcp.model.commands import LOCAL, Answer, Command, Principal, R
 from ros2_mcp.robot import goals, publishing, services
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.graph import Graph
-from ros2_mcp.robot.jobs import Jobs
 from ros2_mcp.robot.listening import Listening, subscribed_while
 from ros2_mcp.robot.log import LogRing
 from ros2_mcp.robot.translation import as_meant
@@ -66,7 +65,6 @@ class Robot(Core):
         self.policy = policy or Policy()
         self.principal = LOCAL
         self.log = LogRing(bridge)
-        self.jobs = Jobs()
         self._listened: dict[tuple[str, str, str], tuple[str, Choice]] = {}
         self.result_bytes = result_bytes
         self.limitations: list[str] = []

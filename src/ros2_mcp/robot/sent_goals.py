@@ -1,57 +1,61 @@
-"""The goals that this server has sent, and must be able to cancel."""
+"""The goals that this server has sent, and must be able to cancel: jobs that the robot carries out."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from time import monotonic
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from ros2_mcp.model.commands import Principal
+from ros2_mcp.robot.jobs import Job
 
 
-@dataclass(frozen=True, slots=True)
-class SentGoal:
-    """A goal that this server sent and that has not been seen to end."""
+class Goal(Job):
+    """A goal that this server sent, known until it is seen to end; its id is the goal's own.
 
-    goal_id: str
-    action: str
-    action_type: str
-    sent_at: float
-    is_accepted: bool = False
+    `is_accepted` is false as long as its server has not said that it takes it, and so may know nothing of it.
+    """
 
+    kind = "goal"
+    most_running = 1000
+    """Those that nobody follows to their end would otherwise be kept for ever."""
+    most_kept = 1000
+    is_displaced = True
+    ends_elsewhere = True
+    stopped_by = "ros2_cancel_action_goal"
 
-class SentGoals:
-    """The goals that this server sent: the last `most`, and which of them have not been seen to end."""
+    def __init__(
+        self,
+        *,
+        owner: Principal,
+        goal_id: str,
+        action: str,
+        action_type: str,
+        ask_to_cancel: Callable[[], Awaitable[object]],
+    ) -> None:
+        super().__init__(owner=owner, moves=[action], job_id=goal_id)
+        self.action = action
+        self.action_type = action_type
+        self.is_accepted = False
+        self._ask_to_cancel = ask_to_cancel
+        self._has_ended = asyncio.Event()
 
-    def __init__(self, most: int = 1000) -> None:
-        self._most = most
-        self._ids: dict[str, None] = {}
-        self._open: dict[str, SentGoal] = {}
+    async def run(self) -> None:
+        """Waits until somebody has seen it end."""
+        self.begun()
+        await self._has_ended.wait()
 
-    def __contains__(self, goal_id: str) -> bool:
-        return goal_id in self._ids
+    async def stop(self) -> None:
+        """Asks its server to cancel it. It stays known until it is seen to end, as it may move the robot until then."""
+        if self.is_stopping:  # it has been given up: the bridge's fail-safe cancels it
+            await self.wait()
+        elif self.is_running:
+            await self._ask_to_cancel()
 
-    def sent(self, goal_id: str, action: str, action_type: str) -> None:
-        """Notes a goal just before it is sent."""
-        if len(self._ids) >= self._most:
-            oldest = next(iter(self._ids))
-            del self._ids[oldest]
-            self.ended(oldest)
-        self._ids[goal_id] = None
-        self._open[goal_id] = SentGoal(goal_id, action, action_type, monotonic())
-
-    def accepted(self, goal_id: str) -> None:
-        """Notes that its server has taken it."""
-        if goal_id in self._open:
-            self._open[goal_id] = replace(self._open[goal_id], is_accepted=True)
-
-    def is_on_its_way(self, goal_id: str) -> bool:
-        """Whether its server has not said yet that it takes it, so that it may know nothing of it."""
-        return goal_id in self._open and not self._open[goal_id].is_accepted
-
-    def ended(self, goal_id: str) -> None:
-        """Forgets a goal that ended or was not accepted."""
-        self._open.pop(goal_id, None)
+    def has_been_seen_to_end(self) -> None:
+        """Notes that it has ended, or was not accepted."""
+        self._has_ended.set()
 
     @property
-    def open(self) -> Mapping[str, SentGoal]:
-        """The goals by their ids."""
-        return dict(self._open)
+    def is_running(self) -> bool:
+        """Whether it has not been seen to end."""
+        return super().is_running and not self._has_ended.is_set()

@@ -4,7 +4,6 @@ import pytest
 
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.goals import cancel_request, goal_id_bytes, goal_id_hex, new_goal_id, stamp_seconds
-from ros2_mcp.robot.sent_goals import SentGoals
 
 
 def test_a_goal_id_is_32_hexadecimal_digits_and_16_bytes() -> None:
@@ -42,18 +41,3 @@ def test_only_a_request_without_a_goal_id_cancels_every_goal() -> None:
 
 def test_a_stamp_is_seconds() -> None:
     assert stamp_seconds({"sec": 2, "nanosec": 500_000_000}) == 2.5
-
-
-def test_a_goal_that_ended_is_still_ours_but_no_longer_open() -> None:
-    goals = SentGoals()
-    goals.sent("a", "/go", "pkg/action/Go")
-    assert goals.open["a"].action == "/go"
-    goals.ended("a")
-    assert ("a" in goals, dict(goals.open)) == (True, {})
-
-
-def test_of_the_goals_sent_the_oldest_are_forgotten() -> None:
-    goals = SentGoals(most=2)
-    for goal_id in "abc":
-        goals.sent(goal_id, "/go", "pkg/action/Go")
-    assert ("a" in goals, list(goals.open)) == (False, ["b", "c"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import AsyncGenerator
 from typing import Any, cast
 
 import pytest
@@ -28,6 +29,7 @@ from ros2_mcp.model.commands import (
 from ros2_mcp.model.errors import BadValue, Refused
 from ros2_mcp.model.qos import Choice, QoS
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.sent_goals import Goal
 from ros2_mcp.robot.translation import as_meant
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -86,8 +88,10 @@ def bridge() -> Noting:
 
 
 @pytest.fixture
-def robot(bridge: Noting) -> Robot:
-    return Robot(cast(Bridge, bridge))
+async def robot(bridge: Noting) -> AsyncGenerator[Robot, None]:
+    robot = Robot(cast(Bridge, bridge))
+    yield robot
+    await robot.jobs.close()
 
 
 def on(name: str, /, **more: Any) -> dict[str, Any]:
@@ -125,7 +129,7 @@ async def test_of_a_refused_command_nothing_is_sent_left_or_known(bridge: Noting
         await robot.do(command)
     await asyncio.sleep(0)
     assert bridge.sent == []
-    assert (dict(robot.failsafes.zeros), dict(robot.goals.open)) == ({}, {})
+    assert (dict(robot.failsafes.zeros), robot.jobs.all(Goal)) == ({}, [])
 
 
 @pytest.mark.parametrize("command", EVERY[:4], ids=lambda command: type(command).__name__)
@@ -151,7 +155,7 @@ async def test_a_value_that_does_not_fit_leaves_nothing(robot: Robot, bridge: No
         await robot.do(Publish(**on("/cmd_vel", value={"linear": 1}, choice=CHOICE, wait_match_s=0.0)))
     with pytest.raises(BadValue, match="order"):
         await robot.do(goal(value={"order": "three"}))
-    assert (bridge.sent, dict(robot.failsafes.zeros), dict(robot.goals.open)) == ([], {}, {})
+    assert (bridge.sent, dict(robot.failsafes.zeros), robot.jobs.all(Goal)) == ([], {}, [])
 
 
 @pytest.mark.parametrize("accepted", [True, False])
@@ -159,8 +163,8 @@ async def test_a_goal_is_known_as_long_as_its_server_has_it(robot: Robot, bridge
     await robot.values.learn("made/action/Go")
     bridge.answer = robot.values.encode_known("made/action/Go_SendGoal_Response", {"accepted": accepted})
     await robot.do(goal())
-    assert (GOAL_ID in robot.goals.open) is accepted
-    assert GOAL_ID in robot.goals
+    [known] = robot.jobs.all(Goal)
+    assert (known.id, known.is_running, known.is_accepted) == (GOAL_ID, accepted, accepted)
     robot.goal_ended(GOAL_ID)
 
 
@@ -220,5 +224,5 @@ async def test_a_service_that_may_change_something_is_not_asked(robot: Robot, br
 async def test_a_client_has_a_robot_of_its_own_name_and_nothing_else_of_its_own(robot: Robot) -> None:
     other = robot.acting_for(Principal(name="session 2", transport="http"))
     assert (robot.principal, other.principal.name) == (LOCAL, "session 2")
-    assert other.goals is robot.goals
+    assert other.jobs is robot.jobs
     assert other.failsafes is robot.failsafes
