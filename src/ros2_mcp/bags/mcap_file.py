@@ -79,8 +79,8 @@ class McapFile:
 
     def messages(self, span: Span, newest_first: bool = False) -> Iterator[tuple[str, Sample]]:
         """Topic and message in the order of time; only the chunks that are needed are read, a few at a time."""
-        wanted = self._wanted_channels(span)
-        places = [place for place in (*self._index.chunks, *self._index.loose) if _is_near(place, wanted, span)]
+        channels = self._channels_of(span)
+        places = [place for place in (*self._index.chunks, *self._index.loose) if _is_near(place, channels, span)]
         sign = -1 if newest_first else 1
         heap: list[_Item] = []
         for place in places:
@@ -120,7 +120,7 @@ class McapFile:
             )
         return found
 
-    def _wanted_channels(self, span: Span) -> frozenset[int]:
+    def _channels_of(self, span: Span) -> frozenset[int]:
         return frozenset(
             number
             for number, channel in self._index.channels.items()
@@ -132,7 +132,7 @@ class McapFile:
         try:
             content = self._content(place)
             records = [content] if isinstance(content, MessageRecord) else self._records_in(content)
-            return [wanted for record in records if (wanted := self._wanted(record, span))]
+            return [message for record in records if (message := self._in_span(record, span))]
         except Damaged as damage:
             self._note(f"Damage at byte {place.offset}: {damage}; its messages are lost.")
             return []
@@ -150,13 +150,13 @@ class McapFile:
         return chunks.unpacked(data[HEAD:])[0]
 
     def _records_in(self, inside: bytes) -> list[MessageRecord]:
-        wanted = Opcode.MESSAGE
-        found = [chunks.message(inside, a, b) for kind, a, b in chunks.records_in(inside) if kind == wanted]
-        if any(each.channel not in self._index.channels for each in found):
+        message = Opcode.MESSAGE  # looked up once: this runs for every message
+        found = [chunks.message(inside, a, b) for kind, a, b in chunks.records_in(inside) if kind == message]
+        if any(record.channel not in self._index.channels for record in found):
             learn_channels(self._index, inside)
         return found
 
-    def _wanted(self, record: MessageRecord, span: Span) -> tuple[str, Sample] | None:
+    def _in_span(self, record: MessageRecord, span: Span) -> tuple[str, Sample] | None:
         channel = self._index.channels.get(record.channel)
         if channel is None:
             self._note(f"Messages of channel {record.channel} are lost: the record that names its topic is damaged.")

@@ -96,8 +96,11 @@ class RingWriter:
 
     def _choose_carried(self) -> tuple[list[str], int]:
         """The latched topics that the next file begins with, and the bytes that they need; the others are noted."""
-        held = {name: each for name, each in self._latched.items() if each.samples}
-        sizes = {name: _topic_bytes(self._topics[name]) + each.bytes for name, each in held.items()}
+        sizes = {
+            name: _topic_bytes(self._topics[name]) + latched.bytes
+            for name, latched in self._latched.items()
+            if latched.samples
+        }
         carried: list[str] = []
         needed = 0
         for name in sorted(sizes, key=lambda name: sizes[name]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -172,13 +173,13 @@ class BagWriter:
         self._count = _Count()
 
 
-def fresh_folder(parent: Path, wanted: str) -> Path:
+def fresh_folder(parent: Path, name: str) -> Path:
     """Makes a new folder below `parent`; its name is made fit and unique.
 
     Raises:
         OSError: if it cannot be made.
     """
-    name = safe_name(wanted) or time.strftime("recording_%Y%m%d_%H%M%S", time.gmtime())
+    name = safe_name(name) or time.strftime("recording_%Y%m%d_%H%M%S", time.gmtime())
     parent.mkdir(parents=True, exist_ok=True)
     for number in range(1, 10_000):
         folder = parent / (name if number == 1 else f"{name}_{number}")
@@ -190,11 +191,10 @@ def fresh_folder(parent: Path, wanted: str) -> Path:
     raise FileExistsError(f"{parent} has too many recordings of the name {name}")
 
 
-def safe_name(wanted: str) -> str:
+def safe_name(name: str) -> str:
     """The name without anything that could lead out of the folder: letters, digits, `-` and `_`, at most 80."""
-    kept = [character if character.isascii() and character.isalnum() else "_" for character in wanted.strip()]
-    joined = "".join("-" if sign == "-" else new for sign, new in zip(wanted.strip(), kept, strict=True))
-    return joined.strip("_-")[:80]
+    safe = re.sub("[^A-Za-z0-9-]", "_", name.strip())
+    return safe.strip("_-")[:80]
 
 
 def free_bytes(folder: str | os.PathLike[str]) -> int:

@@ -12,9 +12,9 @@ from ros2_mcp.codec.cdr import Codec
 from ros2_mcp.codec.select import numeric_fields, parse_fields, value_at
 from ros2_mcp.codec.store import attribute
 from ros2_mcp.model.errors import BadValue
+from ros2_mcp.model.interfaces import HEADER
 
 EVERY = "*"
-_HEADER = "std_msgs/msg/Header"
 _Blank = Callable[[Any], None]
 
 
@@ -84,9 +84,9 @@ def _checked(codec: Codec, type_name: str, tolerances: Mapping[str, float]) -> d
         if path != EVERY:
             _check_path(codec, type_name, path)
     every = numeric_fields(codec.definitions, type_name) if EVERY in tolerances else []
-    given = {path: tolerance for path, tolerance in tolerances.items() if path != EVERY}
+    chosen = {path: tolerance for path, tolerance in tolerances.items() if path != EVERY}
     stamps = tuple(f"{path}." for path in _stamp_paths(codec, type_name, ""))
-    return {path: tolerances[EVERY] for path in every if not path.startswith(stamps)} | given
+    return {path: tolerances[EVERY] for path in every if not path.startswith(stamps)} | chosen
 
 
 def _check_path(codec: Codec, type_name: str, path: str) -> None:
@@ -105,13 +105,13 @@ def _stamp_paths(codec: Codec, type_name: str, path: str) -> list[str]:
         here = f"{path}.{field.name}".removeprefix(".")
         if field.type.arity != "single" or not field.type.is_message:
             continue
-        found += [f"{here}.stamp"] if field.type.base == _HEADER else _stamp_paths(codec, field.type.base, here)
+        found += [f"{here}.stamp"] if field.type.base == HEADER else _stamp_paths(codec, field.type.base, here)
     return found
 
 
 def _stamps_blank(codec: Codec, type_name: str) -> list[_Blank]:
     """What sets every header's stamp in a message to zero, those in lists of messages included."""
-    if type_name == _HEADER:
+    if type_name == HEADER:
         return [_blank_stamp]
     found: list[_Blank] = []
     for field in codec.definitions.structure(type_name).fields:
@@ -125,8 +125,8 @@ def _inside(name: str, is_list: bool, below: list[_Blank]) -> _Blank:
     def blank(message: Any) -> None:
         value = getattr(message, name)
         for element in value if is_list else (value,):
-            for each in below:
-                each(element)
+            for blank_below in below:
+                blank_below(element)
 
     return blank
 

@@ -47,8 +47,8 @@ def check(definitions: Definitions, type_name: str, value: object, *, partial: b
 
 def missing_fields(definitions: Definitions, type_name: str, value: object) -> list[str]:
     """The top-level fields that the value does not give."""
-    given = _object(definitions.structure(type_name), value, "")
-    return [field.name for field in definitions.structure(type_name).fields if field.name not in given]
+    fields = _object(definitions.structure(type_name), value, "")
+    return [field.name for field in definitions.structure(type_name).fields if field.name not in fields]
 
 
 class _Check:
@@ -58,10 +58,10 @@ class _Check:
 
     def message(self, type_name: str, value: object, path: str) -> object:
         structure = self._definitions.structure(type_name)
-        given = _object(structure, value, path)
+        fields = _object(structure, value, path)
         values = [
-            self._value(field.type, given[field.name], _below(path, field.name))
-            if field.name in given
+            self._value(field.type, fields[field.name], _below(path, field.name))
+            if field.name in fields
             else self._missing(field, path)
             for field in structure.fields
         ]
@@ -111,12 +111,12 @@ def _object(structure: Structure, value: object, path: str) -> Mapping[str, obje
         raise _summary_error(path)
     if not isinstance(value, Mapping):
         raise BadValue(path, f"{excerpt(value)} given, an object with the fields of {structure.type} expected.")
-    given = cast("Mapping[str, object]", value)
+    fields = cast("Mapping[str, object]", value)
     known = [field.name for field in structure.fields]
-    for name in given:
+    for name in fields:
         if name not in known:
             raise _unknown_field(structure, name, known, path)
-    return given
+    return fields
 
 
 def _unknown_field(structure: Structure, name: str, known: Sequence[str], path: str) -> BadValue:

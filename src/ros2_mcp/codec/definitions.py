@@ -14,7 +14,9 @@ from ros2_mcp.codec.msg_text import read_structure, split_sections
 from ros2_mcp.codec.store import MessageStore, type_hash
 from ros2_mcp.model.errors import UnknownInterface
 from ros2_mcp.model.interfaces import (
+    HEADER,
     PRIMITIVES,
+    TIME,
     Constant,
     DefinitionText,
     Field,
@@ -35,7 +37,7 @@ _SIDES: Mapping[str, Mapping[str, str]] = {
 """The sides of each kind of interface, with the ending of the side's own type."""
 
 _ALWAYS_KNOWN: Mapping[str, DefinitionText] = {
-    "builtin_interfaces/msg/Time": DefinitionText("msg", "int32 sec\nuint32 nanosec\n"),
+    TIME: DefinitionText("msg", "int32 sec\nuint32 nanosec\n"),
     "builtin_interfaces/msg/Duration": DefinitionText("msg", "int32 sec\nuint32 nanosec\n"),
     "unique_identifier_msgs/msg/UUID": DefinitionText("msg", "uint8[16] uuid\n"),
 }
@@ -107,14 +109,14 @@ class Definitions:
         """The type's hash as it travels on the wire (`RIHS01_…`); empty where it cannot be computed."""
         with self._lock:
             every = self._known.reachable(type_name)
-        if any(field.type.base == "wstring" for each in every.values() for field in each.fields):
+        if any(field.type.base == "wstring" for structure in every.values() for field in structure.fields):
             return ""
         return type_hash(type_name, every)
 
     def starts_with_header(self, type_name: str) -> bool:
         """Whether the first field is a std_msgs/msg/Header, so that the message begins with a stamp."""
         fields = self.structure(type_name).fields
-        return bool(fields) and fields[0].type == FieldType("std_msgs/msg/Header")
+        return bool(fields) and fields[0].type == FieldType(HEADER)
 
     def compiled(self, type_name: str) -> MessageStore:
         """A store that can read and write the type."""
@@ -218,14 +220,14 @@ def _structures_of(name: str, source: DefinitionText) -> dict[str, Structure]:
     types = [name + ending for ending in _SIDES[kind].values()]
     if source.format == "idl":
         found = _read_idl(name, source.text)
-        missing = [each for each in types if each not in found]
+        missing = [side for side in types if side not in found]
         if missing:
             raise UnknownInterface(f"The IDL text of {name} does not define {missing[0]}.")
     else:
         parts = split_sections(source.text)
         if len(parts) != len(types):
             raise UnknownInterface(f"The definition of {name} has {len(parts)} parts, a {kind} has {len(types)}.")
-        found = {each: read_structure(each, part) for each, part in zip(types, parts, strict=True)}
+        found = {side: read_structure(side, part) for side, part in zip(types, parts, strict=True)}
     for ending, text in _IMPLIED[kind].items():
         found.setdefault(name + ending, read_structure(name + ending, text.format(name=name)))
     return found

@@ -10,6 +10,7 @@ from ros2_mcp.model.interfaces import (
     FLOATS,
     INTEGERS,
     PRIMITIVES,
+    TIME,
     Arity,
     Constant,
     Field,
@@ -26,7 +27,7 @@ _TYPE = re.compile(
 _CONSTANT = re.compile(r"(?P<type>\S+)\s+(?P<name>[A-Za-z]\w*)\s*=\s*(?P<value>.*)", re.ASCII)
 _FIELD = re.compile(r"(?P<type>\S+)\s+(?P<name>[A-Za-z]\w*)(?:\s+(?P<default>.+))?", re.ASCII)
 _ITEM = re.compile(r""""(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|[^,\s][^,]*""")
-_TIMES = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
+_TIMES = {"time": TIME, "duration": "builtin_interfaces/msg/Duration"}
 _BOOLEANS = {"true": True, "1": True, "false": False, "0": False}
 
 

@@ -144,14 +144,14 @@ def _frames(figure: Figure, width: int, height: int) -> list[Frame]:
     legends = [len(_legend_rows(panel, width)) * _ROW + 6 for panel in figure.panels]
     top = _EDGE + _ROW + 4
     room = height - top - 2 * _ROW - _EDGE - sum(legends) - _GAP * (len(spans) - 1)
-    each = room / len(spans)
-    left = _EDGE + max(_width(label) for span in spans for label in labels(ticks(span, _most(each)))) + 10
+    panel_height = room / len(spans)
+    left = _EDGE + max(_width(label) for span in spans for label in labels(ticks(span, _most(panel_height)))) + 10
     right = width - _EDGE - 16
     frames: list[Frame] = []
     for span, legend in zip(spans, legends, strict=True):
         top += legend
-        frames.append(Frame(round(left), round(top), right, round(top + each), x, span))
-        top += each + _GAP
+        frames.append(Frame(round(left), round(top), right, round(top + panel_height), x, span))
+        top += panel_height + _GAP
     return [_equal(frame) for frame in frames] if figure.equal else frames
 
 
@@ -181,7 +181,7 @@ def _x_ticks(frame: Frame) -> list[float]:
 
 def span_of(values: Sequence[NDArray[np.float64]]) -> Span:
     """A span in which all finite values lie, with a little room around them; 0 to 1 if there are none."""
-    lows, highs = zip(*(_bounds(each) for each in values), strict=True) if values else ((), ())
+    lows, highs = zip(*(_bounds(numbers) for numbers in values), strict=True) if values else ((), ())
     low, high = min(lows, default=math.inf), max(highs, default=-math.inf)
     if low > high:
         return Span(0.0, 1.0)
@@ -259,7 +259,7 @@ def _places(frame: Frame, values: Sequence[float], *, vertical: bool) -> list[tu
 def _draw_curve(pen: ImageDraw.ImageDraw, frame: Frame, curve: Curve, colour: str) -> None:
     with_dots = np.count_nonzero(_finite(curve)) <= _DOTS
     for x, y in _strokes(curve):
-        across, down = (np.rint(each * _FINE) for each in frame.pixels(x, y))
+        across, down = (np.rint(places * _FINE) for places in frame.pixels(x, y))
         points = _thinned(across, down)
         if len(points) > 1:
             pen.line(points, colour, 2 * _FINE, joint="curve" if len(points) < 5000 else None)
@@ -273,11 +273,11 @@ def _finite(curve: Curve) -> NDArray[np.bool_]:
 
 def _strokes(curve: Curve) -> Iterator[tuple[Numbers, Numbers]]:
     """The parts of a curve that are drawn without lifting the pen."""
-    there = _finite(curve)
-    begins = curve.apart | ~there | np.concatenate(([False], ~there[:-1]))
-    edges = [0, *np.flatnonzero(begins).tolist(), len(there)]
+    drawn = _finite(curve)
+    begins = curve.apart | ~drawn | np.concatenate(([False], ~drawn[:-1]))
+    edges = [0, *np.flatnonzero(begins).tolist(), len(drawn)]
     for start, end in pairwise(edges):
-        kept = there[start:end]
+        kept = drawn[start:end]
         if kept.any():
             yield curve.x[start:end][kept], curve.y[start:end][kept]
 
@@ -293,9 +293,9 @@ def _thinned(across: Numbers, down: Numbers) -> list[tuple[float, float]]:
 
 def _draw_ends(pen: ImageDraw.ImageDraw, frame: Frame, curve: Curve, colour: str) -> None:
     """A ring where the curve begins, a disc where it ends."""
-    there = np.flatnonzero(_finite(curve))
-    if len(there):
-        ends = there[[0, -1]]
+    drawn = np.flatnonzero(_finite(curve))
+    if len(drawn):
+        ends = drawn[[0, -1]]
         across, down = frame.pixels(curve.x[ends], curve.y[ends])
         _dot(pen, (across[1] * _FINE, down[1] * _FINE), 6 * _FINE, colour)
         _dot(pen, (across[0] * _FINE, down[0] * _FINE), 7 * _FINE, colour)
@@ -308,9 +308,9 @@ def _dot(pen: ImageDraw.ImageDraw, at: tuple[float, float], radius: float, colou
 
 def _draw_marks(pen: ImageDraw.ImageDraw, frame: Frame, curve: Curve, colour: str) -> None:
     """NaN as a cross at the bottom, infinities as a wedge at the top or bottom that they lie beyond."""
-    odd = np.isfinite(curve.x) & ~np.isfinite(curve.y)
-    across, _ = frame.pixels(curve.x[odd], np.zeros(int(odd.sum())))
-    for column, value in dict.fromkeys(zip(np.rint(across).tolist(), map(str, curve.y[odd]), strict=True)):
+    unshown = np.isfinite(curve.x) & ~np.isfinite(curve.y)
+    across, _ = frame.pixels(curve.x[unshown], np.zeros(int(unshown.sum())))
+    for column, value in dict.fromkeys(zip(np.rint(across).tolist(), map(str, curve.y[unshown]), strict=True)):
         x, size = column * _FINE, _MARK * _FINE
         y = (frame.top + _MARK + 3 if value == "inf" else frame.bottom - _MARK - 3) * _FINE
         if value == "nan":

@@ -132,7 +132,7 @@ class _Render:
         if selections is None:
             value = self._message(type_name, message, "", self._limits.depth)
         else:
-            value = {each.path: self._follow(each.path, each.steps, message) for each in selections}
+            value = {chosen.path: self._follow(chosen.path, chosen.steps, message) for chosen in selections}
         text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
         return Rendered(value, list(self._truncated), len(text.encode()))
 

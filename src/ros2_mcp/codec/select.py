@@ -14,13 +14,12 @@ import numpy as np
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.store import attribute
 from ros2_mcp.model.errors import BadValue
-from ros2_mcp.model.interfaces import OCTETS, Field, FieldType
+from ros2_mcp.model.interfaces import OCTETS, TIME, Field, FieldType
 from ros2_mcp.model.names import nearest
 
 _PART = re.compile(r"(?P<name>[A-Za-z]\w*)(?P<brackets>(?:\[[^\[\]]*\])?)", re.ASCII)
 _INDEX = re.compile(r"-?\d+", re.ASCII)
 _SLICE = re.compile(r"(-?\d+)?:(-?\d+)?(?::([1-9]\d*))?", re.ASCII)
-_TIME = "builtin_interfaces/msg/Time"
 _NOT_AN_INDEX = "Write [3], [-1], [0:10], [::5] or [*]."
 
 Pick: TypeAlias = "int | slice | None"
@@ -93,15 +92,7 @@ def parse_fields(definitions: Definitions, type_name: str, paths: Sequence[str])
 
 def numeric_fields(definitions: Definitions, type_name: str) -> list[str]:
     """The paths of all single numbers, nested ones included: `twist.linear.x`; none inside arrays, no booleans."""
-    paths: list[str] = []
-    for field in definitions.structure(type_name).fields:
-        if field.type.arity != "single":
-            continue
-        if field.type.is_message:
-            paths += [f"{field.name}.{below}" for below in numeric_fields(definitions, field.type.base)]
-        elif field.type.is_number:
-            paths.append(field.name)
-    return paths
+    return list(_numbers(definitions, type_name, only_single=True))
 
 
 def value_at(message: object, path: str) -> Any:
@@ -198,10 +189,12 @@ def _measurable_at(definitions: Definitions, type_name: str, chosen: FieldPath) 
     raise BadValue(chosen.path, f"it is {chosen.type}, which has no numbers to measure.")
 
 
-def _numbers(definitions: Definitions, type_name: str) -> Iterator[str]:
+def _numbers(definitions: Definitions, type_name: str, *, only_single: bool = False) -> Iterator[str]:
+    """The paths of single numbers, stamps included; or of numbers and arrays of them, without stamps and bytes."""
     for field in definitions.structure(type_name).fields:
-        field_type = field.type
-        if field_type.is_number and (field_type.arity == "single" or field_type.base not in OCTETS):
+        is_single = field.type.arity == "single"
+        if field.type.is_number and (is_single or not (only_single or field.type.base in OCTETS)):
             yield field.name
-        elif field_type.is_message and field_type.arity == "single" and field_type.base != _TIME:
-            yield from (f"{field.name}.{below}" for below in _numbers(definitions, field_type.base))
+        elif field.type.is_message and is_single and (only_single or field.type.base != TIME):
+            below = _numbers(definitions, field.type.base, only_single=only_single)
+            yield from (f"{field.name}.{name}" for name in below)

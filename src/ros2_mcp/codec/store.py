@@ -112,10 +112,26 @@ def _node(field_type: FieldType) -> Any:
 def _definition(
     name: str, fields: Any, cls: type, size: int, getsize: Any, write_le: Any, read_le: Any, read_be: Any
 ) -> Msgdef[object]:
-    none: Any = None
+    none: Any = None  # what we never do: writing big-endian, and ROS 1
     return Msgdef(
-        name, fields, cls, size, getsize, write_le, none, read_le, read_be, 0, *[none] * 3, *[none] * 4
-    )  # fmt: skip
+        name,
+        fields,
+        cls,
+        size_cdr=size,
+        getsize_cdr=getsize,
+        serialize_cdr_le=write_le,
+        serialize_cdr_be=none,
+        deserialize_cdr_le=read_le,
+        deserialize_cdr_be=read_be,
+        size_ros1=0,
+        getsize_ros1=none,
+        serialize_ros1=none,
+        deserialize_ros1=none,
+        getsize_ros1_to_cdr=none,
+        ros1_to_cdr=none,
+        getsize_cdr_to_ros1=none,
+        cdr_to_ros1=none,
+    )
 
 
 def _string_type() -> Msgdef[object]:

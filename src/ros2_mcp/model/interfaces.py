@@ -18,6 +18,9 @@ TEXTS = frozenset({"string", "wstring"})
 OCTETS = frozenset({"uint8", "byte", "char"})
 PRIMITIVES = frozenset({"bool", *INTEGERS, *FLOATS, *TEXTS})
 
+HEADER = "std_msgs/msg/Header"
+TIME = "builtin_interfaces/msg/Time"
+
 Literals: TypeAlias = "bool | int | float | str | Sequence[bool | int | float | str]"
 Arity: TypeAlias = Literal["single", "array", "sequence"]
 

@@ -131,11 +131,12 @@ def mismatch(publisher: QoS, subscriber: QoS) -> str:
     return "; ".join(reasons)
 
 
-def _offer(publishers: Sequence[Endpoint], policy: str, wanted: str) -> str:
-    offering = sum(getattr(publisher.qos, policy) == wanted for publisher in publishers)
+def _offer(publishers: Sequence[Endpoint], policy: str, value: str) -> str:
+    offering = sum(getattr(publisher.qos, policy) == value for publisher in publishers)
     if offering == len(publishers):
-        return f"every publisher offers {wanted}"
-    return f"{offering or 'none'} of {len(publishers)} publisher(s) offer{'s' * (offering < 2)} {wanted}"
+        return f"every publisher offers {value}"
+    verb = "offers" if offering < 2 else "offer"
+    return f"{offering or 'none'} of {len(publishers)} publisher(s) {verb} {value}"
 
 
 def _is_longer(offered_ns: int | None, asked_ns: int | None) -> bool:

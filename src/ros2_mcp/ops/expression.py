@@ -188,8 +188,8 @@ class _Compiler:
         arguments = [self.term(argument) for argument in node.args]
         compute, takes, hint = _FUNCTIONS[name]
         if not takes([f"{term.kind} {term.element}".strip() for term in arguments]):
-            given = ", ".join(term.words for term in arguments)
-            raise BadInput(f"{_excerpt(node)}: {name}() does not take {given}.", hint)
+            kinds = ", ".join(term.words for term in arguments)
+            raise BadInput(f"{_excerpt(node)}: {name}() does not take {kinds}.", hint)
         values = [term.evaluate for term in arguments]
         return _number(lambda message: compute(*(value(message) for value in values)))
 
@@ -197,7 +197,7 @@ class _Compiler:
         if isinstance(node, ast.Name):
             structure = self.definitions.structure(self.type_name)
             constants = {**_CONSTANTS, **{constant.name: constant.value for constant in structure.constants}}
-            if node.id in constants and node.id not in {each.name for each in structure.fields}:
+            if node.id in constants and node.id not in {field.name for field in structure.fields}:
                 return _constant(constants[node.id])
         path = parse_field(self.definitions, self.type_name, _text_of(node))
         self.fields[path.path] = None
