@@ -73,7 +73,7 @@ class LocalBridge:
         self.pid = self._process.pid
         self._errors = ErrorLines(pass_stderr)
         self._input = _InputPipe()
-        self._transports: list[asyncio.BaseTransport] = []
+        self._pipes: list[asyncio.BaseTransport] = []
         self._writer: asyncio.WriteTransport | None = None
 
     @property
@@ -94,11 +94,11 @@ class LocalBridge:
         _enlarge(process.stdin.fileno())
         self._writer, _ = await loop.connect_write_pipe(lambda: self._input, process.stdin)
         self._writer.set_write_buffer_limits(high=_WRITE_BUFFER_BYTES)
-        self._transports.append(self._writer)
+        self._pipes.append(self._writer)
         errors, _ = await loop.connect_read_pipe(lambda: _OutputPipe(self._errors.feed), process.stderr)
-        self._transports.append(errors)
+        self._pipes.append(errors)
         output, _ = await loop.connect_read_pipe(lambda: _OutputPipe(received, ended), process.stdout)
-        self._transports.append(output)
+        self._pipes.append(output)
 
     def write(self, data: bytes) -> None:
         """Queues bytes for its stdin, in order; what a dead child no longer reads is discarded."""
@@ -166,9 +166,9 @@ class LocalBridge:
         # read would keep it open for ever.
         if self._writer and self._writer.get_write_buffer_size():
             self._writer.abort()
-        for transport in self._transports:
-            transport.close()
-        if not self._transports:
+        for pipe in self._pipes:
+            pipe.close()
+        if not self._pipes:
             for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
                 if pipe:
                     pipe.close()
