@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,11 +10,9 @@ from typing import Any
 from mcp.server.lowlevel import Server
 
 from ros2_mcp.adapters.wisevision_prompts import code_of
-from ros2_mcp.guard.policy import Policy
-from ros2_mcp.link.carriers import start_carrier
+from ros2_mcp.library import store_for, robot_for, running
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.ops.bag_store import BagStore
-from ros2_mcp.ops.recorded_robot import recorded_robot
 from ros2_mcp.prompts.catalog import Catalog
 from ros2_mcp.robot import Robot
 from ros2_mcp.server import build_server
@@ -52,20 +49,9 @@ class Assembly:
         """The MCP server."""
         return build_server(self.robot, self.toolset, self.catalog, recording=self.store.subject_name)
 
-    @asynccontextmanager
-    async def running(self) -> AsyncGenerator[None, None]:
-        """While it is entered the bridge is there, if there is a robot; at the end all work of this server is ended.
-
-        The work ends first, as long as the bridge can still stop what it moves; the bridge leaves the robot last.
-        """
-        if not self.store.subject:
-            await self.robot.bridge.attach()
-        try:
-            yield
-        finally:
-            await self.robot.jobs.close()
-            await self.store.close()
-            await self.robot.bridge.close()
+    def running(self) -> AbstractAsyncContextManager[None]:
+        """While it is entered the bridge is there, if there is a robot; at the end all work of this server is ended."""
+        return running(self.robot, self.store)
 
 
 def assemble(settings: Settings, bridge: Bridge | None = None) -> Assembly:
@@ -78,13 +64,8 @@ def assemble(settings: Settings, bridge: Bridge | None = None) -> Assembly:
     Raises:
         BadInput: for a group of tools that does not exist.
     """
-    store = BagStore(settings.record_dir, settings.bag_dir, settings.bag)
-    if settings.bag:
-        robot = recorded_robot(store, settings.result_bytes)
-    else:
-        robot = Robot(
-            bridge or Bridge(lambda: start_carrier(settings)), Policy(settings.read_only), settings.result_bytes
-        )
+    store = store_for(settings)
+    robot = robot_for(settings, store, bridge)
     toolset = Toolset(robot, store, settings.tools)
     robot.limitations = toolset.limitations
     return Assembly(settings=settings, robot=robot, store=store, toolset=toolset)

@@ -23,6 +23,7 @@ from mcp.types import (
     PaginatedRequestParams,
     TextContent,
 )
+from starlette.requests import Request
 
 from ros2_mcp.binding import CallFailed
 from ros2_mcp.completions import Completions, Wanted
@@ -118,7 +119,7 @@ class Tools:
         async def report(done: float, whole: float, line: str) -> None:
             await context.session.report_progress(done, whole, line)
 
-        robot = self._robot.acting_for(principal_of(context))
+        robot = self._robot.acting_for(principal_of(context.request))
         try:
             return await self._toolset.call(params.name, params.arguments or {}, report, robot)
         except CallFailed as error:
@@ -130,12 +131,11 @@ class Tools:
         return CallToolResult(content=[TextContent(type="text", text=text)], is_error=True)
 
 
-def principal_of(context: Context) -> Principal:
+def principal_of(request: Request | None) -> Principal:
     """Who asks: the one client over stdio, or a session over HTTP.
 
-    Requests of the modern era over HTTP belong to no session: all that come without one are the same principal.
+    HTTP requests of the modern era belong to no session: all that come without one are the same principal.
     """
-    request = context.request
     if request is None:
         return LOCAL
     session = request.headers.get("mcp-session-id") or request.query_params.get("session_id")
