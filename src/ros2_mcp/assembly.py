@@ -10,7 +10,7 @@ from typing import Any
 from mcp.server.lowlevel import Server
 
 from ros2_mcp.adapters.wisevision_prompts import code_of
-from ros2_mcp.library import store_for, robot_for, running
+from ros2_mcp.library import robot_for, running, store_for
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.ops.bag_store import BagStore
 from ros2_mcp.prompts.catalog import Catalog
@@ -25,7 +25,7 @@ from ros2_mcp.toolset import Toolset
 class Assembly:
     """Everything of one server, put together and not yet running.
 
-    `robot` is a recording where the settings name a bag, `toolset` the tools that are offered, `memory` the bags.
+    `robot` is a recording where the settings name a bag, `toolset` the tools that are offered, `store` the bags.
     """
 
     settings: Settings
