@@ -145,7 +145,7 @@ class ParametersOf:
 
 @dataclass(frozen=True, slots=True)
 class LogLines:
-    """The lines of /rosout from a level on, of one node or of all; the names are those of `ops.log.Wanted`."""
+    """The lines of /rosout from a level on, of one node or of all; the names are those of `ops.log.LogRequest`."""
 
     level: str = ""
     node: str = ""
@@ -158,7 +158,7 @@ class LogLines:
             if level >= least and (not self.node or log.is_node(log.line_of(robot, sample).node, self.node)):
                 arrived.set()
 
-        await log.read(robot, log.Wanted(limit=1))
+        await log.read(robot, log.LogRequest(limit=1))
         stop = robot.log.on_line(look)
         try:
             yield None

@@ -19,10 +19,10 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadValue, NotFound, RobotError, TimedOut, UnknownInterface
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.bag_store import BagStore
-from ros2_mcp.ops.moments import last_ns_of, moment_ns
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.selection import MAX_MESSAGES
 from ros2_mcp.ops.source import Past, Source, SourceKind, SourceRequest, Stream, in_batches
+from ros2_mcp.ops.times import last_ns_of, parsed_ns
 from ros2_mcp.robot import Robot
 
 if TYPE_CHECKING:
@@ -269,8 +269,8 @@ class DataBlackBoxes(SourceKind):
         if box is None:
             return None
         now_ns = time.time_ns()
-        start_ns = moment_ns("time_start", request.start, None, now_ns) if request.start else None
-        end_ns = moment_ns("time_end", request.end, None, now_ns) if request.end else None
+        start_ns = parsed_ns("time_start", request.start, None, now_ns) if request.start else None
+        end_ns = parsed_ns("time_end", request.end, None, now_ns) if request.end else None
         if start_ns is not None and end_ns is not None and end_ns < start_ns:
             raise BadValue("time_end", f"{request.end!r} is before {request.start!r}.")
         end_ns = None if end_ns is None else last_ns_of(request.end, end_ns)
@@ -315,19 +315,19 @@ def time_range(question: Question) -> tuple[dict[str, int], dict[str, int]]:
 def full_date_time(unix_ns: int) -> dict[str, int]:
     """A Unix time in nanoseconds as a `lora_msgs/msg/FullDateTime`, in UTC."""
     seconds, nanosecond = divmod(unix_ns, 10**9)
-    moment = _EPOCH + timedelta(seconds=seconds)
+    date = _EPOCH + timedelta(seconds=seconds)
     parts = ("year", "month", "day", "hour", "minute", "second")
-    return {**{part: getattr(moment, part) for part in parts}, "nanosecond": nanosecond}
+    return {**{part: getattr(date, part) for part in parts}, "nanosecond": nanosecond}
 
 
-def unix_ns(moment: Any) -> int:
-    """The reverse of `full_date_time`; 0 where it is no moment, such as all zero."""
+def unix_ns(date: Any) -> int:
+    """The reverse of `full_date_time`; 0 where it is no date, such as all zero."""
     try:
-        parts = (moment.year, moment.month, moment.day, moment.hour, moment.minute, moment.second)
+        parts = (date.year, date.month, date.day, date.hour, date.minute, date.second)
         since = datetime(*map(int, parts), tzinfo=timezone.utc) - _EPOCH
     except ValueError:
         return 0
-    return (since.days * 86_400 + since.seconds) * 10**9 + int(moment.nanosecond)
+    return (since.days * 86_400 + since.seconds) * 10**9 + int(date.nanosecond)
 
 
 def split_payload(data: bytes) -> tuple[list[bytes], str]:
@@ -357,11 +357,11 @@ def read_second(response: Any) -> Answered:
     return _timed(kind, bodies, response.timestamps)
 
 
-def _timed(kind: str, bodies: Sequence[bytes], moments: Sequence[Any]) -> Answered:
-    times = [unix_ns(moment) for moment in moments[: len(bodies)]]
+def _timed(kind: str, bodies: Sequence[bytes], dates: Sequence[Any]) -> Answered:
+    times = [unix_ns(date) for date in dates[: len(bodies)]]
     problem = ""
-    if len(moments) != len(bodies):
-        problem = f"The box gave {len(moments)} times for {len(bodies)} messages."
+    if len(dates) != len(bodies):
+        problem = f"The box gave {len(dates)} times for {len(bodies)} messages."
         times += [0] * (len(bodies) - len(times))
     samples = [Sample(at_ns, 0, None, body) for at_ns, body in zip(times, bodies, strict=True)]
     return Answered(kind, samples if problem else sorted(samples, key=lambda each: each.received_ns), problem)

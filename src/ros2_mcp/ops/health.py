@@ -14,6 +14,7 @@ from typing import Literal
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.graph import OF_EVERY_NODE
 from ros2_mcp.ops.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
 from ros2_mcp.ops.flow import Silence, rate_hz, silence_in
@@ -149,18 +150,25 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
     )
     if any(_missing(graph, expected)):  # it may only just have appeared
         graph = await source.graph()
-    told = await asyncio.to_thread(_reported, [each for each in reported if isinstance(each, Capture)])
+    told, trouble = await asyncio.to_thread(_reported, [each for each in reported if isinstance(each, Capture)])
     flows = {capture.topic: flow(capture) for capture in measured if isinstance(capture, Capture)}
     failed = [each for each in measured if isinstance(each, Missing)]
-    return _judge(source, graph, expected, flows, told, _note(graph, skipped, failed))
+    return _judge(source, graph, expected, flows, told, f"{_note(graph, skipped, failed)} {trouble}".strip())
 
 
-def _reported(captures: Sequence[Capture]) -> DiagnosticTable:
-    table = DiagnosticTable()
+def _reported(captures: Sequence[Capture]) -> tuple[DiagnosticTable, str]:
+    """What the components said; and in words, what of it could not be decoded."""
+    table, trouble = DiagnosticTable(), ""
     for capture in captures:
-        for sample in capture.samples if capture.type == _DIAGNOSTICS_TYPE else ():
-            table.take(capture.decode(sample), sample.received_ns)
-    return table
+        if capture.type != _DIAGNOSTICS_TYPE:
+            continue
+        try:
+            readable, messages, trouble = capture.readable()
+        except BadData as error:
+            return table, f"Diagnostics cannot be read: {error}"
+        for sample, message in zip(readable.samples, messages, strict=True):
+            table.take(message, sample.received_ns)
+    return table, trouble
 
 
 def _normalized(expected: Expectations) -> Expectations:

@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timezone
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, cast
 
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.moments import absolute_ns
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.source import Missing, Source
+from ros2_mcp.ops.times import absolute_ns
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.log import LOG_TYPE, TOPIC, level_of
 
@@ -66,7 +66,7 @@ class Log:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class LogRequest:
     """Which lines: since when (seconds ago or ISO 8601), of which node, from which level on, with which text."""
 
     since: str = ""
@@ -76,25 +76,25 @@ class Wanted:
     limit: int = 100
 
 
-async def read(robot: Robot, wanted: Wanted, max_bytes: int = 32_000) -> Log:
+async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Log:
     """Lines that are kept; the first call of a server that has not listened yet waits for what nodes said lately.
 
     Raises:
         BadInput: for a level, time or limit that cannot be.
         LinkError: if there is no bridge to listen with.
     """
-    since_ns, least = since(wanted.since, time.time_ns()), level_number(wanted.level)
-    if not 1 <= wanted.limit <= 5000:
-        raise BadInput(f"limit: {wanted.limit} is out of range.", "Give 1 to 5000.")
+    since_ns, least = since(request.since, time.time_ns()), level_number(request.level)
+    if not 1 <= request.limit <= 5000:
+        raise BadInput(f"limit: {request.limit} is out of range.", "Give 1 to 5000.")
     await _listening(robot)
     await robot.values.learn(LOG_TYPE)
     kept = robot.log.lines
     lines = [
         line
         for sample in kept
-        if level_of(sample.data) >= least and (line := _matching(robot, sample, wanted, since_ns))
+        if level_of(sample.data) >= least and (line := _matching(robot, sample, request, since_ns))
     ]
-    shown = _within(lines[-wanted.limit :], max_bytes)
+    shown = _within(lines[-request.limit :], max_bytes)
     return Log(
         shown,
         len(lines),
@@ -105,21 +105,23 @@ async def read(robot: Robot, wanted: Wanted, max_bytes: int = 32_000) -> Log:
     )
 
 
-async def read_recorded(source: Source, wanted: Wanted, max_bytes: int) -> Log:
+async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> Log:
     """Lines of /rosout that a recording has in the source's time; `since` has no meaning there.
 
     Raises:
         BadInput: for a level that cannot be.
         NotFound: if /rosout was not recorded.
     """
-    least = level_number(wanted.level)
+    least = level_number(request.level)
     (capture,) = await source.captures([TOPIC])
     if isinstance(capture, Missing):
         raise capture.error
-    messages = [capture.decode(sample) for sample in capture.samples if level_of(sample.data) >= least]
-    lines = [_line(message) for message in messages if _fits(message, wanted, 0)]
-    shown = _within(lines[-wanted.limit :], max_bytes)
-    note = f"The newest {len(shown)} are shown." if len(shown) < len(lines) else ""
+    _, messages, trouble = capture.readable()
+    lines = [
+        _line(message) for message in cast("Any", messages) if message.level >= least and _fits(message, request, 0)
+    ]
+    shown = _within(lines[-request.limit :], max_bytes)
+    note = f"The newest {len(shown)} are shown. {trouble}".rstrip() if len(shown) < len(lines) else trouble
     begin = iso_time(capture.start_ns)
     return Log(shown, len(lines), len(capture.samples), capture.dropped, begin, note, source.words)
 
@@ -168,14 +170,14 @@ def since(given: str, now_ns: int) -> int:
     return now_ns - int(seconds * 1e9)
 
 
-def is_node(name: str, wanted: str) -> bool:
+def is_node(name: str, node: str) -> bool:
     """Whether a logger (`ns.node`, or its child `ns.node.part`) is of the node: `/ns/node`, a part of it or a glob."""
-    asked = wanted.strip().strip("/").replace("/", ".")
-    if any(sign in asked for sign in "*?["):
-        return fnmatchcase(name, asked)
-    if wanted.strip().startswith("/"):
-        return name == asked or name.startswith(f"{asked}.")
-    return asked.lower() in name.lower()
+    dotted = node.strip().strip("/").replace("/", ".")
+    if any(sign in dotted for sign in "*?["):
+        return fnmatchcase(name, dotted)
+    if node.strip().startswith("/"):
+        return name == dotted or name.startswith(f"{dotted}.")
+    return dotted.lower() in name.lower()
 
 
 def has_text(text: str, pattern: str) -> bool:
@@ -195,14 +197,14 @@ async def _listening(robot: Robot) -> None:
     await asyncio.sleep(max(0.0, _HISTORY_S - young_s))
 
 
-def _matching(robot: Robot, sample: Sample, wanted: Wanted, since_ns: int) -> LogLine | None:
+def _matching(robot: Robot, sample: Sample, request: LogRequest, since_ns: int) -> LogLine | None:
     message: Any = robot.values.decode(LOG_TYPE, sample)
-    return _line(message) if _fits(message, wanted, since_ns) else None
+    return _line(message) if _fits(message, request, since_ns) else None
 
 
-def _fits(message: Any, wanted: Wanted, since_ns: int) -> bool:
+def _fits(message: Any, request: LogRequest, since_ns: int) -> bool:
     stamp_ns = message.stamp.sec * 1_000_000_000 + message.stamp.nanosec
-    return stamp_ns >= since_ns and is_node(message.name, wanted.node) and has_text(message.msg, wanted.pattern)
+    return stamp_ns >= since_ns and is_node(message.name, request.node) and has_text(message.msg, request.pattern)
 
 
 def _within(lines: Sequence[LogLine], max_bytes: int) -> list[LogLine]:

@@ -17,10 +17,10 @@ from ros2_mcp.model.interfaces import DefinitionText
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.bag_store import BLACK_BOX, BagStore, OpenedBag
-from ros2_mcp.ops.moments import is_relative, span_of
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.selection import MAX_BYTES
 from ros2_mcp.ops.source import GraphSnapshot, Past, Source, SourceKind, SourceRequest, Stream
+from ros2_mcp.ops.times import is_relative, span_of
 from ros2_mcp.robot import Robot, TopicEndpoints
 
 if TYPE_CHECKING:
@@ -182,7 +182,7 @@ async def open_bag(
     may_be_empty: bool = False,
     from_end: bool = False,
 ) -> BagSource:
-    """A bag, or the part of it between two moments (as `moments.span_of` reads them), as a `Source`.
+    """A bag, or the part of it between two moments (as `times.span_of` reads them), as a `Source`.
 
     Without a start, or with `from_end`, a limit means the last messages.
 
@@ -302,9 +302,9 @@ def is_growing(store: BagStore, bag: Bag) -> bool:
     return any(bag.path.resolve().is_relative_to(folder) for folder in folders)
 
 
-def end_note(source: Source, *moments: str) -> str:
+def end_note(source: Source, *texts: str) -> str:
     """What `last 30 s` counted from, where that was asked for."""
-    if isinstance(source, BagSource) and any(is_relative(text) for text in moments):
+    if isinstance(source, BagSource) and any(is_relative(text) for text in texts):
         return f"Counted from its end, {iso_time(source.covers[1])}."
     return ""
 

@@ -97,8 +97,8 @@ def _shown_fields(kind: type[Any]) -> tuple[str, ...]:
 
 def iso_time(unix_ns: int) -> str:
     """A Unix time in nanoseconds as ISO 8601 in UTC with microseconds."""
-    moment = datetime.fromtimestamp(unix_ns // 1000 / 1e6, tz=timezone.utc)
-    return moment.isoformat(timespec="microseconds").replace("+00:00", "Z")
+    date = datetime.fromtimestamp(unix_ns // 1000 / 1e6, tz=timezone.utc)
+    return date.isoformat(timespec="microseconds").replace("+00:00", "Z")
 
 
 def exact_time(unix_ns: int) -> str:

@@ -73,7 +73,7 @@ async def log(robot: Robot, watcher: Watcher) -> Content:
 
 async def log_lines(robot: Robot, _: Watcher, level: str = "", node: str = "") -> Content:
     """The same, from a level on, or of one node."""
-    found = await ops_log.read(robot, ops_log.Wanted(level=level, node=node, limit=200))
+    found = await ops_log.read(robot, ops_log.LogRequest(level=level, node=node, limit=200))
     return {**as_json(found), "lines": as_json(found.lines[::-1])}
 
 

@@ -18,7 +18,7 @@ from ros2_mcp.tools.injection import Messages
 
 PLACE = 120
 
-Moment = Annotated[
+PastTime = Annotated[
     str, Field(description='ISO 8601 with zone, such as 2026-11-21T03:00:00.5Z, or relative: "last 30 s", "5 min ago".')
 ]
 
@@ -38,8 +38,8 @@ async def ros2_get_messages(
     topic_name: TopicName,
     message_type: MessageType = "",
     number_of_messages: Annotated[Whole, Field(ge=0, le=100_000, description="Only the last N; 0: all.")] = 0,
-    time_start: Moment = "",
-    time_end: Moment = "",
+    time_start: PastTime = "",
+    time_end: PastTime = "",
     *,
     selection: Messages,
     bucket_name: Annotated[str, Field(description="Bucket of a Data Black Box that has several.")] = "",

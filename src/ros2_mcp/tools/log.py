@@ -33,7 +33,7 @@ async def ros2_log_read(
     Lines are kept from the start of this server on (the newest 5000), and from a few seconds before. In a
     recording, since counts back from its end.
     """
-    wanted = log.Wanted(since, node, level, pattern, limit)
+    request = log.LogRequest(since, node, level, pattern, limit)
     if source.is_live:
-        return await log.read(robot, wanted, selection.max_bytes)
-    return await log.read_recorded(source, wanted, selection.max_bytes)
+        return await log.read(robot, request, selection.max_bytes)
+    return await log.read_recorded(source, request, selection.max_bytes)

@@ -65,8 +65,9 @@ def check_that_numbers_are_the_same(live: dict[str, Any], ask: Callable[..., dic
 
 def has_begun(agent: Agent, bag: str, topics: list[str]) -> bool:
     """Whether messages of all these topics are in the recording of that name."""
-    (state,) = (each for each in agent.call("ros2_record_status")["recordings"] if each["bag"] == bag)
-    return {topic["topic_name"] for topic in state["topics"] if topic["written"]} >= set(topics)
+    states = [each for each in agent.call("ros2_record_status")["recordings"] if each["bag"] == bag]
+    written = {topic["topic_name"] for state in states for topic in state["topics"] if topic["written"]}
+    return written >= set(topics)
 
 
 @pytest.fixture

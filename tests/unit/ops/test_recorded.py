@@ -19,10 +19,10 @@ from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import bags, reading, timing
 from ros2_mcp.ops.bag_store import BagStore
-from ros2_mcp.ops.moments import moment_ns, span_of
 from ros2_mcp.ops.recorded import open_bag
 from ros2_mcp.ops.selection import Selection
 from ros2_mcp.ops.source import Capture, Missing, Source
+from ros2_mcp.ops.times import parsed_ns, span_of
 from support.made_bridge import MadeBridge, robot_of
 
 START_NS = 1_700_000_000_000_000_000
@@ -182,7 +182,7 @@ def test_a_bag_outside_of_the_folders_is_never_opened(store: BagStore, tmp_path:
     ],
 )
 def test_moments_are_read_as_people_write_them(text: str, seconds: float) -> None:
-    assert moment_ns("start", text, 0, 100 * SECOND) == round(seconds * SECOND)
+    assert parsed_ns("start", text, 0, 100 * SECOND) == round(seconds * SECOND)
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,7 @@ def test_moments_are_read_as_people_write_them(text: str, seconds: float) -> Non
     ],
 )
 def test_far_moments_are_the_farthest_that_64_bits_can_hold(text: str, nanoseconds: int) -> None:
-    assert moment_ns("start", text, 0, 100 * SECOND) == nanoseconds
+    assert parsed_ns("start", text, 0, 100 * SECOND) == nanoseconds
 
 
 def test_a_bag_in_sqlite_is_read_from_and_to_far_moments(tmp_path: Path) -> None:
@@ -256,10 +256,10 @@ async def test_what_is_read_between_the_times_that_were_shown_is_everything(tmp_
 )
 def test_moments_that_could_mean_something_else_are_refused(text: str, what: str) -> None:
     with pytest.raises(BadValue, match=what):
-        moment_ns("start", text, 0, 100)
+        parsed_ns("start", text, 0, 100)
 
 
 @pytest.mark.parametrize("text", ["first 2 min", "2 min in"])
 def test_where_the_beginning_is_not_known_nothing_counts_from_it(text: str) -> None:
     with pytest.raises(BadValue, match="beginning that is not known"):
-        moment_ns("time_start", text, None, 100)
+        parsed_ns("time_start", text, None, 100)

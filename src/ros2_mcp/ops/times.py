@@ -28,16 +28,16 @@ def span_of(start: str, end: str, first_ns: int, last_ns: int) -> Span:
     Raises:
         BadValue: if one is not written like a moment, or the end lies before the start.
     """
-    start_ns = moment_ns("start", start, first_ns, last_ns) if start.strip() else 0
+    start_ns = parsed_ns("start", start, first_ns, last_ns) if start.strip() else 0
     if not end.strip():
         return Span(None, start_ns)
-    end_ns = moment_ns("end", end, first_ns, last_ns)
+    end_ns = parsed_ns("end", end, first_ns, last_ns)
     if end_ns < start_ns:
         raise BadValue("end", f"{end!r} is before {start!r}.")
     return Span(None, start_ns, end_ns if is_relative(end) else last_ns_of(end, end_ns) + 1)
 
 
-def moment_ns(name: str, text: str, first_ns: int | None, last_ns: int) -> int:
+def parsed_ns(name: str, text: str, first_ns: int | None, last_ns: int) -> int:
     """One moment as Unix time in nanoseconds, at most 64 bits; raises as `span_of`, also if it needs no `first_ns`."""
     relative = _RELATIVE.fullmatch(text.strip())
     found_ns = _relative_ns(name, relative, first_ns, last_ns) if relative else absolute_ns(name, text.strip())
@@ -82,10 +82,10 @@ def absolute_ns(name: str, text: str, zone: timezone | None = None, hint: str = 
     if found := _FRACTION.search(text):
         whole, fraction = text[: found.start()] + text[found.end() :], found[1]
     try:
-        moment = datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", whole))
+        date = datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", whole))
     except ValueError as error:
         raise BadValue(name, f"{text!r} is not a moment.", hint) from error
-    if moment.tzinfo is None and zone is None:
+    if date.tzinfo is None and zone is None:
         raise BadValue(name, f"{text!r} has no time zone.", "Add Z for UTC, or an offset such as +01:00.")
-    moment = moment if moment.tzinfo else moment.replace(tzinfo=zone)
-    return round(moment.timestamp()) * 1_000_000_000 + int(fraction.ljust(9, "0") or 0)
+    date = date if date.tzinfo else date.replace(tzinfo=zone)
+    return round(date.timestamp()) * 1_000_000_000 + int(fraction.ljust(9, "0") or 0)
