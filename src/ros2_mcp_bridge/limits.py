@@ -6,11 +6,13 @@ not look at.
 
 from __future__ import annotations
 
-# Of repeats and relays. Chosen: no loop that drives a robot over a topic is faster, and a misread "1000" stays sane.
-MAX_RATE_HZ = 1000.0
+# Of repeats and relays. Chosen: no loop that drives a robot over a topic is faster.
+MAX_RATE_HZ = 1000
+# Of the same. Chosen: a message in 100 s; what is more rare than that is a publication each time, not a rate.
+MIN_RATE_HZ = 0.01
 # Of what one call may ask for: repeating, listening, waiting. Chosen: what takes longer than an hour is a job, which
 # outlives the call and can be looked at and stopped.
-MAX_DURATION_S = 3600.0
+MAX_DURATION_S = 3600
 # Of one kind (`failsafe_publish`, `failsafe_call`). Each of the former keeps a publisher in use, of which the pool
 # holds as many, and at the end all of them have 0.3 s together to reach the robot.
 MAX_FAILSAFES = 64

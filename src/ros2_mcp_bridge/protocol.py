@@ -69,6 +69,7 @@ class Samples(Counts):
 # ── what several operations share ──────────────────────────────────────────────────────────────────────────────
 
 NamesAndTypes = list[tuple[str, list[str]]]
+Keep = Literal["all", "latest"]
 
 
 class Empty(TypedDict):
@@ -240,7 +241,7 @@ class EndpointsReply(Settled):
 class SubscribeArguments(Destination):
     """What to receive, and how much of it may wait."""
 
-    keep: Literal["all", "latest"]
+    keep: Keep
     max_samples: int
     max_bytes: int
     drain_s: float

@@ -7,7 +7,6 @@ was replaced; then nothing arrives any more, for good.
 
 from __future__ import annotations
 
-import os
 import re
 from contextlib import suppress
 from pathlib import Path
@@ -33,7 +32,7 @@ def _own_ports() -> set[str]:
     ports: set[str] = set()
     for descriptor in Path("/proc/self/fd").iterdir():
         with suppress(OSError):  # that of the listing itself is closed by now
-            lock = _LOCK_OF_A_PORT.match(os.readlink(str(descriptor)))  # noqa: PTH115 - Path's is newer than 3.8
+            lock = _LOCK_OF_A_PORT.match(str(descriptor.readlink()))
             if lock:
                 ports.add(lock.group(1))
     return ports

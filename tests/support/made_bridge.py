@@ -5,27 +5,24 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from time import monotonic
-from typing import Any, cast
+from typing import Any, NoReturn
 
 from ros2_mcp.link.client import Bridge, Reply
-from ros2_mcp.model.errors import BridgeLost, BridgeRefused
+from ros2_mcp.model.errors import BridgeLost, BridgeRefused, RosNotFound
 from ros2_mcp.robot import Robot
 
 NUMBER = "std_msgs/msg/Int32"
 
 
-class MadeBridge:
-    """Its relays open as soon as it is `ready`; `heard` has the topics and times of what was published.
+class MadeBridge(Bridge):
+    """Its relays open as soon as it `is_ready`; `heard` has the topics and times of what was published.
 
     `topics` answers who wants to know which there are.
     """
 
-    hello = None
-    nodes = frozenset[str]()
-    is_closed = False
-
     def __init__(self) -> None:
-        self.ready = True
+        super().__init__(_no_carrier)
+        self.is_ready = True
         self._is_lost = False
         self._ended: dict[str, asyncio.Event] = {}
         self.relays: dict[str, str] = {}
@@ -33,8 +30,8 @@ class MadeBridge:
         self.trouble: Exception | None = None
         self.topics: Callable[[], Any] = list
 
-    async def request(self, op: str, *_: bytes, **arguments: Any) -> Reply:
-        del arguments["timeout_s"]
+    async def request(self, op: str, body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
+        del body, timeout_s
         return Reply(await getattr(self, f"_{op}")(**arguments), b"")
 
     async def _relay(self, name: str, topic: str, **_: Any) -> Any:
@@ -60,7 +57,7 @@ class MadeBridge:
     async def _relay_feed(self, name: str, sizes: list[int]) -> Any:
         if self.trouble:
             raise self.trouble
-        if not self.ready or name not in self.relays:
+        if not self.is_ready or name not in self.relays:
             raise BridgeRefused("not_found", "There is no running relay.")
         self.heard += [(self.relays[name], monotonic())] * len(sizes)
         return {}
@@ -79,5 +76,9 @@ class MadeBridge:
         return {"settled": True, "topics": await found if asyncio.iscoroutine(found) else found}
 
 
+def _no_carrier() -> NoReturn:
+    raise RosNotFound("This bridge is made by a test.")
+
+
 def robot_of(bridge: MadeBridge) -> Robot:
-    return Robot(cast(Bridge, bridge))
+    return Robot(bridge)

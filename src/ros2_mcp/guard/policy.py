@@ -8,9 +8,6 @@ from typing import Any
 from ros2_mcp.model.commands import Command
 from ros2_mcp.model.errors import BadValue, Refused
 
-MAX_RATE_HZ = 1000.0
-MAX_DURATION_S = 3600.0
-
 
 @dataclass(frozen=True, slots=True)
 class Policy:

@@ -6,12 +6,13 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from ros2_mcp.link.carrier import Carrier
 from ros2_mcp.link.connection import START_S, Connection, Hello, Reply
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BridgeLost, LinkError, RobotError
+from ros2_mcp_bridge.protocol import Keep, QoS, SubscribeArguments
 
 __all__ = ["Bridge", "Hello", "Reply", "Subscription"]
 
@@ -56,7 +57,7 @@ class Bridge:
         self._carrier: Carrier | None = None
         self._supervisor: asyncio.Task[None] | None = None
         self._outcome: asyncio.Future[Connection | RobotError] | None = None
-        self._wanted = asyncio.Event()
+        self._retry = asyncio.Event()
         self._retry_at = 0.0
         self._closed = False
 
@@ -116,7 +117,7 @@ class Bridge:
         type_name: str,
         qos: Mapping[str, Any],
         *,
-        keep: str,
+        keep: Keep,
         max_samples: int,
         max_bytes: int,
         drain_s: float = _DRAIN_S,
@@ -127,10 +128,10 @@ class Bridge:
         """
         connection = await self._connected()
         subscription = Subscription(keep, max_samples, max_bytes, connection.unsubscribe)
-        arguments = {
+        arguments: SubscribeArguments = {
             "topic": topic,
             "type": type_name,
-            "qos": dict(qos),
+            "qos": cast("QoS", qos),
             "keep": keep,
             "max_samples": max_samples,
             "max_bytes": max_bytes,
@@ -192,7 +193,7 @@ class Bridge:
     def _try_again(self) -> None:
         if time.monotonic() >= self._retry_at:
             self._outcome = asyncio.get_running_loop().create_future()
-            self._wanted.set()
+            self._retry.set()
 
     async def _supervise(self) -> None:
         """Life after life: at once after one that had begun well, on demand and after a pause when none begins.
@@ -212,9 +213,9 @@ class Bridge:
                 await asyncio.sleep(pause_s)
                 continue
             self._retry_at = time.monotonic() + pause_s
-            self._wanted.clear()
+            self._retry.clear()
             self._settle(reason)
-            await self._wanted.wait()
+            await self._retry.wait()
 
     async def _live(self) -> tuple[bool, RobotError]:
         """One life of the bridge: whether it had begun, and why it ended."""

@@ -7,14 +7,14 @@ import itertools
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from ros2_mcp.link.carrier import Carrier
 from ros2_mcp.link.heartbeat import Heartbeat
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BadInput, BridgeLost, BridgeRefused, LinkError, TimedOut
 from ros2_mcp_bridge.packets import Packet, PacketError, PacketReader, pack
-from ros2_mcp_bridge.protocol import PROTOCOL
+from ros2_mcp_bridge.protocol import PROTOCOL, Counts, Failure, Hello, Samples, SubscribeArguments, UnsubscribeArguments
 
 # Wheels say hello after about half a second; sourcing setup files from a slow disk can take many of these seconds.
 START_S = 20.0
@@ -24,19 +24,6 @@ _PING = 0
 _SHOWN_LINES = 5
 _BOUNDED_BY_THE_BRIDGE = ("call", "wait_endpoints")
 _NEVER_CANCELLED = ("unsubscribe",)
-
-
-@dataclass(frozen=True, slots=True)
-class Hello:
-    """How the bridge introduced itself."""
-
-    python: str
-    distro: str
-    rmw: str
-    domain_id: int
-    node: str
-    pid: int
-    executor: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,13 +134,13 @@ class Connection:
         op: str,
         body: bytes,
         timeout_s: float,
-        arguments: Mapping[str, Any],
+        arguments: Mapping[str, object],
         subscription: Subscription | None = None,
     ) -> Reply:
         """Sends one request and waits for its answer; a caller that is cancelled or gives up cancels it."""
         number = next(self._numbers)
         header = _header(number, op, timeout_s, arguments)
-        limit_s = timeout_s + MARGIN_S + (float(arguments.get("wait_s", 0.0)) if op == "call" else 0.0)
+        limit_s = timeout_s + MARGIN_S + (_number(arguments.get("wait_s")) if op == "call" else 0.0)
         request = _Open(asyncio.get_running_loop().create_future(), subscription)
         self._open[number] = request
         try:
@@ -174,13 +161,13 @@ class Connection:
         if op not in _NEVER_CANCELLED:
             self._send({"id": next(self._numbers), "op": "cancel", "request": number})
 
-    async def _send_body(self, header: dict[str, Any], body: bytes) -> None:
+    async def _send_body(self, header: Mapping[str, object], body: bytes) -> None:
         """Bodies go one after the other, each when the pipe has room: what waits to be written stays bounded."""
         async with self._writing:
             await self.carrier.writable()
             self._send(header, body)
 
-    def _send(self, header: dict[str, Any], body: bytes = b"") -> None:
+    def _send(self, header: Mapping[str, object], body: bytes = b"") -> None:
         if self._ended.done():
             return
         try:
@@ -190,7 +177,7 @@ class Connection:
 
     # ── subscriptions ──────────────────────────────────────────────────────────────────────────────────────────
 
-    async def subscribe(self, subscription: Subscription, timeout_s: float, arguments: Mapping[str, Any]) -> None:
+    async def subscribe(self, subscription: Subscription, timeout_s: float, arguments: SubscribeArguments) -> None:
         """Lets the samples of a new subscription flow; if the caller is cancelled meanwhile, none is left behind."""
         try:
             await self.request("subscribe", b"", timeout_s, arguments, subscription)
@@ -201,11 +188,12 @@ class Connection:
     async def unsubscribe(self, subscription: Subscription) -> None:
         """Ends a subscription; takes in the samples still under way and the final counts."""
         number = subscription.number
-        if number not in self._subscriptions:
+        if number is None or number not in self._subscriptions:
             return
+        arguments: UnsubscribeArguments = {"sub": number}
         try:
-            reply = await self.request("unsubscribe", b"", MARGIN_S, {"sub": number})
-            subscription.count(dict(reply.ok))
+            reply = await self.request("unsubscribe", b"", MARGIN_S, arguments)
+            subscription.count(cast("Counts", reply.ok))
         except LinkError:
             return  # the bridge is gone, and the subscription with it
         finally:
@@ -234,7 +222,7 @@ class Connection:
         elif event == "samples":
             subscription = self._subscriptions.get(packet.header["sub"])
             if subscription:
-                subscription.arrived(packet.header, packet.body)
+                subscription.arrived(cast("Samples", packet.header), packet.body)
         elif event == "hello":
             self._said_hello(packet.header)
         elif event == "failed":
@@ -244,7 +232,7 @@ class Connection:
         if header["protocol"] != PROTOCOL:
             self._end(LinkError(f"The bridge speaks protocol {header['protocol']}, this server {PROTOCOL}."))
             return
-        self.hello = Hello(**{name: header[name] for name in Hello.__dataclass_fields__})
+        self.hello = Hello(**{name: header[name] for name in Hello._fields})
         if not self._greeted.done():
             self._greeted.set_result(None)
 
@@ -270,17 +258,21 @@ class Connection:
             self._dismiss(request.subscription)
 
 
-def _header(number: int, op: str, timeout_s: float, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    header = {**arguments, "id": number, "op": op}
+def _header(number: int, op: str, timeout_s: float, arguments: Mapping[str, object]) -> dict[str, object]:
+    header: dict[str, object] = {**arguments, "id": number, "op": op}
     if op in _BOUNDED_BY_THE_BRIDGE:
         header["timeout_s"] = timeout_s
     return header
 
 
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, (int, float)) else 0.0
+
+
 def _reply(packet: Packet) -> Reply:
-    error = packet.header.get("error")
+    error: Failure | None = packet.header.get("error")
     if error is not None:
-        raise BridgeRefused(str(error["kind"]), str(error["message"]), str(error.get("hint") or ""))
+        raise BridgeRefused(error["kind"], error["message"], error["hint"])
     return Reply(packet.header["ok"], packet.body)
 
 

@@ -125,27 +125,27 @@ def _inside(chosen: RosInstallation, settings: Settings, env: Mapping[str, str])
     yield _middleware(chosen, settings.rmw or env.get("RMW_IMPLEMENTATION", ""))
 
 
-def _middleware(chosen: RosInstallation, wanted: str) -> Finding:
+def _middleware(chosen: RosInstallation, requested: str) -> Finding:
     """Whether the middleware that the environment asks for is installed."""
     prefixes = [chosen.prefix, *path_entries(chosen.environment, "AMENT_PREFIX_PATH")]
     index = "share/ament_index/resource_index/rmw_typesupport"
     installed = sorted({entry.name for prefix in prefixes for entry in prefix.glob(f"{index}/rmw_*_c*")})
     title, listed = "Middleware", ", ".join(installed) or "none found"
-    if not wanted:
+    if not requested:
         return Finding(None, title, f"ROS's own choice; installed: {listed}")
-    if wanted in installed:
-        return Finding(True, title, wanted)
-    fix = f"Unset RMW_IMPLEMENTATION, or run: apt-get install ros-{chosen.distro}-{wanted.replace('_', '-')}"
+    if requested in installed:
+        return Finding(True, title, requested)
+    fix = f"Unset RMW_IMPLEMENTATION, or run: apt-get install ros-{chosen.distro}-{requested.replace('_', '-')}"
     if chosen.kind == "wheels":
         fix = "Unset RMW_IMPLEMENTATION: the wheels have Fast DDS only."
-    return Finding(False, title, f"{wanted} is asked for and not installed; installed: {listed}", fix)
+    return Finding(False, title, f"{requested} is asked for and not installed; installed: {listed}", fix)
 
 
 def _network(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
-    given = str(settings.domain_id) if settings.domain_id is not None else env.get("ROS_DOMAIN_ID", "") or "0"
-    valid = given.isdigit() and int(given) <= MAX_DOMAIN_ID
+    domain = str(settings.domain_id) if settings.domain_id is not None else env.get("ROS_DOMAIN_ID", "") or "0"
+    valid = domain.isdigit() and int(domain) <= MAX_DOMAIN_ID
     fix = "" if valid else f"Set ROS_DOMAIN_ID to a number from 0 to {MAX_DOMAIN_ID}, the robot's own."
-    yield Finding(valid, "Domain", f"ROS_DOMAIN_ID is {given}", fix)
+    yield Finding(valid, "Domain", f"ROS_DOMAIN_ID is {domain}", fix)
     reach = env.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
     if env.get("ROS_LOCALHOST_ONLY") == "1" or reach in ("LOCALHOST", "OFF"):
         variable = "ROS_AUTOMATIC_DISCOVERY_RANGE" if reach in ("LOCALHOST", "OFF") else "ROS_LOCALHOST_ONLY"

@@ -130,12 +130,12 @@ def workspace_setup(workspace: Path) -> Path:
     Raises:
         BadInput: if there is none.
     """
-    given = workspace.expanduser()
-    places = (given, given / "install" / "setup.bash", given / "setup.bash")
+    path = workspace.expanduser()
+    places = (path, path / "install" / "setup.bash", path / "setup.bash")
     found = next((place for place in places if place.is_file()), None)
     if not found:
         raise BadInput(
-            f"The workspace {given} has no install/setup.bash.",
+            f"The workspace {path} has no install/setup.bash.",
             "Build it (colcon build), or give its root, its install folder or a setup.bash.",
         )
     return found.absolute()
@@ -172,11 +172,11 @@ def wheel_distro() -> str | None:
 
 
 def _not_found(settings: Settings) -> RosNotFound:
-    there = ", ".join(available(settings)) or "none"
+    found = ", ".join(available(settings)) or "none"
     if settings.distro:
         return RosNotFound(
-            f"ROS 2 {settings.distro} was asked for (--distro) and is not there; found: {there}.",
-            "Leave --distro out to use what is there." if there != "none" else way_out(settings.distro),
+            f"ROS 2 {settings.distro} was asked for (--distro) and is not there; found: {found}.",
+            "Leave --distro out to use what is there." if found != "none" else way_out(settings.distro),
         )
     return RosNotFound(
         f"No ROS 2 found: no sourced shell, nothing in {settings.ros_root}, no ROS 2 wheels in this Python.",

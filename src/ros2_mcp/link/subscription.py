@@ -6,10 +6,11 @@ import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable
 from types import TracebackType
-from typing import Any
 
 from ros2_mcp.model.errors import LinkError
 from ros2_mcp.model.samples import Counts, Sample
+from ros2_mcp_bridge.protocol import Counts as BridgeCounts
+from ros2_mcp_bridge.protocol import Keep, Samples
 
 Unsubscribe = Callable[["Subscription"], Awaitable[None]]
 
@@ -17,7 +18,7 @@ Unsubscribe = Callable[["Subscription"], Awaitable[None]]
 class Subscription:
     """Samples of one topic in the order they came; use as an async context manager, or call `close`."""
 
-    def __init__(self, keep: str, max_samples: int, max_bytes: int, unsubscribe: Unsubscribe) -> None:
+    def __init__(self, keep: Keep, max_samples: int, max_bytes: int, unsubscribe: Unsubscribe) -> None:
         self.number: int | None = None
         self._max_samples = 1 if keep == "latest" else max_samples
         self._max_bytes = max_bytes
@@ -75,7 +76,7 @@ class Subscription:
 
     # ── for the connection ─────────────────────────────────────────────────────────────────────────────────────
 
-    def arrived(self, header: dict[str, Any], body: bytes) -> None:
+    def arrived(self, header: Samples, body: bytes) -> None:
         """Takes in a packet of samples: their times and sizes, the totals, and their bytes one after the other."""
         self.count(header)
         offset = 0
@@ -87,7 +88,7 @@ class Subscription:
         self._drop_oldest()
         self._wake()
 
-    def count(self, totals: dict[str, Any]) -> None:
+    def count(self, totals: BridgeCounts) -> None:
         """The bridge's totals up to now."""
         self._bridge_counts = Counts(totals["received"], totals["dropped"], totals["lost"])
 

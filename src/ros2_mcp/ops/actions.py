@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from time import monotonic
 from typing import Any
 
-from ros2_mcp.guard.policy import MAX_DURATION_S, bounded
+from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound, UnknownInterface
 from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_bytes, goal_id_hex, stamp_seconds
@@ -17,6 +17,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import Report, iso_time, reporting, silent
 from ros2_mcp.robot import Listening, Robot
 from ros2_mcp.robot.sent_goals import Goal
+from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 """Of the latched topic `<action>/_action/status`, where a server tells the states of its goals."""

@@ -26,9 +26,8 @@ from ros2_mcp.ops.actions import SERVER_S, states_now
 from ros2_mcp.ops.results import Report, in_words, reporting, silent
 from ros2_mcp.robot import Answer, Listening, Robot
 from ros2_mcp.robot.sent_goals import Goal
+from ros2_mcp_bridge.limits import MAX_DURATION_S
 
-MAX_WAIT_S = 3600.0
-"""What takes longer is asked for again: the goal goes on meanwhile."""
 ACCEPT_S = 10.0
 """A server that is alive says at once whether it takes a goal; of one that thinks longer the caller is told."""
 ENDED_ALREADY = 3
@@ -109,7 +108,7 @@ async def send_goal(
         BadValue: naming the path of a value that does not fit; nothing is sent.
         TimedOut: if the server did not say whether it accepts.
     """
-    bounded("timeout_sec", timeout_s, 0.0, MAX_WAIT_S, "s")
+    bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
     action = names.absolute(action, "action")
     action_type = await robot.types.action(action, action_type)
     goal_id = new_goal_id()
@@ -280,7 +279,7 @@ async def request_result(
         BadValue: if the goal id is not one.
     """
     action = names.absolute(action, "action")
-    wait_s = MAX_WAIT_S if timeout_s is None else bounded("timeout_sec", timeout_s, 0.0, MAX_WAIT_S, "s")
+    wait_s = MAX_DURATION_S if timeout_s is None else bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
     goal_id = goal_id_hex(goal_id_bytes(goal_id))
     if action_type and action not in await robot.types.actions():
         action_type = names.interface_type(action_type, "action")  # its server may still have to appear
@@ -294,7 +293,7 @@ async def _result(
     robot: Robot, action: str, action_type: str, goal_id: str, timeout_s: float | None, wait_for_service_s: float
 ) -> GoalResult:
     service, service_type = f"{action}/_action/get_result", f"{action_type}_GetResult"
-    wait_s = MAX_WAIT_S if timeout_s is None else timeout_s
+    wait_s = MAX_DURATION_S if timeout_s is None else timeout_s
     deadline = monotonic() + wait_s
 
     def ask() -> asyncio.Future[Answer]:

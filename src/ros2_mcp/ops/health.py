@@ -22,6 +22,7 @@ from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.source import Capture, GraphSnapshot, Missing, Source
 from ros2_mcp.ops.topics import mismatches
 from ros2_mcp.robot import TopicEndpoints
+from ros2_mcp_bridge.limits import MAX_RATE_HZ
 
 MAX_MEASURED = 60
 MAX_LARGE = 4
@@ -140,7 +141,7 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
         BadName: for an expected name that ROS does not allow.
         BadValue: if a number is out of range.
     """
-    bounded("min_expected_rate_hz", expected.min_rate_hz, 0.0, 1000.0, "Hz")
+    bounded("min_expected_rate_hz", expected.min_rate_hz, 0.0, MAX_RATE_HZ, "Hz")
     expected = _normalized(expected)
     graph = await source.graph()
     chosen, skipped = to_measure(graph, expected) if expected.check_rates else ([], [])

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from ros2_mcp.guard.policy import MAX_DURATION_S, bounded
+from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.samples import Counts, Sample
@@ -29,6 +29,7 @@ from ros2_mcp.ops.source import (
     capturing,
 )
 from ros2_mcp.robot import Listening, Robot, TopicEndpoints
+from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.cdr import Codec

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ros2_mcp.guard.policy import MAX_DURATION_S, MAX_RATE_HZ, bounded
+from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import Publish, Repeat
 from ros2_mcp.model.errors import BadInput, LinkError, RobotError
@@ -15,6 +15,7 @@ from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.topics import mismatches
 from ros2_mcp.robot import VELOCITY_TYPES, Robot, Sent
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ, MIN_RATE_HZ
 
 MATCH_S = 1.0
 """Who is there matches within milliseconds; who has just come up gets the message all the same."""
@@ -127,7 +128,7 @@ async def _send(robot: Robot, publication: Publication, report: Report) -> Sent:
     if rate_hz is None or duration_s is None:
         given, missing = ("duration", "frequency") if rate_hz is None else ("frequency", "duration")
         raise BadInput(f"{given} is given without {missing}.", "To repeat, give both; to publish once, give neither.")
-    bounded("frequency", rate_hz, 0.01, MAX_RATE_HZ, "Hz")
+    bounded("frequency", rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
     bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
     to = await robot.types.destination(topic, kind)
     command = Repeat(

@@ -15,7 +15,7 @@ from time import monotonic
 
 import anyio
 
-from ros2_mcp.guard.policy import MAX_RATE_HZ, bounded
+from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import commands, names
 from ros2_mcp.model.errors import BadData, BadInput, BadValue, LinkError, NotFound, TypeConflict
 from ros2_mcp.model.graph import RelayCounts, TopicEndpoints
@@ -23,6 +23,7 @@ from ros2_mcp.model.qos import QoS, for_subscribing
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp_bridge.limits import MAX_RATE_HZ, MIN_RATE_HZ
 from ros2_mcp_bridge.rhythm import Rhythm
 
 Transform = Callable[[Sample], "bytes | None"]
@@ -382,7 +383,7 @@ def _check(request: RelayRequest, source: str, destination: str) -> None:
         raise BadInput(f"There is no transform {request.transform!r}.", f"Choose from {', '.join(TRANSFORMS)}.")
     if TRANSFORMS[request.transform] != "on_change" and request.tolerances:
         raise BadInput(f"tolerances mean nothing with {request.transform}.", "They belong to transform on_change.")
-    bounded("target_rate_hz", request.target_rate_hz, 0.001, MAX_RATE_HZ, "Hz")
+    bounded("target_rate_hz", request.target_rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
     bounded("duration_sec", request.duration_s, 0.0, MAX_RELAY_S, "s")
     if source == destination:
         raise BadInput(f"A relay from {source} to itself would feed itself.", "Choose another destination.")

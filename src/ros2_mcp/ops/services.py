@@ -14,8 +14,8 @@ from ros2_mcp.model.errors import BadName, NotFound, TimedOut, UnknownInterface
 from ros2_mcp.ops.results import Report, in_words, reporting, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
+from ros2_mcp_bridge.limits import MAX_DURATION_S
 
-MAX_TIMEOUT_S = 3600.0
 _STILL_WORKING = "It may still be working on it; a longer timeout_sec waits for longer."
 
 
@@ -98,7 +98,7 @@ async def call(
         TimedOut: if it did not answer in time.
         BadValue: naming the path of a value that does not fit; nothing is sent.
     """
-    bounded("timeout_sec", timeout_s, 0.01, MAX_TIMEOUT_S, "s")
+    bounded("timeout_sec", timeout_s, 0.01, MAX_DURATION_S, "s")
     service = names.absolute(service, "service")
     service_type = await robot.types.service(service, service_type)
     await robot.values.learn(service_type)

@@ -9,6 +9,7 @@ from ros2_mcp.ops.live_names import is_of_every_node, live_names
 from ros2_mcp.prompts.arguments import Argument, shown
 from ros2_mcp.prompts.prompt import Message, Prompt, step
 from ros2_mcp.robot import Robot
+from ros2_mcp_bridge.limits import MAX_RATE_HZ, MIN_RATE_HZ
 
 MAX_WINDOW_S = 45.0
 """A call stays below the time that clients wait for one."""
@@ -167,7 +168,14 @@ _RELAY = Prompt(
             choices=("identity", "rate_limit", "filter"),
             other_choices={"on_change": "filter"},
         ),
-        Argument("target_rate_hz", "Limit for rate_limit in Hz", "number", default=10.0, minimum=0.01, maximum=1000),
+        Argument(
+            "target_rate_hz",
+            "Limit for rate_limit in Hz",
+            "number",
+            default=10.0,
+            minimum=MIN_RATE_HZ,
+            maximum=MAX_RATE_HZ,
+        ),
         Argument("duration_sec", "Seconds; 0: until stopped", "number", default=60.0, minimum=0, maximum=86_400),
     ),
     _write_relay,
@@ -196,7 +204,9 @@ _HEALTH = Prompt(
         Argument("expected_services", "Services that must be there", "services", default=[]),
         Argument("check_rates", "Also measure rates", "boolean", default=True),
         _window("rate_check_duration_sec", 3.0, "measure rates", 0.5),
-        Argument("min_expected_rate_hz", "A slower topic is a problem", "number", default=1.0, minimum=0, maximum=1000),
+        Argument(
+            "min_expected_rate_hz", "A slower topic is a problem", "number", default=1.0, minimum=0, maximum=MAX_RATE_HZ
+        ),
     ),
     _write_health,
 )

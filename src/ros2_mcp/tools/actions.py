@@ -11,6 +11,7 @@ from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Number, Pattern, Whole
 from ros2_mcp.tools.declare import tool
+from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 PLACE = 90
 
@@ -19,10 +20,10 @@ ActionType = Annotated[
     str, Field(description="Type such as nav2_msgs/action/NavigateToPose. Leave it out to use the action's own.")
 ]
 GoalId = Annotated[str, Field(description="The goal's id: 32 hexadecimal digits.")]
-Duration = Annotated[Number, Field(gt=0, le=3600, description="Listen for this long, in seconds.")]
+Duration = Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Listen for this long, in seconds.")]
 MaxMessages = Annotated[Whole, Field(ge=1, le=1000, description="Stop after this many messages.")]
 ResultTimeout = Annotated[
-    Number | None, Field(ge=0, le=3600, description="Wait at most this long for the result, in seconds.")
+    Number | None, Field(ge=0, le=MAX_DURATION_S, description="Wait at most this long for the result, in seconds.")
 ]
 
 

@@ -6,6 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
+from ros2_mcp_bridge.limits import MAX_DURATION_S
+
 
 def _no_bool(value: Any) -> Any:
     if isinstance(value, bool):
@@ -47,8 +49,8 @@ EveryN = Annotated[Whole, Field(ge=1, le=1_000_000, description="Keep only every
 FromBag = Annotated[str, Field(description='Ask this recording instead of the robot now; "black box": our own.')]
 FromStart = Annotated[str, Field(description='Of the recording: ISO 8601 with zone, or "last 30 s".')]
 UpToEnd = Annotated[str, Field(description="Written like start.")]
-Seconds = Annotated[Number, Field(ge=0, le=3600)]
-Duration = Annotated[Number | None, Field(gt=0, le=3600, description="Collect for this long, in seconds.")]
+Seconds = Annotated[Number, Field(ge=0, le=MAX_DURATION_S)]
+Duration = Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description="Collect for this long, in seconds.")]
 MessageLimit = Annotated[
     Whole | None,
     Field(ge=1, le=100_000, description="Stop after this many messages (alone: waiting at most 20 s)."),

@@ -13,6 +13,7 @@ from ros2_mcp.ops.source import Source
 from ros2_mcp.tools.arguments import Flag, Number, NumericFields, TopicName
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Numbers
+from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ
 
 PLACE = 30
 
@@ -31,7 +32,9 @@ async def ros2_wait_until(
             "With and, or, not, + - * /, comparisons, in, abs(), min(), max(), len(), hypot(), [index]."
         ),
     ],
-    timeout: Annotated[Number, Field(gt=0, le=3600, description="Wait at most this long, in seconds.")] = 30.0,
+    timeout: Annotated[
+        Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most this long, in seconds.")
+    ] = 30.0,
     *,
     selection: Selection,
     source: Source,
@@ -54,7 +57,9 @@ async def ros2_health_check(
         Flag, Field(description="Listen to topics; else look at the graph and diagnostics only.")
     ] = True,
     rate_check_duration_sec: Annotated[Number, Field(ge=0.5, le=60, description="Listen for this long.")] = 3.0,
-    min_expected_rate_hz: Annotated[Number, Field(ge=0, le=1000, description="Of sensors and expected topics.")] = 1.0,
+    min_expected_rate_hz: Annotated[
+        Number, Field(ge=0, le=MAX_RATE_HZ, description="Of sensors and expected topics.")
+    ] = 1.0,
     *,
     source: Source,
 ) -> health.Health:

@@ -14,6 +14,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import BagEnd, BagName, BagStart, Flag, Limit, Number, Pattern, TopicName, Whole
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Messages
+from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 PLACE = 130
 
@@ -107,7 +108,9 @@ async def ros2_bag_play(
         Flag,
         Field(description="Also onto topics that have a live publisher, and velocity commands that move the robot."),
     ] = False,
-    wait_sec: Annotated[Number, Field(ge=0, le=3600, description="Wait this long for its end; it goes on.")] = 40.0,
+    wait_sec: Annotated[
+        Number, Field(ge=0, le=MAX_DURATION_S, description="Wait this long for its end; it goes on.")
+    ] = 40.0,
 ) -> playing.PlaybackState:
     """Publish a bag's messages again in their rhythm. Can move the robot if it holds commands: choose topics."""
     request = playing.PlayRequest(

@@ -11,6 +11,7 @@ from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import MessageType, Number, TopicName
 from ros2_mcp.tools.declare import tool
+from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ
 
 PLACE = 60
 
@@ -30,8 +31,8 @@ class TopicToPublish(BaseModel):
     topic_name: TopicName
     message_type: Annotated[MessageType, Field(validation_alias=AliasChoices("message_type", "msg_type"))] = ""
     data: Data
-    frequency: Annotated[Number, Field(gt=0, le=1000, description=_HZ)] = 1.0
-    duration: Annotated[Number, Field(gt=0, le=3600, description=_SECONDS)] = 5.0
+    frequency: Annotated[Number, Field(gt=0, le=MAX_RATE_HZ, description=_HZ)] = 1.0
+    duration: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description=_SECONDS)] = 5.0
 
 
 @tool(title="Publish", risk="actuate", aliases={"msg_type": "message_type"})
@@ -41,8 +42,8 @@ async def ros2_topic_publish(
     topic_name: TopicName,
     data: Data,
     message_type: MessageType = "",
-    frequency: Annotated[Number | None, Field(gt=0, le=1000, description=_HZ)] = None,
-    duration: Annotated[Number | None, Field(gt=0, le=3600, description=_SECONDS)] = None,
+    frequency: Annotated[Number | None, Field(gt=0, le=MAX_RATE_HZ, description=_HZ)] = None,
+    duration: Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description=_SECONDS)] = None,
 ) -> publishing.Published:
     """Publish a message once, or repeatedly with frequency and duration. Can move the robot.
 

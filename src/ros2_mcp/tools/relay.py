@@ -10,6 +10,7 @@ from ros2_mcp.ops import relay
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import MessageType, Number
 from ros2_mcp.tools.declare import tool
+from ros2_mcp_bridge.limits import MAX_RATE_HZ
 
 PLACE = 110
 
@@ -36,7 +37,7 @@ async def ros2_relay_start(
         Literal["identity", "rate_limit", "on_change", "filter"],
         Field(description="All messages, at most target_rate_hz, or only changes (filter means on_change)."),
     ] = "identity",
-    target_rate_hz: Annotated[Number, Field(gt=0, le=1000, description="For rate_limit.")] = 10.0,
+    target_rate_hz: Annotated[Number, Field(gt=0, le=MAX_RATE_HZ, description="For rate_limit.")] = 10.0,
     duration_sec: Annotated[Number, Field(ge=0, le=86400, description="0 is until it is stopped.")] = 60.0,
     tolerances: Tolerances | None = None,
     mapping: Mapping | None = None,

@@ -11,6 +11,7 @@ from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Number, Pattern
 from ros2_mcp.tools.declare import tool
+from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 PLACE = 80
 
@@ -35,7 +36,9 @@ async def ros2_service_call(
     force_call: Annotated[
         Flag, Field(description="Call even if request fields are missing; they get defaults.")
     ] = False,
-    timeout_sec: Annotated[Number, Field(gt=0, le=3600, description="Wait at most this long, in seconds.")] = 10.0,
+    timeout_sec: Annotated[
+        Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most this long, in seconds.")
+    ] = 10.0,
 ) -> services.ServiceAnswer:
     """Call a service and wait for its answer. Can move the robot.
 

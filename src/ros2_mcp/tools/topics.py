@@ -14,6 +14,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Duration, Hidden, Limit, MessageLimit, MessageType, Number, Pattern, TopicName
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import LimitedMessages, Messages, OneMessage
+from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 PLACE = 20
 
@@ -81,7 +82,7 @@ async def ros2_subscribe_multiple_topics(
 async def ros2_topic_echo_wait(
     topic_name: TopicName,
     message_type: MessageType = "",
-    timeout: Annotated[Number, Field(gt=0, le=3600, description="Wait at most this long, in seconds.")] = 5.0,
+    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most this long, in seconds.")] = 5.0,
     *,
     selection: OneMessage,
     source: Source,

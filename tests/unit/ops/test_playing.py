@@ -89,14 +89,14 @@ async def test_a_play_of_nothing_ends_and_says_so(bridge: MadeBridge, play: Play
 async def test_a_play_that_is_cancelled_before_it_began_leaves_nothing(
     bridge: MadeBridge, robot: Robot, play: Play
 ) -> None:
-    bridge.ready = False
+    bridge.is_ready = False
     for _ in range(Playback.most_running):
         with anyio.move_on_after(0.05) as scope:  # as the MCP server cancels: again and again
             await play(GOAL)
         assert scope.cancelled_caught
         await soon(lambda: not bridge.relays)
     assert not robot.jobs.running(Playback)
-    bridge.ready = True
+    bridge.is_ready = True
     assert (await play(GOAL)).state == "ended"
 
 
@@ -109,7 +109,7 @@ async def test_whatever_keeps_a_play_from_beginning_closes_it(bridge: MadeBridge
 
 
 async def test_a_playback_can_be_stopped_while_it_is_beginning(bridge: MadeBridge, robot: Robot, play: Play) -> None:
-    bridge.ready = False
+    bridge.is_ready = False
     beginning = asyncio.ensure_future(play(GOAL))
     await soon(lambda: bool(bridge.relays))
     assert (await stop(robot, robot.jobs.running(Playback)[0].id)).state == "stopped"
