@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Reply
 
 SETTLE_S = 4.0
-"""A little longer than the bridge needs to be sure that nobody else is there."""
+"""A little longer than the 3.5 s after which the bridge is sure that nobody else is there (its `graph.py`)."""
 REQUEST_S = 10.0
 """For what the bridge answers from memory: only one that hangs takes so long, and it is declared dead before."""
 _SETTLING = 0.8

@@ -19,11 +19,16 @@ if TYPE_CHECKING:
 TOPIC = "/rosout"
 LOG_TYPE = "rcl_interfaces/msg/Log"
 MAX_LINES = 5000
+"""Some minutes of a talkative robot; nobody reads more of them, and the robot's own log files have them all."""
 MAX_BYTES = 2_000_000
+"""What 5,000 lines of 400 bytes need; a node that logs whole messages is bounded by it."""
 _LEVEL_AT = 12
+"""Behind 4 bytes that tell the encoding and the stamp of 8, see rcl_interfaces/msg/Log."""
 _QOS = QoS("reliable", "transient_local", depth=1000)
 _LOOK_EVERY_S = 1.0
+"""The log of a robot without a bridge can wait."""
 _DRAIN_S = 0.1
+"""Lines are read by people and models: bringing them ten times a second lets the bridge sleep in between."""
 _logger = logging.getLogger(__name__)
 
 LineListener = Callable[[int, Sample], None]
