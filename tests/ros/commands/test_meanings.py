@@ -72,18 +72,18 @@ def test_a_raw_cancel_request_cancels(agent, robot) -> None:
 def test_parameters_are_set_by_raw_calls_and_checked_like_any_request(agent, robot) -> None:
     node = robot.name("tuned")
     kinds = {"set_parameters": "SetParameters", "set_parameters_atomically": "SetParametersAtomically"}
-    for steps, (service, kind) in enumerate(kinds.items(), start=6):
-        parameter = {"name": "steps", "value": {"type": 2, "integer_value": steps}}
+    for label, (service, kind) in zip("ab", kinds.items(), strict=True):
+        parameter = {"name": "label", "value": {"type": 4, "string_value": label}}
         raw = call(agent, f"{node}/{service}", f"rcl_interfaces/srv/{kind}", {"parameters": [parameter]})
         results = raw["result"].get("results") or [raw["result"]["result"]]
         assert [result["successful"] for result in results] == [True]
-        read = agent.call("ros2_parameter_get", node_name=node, names=["steps"])
-        assert read["parameters"]["steps"] == steps
+        read = agent.call("ros2_parameter_get", node_name=node, names=["label"])
+        assert read["parameters"]["label"] == label
     text = agent.refusal(
-        "ros2_service_call", service_name=f"{node}/set_parameters", fields={"parameters": [{"title": "steps"}]}
+        "ros2_service_call", service_name=f"{node}/set_parameters", fields={"parameters": [{"title": "label"}]}
     )
     assert text.startswith("BadValue: parameters[0].title: ")
-    assert agent.call("ros2_parameter_set", node_name=node, values={"steps": 5})["successful"]
+    assert agent.call("ros2_parameter_set", node_name=node, values={"label": "3"})["successful"]
 
 
 def test_a_transition_is_made_by_a_raw_call(agent, robot) -> None:
