@@ -22,6 +22,9 @@ async def send(core: Core, command: SendGoal) -> Answer:
     """
     await core.values.learn(command.type, CANCEL_TYPE)
     core.values.encode_known(f"{command.type}_Goal", command.value)  # a goal that does not fit is not known
+    former = core.jobs.get(Goal, command.goal_id)
+    if former and former.is_running:  # its server refuses a second one of that id, and goes on with the first
+        return await call(core, command)
     goal = await _known(core, command)
     core.failsafes.leave_cancel(command.goal_id, command.name)
     try:
@@ -38,10 +41,7 @@ async def send(core: Core, command: SendGoal) -> Answer:
 
 
 async def _known(core: Core, command: SendGoal) -> Goal:
-    """The goal as a job; the same again where the same goal is sent again."""
-    known = core.jobs.get(Goal, command.goal_id)
-    if known and known.is_running:
-        return known
+    """The goal as a job."""
     cancel = CancelGoals(
         principal=command.principal, name=command.name, goal_id=command.goal_id, timeout_s=_CANCELLED_S
     )

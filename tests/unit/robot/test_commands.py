@@ -168,6 +168,18 @@ async def test_a_goal_is_known_as_long_as_its_server_has_it(robot: Robot, bridge
     robot.goal_ended(GOAL_ID)
 
 
+async def test_a_second_goal_of_the_same_id_that_is_refused_leaves_the_first_known(
+    robot: Robot, bridge: Noting
+) -> None:
+    await robot.values.learn("made/action/Go")
+    for accepted in (True, False):
+        bridge.answer = robot.values.encode_known("made/action/Go_SendGoal_Response", {"accepted": accepted})
+        await robot.do(goal())
+    assert [known.id for known in robot.jobs.running(Goal)] == [GOAL_ID]
+    robot.goal_ended(GOAL_ID)
+    await robot.jobs.close()
+
+
 # ── what a service call means ──────────────────────────────────────────────────────────────────────────────────────
 
 
