@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import inspect
 import os
-from collections.abc import AsyncIterator, Generator
+from collections.abc import AsyncIterator, Generator, Iterator
 from pathlib import Path
 from typing import TypeVar
 
 import pytest
 
 from support.tasks import running_tasks
+from support.turns import turn
 
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
 ROS = Path(__file__).with_name("ros")
@@ -71,6 +72,17 @@ def _failed_for_want(report: Report) -> Report:
         if reason.startswith("needs "):
             report.outcome, report.longrepr = "failed", f"With CI=true this must be there: {reason}"
     return report
+
+
+@pytest.fixture(autouse=True)
+def turn_of_the_test(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """While a test that is marked `alone` runs, no test of another worker does."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        yield
+        return
+    folder_of_all_workers = tmp_path_factory.getbasetemp().parent
+    with turn(folder_of_all_workers, alone=request.node.get_closest_marker("alone") is not None):
+        yield
 
 
 @pytest.fixture(scope="session")

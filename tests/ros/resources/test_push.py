@@ -174,6 +174,7 @@ def test_what_is_not_ours_is_not_subscribed_to(listener_of_each_era: Listener) -
     listener.tell("notifications/cancelled", requestId=request)
 
 
+@pytest.mark.alone
 def test_a_client_that_does_not_read_costs_little_and_is_told_once_when_it_reads_again(
     listener: Listener, events: CommandedProcess
 ) -> None:
