@@ -1,0 +1,74 @@
+"""The same server over HTTP: both eras, the older transport, and what a client leaves behind."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client
+from mcp.client.sse import sse_client
+
+PATIENCE_S = 30.0
+WATCHED = "ros2://topic/parameter_events"
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture
+def port(start: Any, request: pytest.FixtureRequest) -> Iterator[int]:
+    """The port of a running server; the parameter is its transport."""
+    port = free_port()
+    start("ros2_mcp", "--transport", getattr(request, "param", "streamable-http"), "--port", str(port))
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            socket.create_connection(("127.0.0.1", port), 1.0).close()
+        except OSError:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        else:
+            break
+    yield port
+
+
+async def status(client: Client) -> Any:
+    result = await client.call_tool("ros2_status", {})
+    assert not result.is_error, result.content
+    return result.structured_content
+
+
+@pytest.mark.parametrize("mode", ["legacy", "auto"])
+async def test_clients_of_both_eras_list_call_and_read(port: int, mode: str) -> None:
+    async with Client(f"http://127.0.0.1:{port}/mcp", mode=mode) as client:
+        assert "ros2_topic_list" in {tool.name for tool in (await client.list_tools()).tools}
+        assert (await status(client))["bridge_node"]
+        refused = await client.call_tool("ros2_topic_list", {"patern": "x"})
+        assert refused.is_error and "Did you mean pattern?" in refused.content[0].text
+        assert "/rosout" in (await client.read_resource("ros2://topics")).contents[0].text
+
+
+@pytest.mark.parametrize("port", ["sse"], indirect=True)
+async def test_clients_of_the_older_transport_list_and_call(port: int) -> None:
+    async with Client(sse_client(f"http://127.0.0.1:{port}/sse"), mode="legacy") as client:
+        assert "ros2_topic_list" in {tool.name for tool in (await client.list_tools()).tools}
+        assert (await status(client))["bridge_node"]
+
+
+@pytest.mark.filterwarnings("ignore:resources.subscribe is removed")
+async def test_a_client_that_is_gone_leaves_no_subscription_behind(port: int) -> None:
+    async with Client(f"http://127.0.0.1:{port}/mcp", mode="legacy") as stays:
+        before = (await status(stays))["subscriptions"]
+        async with Client(f"http://127.0.0.1:{port}/mcp", mode="legacy") as goes:
+            await goes.subscribe_resource(WATCHED)
+            assert (await status(stays))["subscriptions"] == before + 1
+        with anyio.fail_after(PATIENCE_S):
+            while (await status(stays))["subscriptions"] != before:
+                await anyio.sleep(0.1)
