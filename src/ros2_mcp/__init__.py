@@ -5,7 +5,7 @@ dataclass. They need no MCP, no sourced shell and no rclpy in this process::
 
     import asyncio
     from ros2_mcp import Settings, connect
-    from ros2_mcp.ops.topics import list_topics
+    from ros2_mcp.ops.topics.list import list_topics
 
     async def main():
         async with connect(Settings(read_only=True)) as robot:

@@ -12,7 +12,7 @@ from mcp.server.lowlevel import Server
 from ros2_mcp.adapters.wisevision_prompts import code_of
 from ros2_mcp.library import robot_for, running, store_for
 from ros2_mcp.link.client import Bridge
-from ros2_mcp.ops.bag_store import BagStore
+from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.prompts.catalog import Catalog
 from ros2_mcp.robot import Robot
 from ros2_mcp.server import build_server

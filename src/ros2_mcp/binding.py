@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import visible
-from ros2_mcp.ops.bag_store import BagStore
+from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report, as_json, at_most_every
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import ToolDeclaration

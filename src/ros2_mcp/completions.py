@@ -8,7 +8,7 @@ from typing import Any
 
 from mcp.types import CompleteRequestParams, CompleteResult, Completion, PromptReference
 
-from ros2_mcp.ops.live_names import live_names, topic_types
+from ros2_mcp.ops.graph.known_names import live_names, topic_types
 from ros2_mcp.robot import Robot
 
 MOST = 100

@@ -9,8 +9,8 @@ from ros2_mcp.guard.policy import Policy
 from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.commands import SERVER
-from ros2_mcp.ops.bag_store import BagStore
-from ros2_mcp.ops.recorded_robot import recorded_robot
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.sources.recorded_robot import recorded_robot
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
 

@@ -11,7 +11,7 @@ from ros2_mcp.binding import CallFailed, bind
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.names import did_you_mean
-from ros2_mcp.ops.bag_store import BagStore
+from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import GROUPS, TOOLS, ToolDeclaration

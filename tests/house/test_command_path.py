@@ -12,7 +12,7 @@ from support.source import trees
 INSIDE = ("src/ros2_mcp/robot/", "src/ros2_mcp/link/")
 COMPOSITION = ("src/ros2_mcp/commands/serve.py", "src/ros2_mcp/assembly.py", "src/ros2_mcp/library.py")
 """Where the bridge is made, begun and ended; they may do that and nothing else with it."""
-WITHOUT_A_ROBOT = ("src/ros2_mcp/ops/recorded_robot.py",)
+WITHOUT_A_ROBOT = ("src/ros2_mcp/ops/sources/recorded_robot.py",)
 """Makes a bridge that there never is, for a recording in the place of the robot."""
 BEGINS_AND_ENDS = {"launch", "attach", "close"}
 STREAM_MODULES = {"client", "connection", "subscription", "carrier", "carriers", "local", "heartbeat"}

@@ -13,7 +13,7 @@ from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions, DefinitionText
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.qos import Endpoint, QoS
-from ros2_mcp.ops.source import Capture, GraphSnapshot, Missing, Past, Source, in_batches
+from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Missing, Past, Source, in_batches
 
 START_NS = 1_700_000_000_000_000_000
 NODE = Endpoint("/node", "", "", "", QoS())

@@ -75,7 +75,7 @@ async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None) -
 
 
 async def _until_told_to_end(assembly: Assembly, running: Awaitable[None]) -> None:
-    from ros2_mcp.ops.recording import keep_black_box
+    from ros2_mcp.ops.memory.record import keep_black_box
 
     told_to_end = asyncio.Event()
     background: list[asyncio.Task[None]] = []

@@ -14,8 +14,8 @@ from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import iso_time
-from ros2_mcp.ops.source import Missing, Source
-from ros2_mcp.ops.times import absolute_ns
+from ros2_mcp.ops.sources.source import Missing, Source
+from ros2_mcp.ops.sources.times import absolute_ns
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.log import LOG_TYPE, TOPIC, level_of
 

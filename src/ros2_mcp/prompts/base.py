@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ros2_mcp.ops.live_names import is_of_every_node, live_names
+from ros2_mcp.ops.graph.known_names import is_of_every_node, live_names
 from ros2_mcp.prompts.arguments import Argument, shown
 from ros2_mcp.prompts.prompt import Message, Prompt, step
 from ros2_mcp.robot import Robot

@@ -11,7 +11,8 @@ from mcp.shared.uri_template import UriTemplate
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound
-from ros2_mcp.ops.changes import (
+from ros2_mcp.ops.log import level_number
+from ros2_mcp.ops.watch.changes import (
     GoalsEnded,
     GraphParts,
     LogLines,
@@ -20,8 +21,7 @@ from ros2_mcp.ops.changes import (
     Unchanging,
     WorseDiagnostics,
 )
-from ros2_mcp.ops.log import level_number
-from ros2_mcp.ops.watching import Subject
+from ros2_mcp.ops.watch.watchers import Subject
 from ros2_mcp.resources import content
 
 

@@ -8,12 +8,17 @@ from collections.abc import Mapping, Sequence, Sized
 from typing import Any, cast
 
 from ros2_mcp.model.errors import NotFound, RobotError
-from ros2_mcp.ops import actions, interfaces, nodes, parameters, services, topics
 from ros2_mcp.ops import log as ops_log
-from ros2_mcp.ops.changes import Seen, TopicSamples, WorseDiagnostics
-from ros2_mcp.ops.diagnostics import read_diagnostics
+from ros2_mcp.ops.actions import list as actions
+from ros2_mcp.ops.graph import interfaces
+from ros2_mcp.ops.measure.diagnostics import read_diagnostics
+from ros2_mcp.ops.nodes import list as nodes
+from ros2_mcp.ops.nodes import parameters
 from ros2_mcp.ops.results import as_json, iso_time
-from ros2_mcp.ops.watching import Watcher
+from ros2_mcp.ops.services import call as services
+from ros2_mcp.ops.topics import list as topics
+from ros2_mcp.ops.watch.changes import Seen, TopicSamples, WorseDiagnostics
+from ros2_mcp.ops.watch.watchers import Watcher
 from ros2_mcp.robot import Robot
 
 MOST = 1000

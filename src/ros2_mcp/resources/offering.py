@@ -21,7 +21,7 @@ from mcp.types import (
 )
 
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
-from ros2_mcp.ops.watching import Watcher
+from ros2_mcp.ops.watch.watchers import Watcher
 from ros2_mcp.resources.catalogue import RESOURCES, matching
 from ros2_mcp.resources.content import fitting
 from ros2_mcp.resources.push import Push

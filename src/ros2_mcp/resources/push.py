@@ -30,7 +30,7 @@ from mcp.types import (
 )
 
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp.ops.watching import Watcher
+from ros2_mcp.ops.watch.watchers import Watcher
 from ros2_mcp.resources.catalogue import subject_of
 
 # Several times what any client was seen to watch; each may be a subscription on the robot.

@@ -17,6 +17,7 @@ from ros2_mcp.robot.listening import Listening, subscribed_while
 from ros2_mcp.robot.log import LogRing
 from ros2_mcp.robot.translation import as_meant
 from ros2_mcp.robot.values import Values
+from ros2_mcp_bridge.protocol import Keep
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Subscription
@@ -107,7 +108,7 @@ class Robot(Core):
         type_name: str = "",
         *,
         wait_s: float = 0.0,
-        keep: str = "all",
+        keep: Keep = "all",
         max_samples: int = 20_000,
         max_bytes: int = 64_000_000,
     ) -> AsyncGenerator[Listening, None]:

@@ -6,7 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ros2_mcp.ops import actions, goals
+from ros2_mcp.ops.actions import goals
+from ros2_mcp.ops.actions import list as actions
 from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Number, Pattern, Whole

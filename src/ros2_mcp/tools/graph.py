@@ -6,7 +6,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ros2_mcp.ops import interfaces, nodes, status
+from ros2_mcp.ops.graph import interfaces, status
+from ros2_mcp.ops.nodes import list as nodes
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Hidden, Limit, Pattern
 from ros2_mcp.tools.declare import tool

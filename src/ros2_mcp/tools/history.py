@@ -7,10 +7,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ros2_mcp.ops import history
-from ros2_mcp.ops.bag_store import BagStore
+from ros2_mcp.ops.memory import messages as history
+from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report
-from ros2_mcp.ops.source import SourceRequest
+from ros2_mcp.ops.sources.source import SourceRequest
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import MessageType, TopicName, Whole
 from ros2_mcp.tools.declare import tool

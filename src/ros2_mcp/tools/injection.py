@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any
 
-from ros2_mcp.ops.bag_store import BagStore
-from ros2_mcp.ops.live import Live
+from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report
-from ros2_mcp.ops.selection import Selection
-from ros2_mcp.ops.source import Source
-from ros2_mcp.ops.sources import open_source
+from ros2_mcp.ops.sources.kinds import open_source
+from ros2_mcp.ops.sources.live import Live
+from ros2_mcp.ops.sources.selection import Selection
+from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import (
     Duration,

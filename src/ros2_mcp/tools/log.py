@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from ros2_mcp.ops import log
-from ros2_mcp.ops.selection import Selection
+from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Since, Whole
 from ros2_mcp.tools.declare import tool

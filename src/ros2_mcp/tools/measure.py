@@ -6,10 +6,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ros2_mcp.ops import comparison, health, statistics, waiting
+from ros2_mcp.ops.measure import compare as comparison
+from ros2_mcp.ops.measure import health_check as health
+from ros2_mcp.ops.measure import statistics
+from ros2_mcp.ops.measure import wait_until as waiting
 from ros2_mcp.ops.results import Report
-from ros2_mcp.ops.selection import Selection
-from ros2_mcp.ops.source import Source
+from ros2_mcp.ops.sources.selection import Selection
+from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.tools.arguments import Flag, Number, NumericFields, TopicName
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Numbers

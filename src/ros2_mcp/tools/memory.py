@@ -7,8 +7,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ros2_mcp.ops import bags, playing, recording
-from ros2_mcp.ops.bag_store import BagStore
+from ros2_mcp.ops.memory import bags
+from ros2_mcp.ops.memory import play as playing
+from ros2_mcp.ops.memory import record as recording
+from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import BagEnd, BagName, BagStart, Flag, Limit, Number, Pattern, TopicName, Whole

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ros2_mcp.ops import lifecycle, parameters
+from ros2_mcp.ops.nodes import lifecycle, parameters
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Limit, Pattern
 from ros2_mcp.tools.declare import tool

@@ -7,9 +7,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from ros2_mcp.model.pictures import MAX_SIDE, BirdEyeOptions, Bounds
-from ros2_mcp.ops import picturing, plotting
+from ros2_mcp.ops.pictures import map_and_cloud as picturing
+from ros2_mcp.ops.pictures import plot as plotting
 from ros2_mcp.ops.results import Report
-from ros2_mcp.ops.source import Source
+from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.tools.arguments import Number, TopicName, Whole
 from ros2_mcp.tools.declare import tool
 

@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
-from ros2_mcp.ops import publishing
 from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.topics import publish as publishing
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import MessageType, Number, TopicName
 from ros2_mcp.tools.declare import tool

@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ros2_mcp.ops import services
 from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.services import call as services
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Number, Pattern
 from ros2_mcp.tools.declare import tool

@@ -7,9 +7,11 @@ from typing import Annotated
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
-from ros2_mcp.ops import reading, timing, topics
 from ros2_mcp.ops.results import Report
-from ros2_mcp.ops.source import Source
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.topics import list as topics
+from ros2_mcp.ops.topics import stats as timing
+from ros2_mcp.ops.topics import subscribe as reading
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Duration, Hidden, Limit, MessageLimit, MessageType, Number, Pattern, TopicName
 from ros2_mcp.tools.declare import tool

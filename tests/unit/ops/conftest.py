@@ -9,7 +9,7 @@ import pytest
 
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.source import Capture
+from ros2_mcp.ops.sources.source import Capture
 from support.made_windows import CODEC, START_NS, Make, encoded
 
 

@@ -16,8 +16,8 @@ from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadData, NotFound
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops import bags
-from ros2_mcp.ops.bag_store import BagStore
+from ros2_mcp.ops.memory import bags
+from ros2_mcp.ops.memory.bag_store import BagStore
 
 NOBODY = 65534
 COUNT = StoredTopic("/count", "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n")

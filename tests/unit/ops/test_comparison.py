@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
-from ros2_mcp.ops.comparison import compare, evaluate
+from ros2_mcp.ops.measure.compare import compare, evaluate
 from support.made_windows import Make, Recorded
 
 FLOAT = "std_msgs/msg/Float64"

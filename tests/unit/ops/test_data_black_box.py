@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from ros2_mcp.model.errors import BadData
-from ros2_mcp.ops.data_black_box import (
+from ros2_mcp.ops.sources.data_black_box import (
     Question,
     full_date_time,
     read_second,

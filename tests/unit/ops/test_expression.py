@@ -10,7 +10,7 @@ import pytest
 
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.errors import BadInput, BadValue
-from ros2_mcp.ops.expression import condition
+from ros2_mcp.ops.measure.expression import condition
 from support.made_windows import decoded
 
 ODOMETRY = "nav_msgs/msg/Odometry"

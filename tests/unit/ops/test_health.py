@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from ros2_mcp.model.qos import Endpoint, QoS
-from ros2_mcp.ops.health import Expectations, Health, check_health, to_measure
-from ros2_mcp.ops.source import Capture, GraphSnapshot
+from ros2_mcp.ops.measure.health_check import Expectations, Health, check_health, to_measure
+from ros2_mcp.ops.sources.source import Capture, GraphSnapshot
 from ros2_mcp.robot import TopicEndpoints
 from support.made_windows import Make, Recorded
 

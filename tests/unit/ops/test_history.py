@@ -20,12 +20,13 @@ from ros2_mcp.binding import bind
 from ros2_mcp.model.errors import BadData, NotFound, UnknownInterface
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops import bags, history
-from ros2_mcp.ops.bag_store import BLACK_BOX, BagStore
-from ros2_mcp.ops.history import StoredMessages
-from ros2_mcp.ops.recorded_robot import recorded_robot
-from ros2_mcp.ops.selection import Selection
-from ros2_mcp.ops.source import SourceRequest
+from ros2_mcp.ops.memory import bags
+from ros2_mcp.ops.memory import messages as history
+from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
+from ros2_mcp.ops.memory.messages import StoredMessages
+from ros2_mcp.ops.sources.recorded_robot import recorded_robot
+from ros2_mcp.ops.sources.selection import Selection
+from ros2_mcp.ops.sources.source import SourceRequest
 from ros2_mcp.tools import DECLARED
 from support.made_windows import encoded
 

@@ -13,9 +13,9 @@ import pytest
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops import playing
-from ros2_mcp.ops.bag_store import BagStore
-from ros2_mcp.ops.playing import Playback, PlaybackState, PlayRequest, status, stop
+from ros2_mcp.ops.memory import play as playing
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.memory.play import Playback, PlaybackState, PlayRequest, status, stop
 from ros2_mcp.robot import Robot
 from support.made_bridge import NUMBER, MadeBridge, robot_of
 from support.tasks import soon

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
-from ros2_mcp.ops.picturing import map_picture
-from ros2_mcp.ops.plotting import Look, Plot, plot
+from ros2_mcp.ops.pictures.map_and_cloud import map_picture
+from ros2_mcp.ops.pictures.plot import Look, Plot, plot
 from support.made_windows import Make, Recorded
 
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -17,12 +17,14 @@ from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound, TypeConflict
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops import bags, reading, timing
-from ros2_mcp.ops.bag_store import BagStore
-from ros2_mcp.ops.recorded import open_bag
-from ros2_mcp.ops.selection import Selection
-from ros2_mcp.ops.source import Capture, Missing, Source
-from ros2_mcp.ops.times import parsed_ns, span_of
+from ros2_mcp.ops.memory import bags
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.sources.bag import open_bag
+from ros2_mcp.ops.sources.selection import Selection
+from ros2_mcp.ops.sources.source import Capture, Missing, Source
+from ros2_mcp.ops.sources.times import parsed_ns, span_of
+from ros2_mcp.ops.topics import stats as timing
+from ros2_mcp.ops.topics import subscribe as reading
 from support.made_bridge import MadeBridge, robot_of
 
 START_NS = 1_700_000_000_000_000_000

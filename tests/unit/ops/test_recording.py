@@ -18,11 +18,13 @@ from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadInput, TimedOut
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops import bags, recording, timing
-from ros2_mcp.ops.bag_store import BLACK_BOX, BagStore
-from ros2_mcp.ops.recorded import open_bag
-from ros2_mcp.ops.recording import BlackBox, Recording, RecordRequest, keep_black_box
-from ros2_mcp.ops.selection import Selection
+from ros2_mcp.ops.memory import bags
+from ros2_mcp.ops.memory import record as recording
+from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
+from ros2_mcp.ops.memory.record import BlackBox, Recording, RecordRequest, keep_black_box
+from ros2_mcp.ops.sources.bag import open_bag
+from ros2_mcp.ops.sources.selection import Selection
+from ros2_mcp.ops.topics import stats as timing
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
 from support.made_bridge import NUMBER, MadeBridge, robot_of

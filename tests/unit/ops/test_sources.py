@@ -14,15 +14,20 @@ from ros2_mcp.binding import bind
 from ros2_mcp.codec.cdr import Codec
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops import bags, history, plotting, reading, sources, statistics
-from ros2_mcp.ops.bag_store import BagStore
-from ros2_mcp.ops.recorded import BagSource, open_bag
-from ros2_mcp.ops.recorded_robot import recorded_robot
+from ros2_mcp.ops.measure import statistics
+from ros2_mcp.ops.measure.wait_until import wait_until
+from ros2_mcp.ops.memory import bags
+from ros2_mcp.ops.memory import messages as history
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.pictures import plot as plotting
 from ros2_mcp.ops.results import silent
-from ros2_mcp.ops.selection import Collector, Selection, fit
-from ros2_mcp.ops.source import Source, SourceKind, SourceRequest
-from ros2_mcp.ops.sources import open_source
-from ros2_mcp.ops.waiting import wait_until
+from ros2_mcp.ops.sources import kinds as sources
+from ros2_mcp.ops.sources.bag import BagSource, open_bag
+from ros2_mcp.ops.sources.kinds import open_source
+from ros2_mcp.ops.sources.recorded_robot import recorded_robot
+from ros2_mcp.ops.sources.selection import Collector, Selection, fit
+from ros2_mcp.ops.sources.source import Source, SourceKind, SourceRequest
+from ros2_mcp.ops.topics import subscribe as reading
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import DECLARED
 from support.made_bridge import MadeBridge, robot_of

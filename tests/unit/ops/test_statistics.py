@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ros2_mcp.model.errors import BadInput, BadValue
-from ros2_mcp.ops.selection import Selection
-from ros2_mcp.ops.statistics import FieldStatistics, evaluate, measure
+from ros2_mcp.ops.measure.statistics import FieldStatistics, evaluate, measure
+from ros2_mcp.ops.sources.selection import Selection
 from support.made_windows import Make, Recorded
 
 FLOAT = "std_msgs/msg/Float64"

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from ros2_mcp.ops.stopping import Stopped, StoppedGoal, StoppedTopic, _is_still, _note
+from ros2_mcp.ops.stop import Stopped, StoppedGoal, StoppedTopic, _is_still, _note
 
 
 def test_a_topic_that_somebody_else_publishes_on_is_not_still() -> None:

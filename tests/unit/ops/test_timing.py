@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import pytest
 
-from ros2_mcp.ops.source import GraphSnapshot
-from ros2_mcp.ops.timing import TopicStats, measure
+from ros2_mcp.ops.sources.source import GraphSnapshot
+from ros2_mcp.ops.topics.stats import TopicStats, measure
 from support.made_windows import Make, Recorded
 
 FLOAT = "std_msgs/msg/Float64"

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from ros2_mcp.model.errors import BadInput
-from ros2_mcp.ops.waiting import wait_until
+from ros2_mcp.ops.measure.wait_until import wait_until
 from support.made_windows import Make, Recorded
 
 FLOAT = "std_msgs/msg/Float64"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ros2_mcp.model.errors import BadInput, BadName, NotFound
-from ros2_mcp.ops.changes import GoalsEnded, GraphParts, LogLines, ParametersOf, TopicSamples, Unchanging
+from ros2_mcp.ops.watch.changes import GoalsEnded, GraphParts, LogLines, ParametersOf, TopicSamples, Unchanging
 from ros2_mcp.resources.catalogue import RESOURCES, subject_of
 
 

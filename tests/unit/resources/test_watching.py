@@ -10,7 +10,7 @@ from typing import Any, cast
 import pytest
 
 from ros2_mcp.model.errors import BridgeLost
-from ros2_mcp.ops.watching import MIN_PERIOD_S, Watcher
+from ros2_mcp.ops.watch.watchers import MIN_PERIOD_S, Watcher
 from ros2_mcp.robot import Robot
 from support.tasks import running_tasks, soon
 

@@ -1,0 +1,1 @@
+"""Actions: which there are, their goals, and what becomes of them."""

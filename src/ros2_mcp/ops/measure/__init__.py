@@ -1,0 +1,1 @@
+"""Measuring: rates, statistics, comparisons, conditions and health, live or recorded."""

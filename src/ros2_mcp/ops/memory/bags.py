@@ -1,0 +1,192 @@
+"""Bags: which there are, what is in them, and their messages."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.sources.bag import is_growing, open_bag
+from ros2_mcp.ops.sources.selection import Selection, fit
+from ros2_mcp.ops.topics.subscribe import collect
+from ros2_mcp.robot import Robot
+
+if TYPE_CHECKING:
+    from ros2_mcp.bags.bag import Bag
+
+MAX_MESSAGES = 10_000
+"""Of one call: more than that cannot be shown in any result."""
+_UNFINISHED = ("the recording was not closed.", "the end of the file is missing.")
+
+
+@dataclass(frozen=True, slots=True)
+class BagEntry:
+    """A bag that can be read; `modified_at` is when its newest file was written."""
+
+    bag: str
+    bytes: int
+    modified_at: str
+
+
+@dataclass(frozen=True, slots=True)
+class BagList:
+    """The bags below the folder that this server may read."""
+
+    bags: Sequence[BagEntry]
+    total: int
+    folder: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{len(self.bags)} of {self.total} bags in {self.folder}."
+
+
+@dataclass(frozen=True, slots=True)
+class BagTopic:
+    """A topic of a bag; `has_definition` tells whether the bag itself says what its bytes mean.
+
+    `messages` counts those in all files; a black box has the last latched message of a topic in each of them.
+    """
+
+    topic_name: str
+    topic_type: str
+    messages: int
+    has_definition: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BagInfo:
+    """What is in a bag; `problems` say what is damaged or missing."""
+
+    bag: str
+    start: str
+    end: str
+    duration_s: float
+    messages: int
+    bytes: int
+    topics: Sequence[BagTopic]
+    problems: Sequence[str]
+
+    def summary(self) -> str:
+        """One line, and one for each problem."""
+        line = f"{self.bag}: {self.messages} messages of {len(self.topics)} topics in {self.duration_s:.3f} s."
+        return "\n".join([line, *self.problems])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagMessages:
+    """Messages of one topic of a bag. `received_at` are the recorder's times; `truncated` names summarised paths."""
+
+    bag: str
+    topic_name: str
+    topic_type: str
+    messages: Sequence[dict[str, Any]]
+    received_at: Sequence[str]
+    count: int
+    truncated: Sequence[str]
+    problems: Sequence[str]
+    note: str
+
+    def summary(self) -> str:
+        """One line, and one for each problem."""
+        return "\n".join(
+            [f"{self.bag} {self.topic_name}: {self.count} message(s). {self.note}".rstrip(), *self.problems]
+        )
+
+
+async def list_bags(store: BagStore, pattern: str = "", limit: int = 200) -> BagList:
+    """The bags whose names match the pattern, the newest first."""
+    return await asyncio.to_thread(_list, store, pattern, limit)
+
+
+async def info(store: BagStore, bag: str) -> BagInfo:
+    """What is in a bag.
+
+    Raises:
+        NotFound: if there is no such bag.
+        BadData: if nothing of it can be read.
+    """
+    return await asyncio.to_thread(_info, store, bag)
+
+
+async def read(
+    robot: Robot, store: BagStore, bag: str, topic: str, selection: Selection, start: str = "", end: str = ""
+) -> BagMessages:
+    """Messages of one topic of a bag: the first ones from `start` on where that is given, else the last ones.
+
+    Raises:
+        NotFound: if there is no such bag or topic.
+        UnknownInterface: if nobody knows the type's definition.
+        BadValue: if a limit or a moment is out of range, or a field is not in the type.
+    """
+    bounded("limit", selection.message_limit or 1, 1, MAX_MESSAGES, "messages")
+    source = await open_bag(store, bag, start, end, robot, may_be_empty=True)
+    collected = await collect(source, topic, "", selection, latched=False)
+    stream = collected.stream
+    fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
+    notes = [collected.more, fitted.note]
+    if not collected.samples:
+        first_ns, last_ns = source.covers
+        notes.append(f"None in that time; the bag goes from {iso_time(first_ns)} to {iso_time(last_ns)}.")
+    return BagMessages(
+        bag=bag,
+        topic_name=stream.topic,
+        topic_type=stream.type,
+        messages=fitted.values,
+        received_at=[iso_time(sample.received_ns) for sample in fitted.samples],
+        count=len(fitted.values),
+        truncated=fitted.truncated,
+        problems=await asyncio.to_thread(_problems_of, store, bag),
+        note=" ".join(filter(None, notes)),
+    )
+
+
+def _problems_of(store: BagStore, name: str) -> Sequence[str]:
+    with store.reading(name) as bag:
+        return _problems(store, bag)
+
+
+def _problems(store: BagStore, bag: Bag) -> Sequence[str]:
+    """What is damaged or missing; that the end is not written yet is no damage."""
+    if not is_growing(store, bag):
+        return bag.problems
+    return ["It is still being recorded.", *(each for each in bag.problems if not each.endswith(_UNFINISHED))]
+
+
+def _list(store: BagStore, pattern: str, limit: int) -> BagList:
+    found = store.bag_names()
+    chosen = [_entry(name, found[name]) for name in names.matching(found, pattern)]
+    chosen.sort(key=lambda entry: entry.modified_at, reverse=True)
+    return BagList(chosen[:limit], len(found), str(store.bag_dir))
+
+
+def _entry(name: str, path: Path) -> BagEntry:
+    files = [path] if path.is_file() else [each for each in path.iterdir() if each.is_file()]
+    facts = [each.stat() for each in files]
+    return BagEntry(name, sum(f.st_size for f in facts), iso_time(max(f.st_mtime_ns for f in facts)))
+
+
+def _info(store: BagStore, name: str) -> BagInfo:
+    with store.reading(name) as bag:
+        counts = bag.counts()
+        first_ns, last_ns = bag.times or (0, 0)
+        topics = [
+            BagTopic(topic.name, topic.type, counts.get(topic.name, 0), bool(topic.definition))
+            for topic in sorted(bag.topics.values(), key=lambda topic: topic.name)
+        ]
+        return BagInfo(
+            name,
+            iso_time(first_ns) if bag.times else "",
+            iso_time(last_ns) if bag.times else "",
+            (last_ns - first_ns) / 1e9,
+            sum(counts.values()),
+            bag.size,
+            topics,
+            _problems(store, bag),
+        )

@@ -1,0 +1,150 @@
+"""What was said earlier: messages of a topic from whichever source has them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from contextlib import aclosing
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.results import Report, iso_time, reporting, silent
+from ros2_mcp.ops.sources.bag import end_note
+from ros2_mcp.ops.sources.data_black_box import ANY, TIMEOUT_S
+from ros2_mcp.ops.sources.kinds import sources_of_the_past
+from ros2_mcp.ops.sources.selection import MAX_MESSAGES, Fitted, Selection, fit
+from ros2_mcp.ops.sources.source import Source, SourceRequest
+from ros2_mcp.ops.topics.subscribe import Collected, collect
+from ros2_mcp.robot import Robot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredMessages:
+    """Messages of the past with the times at which they were stored (empty where the source does not say).
+
+    `count` are shown of `found` ones; `note` tells if there are earlier ones that were not read. `truncated` names
+    paths whose values are summaries.
+    """
+
+    source: str
+    topic_name: str
+    topic_type: str
+    timestamps: Sequence[str]
+    messages: Sequence[dict[str, Any]]
+    count: int
+    found: int
+    truncated: Sequence[str]
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{self.topic_name}: {self.count} of {self.found} message(s) from {self.source}. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    source: Source
+    collected: Collected
+    failed: Sequence[RobotError]
+
+
+async def get_messages(
+    robot: Robot,
+    store: BagStore,
+    topic: str,
+    type_name: str,
+    request: SourceRequest,
+    selection: Selection,
+    report: Report = silent,
+) -> StoredMessages:
+    """The last messages of the past between two moments, from the first source that has some.
+
+    The selection's `message_limit` is how many (None: all). If they do not fit, they are evenly thinned.
+
+    Raises:
+        NotFound: if no source knows the topic.
+        BadValue: if a limit or a moment is out of range, or a field is not in the type.
+        BadData: if no message is what the type says.
+        RobotError: with the words of a source that failed, where no other has the messages.
+    """
+    bounded("number_of_messages", selection.message_limit or 0, 0, MAX_MESSAGES, "messages")
+    selection.check()
+    topic = names.absolute(topic)
+    type_name = "" if type_name in ("", ANY) else names.interface_type(type_name, "msg")
+    async with reporting(report, TIMEOUT_S, f"looking for earlier messages of {topic}"):
+        found = await _find(robot, store, topic, type_name, request, selection)
+    return await asyncio.to_thread(_show, found, type_name, request, selection)
+
+
+async def _find(
+    robot: Robot, store: BagStore, topic: str, type_name: str, request: SourceRequest, selection: Selection
+) -> _Found:
+    """What the first source has that has messages, else what one without any says; and which sources failed."""
+    all_of_them = replace(selection, fields=(), every_n=1, message_limit=selection.message_limit or MAX_MESSAGES)
+    empty: _Found | None = None
+    failed: list[RobotError] = []
+    async with aclosing(sources_of_the_past(robot, store, request)) as sources:
+        async for source in sources:
+            try:
+                if isinstance(source, RobotError):
+                    raise source
+                expected = "" if source.keeps_types else type_name
+                collected = await collect(
+                    source, topic, expected, all_of_them, latched=False, names=("time_start", "time_end")
+                )
+            except (BadName, BadValue):
+                raise
+            except NotFound:
+                continue  # a bag that does not have the topic
+            except RobotError as error:
+                failed.append(error)
+                continue
+            found = _Found(source, collected, failed)
+            if collected.samples:
+                return found
+            empty = empty or found
+    if empty and not failed:
+        return empty
+    raise (
+        failed[0]
+        if failed
+        else NotFound(
+            f"Nobody has kept messages of {topic}: no Data Black Box, no recording and no opened bag has it.",
+            "Start the server with --black-box, record with ros2_record_start, or open a bag with ros2_bag_info.",
+        )
+    )
+
+
+def _show(found: _Found, type_name: str, request: SourceRequest, selection: Selection) -> StoredMessages:
+    source, stream, whole = found.source.title, found.collected.stream, found.collected.samples
+    samples = whole[:: -selection.every_n][::-1]  # counted from the newest
+    fitted = fit(stream.codec, stream.type, samples, selection) if samples else Fitted()
+    if samples and not fitted.samples:
+        raise BadData(
+            f"{source} has {len(samples)} messages of {stream.topic}, but none is a {stream.type}.",
+            "Give the right message_type: the messages were stored with another type, or another version of it.",
+        )
+    notes = [f"Another source failed: {error.message}" for error in found.failed]
+    notes += [stream.note, end_note(found.source, request.start, request.end)]
+    if len(whole) != selection.message_limit:  # whoever asks for the last two knows that there are others
+        notes.append(found.collected.more)
+    if type_name not in ("", stream.type):
+        notes.append(f"They are {stream.type}, not {type_name}.")
+    notes.append(fitted.note)
+    if not samples:
+        notes.append("None in that time." if request.start or request.end else "It has none of this topic.")
+    return StoredMessages(
+        source=source,
+        topic_name=stream.topic,
+        topic_type=stream.type,
+        timestamps=[iso_time(each.received_ns) if each.received_ns else "" for each in fitted.samples],
+        messages=fitted.values,
+        count=len(fitted.values),
+        found=len(whole),
+        truncated=fitted.truncated,
+        note=" ".join(filter(None, notes)),
+    )

@@ -1,0 +1,354 @@
+"""Playing a bag: its bytes are published again in the rhythm in which they came."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from time import monotonic
+from typing import TYPE_CHECKING
+
+import anyio
+from anyio import to_thread
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.commands import Feed, Play
+from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, TypeConflict
+from ros2_mcp.model.qos import QoS
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.sources.bag import find_topic, span_in
+from ros2_mcp.robot import VELOCITY_TYPES, Robot
+from ros2_mcp.robot.jobs import Job
+
+if TYPE_CHECKING:
+    from ros2_mcp.bags.bag import Bag
+    from ros2_mcp.bags.stored import Span, StoredTopic
+
+_SHORTEST_LOOP_S = 0.1
+"""A bag of one moment, looped, would otherwise be published as fast as the processor can."""
+_MATCH_S = 1.0
+"""How long the bridge waits for subscribers that discovery may still be matching with our new publishers."""
+_READY_S = 5.0
+"""A bridge makes a hundred publishers within a second; one that has not by then will not."""
+_POLL_S = 0.02
+_KNOWN_S = 0.3
+"""Subscribers get to know our publishers a moment later than these them; what comes before arrives late."""
+_NAMED = 8
+_BATCH = 64
+_BATCH_BYTES = 4_000_000
+"""What is read ahead of its time: enough that no message waits for the disk, and little memory with pictures."""
+_TOGETHER_S = 0.002
+"""Messages that are due within this time go out in one request: no listener can tell, and it saves round trips."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlayRequest:
+    """What to play; `remaps` gives topics other names. With `force` also onto topics that have a publisher."""
+
+    bag: str
+    rate: float = 1.0
+    start: str = ""
+    end: str = ""
+    topics: Sequence[str] = ()
+    remaps: Mapping[str, str] = field(default_factory=dict[str, str])
+    loop: bool = False
+    force: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PlaybackState:
+    """A playback. `state` is `playing`, `ended`, `stopped` or `failed`; `late_s` how far it lags behind its rhythm."""
+
+    playback_id: str
+    bag: str
+    state: str
+    published: Mapping[str, int]
+    progress: float
+    loops: int
+    elapsed_s: float
+    late_s: float
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        what = f"{sum(self.published.values())} messages, {self.progress:.0%} of {self.bag}"
+        return f"{self.playback_id} {self.state}: {what}. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class PlaybackStates:
+    """The playbacks that run, and the last that ended."""
+
+    playbacks: Sequence[PlaybackState]
+
+    def summary(self) -> str:
+        """A line for each."""
+        return "\n".join(each.summary() for each in self.playbacks) or "Nothing has been played."
+
+
+class Playback(Job):
+    """One playback: a publisher in the bridge for each topic, fed in the recorded rhythm."""
+
+    kind = "playback"
+    listed_by = "ros2_bag_play_status"
+    stopped_by = "ros2_bag_play_stop"
+
+    def __init__(
+        self, robot: Robot, bag: Bag, request: PlayRequest, span: Span, topics: Mapping[str, StoredTopic]
+    ) -> None:
+        super().__init__(owner=robot.principal, moves=[request.remaps.get(name, name) for name in topics])
+        self._robot = robot
+        self._bag = bag
+        self._request = request
+        self._span = span
+        first_ns, last_ns = bag.times or (0, 1)
+        self._first_ns = max(first_ns, span.start_ns)
+        self._length_ns = max(min(last_ns, span.end_ns) - self._first_ns, 1)
+        self._topics = topics
+        self._published = dict.fromkeys(topics, 0)
+        self._note = ""
+        self._problems: Sequence[str] = ()
+        self._progress = 0.0
+        self._loops = 0
+        self._late_s = 0.0
+
+    async def run(self) -> None:
+        """Opens the publishers and plays. They are requests to the bridge that stay open: losing one ends it all."""
+        try:
+            async with anyio.create_task_group() as publishers:
+                for name, topic in self._topics.items():
+                    publishers.start_soon(self._open, name, topic)
+                for name in self._topics:
+                    await self._until_ready(name)
+                await anyio.sleep(_KNOWN_S)
+                await self._note_who_listens()
+                self.begun()
+                await self._play()
+                publishers.cancel_scope.cancel()
+        finally:
+            self._problems = list(self._bag.problems)
+            self._bag.close()
+
+    def report(self) -> PlaybackState:
+        """How it stands."""
+        note = self._note
+        if not self.has_begun and not self.is_running:
+            note = "It did not begin."
+        elif self.failure:
+            note = str(self.failure)
+        elif self.stop_reason and not self.is_running:
+            note = f"Its publishers have been ended, as {self.stop_reason} does."
+        return PlaybackState(
+            playback_id=self.id,
+            bag=self._request.bag,
+            state="playing" if self.is_running else self.state,
+            published={self._destination(name): count for name, count in self._published.items()},
+            progress=round(self._progress, 4),
+            loops=self._loops,
+            elapsed_s=round(self.elapsed_s, 3),
+            late_s=round(self._late_s, 3),
+            note=" ".join(filter(None, (note, *self._problems))),
+        )
+
+    def _destination(self, topic: str) -> str:
+        return self._request.remaps.get(topic, topic)
+
+    def _relay(self, topic: str) -> str:
+        return f"{self.id}{topic}"
+
+    async def _open(self, name: str, topic: StoredTopic) -> None:
+        play = Play(
+            principal=self.owner,
+            name=self._destination(name),
+            type=topic.type,
+            relay_id=self._relay(name),
+            qos=_qos(topic),
+            bag=self._request.bag,
+            topic=name,
+            wait_match_s=_MATCH_S,
+        )
+        await self._robot.do(play)
+
+    async def _until_ready(self, name: str) -> None:
+        deadline = monotonic() + _READY_S
+        while True:
+            try:
+                await self._pass_on(name, ())
+                return
+            except NotFound:
+                if monotonic() > deadline:
+                    raise
+                await anyio.sleep(_POLL_S)
+
+    async def _note_who_listens(self) -> None:
+        relays = await self._robot.graph.relays()
+        relay_of = {self._destination(name): relays.get(self._relay(name)) for name in self._topics}
+        unheard = [topic for topic, relay in relay_of.items() if relay and not relay.matched]
+        if unheard:
+            more = f" and {len(unheard) - _NAMED} more" if len(unheard) > _NAMED else ""
+            self._note = f"Nobody listened to {', '.join(unheard[:_NAMED])}{more} when it began."
+
+    async def _play(self) -> None:
+        try:
+            while True:
+                begun = monotonic()
+                await self._play_once(begun)
+                self._loops += 1
+                if not any(self._published.values()):
+                    self._note = "Nothing was published: no message of these topics is in that part of the bag."
+                    return
+                if not self._request.loop:
+                    return
+                await anyio.sleep(max(0.0, begun + self._loop_s - monotonic()))
+        except NotFound:
+            self.outcome, self.stop_reason = "stopped", "ros2_stop"
+
+    @property
+    def _loop_s(self) -> float:
+        return max(self._length_ns / 1e9 / self._request.rate, _SHORTEST_LOOP_S)
+
+    async def _play_once(self, begun: float) -> None:
+        messages = self._bag.messages(self._span)
+        while batch := await to_thread.run_sync(_next_batch, messages):
+            for due_ns, group in _together(batch, self._request.rate):
+                away_ns = due_ns - self._first_ns
+                due = begun + away_ns / 1e9 / self._request.rate
+                if (pause := due - monotonic()) > 0:
+                    await anyio.sleep(pause)
+                self._late_s = max(0.0, monotonic() - due)
+                await self._feed(group)
+                self._progress = min(max(away_ns / self._length_ns, 0.0), 1.0)
+        self._progress = 1.0
+
+    async def _feed(self, group: Sequence[tuple[str, Sample]]) -> None:
+        """Publishes messages in their order, those of the same topic that follow each other at once."""
+        for topic, members in itertools.groupby(group, key=lambda each: each[0]):
+            bodies = [sample.data for _, sample in members]
+            await self._pass_on(topic, bodies)
+            self._published[topic] += len(bodies)
+
+    async def _pass_on(self, topic: str, messages: Sequence[bytes]) -> None:
+        to, kind, relay_id = self._destination(topic), self._topics[topic].type, self._relay(topic)
+        feed = Feed(principal=self.owner, name=to, type=kind, relay_id=relay_id, messages=messages)
+        await self._robot.do(feed)
+
+
+async def play(
+    robot: Robot, store: BagStore, request: PlayRequest, wait_s: float = 40.0, report: Report = silent
+) -> PlaybackState:
+    """Plays a bag, or a part of it; after `wait_s` it goes on by itself. A waiting that is cancelled stops it.
+
+    Raises:
+        Refused: if this server is read-only, or too many playbacks run; without `force`, if a topic has a live
+            publisher, or somebody listens to a velocity command.
+        NotFound: if there is no such bag, or it has no such topic.
+        TypeConflict: if a topic is there with another type.
+        UnknownInterface: if the robot does not know a type.
+    """
+    bounded("rate", request.rate, 0.01, 100.0, "times")
+    robot.jobs.require_room(Playback)
+    request = replace(request, remaps={names.absolute(a): names.absolute(b) for a, b in request.remaps.items()})
+    bag, span, topics = await to_thread.run_sync(_prepare, store, request)
+    playback = Playback(robot, bag, request, span, topics)
+
+    async def tell() -> None:
+        state = playback.report()
+        await report(state.progress, 1.0, state.summary())
+
+    try:
+        await _check(robot, request, topics)
+        await robot.jobs.start(playback)
+    except BaseException:  # also where the call is cancelled
+        bag.close()
+        raise
+    await robot.jobs.wait(playback, wait_s, every_second=tell)
+    return playback.report()
+
+
+async def status(robot: Robot, playback_id: str = "") -> PlaybackStates:
+    """How playbacks stand: the one of that id, or all that run and the last that ended."""
+    return PlaybackStates([playback.report() for playback in robot.jobs.chosen(Playback, playback_id)])
+
+
+async def stop(robot: Robot, playback_id: str) -> PlaybackState:
+    """Stops a playback."""
+    return (await robot.jobs.stop(Playback, playback_id)).report()
+
+
+def _prepare(store: BagStore, request: PlayRequest) -> tuple[Bag, Span, dict[str, StoredTopic]]:
+    from ros2_mcp.bags.bag import Bag
+
+    bag = Bag(store.find_bag(request.bag))
+    try:
+        chosen = [find_topic(bag, name) for name in request.topics] or list(bag.topics.values())
+        topics = {topic.name: topic for topic in chosen}
+        unknown = set(request.remaps) - set(topics)
+        if unknown:
+            raise BadInput(f"{sorted(unknown)[0]} is remapped, but not played.", f"Played: {', '.join(topics)}.")
+        _check_types({(request.remaps.get(name, name), topic.type) for name, topic in topics.items()})
+        return bag, replace(span_in(store, bag, request.start, request.end), topics=frozenset(topics)), topics
+    except RobotError:
+        bag.close()
+        raise
+
+
+def _check_types(destinations: Collection[tuple[str, str]]) -> None:
+    for destination, type_name in destinations:
+        for other in (kind for name, kind in destinations if name == destination and kind != type_name):
+            raise TypeConflict(f"{destination} would be both a {type_name} and a {other}.", "Give other remaps.")
+
+
+async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, StoredTopic]) -> None:
+    own = robot.graph.own_nodes  # it keeps publishers ready that say nothing
+    ours = {topic: job.id for job in robot.jobs.running(Job) for topic in job.moves}
+    busy: list[str] = []
+    driven: list[str] = []
+    for name, topic in topics.items():
+        destination = request.remaps.get(name, name)
+        present = await robot.graph.endpoints(destination)
+        if present.types and topic.type not in present.types:
+            raise TypeConflict(f"{destination} has the type {present.types[0]}, the bag's {name} is a {topic.type}.")
+        others = [each.node for each in present.publishers if each.node not in own]
+        others += [ours[destination]] if destination in ours else []
+        busy += [f"{destination} ({others[0]})"] if others else []
+        moved = [each.node for each in present.subscribers if each.node not in own and topic.type in VELOCITY_TYPES]
+        driven += [f"{moved[0]} listens to {destination}"] if moved else []
+    if busy and not request.force:
+        raise Refused(
+            f"These topics have a live publisher: {', '.join(busy)}.", "Use remaps, choose topics, or give force."
+        )
+    if driven and not request.force:
+        raise Refused(f"It would move the robot: {', '.join(driven)}.", "Use remaps, choose topics, or give force.")
+    await robot.values.learn(*(topic.type for topic in topics.values()))
+
+
+def _qos(topic: StoredTopic) -> QoS:
+    from ros2_mcp.bags.qos import is_latched
+
+    return QoS("reliable", "transient_local" if is_latched(topic.qos) else "volatile", depth=100)
+
+
+def _next_batch(messages: Iterator[tuple[str, Sample]]) -> list[tuple[str, Sample]]:
+    batch: list[tuple[str, Sample]] = []
+    size = 0
+    for message in messages:
+        batch.append(message)
+        size += len(message[1].data)
+        if len(batch) >= _BATCH or size >= _BATCH_BYTES:
+            break
+    return batch
+
+
+def _together(batch: Sequence[tuple[str, Sample]], rate: float) -> Iterator[tuple[int, list[tuple[str, Sample]]]]:
+    """Groups of messages that are due within two milliseconds, with the time of the first."""
+    group: list[tuple[str, Sample]] = []
+    for message in batch:
+        if group and message[1].received_ns - group[0][1].received_ns > _TOGETHER_S * 1e9 * rate:
+            yield group[0][1].received_ns, group
+            group = []
+        group.append(message)
+    if group:
+        yield group[0][1].received_ns, group

@@ -1,0 +1,423 @@
+"""Recording topics: bytes go from the robot to the disk, never decoded, and topics that appear later join in.
+
+The black box is a recording like any other, which the server begins by itself, in a ring of files, with no database
+and no other node.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING
+
+import anyio
+from anyio import to_thread
+from anyio.abc import TaskGroup
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.commands import SERVER, Principal, Record
+from ros2_mcp.model.errors import BadInput, LinkError, Refused, RobotError
+from ros2_mcp.model.samples import Counts, Sample
+from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
+from ros2_mcp.ops.results import iso_time
+from ros2_mcp.robot import Listening, Robot
+from ros2_mcp.robot.jobs import Job
+
+if TYPE_CHECKING:
+    from ros2_mcp.bags.recorder import Limits, Recorder
+    from ros2_mcp.settings import Settings
+
+MAX_DURATION_S = 7 * 86_400.0
+"""A week; the disk's floor ends most recordings before."""
+LARGEST_BYTES = 32_000
+"""Larger messages (pictures, clouds) would push all others out of the ring: their topics are kept only by name."""
+_TURN_S = 0.1
+"""How often waiting samples are handed to the disk: rarely enough to cost nothing, and no more is lost at a crash."""
+_LOOK_S = 1.0
+"""How often new topics are looked for, as the tool's description promises."""
+_JOINED_S = 2.0
+"""How long a start waits for the subscriptions of topics that are there; discovery takes up to that long."""
+_LEFT_S = 3.0
+"""How long an end waits for the last samples of subscriptions, which a busy bridge may withhold."""
+_WAITING_BYTES = 64_000_000
+"""What one topic may hold in memory while this server is busy: two seconds of a camera's raw pictures."""
+_MOST_NOTES = 20
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordRequest:
+    """What to record; without topics and patterns, everything that is not hidden.
+
+    A topic is left as soon as it has a message larger than `largest` bytes (0: never), unless it is latched.
+    """
+
+    topics: Sequence[str] = ()
+    patterns: Sequence[str] = ()
+    max_duration_s: float = 0.0
+    max_bytes: int = 0
+    split_bytes: int = 0
+    name: str = ""
+    largest: int = 0
+
+    def chooses(self, topic: str) -> bool:
+        """Whether a topic of the graph is recorded."""
+        if topic in self.topics:
+            return True
+        if names.is_hidden(topic):
+            return False
+        if not self.patterns:
+            return not self.topics
+        return any(names.matching([topic], pattern) for pattern in self.patterns)
+
+
+@dataclass(frozen=True, slots=True)
+class TopicCounts:
+    """One topic of a recording.
+
+    `written` messages are in the file; `dropped` were discarded because the disk or this server was too slow; `lost`
+    never arrived (null where that cannot be known).
+    """
+
+    topic_name: str
+    topic_type: str
+    written: int
+    dropped: int
+    lost: int | None
+    error: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordingState:
+    """A recording. `bag` is its name for the tools that read bags; `state` is `recording`, `ended` or `failed`."""
+
+    recording_id: str
+    state: str
+    bag: str
+    path: str
+    started_at: str
+    elapsed_s: float
+    bytes: int
+    messages: int
+    topics: Sequence[TopicCounts]
+    reason: str
+    notes: Sequence[str]
+
+    def summary(self) -> str:
+        """One line."""
+        dropped = sum(topic.dropped for topic in self.topics)
+        lost = f", {dropped} dropped" if dropped else ""
+        return (
+            f"{self.recording_id} {self.state}: {self.messages} messages of {len(self.topics)} topics, "
+            f"{self.bytes} bytes{lost} in {self.elapsed_s:.1f} s. {self.reason}"
+        ).rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingStates:
+    """The recordings that run, and the last that ended."""
+
+    recordings: Sequence[RecordingState]
+
+    def summary(self) -> str:
+        """A line for each."""
+        return "\n".join(each.summary() for each in self.recordings) or "Nothing has been recorded."
+
+
+@dataclass(slots=True)
+class _Joined:
+    """A topic that is being recorded; `lost` is the subscription that went with a bridge, to be made anew."""
+
+    type: str
+    publishers: int
+    listening: Listening | None = None
+    lost: Listening | None = None
+    former: Counts = field(default_factory=Counts)
+    error: str = ""
+    leaving: bool = False
+
+    @property
+    def is_joining(self) -> bool:
+        """Whether its subscription is still to come."""
+        return self.listening is None and not self.error
+
+    def counts(self) -> Counts:
+        """What became of the messages, over all subscriptions there were."""
+        return self.former if self.listening is None else _sum(self.former, self.listening.counts)
+
+
+class Recording(Job):
+    """One recording under way: finds its topics, subscribes to them and hands their bytes to the recorder."""
+
+    kind = "recording"
+    most_kept = 100
+    listed_by = "ros2_record_status"
+    stopped_by = "ros2_record_stop"
+
+    def __init__(
+        self, robot: Robot, store: BagStore, request: RecordRequest, *, owner: Principal | None = None
+    ) -> None:
+        super().__init__(owner=owner or robot.principal)
+        self._robot = robot
+        self._store = store
+        self._request = request
+        self._recorder: Recorder | None = None
+        self._folder: Path | None = None
+        self._topics: dict[str, _Joined] = {}
+        self._notes: list[str] = []
+        self._is_ending = False
+        self._started_ns = time.time_ns()
+
+    async def run(self) -> None:
+        """Records until a limit is reached or it is told to end; however it ends, the files are closed."""
+        try:
+            # A thread cannot be cancelled: anyio waits for it, so that what it has opened is always closed again.
+            self._folder, self._recorder = await to_thread.run_sync(self._open)
+            recorder = self._recorder
+            self._store.writes(self._folder, lambda: not recorder.ended)
+            async with anyio.create_task_group() as topics:
+                await self._look_or_note(topics)
+                with anyio.move_on_after(_JOINED_S):
+                    while any(joined.is_joining for joined in self._topics.values()):
+                        await anyio.sleep(_TURN_S / 5)
+                self.begun()
+                await self._keep_looking(topics, recorder)
+                topics.cancel_scope.deadline = anyio.current_time() + _LEFT_S
+        finally:
+            self._is_ending = True
+            with anyio.CancelScope(shield=True):
+                if self._recorder:
+                    await to_thread.run_sync(self._recorder.stop, "stopped")
+
+    async def wind_down(self) -> None:
+        """Lets the subscriptions hand over what they still have."""
+        self._is_ending = True
+
+    def report(self) -> RecordingState:
+        """How it stands."""
+        recorder, folder = self._recorder, self._folder
+        counts = dict(recorder.sink.counts) if recorder else {}
+        has_ended = bool(recorder.ended) if recorder else not self.is_running
+        has_failed = bool(self.failure or (recorder and recorder.failed))
+        reason = str(self.failure) if self.failure else recorder.ended if recorder else "stopped"
+        notes = [*self._notes, *(recorder.notes if recorder else ()), *self._unheard()]
+        return RecordingState(
+            recording_id=self.id,
+            state="recording" if not has_ended else "failed" if has_failed else "ended",
+            bag=folder.name if folder else "",
+            path=str(folder or ""),
+            started_at=iso_time(self._started_ns),
+            elapsed_s=round(recorder.elapsed_s, 3) if recorder else 0.0,
+            bytes=recorder.sink.size if recorder else 0,
+            messages=sum(counts.values()),
+            topics=[self._topic_counts(name, joined, counts) for name, joined in sorted(self._topics.items())],
+            reason=reason if has_ended else "",
+            notes=notes,
+        )
+
+    def _unheard(self) -> list[str]:
+        said = "nobody has published it so far; it joins within a second after somebody does."
+        return [f"{name}: {said}" for name in self._request.topics if name not in self._topics]
+
+    def _topic_counts(self, name: str, joined: _Joined, written: dict[str, int]) -> TopicCounts:
+        counts = joined.counts()
+        dropped = counts.dropped + (self._recorder.dropped.get(name, 0) if self._recorder else 0)
+        return TopicCounts(name, joined.type, written.get(name, 0), dropped, counts.lost, joined.error)
+
+    def _open(self) -> tuple[Path, Recorder]:
+        from ros2_mcp.bags.recorder import Limits, Recorder
+        from ros2_mcp.bags.writer import BagWriter, fresh_folder
+
+        request, record_dir = self._request, self._store.record_dir
+        limits = Limits(request.max_duration_s, request.max_bytes)
+        try:
+            folder = fresh_folder(record_dir, request.name)
+            _require_room(folder, limits)
+            return folder, Recorder(BagWriter(folder, folder.name, request.split_bytes), folder, limits)
+        except OSError as error:
+            raise BadInput(
+                f"{record_dir} cannot be written: {error.strerror or error}.",
+                "Start the server with another --record-dir.",
+            ) from error
+
+    # ── finding topics ─────────────────────────────────────────────────────────────────────────────────────────
+
+    async def _keep_looking(self, topics: TaskGroup, recorder: Recorder) -> None:
+        look_at = monotonic() + _LOOK_S
+        while not (self._is_ending or recorder.ended):
+            await anyio.sleep(_TURN_S)
+            if monotonic() >= look_at:
+                await self._look_or_note(topics)
+                look_at = monotonic() + _LOOK_S
+        self._is_ending = True
+
+    async def _look_or_note(self, topics: TaskGroup) -> None:
+        try:
+            await self._look(topics)
+        except RobotError as error:
+            self._note(str(error))
+
+    async def _look(self, topics: TaskGroup) -> None:
+        """Joins new topics that are wanted; joins those anew whose publishers now need another QoS."""
+        for row in await self._robot.graph.topics():
+            if not row.publishers or self._is_ending or not self._request.chooses(row.name):
+                continue
+            joined = self._topics.get(row.name)
+            if joined is None:
+                joined = self._topics[row.name] = _Joined(row.types[0], row.publishers)
+                if len(row.types) > 1:
+                    joined.error = f"It has several types: {', '.join(row.types)}."
+                else:
+                    topics.start_soon(self._record, row.name, joined)
+            elif joined.publishers != row.publishers and joined.listening:
+                joined.publishers = row.publishers
+                joined.leaving = not joined.listening.still_fits(await self._robot.graph.endpoints(row.name))
+
+    # ── one topic ──────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def _record(self, name: str, joined: _Joined) -> None:
+        """Until the recording ends: subscription after subscription, should the bridge be lost meanwhile."""
+        assert self._recorder
+        while not self._is_ending:
+            try:
+                await self._record_once(name, joined, self._recorder)
+            except LinkError as error:
+                self._note(f"{name}: {error}")
+                await anyio.sleep(_TURN_S)
+            except RobotError as error:
+                joined.error = str(error)
+                return
+            except Exception as error:
+                joined.error = f"It cannot be recorded: {error}"
+                _logger.exception("%s cannot be recorded", name)
+                return
+
+    async def _record_once(self, name: str, joined: _Joined, recorder: Recorder) -> None:
+        joined.leaving = False
+        async with self._subscription(name, joined) as listening:
+            if joined.lost is None:
+                self._describe(listening, recorder)
+            joined.listening, joined.lost = listening, None
+            try:
+                while not (self._is_ending or joined.leaving or recorder.ended):
+                    samples = await listening.take(0.0)
+                    self._require_small(listening, samples)
+                    recorder.put(name, samples)
+                    await anyio.sleep(_TURN_S)
+            except LinkError:
+                joined.former, joined.listening, joined.lost = joined.counts(), None, listening
+                raise
+        recorder.put(name, await listening.take(0.0))
+        joined.former, joined.listening = joined.counts(), None
+        if recorder.ended:
+            self._is_ending = True
+
+    def _require_small(self, listening: Listening, samples: Sequence[Sample]) -> None:
+        largest, latched = self._request.largest, listening.choice.qos.durability == "transient_local"
+        size = max((len(sample.data) for sample in samples), default=0)
+        if largest and not latched and size > largest:
+            raise Refused(f"Left out: it has messages of {size} bytes, more than {largest}.", "Name it to have it.")
+
+    def _subscription(self, name: str, joined: _Joined) -> AbstractAsyncContextManager[Listening]:
+        if joined.lost is not None:
+            return self._robot.listen_again(joined.lost, max_bytes=_WAITING_BYTES)
+        return self._robot.listen(name, joined.type, max_bytes=_WAITING_BYTES)
+
+    def _describe(self, listening: Listening, recorder: Recorder) -> None:
+        from ros2_mcp.bags.qos import qos_text
+        from ros2_mcp.bags.schema import schema_text
+        from ros2_mcp.bags.stored import StoredTopic
+
+        definitions = self._robot.values.definitions
+        text = schema_text(definitions.interface(listening.type))
+        profiles = qos_text([publisher.qos for publisher in listening.publishers])
+        topic = StoredTopic(listening.topic, listening.type, None, "ros2msg", text, profiles)
+        recorder.add_topic(topic, next((p.hash for p in listening.publishers if p.hash), ""))
+
+    def _note(self, text: str) -> None:
+        if text not in self._notes and len(self._notes) < _MOST_NOTES:
+            self._notes.append(text)
+
+
+class BlackBox(Recording):
+    """The recording that the server keeps of its own: what is too old makes room for the new."""
+
+    def __init__(self, robot: Robot, store: BagStore, settings: Settings) -> None:
+        topics = [names.absolute(topic) for topic in settings.black_box or ()]
+        request = RecordRequest(topics=topics, largest=0 if topics else LARGEST_BYTES)
+        super().__init__(robot, store, request, owner=SERVER)
+        self._folder = store.record_dir / BLACK_BOX
+        self._settings = settings
+
+    def _open(self) -> tuple[Path, Recorder]:
+        from ros2_mcp.bags.recorder import Recorder
+        from ros2_mcp.bags.ring import RingWriter
+
+        folder, settings = self._store.record_dir / BLACK_BOX, self._settings
+        ring = RingWriter(folder, settings.black_box_bytes, settings.black_box_hours * 3600.0)
+        return folder, Recorder(ring, folder)
+
+
+async def start(robot: Robot, store: BagStore, request: RecordRequest) -> RecordingState:
+    """Begins to record; it goes on until a limit is reached, it is stopped, or the server ends.
+
+    Raises:
+        Refused: if this server is read-only, or too many recordings run.
+        BadInput: if the folder cannot be written or the disk is nearly full.
+        BadValue: if a limit is out of range.
+    """
+    request = _checked(request)
+    await robot.do(Record(principal=robot.principal, name=request.name, topics=request.topics))
+    recording = Recording(robot, store, request)
+    await robot.jobs.start(recording)
+    return recording.report()
+
+
+async def keep_black_box(robot: Robot, store: BagStore, settings: Settings) -> None:
+    """Begins to keep the topics of the settings, if they name some; what goes wrong is logged."""
+    if settings.black_box is None or settings.read_only:
+        return
+    try:
+        await robot.jobs.start(BlackBox(robot, store, settings))
+    except (RobotError, OSError) as error:
+        _logger.warning("the black box keeps nothing: %s", error)
+
+
+async def status(robot: Robot, recording_id: str = "") -> RecordingStates:
+    """How recordings stand: the one of that id, or all that run and the last that ended."""
+    return RecordingStates([recording.report() for recording in robot.jobs.chosen(Recording, recording_id)])
+
+
+async def stop(robot: Robot, recording_id: str) -> RecordingState:
+    """Ends a recording and closes its files."""
+    return (await robot.jobs.stop(Recording, recording_id)).report()
+
+
+def _checked(request: RecordRequest) -> RecordRequest:
+    bounded("max_duration_sec", request.max_duration_s, 0.0, MAX_DURATION_S, "s")
+    for name, value in (("max_bytes", request.max_bytes), ("split_bytes", request.split_bytes)):
+        bounded(name, value, 0, 10**13, "bytes")
+    return replace(request, topics=[names.absolute(topic) for topic in request.topics])
+
+
+def _require_room(folder: Path, limits: Limits) -> None:
+    from ros2_mcp.bags.writer import free_bytes
+
+    free = free_bytes(folder)
+    if free < limits.free_floor_bytes:
+        folder.rmdir()
+        raise BadInput(
+            f"The disk of {folder.parent} has {free} bytes free; {limits.free_floor_bytes} must stay free.",
+            "Delete old recordings, or start the server with another --record-dir.",
+        )
+
+
+def _sum(one: Counts, other: Counts) -> Counts:
+    lost = None if one.lost is None or other.lost is None else one.lost + other.lost
+    return Counts(one.received + other.received, one.dropped + other.dropped, lost)

@@ -1,0 +1,1 @@
+"""Nodes: which there are, their parameters, their lifecycle."""

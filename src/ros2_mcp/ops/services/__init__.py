@@ -1,0 +1,1 @@
+"""Services: which there are, and calling them."""

@@ -1,0 +1,368 @@
+"""A bag as a source of samples: what measures the robot measures a recording of it, this server's own ones too."""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+import time
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Iterator, Sequence
+from contextlib import aclosing, asynccontextmanager
+from dataclasses import replace
+from itertools import chain, islice
+from typing import TYPE_CHECKING
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadInput, BadValue, NotFound, TypeConflict, UnknownInterface
+from ros2_mcp.model.interfaces import DefinitionText
+from ros2_mcp.model.qos import Endpoint, QoS
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore, OpenedBag
+from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.sources.selection import MAX_BYTES
+from ros2_mcp.ops.sources.source import GraphSnapshot, Past, Source, SourceKind, SourceRequest, Stream
+from ros2_mcp.ops.sources.times import is_relative, span_of
+from ros2_mcp.robot import Robot, TopicEndpoints
+
+if TYPE_CHECKING:
+    from ros2_mcp.bags.bag import Bag
+    from ros2_mcp.bags.stored import Span, StoredTopic
+    from ros2_mcp.codec.cdr import Codec
+
+_BATCH = 256
+_BATCH_BYTES = 8_000_000
+"""A batch is read in a thread of its own: large enough that starting it does not count, small enough to be stopped."""
+_TO_DISK_NS = 1_000_000_000
+"""Messages of a recording that runs are on their way to the disk for up to a second (`recorder.FLUSH_S`)."""
+_RECORDED = "(recorded)"
+
+
+class BagSource(Source):
+    """A part of a bag; get it with `open_bag`. `covers` are the times of the whole bag's beginning and end.
+
+    `from_end` tells that a limit means the last messages.
+    """
+
+    def __init__(
+        self,
+        opened: OpenedBag,
+        span: Span,
+        *,
+        name: str,
+        title: str,
+        covers: tuple[int, int],
+        robot: Robot | None,
+        from_end: bool,
+    ) -> None:
+        self.covers = covers
+        self._name = name
+        self._opened = opened
+        self._span = span
+        self._robot = robot
+        self._from_end = from_end
+        self._title = title
+        self._codec = opened.codec
+
+    @property
+    def title(self) -> str:
+        """Whose bag it is, and its name."""
+        return self._title
+
+    @property
+    def words(self) -> str:
+        """What it is, with its time."""
+        return f"bag {self._name}, {self.duration_s:g} s from {iso_time(self._span.start_ns)} on"
+
+    @property
+    def duration_s(self) -> float:
+        """How much time it covers."""
+        return (self._span.end_ns - self._span.start_ns) / 1e9
+
+    @property
+    def codec(self) -> Codec:
+        """Reads its samples, with the definitions of the bag."""
+        return self._codec
+
+    def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> BagSource:  # noqa: ARG002
+        """The part, or if it is longer than `recorded_s` its beginning (or its end, if no start was given)."""
+        if recorded_s is None:
+            return self
+        longest_ns = max(round(recorded_s * 1e9), 1)
+        span = self._span
+        start_ns = max(span.start_ns, span.end_ns - longest_ns) if self._from_end else span.start_ns
+        shorter = copy.copy(self)
+        shorter._span = replace(span, start_ns=start_ns, end_ns=min(span.end_ns, start_ns + longest_ns))
+        return shorter
+
+    async def type_of(self, topic: str) -> str:
+        """The type of a topic; raises as `Source.type_of`."""
+        return (await self._learn(topic)).type
+
+    @asynccontextmanager
+    async def follow(
+        self, topic: str, type_name: str = "", *, limit: int | None = None, every_n: int = 1, latched: bool = True
+    ) -> AsyncGenerator[Stream, None]:
+        """Every sample of a topic in order; raises as `Source.follow`."""
+        stored = await self._learn(topic)
+        if type_name and names.interface_type(type_name, "msg") != stored.type:
+            raise TypeConflict(f"{stored.name} has the type {stored.type}, not {type_name}.", "Leave the type out.")
+        publishers = _publishers(stored)
+        span = replace(self._span, topics=(stored.name,))
+
+        def begin() -> Iterator[Sample]:
+            with self._opened.reading() as bag:
+                before = _latched_before(bag, stored, span) if latched else []
+                if limit is None:
+                    return chain(before, (sample for _, sample in bag.messages(span)))
+                messages = (sample for _, sample in bag.messages(span, newest_first=stream.from_end))
+                found, stream.received, stream.further = _taken(
+                    chain(messages, before[::-1]) if stream.from_end else chain(before, messages), limit, every_n
+                )
+                return iter(found[::-1] if stream.from_end else found)
+
+        stream = Past(
+            topic=stored.name,
+            type=stored.type,
+            codec=self._codec,
+            publishers=publishers,
+            qos=f"{publishers[0].qos.durability}, as it was recorded",
+            start_ns=self._span.start_ns,
+            until_ns=self._span.end_ns,
+            from_end=limit is not None and self._from_end,
+            thinned=limit is not None,
+        )
+        stream.batches = self._batches(stream, begin)
+        async with aclosing(stream.batches):
+            yield stream
+
+    async def graph(self) -> GraphSnapshot:
+        """The topics with what their publishers offered; nodes and services are not in a bag."""
+
+        def read() -> dict[str, TopicEndpoints]:
+            with self._opened.reading() as bag:
+                return {topic.name: TopicEndpoints(topic.name, _publishers(topic), ()) for topic in bag.topics.values()}
+
+        return GraphSnapshot(await asyncio.to_thread(read))
+
+    async def _learn(self, name: str) -> StoredTopic:
+        topic = await asyncio.to_thread(self._topic, name)
+        if not self._codec.definitions.knows(topic.type):
+            self._codec.definitions.add(await definitions_of(topic, self._robot))
+        return topic
+
+    def _topic(self, name: str) -> StoredTopic:
+        with self._opened.reading() as bag:
+            return find_topic(bag, name)
+
+    async def _batches(
+        self, stream: Past, begin: Callable[[], Iterator[Sample]]
+    ) -> AsyncGenerator[Sequence[Sample], None]:
+        """Of the bag as it is at the beginning, although it may grow meanwhile."""
+        messages = await asyncio.to_thread(begin)
+
+        def following() -> list[Sample]:
+            with self._opened.lock:
+                return _batch(messages)
+
+        while batch := await asyncio.to_thread(following):
+            stream.received += 0 if stream.thinned else len(batch)
+            yield batch
+
+
+# ── finding and opening ──────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def open_bag(
+    store: BagStore,
+    bag: str,
+    start: str = "",
+    end: str = "",
+    robot: Robot | None = None,
+    *,
+    title: str = "",
+    may_be_empty: bool = False,
+    from_end: bool = False,
+) -> BagSource:
+    """A bag, or the part of it between two moments (as `times.span_of` reads them), as a `Source`.
+
+    Without a start, or with `from_end`, a limit means the last messages.
+
+    Raises:
+        NotFound: if there is no such bag.
+        BadData: if nothing of it can be read.
+        BadValue: if a moment cannot be understood, or (unless it `may_be_empty`) nothing was recorded in that time.
+    """
+
+    def opened() -> BagSource:
+        from ros2_mcp.bags.stored import Span
+
+        opened = store.opened(bag)
+        with opened.reading() as found:
+            first_ns, last_ns = times_of(store, found)
+            asked = span_of(start, end, first_ns, last_ns)
+        start_ns, end_ns = max(asked.start_ns, first_ns), min(asked.end_ns, last_ns + 1)
+        if end_ns <= start_ns:
+            if not may_be_empty:
+                covers = f"It goes from {iso_time(first_ns)} to {iso_time(last_ns)}."
+                raise BadValue("start" if start else "end", f"{bag} has nothing in that time.", covers)
+            end_ns = start_ns
+        return BagSource(
+            opened,
+            Span(None, start_ns, end_ns),
+            name=bag,
+            title=title or f"the bag {bag}",
+            covers=(first_ns, last_ns),
+            robot=robot,
+            from_end=from_end or not start.strip(),
+        )
+
+    return await asyncio.to_thread(opened)
+
+
+class Bags(SourceKind):
+    """The bags of this server as a kind of source: what it records itself, its black box among it, and all others."""
+
+    async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:
+        """The bag of that name; without one, the recording that stands for the robot, or for moments the black box."""
+        name = request.name or store.subject_name
+        if not name and (request.start or request.end):
+            if BLACK_BOX not in store.own:
+                hint = "Name it with bag; ros2_bag_list shows which there are."
+                raise BadInput("start and end are moments of a recording, and none is named.", hint)
+            name = BLACK_BOX
+        return await open_bag(store, name, request.start, request.end, robot) if name else None
+
+    async def kept(
+        self, robot: Robot, store: BagStore, request: SourceRequest
+    ) -> Sequence[Callable[[], Awaitable[Source]]]:
+        """This server's recordings, the bag that stands for the robot, and those that were opened, the last one first.
+
+        The black box comes first while it runs; what former servers recorded is not this server's.
+        """
+        own = dict(store.own)
+        running = [name for name in own if name == BLACK_BOX and own[name].is_growing()]
+        subject = [store.subject_name] if store.subject else []
+        known = dict.fromkeys([*running, *reversed(own), *subject, *store.opened_names()])
+
+        def opening(name: str) -> Callable[[], Awaitable[Source]]:
+            title = f"this server's recording {name}" if name in own else f"the bag {name}"
+            start, end = request.start, request.end
+            return lambda: open_bag(store, name, start, end, robot, title=title, may_be_empty=True, from_end=True)
+
+        return [opening(name) for name in known]
+
+
+async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, DefinitionText]:
+    """What a topic's bytes mean: as the bag itself says, else as ROS defines it, else as the robot knows it.
+
+    Raises:
+        UnknownInterface: if nobody knows.
+    """
+    from ros2_mcp.bags.schema import definitions_in, schema_text
+
+    found = definitions_in(topic.type, topic.encoding, topic.definition)
+    found = found or await asyncio.to_thread(_common_definitions, topic.type)
+    if found:
+        return found
+    if robot is None:
+        raise UnknownInterface(f"The bag has no definition of {topic.type}.", "It was recorded without.")
+    await robot.values.learn(topic.type)
+    return definitions_in(topic.type, "ros2msg", schema_text(robot.values.definitions.interface(topic.type)))
+
+
+def find_topic(bag: Bag, name: str) -> StoredTopic:
+    """A topic of a bag; raises `NotFound` with the nearest name."""
+    full = names.absolute(name)
+    if full not in bag.topics:
+        known = list(bag.topics)
+        hint = names.did_you_mean(full, known, f"It has {', '.join(sorted(known)[:20])}.")
+        raise NotFound(f"{bag.path.name} has no topic {full}.", hint)
+    return bag.topics[full]
+
+
+def span_in(store: BagStore, bag: Bag, start: str, end: str) -> Span:
+    """The time between two moments of a bag."""
+    return span_of(start, end, *times_of(store, bag))
+
+
+def times_of(store: BagStore, bag: Bag) -> tuple[int, int]:
+    """Unix times in nanoseconds of a bag's beginning and end: its last message, or now while it is being recorded.
+
+    As messages are on their way to the disk for up to a second, now is a second ago where there is no later one.
+    """
+    first_ns, last_ns = bag.times or (0, 0)
+    if bag.times and is_growing(store, bag):
+        last_ns = max(last_ns, time.time_ns() - _TO_DISK_NS)
+    return first_ns, last_ns
+
+
+def is_growing(store: BagStore, bag: Bag) -> bool:
+    """Whether this server is recording it."""
+    own = list(store.own.values())  # at once: this is a thread, and recordings begin in another
+    folders = [written.folder.resolve() for written in own if written.is_growing()]
+    return any(bag.path.resolve().is_relative_to(folder) for folder in folders)
+
+
+def end_note(source: Source, *texts: str) -> str:
+    """What `last 30 s` counted from, where that was asked for."""
+    if isinstance(source, BagSource) and any(is_relative(text) for text in texts):
+        return f"Counted from its end, {iso_time(source.covers[1])}."
+    return ""
+
+
+def _common_definitions(type_name: str) -> dict[str, DefinitionText]:
+    """Of the packages that every ROS 2 has, as the newest distribution defines them; for bags that have none."""
+    from rosbags.typesys import Stores, TypesysError, get_typestore
+
+    from ros2_mcp.bags.schema import definitions_in
+
+    store = get_typestore(Stores.LATEST)
+    try:
+        return definitions_in(type_name, "ros2msg", store.generate_msgdef(type_name, ros_version=2)[0])
+    except (TypesysError, KeyError):
+        return {}
+
+
+# ── samples ──────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _taken(samples: Iterable[Sample], limit: int, every_n: int) -> tuple[list[Sample], int, Sample | None]:
+    """Every n-th sample, at least one, within both bounds; how many were looked at; and the next one, if there is."""
+    found: list[Sample] = []
+    size = passed = 0
+    for passed, sample in enumerate(samples):
+        if passed % every_n:
+            continue
+        size += len(sample.data)
+        if len(found) == limit or (found and size > MAX_BYTES):
+            return found, passed, sample
+        found.append(sample)
+    return found, passed + 1 if found else 0, None
+
+
+def _batch(messages: Iterator[Sample]) -> list[Sample]:
+    found: list[Sample] = []
+    size = 0
+    for sample in islice(messages, _BATCH):
+        found.append(sample)
+        size += len(sample.data)
+        if size >= _BATCH_BYTES:
+            break
+    return found
+
+
+def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
+    """What a late subscriber of a latched topic would still have got at the beginning, the oldest first."""
+    from ros2_mcp.bags.qos import is_latched
+
+    if not is_latched(topic.qos):
+        return []
+    return bag.last(topic.name, len(_publishers(topic)), replace(span, start_ns=0, end_ns=span.start_ns))
+
+
+def _publishers(topic: StoredTopic) -> list[Endpoint]:
+    """Who published: how many and with which durability is known, their names are not."""
+    from ros2_mcp.bags.qos import is_latched, parse_qos
+
+    durability = "transient_local" if is_latched(topic.qos) else "volatile"
+    publishers = max(len(parse_qos(topic.qos)), 1)
+    return [Endpoint(_RECORDED, topic.type, "", "", QoS("unknown", durability, depth=None))] * publishers

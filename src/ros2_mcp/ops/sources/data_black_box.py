@@ -1,0 +1,385 @@
+"""The WiseVision Data Black Box as a source: a node that keeps messages in InfluxDB and answers on a service.
+
+Two generations share the service's name; its type tells which one answers.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import binascii
+import time
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
+from contextlib import aclosing, asynccontextmanager
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta, timezone
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadData, BadValue, NotFound, RobotError, TimedOut, UnknownInterface
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.sources.selection import MAX_MESSAGES
+from ros2_mcp.ops.sources.source import Past, Source, SourceKind, SourceRequest, Stream, in_batches
+from ros2_mcp.ops.sources.times import last_ns_of, parsed_ns
+from ros2_mcp.robot import Robot
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.cdr import Codec
+
+FIRST_TYPE = "lora_msgs/srv/GetMessages"
+SECOND_TYPE = "wisevision_msgs/srv/InfluxGetMessages"
+ANY = "any"
+TIMEOUT_S = 15.0
+"""A question to InfluxDB over a day takes some seconds; a box that hangs must leave time to ask the recordings."""
+NAMES = ("data black box", "data-black-box", "wisevision")
+"""By these it is asked like a bag."""
+_SPECIAL = {
+    "std_msgs/msg/Int32": "std_msgs/Int32",
+    "lora_msgs/msg/MicroPublisher": "lora_msgs/MicroPublisher",
+    "lora_msgs/msg/GpsDeviceData": "wisevision_msgs/GpsDevicesPublisher",
+    "wisevision_msgs/msg/GpsDevicesPublisher": "wisevision_msgs/GpsDevicesPublisher",
+}
+"""What the first generation calls the types that it does not keep as bytes."""
+_SPECIAL_LISTS = {
+    "int32_msgs": "std_msgs/msg/Int32",
+    "micro_publisher_data": "lora_msgs/msg/MicroPublisher",
+    "gps_devices_data": "lora_msgs/msg/GpsDeviceData",
+}
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
+_DAY_NS = 86_400 * 10**9
+_REACHES_NS = tuple(seconds * 10**9 for seconds in (60, 3600, 86_400, 30 * 86_400))
+"""How far back is looked for the last N messages, step by step, before everything is asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is asked: messages of a topic from `start_ns` up to `end_ns` (Unix time; None is open).
+
+    `type` is needed by the first generation for all but its special types; `bucket` is for the second only.
+    """
+
+    topic: str
+    type: str = ""
+    start_ns: int | None = None
+    end_ns: int | None = None
+    bucket: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """Messages as CDR in the order of time; `type` is empty where the box does not say it. `problem` in words."""
+
+    type: str = ""
+    samples: Sequence[Sample] = ()
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DataBlackBox:
+    """One Data Black Box in the graph."""
+
+    robot: Robot
+    service: str
+    service_type: str
+
+    @property
+    def generation(self) -> int:
+        """1 or 2."""
+        return 1 if self.service_type == FIRST_TYPE else 2
+
+    async def last(self, question: Question, number: int) -> Answered:
+        """The last messages of the time asked for; with 0, all of them.
+
+        The box itself would give the first ones. So it is asked for all of a time that reaches further and further
+        back, until there are enough.
+
+        Raises:
+            RobotError: with the box's own words, where it says that it failed.
+        """
+        end_ns = question.end_ns or time.time_ns()
+        for reach_ns in _REACHES_NS if number else ():
+            start_ns = end_ns - reach_ns
+            if question.start_ns is not None and start_ns <= question.start_ns:
+                break
+            answered = await self.ask(replace(question, start_ns=start_ns))
+            if len(answered.samples) >= number:
+                return replace(answered, samples=answered.samples[-number:])
+        answered = await self.ask(question)
+        return replace(answered, samples=answered.samples[-number:] if number else answered.samples)
+
+    async def ask(self, question: Question) -> Answered:
+        """All messages of the time asked for; raises as `last`."""
+        for request in requests(question, self.generation):
+            answered = await asyncio.to_thread(self._read, await self._inquire(request))
+            if answered.samples or answered.problem:
+                return _within(answered, question)
+        return Answered()
+
+    async def _inquire(self, request: Mapping[str, Any]) -> bytes:
+        try:
+            answer = await self.robot.ask_service(
+                self.service, self.service_type, request, timeout_s=TIMEOUT_S, wait_s=1.0
+            )
+        except TimedOut as error:
+            raise TimedOut(error.message, "Ask the Data Black Box for a shorter time.") from error
+        except NotFound as error:  # the box has left: that is no answer that it does not have the topic
+            raise RobotError(error.message, error.hint) from error
+        return answer.body
+
+    def _read(self, body: bytes) -> Answered:
+        response: Any = self.robot.values.codec.decode(f"{self.service_type}_Response", body)
+        _require_no_error(response, self.generation)
+        return read_second(response) if self.generation == 2 else self._read_first(response)
+
+    def _read_first(self, response: Any) -> Answered:
+        for field, kind in _SPECIAL_LISTS.items():
+            values = getattr(response, field)
+            if len(values):
+                bodies = [self._encoded(kind, value) for value in values]
+                return _timed(kind, bodies, response.timestamps)
+        bodies, problem = split_payload(bytes(response.data))
+        answered = _timed("", bodies, response.timestamps)
+        return replace(answered, problem=" ".join(filter(None, (problem, answered.problem))))
+
+    def _encoded(self, kind: str, value: Any) -> bytes:
+        if kind == "std_msgs/msg/Int32":
+            return b"\x00\x01\x00\x00" + int(value).to_bytes(4, "little", signed=True)
+        return self.robot.values.codec.encode(kind, value)
+
+
+class DataBlackBoxSource(Source):
+    """What a Data Black Box has kept between two Unix times, both included (None is open)."""
+
+    keeps_types = False
+
+    def __init__(self, box: DataBlackBox, start_ns: int | None, end_ns: int | None, bucket: str = "") -> None:
+        self._box = box
+        self._start_ns = start_ns
+        self._end_ns = end_ns
+        self._bucket = bucket
+
+    @property
+    def title(self) -> str:
+        """Which box it is."""
+        return f"the WiseVision Data Black Box (generation {self._box.generation}, {self._box.service})"
+
+    @property
+    def words(self) -> str:
+        """What it is, with its time."""
+        return f"{self.title}, from {iso_time(self._start_ns) if self._start_ns else 'the beginning'} on"
+
+    @property
+    def duration_s(self) -> float:
+        """How much time was asked for."""
+        return ((self._end_ns or time.time_ns()) - (self._start_ns or 0)) / 1e9
+
+    @property
+    def codec(self) -> Codec:
+        """Reads what it keeps, with the robot's definitions."""
+        return self._box.robot.values.codec
+
+    async def type_of(self, topic: str) -> str:
+        """The type that the topic has in the graph now; the box itself tells it only with the messages."""
+        kind = await self._type_now(names.absolute(topic))
+        if not kind:
+            raise NotFound(f"{names.absolute(topic)} is not there now, so that its type is not known.")
+        await self._box.robot.values.learn(kind)
+        return kind
+
+    @asynccontextmanager
+    async def follow(
+        self,
+        topic: str,
+        type_name: str = "",
+        *,
+        limit: int | None = None,
+        every_n: int = 1,  # noqa: ARG002 - it gives all
+        latched: bool = True,  # noqa: ARG002 - it knows nothing of that
+    ) -> AsyncGenerator[Stream, None]:
+        """The messages that it has, the last ones with a limit.
+
+        Raises:
+            UnknownInterface: if it has messages and nobody says their type.
+            RobotError: with the box's own words, where it says that it failed.
+        """
+        topic = names.absolute(topic)
+        expected = names.interface_type(type_name, "msg") if type_name else await self._type_now(topic)
+        question = Question(topic, expected, self._start_ns, self._end_ns, self._bucket)
+        answered = await self._box.last(question, limit if limit and limit < MAX_MESSAGES else 0)
+        kind = answered.type or expected
+        if answered.samples and not kind:
+            raise UnknownInterface(
+                f"The Data Black Box has {len(answered.samples)} messages of {topic}, but does not say their type.",
+                "Give message_type, such as sensor_msgs/msg/LaserScan.",
+            )
+        if kind:
+            await self._box.robot.values.learn(kind)
+        unconfirmed = "" if answered.type else f"This box does not keep types: right only if they are {kind}."
+        stream = Past(
+            topic=topic,
+            type=kind,
+            codec=self.codec,
+            publishers=(),
+            start_ns=self._start_ns or min((each.received_ns for each in answered.samples), default=0),
+            until_ns=self._end_ns or time.time_ns(),
+            from_end=bool(limit),
+            received=len(answered.samples),
+            note=" ".join(filter(None, (answered.problem, unconfirmed if answered.samples else ""))),
+        )
+        stream.batches = in_batches(answered.samples)
+        async with aclosing(stream.batches):
+            yield stream
+
+    async def _type_now(self, topic: str) -> str:
+        present = await self._box.robot.graph.endpoints(topic)
+        return present.types[0] if len(present.types) == 1 else ""
+
+
+class DataBlackBoxes(SourceKind):
+    """The Data Black Box of the graph as a kind of source; both generations."""
+
+    async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
+        """The box of the graph, if it is asked for by name."""
+        if request.name.lower() not in NAMES:
+            return None
+        found = await self._found(robot, request)
+        if found is None:
+            raise NotFound("There is no Data Black Box in the graph.", f"It has a service of type {SECOND_TYPE}.")
+        return found
+
+    async def kept(
+        self,
+        robot: Robot,
+        store: BagStore,  # noqa: ARG002
+        request: SourceRequest,
+    ) -> Sequence[Callable[[], Awaitable[Source]]]:
+        """The box of the graph, if there is one."""
+        found = await self._found(robot, request)
+
+        async def opened() -> Source:
+            assert found
+            return found
+
+        return [opened] if found else []
+
+    async def _found(self, robot: Robot, request: SourceRequest) -> DataBlackBoxSource | None:
+        box = None if robot.policy.recorded else await find_box(robot)
+        if box is None:
+            return None
+        now_ns = time.time_ns()
+        start_ns = parsed_ns("time_start", request.start, None, now_ns) if request.start else None
+        end_ns = parsed_ns("time_end", request.end, None, now_ns) if request.end else None
+        if start_ns is not None and end_ns is not None and end_ns < start_ns:
+            raise BadValue("time_end", f"{request.end!r} is before {request.start!r}.")
+        end_ns = None if end_ns is None else last_ns_of(request.end, end_ns)
+        return DataBlackBoxSource(box, start_ns, end_ns, request.bucket)
+
+
+async def find_box(robot: Robot) -> DataBlackBox | None:
+    """The Data Black Box of the graph; one at `/get_messages` before others, the second generation before the first."""
+    found = [
+        (row.name != "/get_messages", kind != SECOND_TYPE, row.name, kind)
+        for row in await robot.graph.services()
+        for kind in row.types
+        if kind in (FIRST_TYPE, SECOND_TYPE)
+    ]
+    return DataBlackBox(robot, *min(found)[2:]) if found else None
+
+
+def requests(question: Question, generation: int) -> list[Mapping[str, Any]]:
+    """The requests to try until one finds something.
+
+    The first generation knows topics without their leading slash only. A range has both ends or none.
+    """
+    start, end = time_range(question)
+    common = {"time_start": start, "time_end": end, "number_of_msgs": 0}
+    bare = question.topic.lstrip("/")
+    if generation == 2:
+        return [{"topic_name": topic, "bucket_name": question.bucket, **common} for topic in (question.topic, bare)]
+    special = _SPECIAL.get(question.type)
+    kinds = [special, ANY] if special else [ANY]
+    return [{"topic_name": bare, "message_type": kind, **common} for kind in kinds]
+
+
+def time_range(question: Question) -> tuple[dict[str, int], dict[str, int]]:
+    """Both ends as the box takes them; an open end is filled in, and everything is all zero."""
+    if question.start_ns is None and question.end_ns is None:
+        return {}, {}
+    start_ns = 0 if question.start_ns is None else question.start_ns
+    end_ns = time.time_ns() + _DAY_NS if question.end_ns is None else question.end_ns
+    return full_date_time(start_ns), full_date_time(end_ns)
+
+
+def full_date_time(unix_ns: int) -> dict[str, int]:
+    """A Unix time in nanoseconds as a `lora_msgs/msg/FullDateTime`, in UTC."""
+    seconds, nanosecond = divmod(unix_ns, 10**9)
+    date = _EPOCH + timedelta(seconds=seconds)
+    parts = ("year", "month", "day", "hour", "minute", "second")
+    return {**{part: getattr(date, part) for part in parts}, "nanosecond": nanosecond}
+
+
+def unix_ns(date: Any) -> int:
+    """The reverse of `full_date_time`; 0 where it is no date, such as all zero."""
+    try:
+        parts = (date.year, date.month, date.day, date.hour, date.minute, date.second)
+        since = datetime(*map(int, parts), tzinfo=timezone.utc) - _EPOCH
+    except ValueError:
+        return 0
+    return (since.days * 86_400 + since.seconds) * 10**9 + int(date.nanosecond)
+
+
+def split_payload(data: bytes) -> tuple[list[bytes], str]:
+    """The messages in `[uint32 big-endian length][that many bytes]…`, and what is wrong at its end."""
+    bodies: list[bytes] = []
+    at = 0
+    while at < len(data):
+        end = at + 4 + int.from_bytes(data[at : at + 4], "big")
+        if at + 4 > len(data) or end > len(data):
+            return bodies, f"The box's answer breaks off in message {len(bodies) + 1}."
+        bodies.append(data[at + 4 : end])
+        at = end
+    return bodies, ""
+
+
+def read_second(response: Any) -> Answered:
+    """The messages of the second generation, base64 of CDR.
+
+    Raises:
+        BadData: if they are not base64.
+    """
+    try:
+        bodies = [base64.b64decode(text, validate=True) for text in response.messages]
+    except (binascii.Error, ValueError) as error:
+        raise BadData(f"The Data Black Box sent a message that is not base64: {error}.") from error
+    kind = names.interface_type(response.message_type, "msg") if response.message_type else ""
+    return _timed(kind, bodies, response.timestamps)
+
+
+def _timed(kind: str, bodies: Sequence[bytes], dates: Sequence[Any]) -> Answered:
+    times = [unix_ns(date) for date in dates[: len(bodies)]]
+    problem = ""
+    if len(dates) != len(bodies):
+        problem = f"The box gave {len(dates)} times for {len(bodies)} messages."
+        times += [0] * (len(bodies) - len(times))
+    samples = [Sample(at_ns, 0, None, body) for at_ns, body in zip(times, bodies, strict=True)]
+    return Answered(kind, samples if problem else sorted(samples, key=lambda each: each.received_ns), problem)
+
+
+def _within(answered: Answered, question: Question) -> Answered:
+    """Without what the box gave from outside the time, because it reads fractions of a second loosely."""
+    start_ns = question.start_ns or 0
+    end_ns = question.end_ns or 2**63
+    inside = [each for each in answered.samples if not each.received_ns or start_ns <= each.received_ns <= end_ns]
+    return replace(answered, samples=inside)
+
+
+def _require_no_error(response: Any, generation: int) -> None:
+    """The first generation never sets `success`: only its message tells of an error."""
+    failed = response.error_message and (generation == 1 or not response.success)
+    if generation == 2 and not response.success and not len(response.messages):
+        failed = True
+    if failed:
+        words = response.error_message or "it failed without a reason"
+        raise RobotError(f"The Data Black Box answered with an error: {words}")

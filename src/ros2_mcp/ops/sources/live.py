@@ -1,0 +1,260 @@
+"""The robot as it is now, as a source of samples."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncGenerator, Collection, Sequence
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager
+from dataclasses import dataclass, replace
+from time import monotonic
+from typing import TYPE_CHECKING
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.samples import Counts, Sample
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.results import Report, iso_time, reporting, silent
+from ros2_mcp.ops.sources.selection import Collector
+from ros2_mcp.ops.sources.source import (
+    Capture,
+    GraphSnapshot,
+    Missing,
+    Source,
+    SourceKind,
+    SourceRequest,
+    Stream,
+    captured,
+    capturing,
+)
+from ros2_mcp.robot import Listening, Robot, TopicEndpoints
+from ros2_mcp_bridge.limits import MAX_DURATION_S
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.cdr import Codec
+
+_MATCHING_S = 0.5
+"""Matching takes 20 to 200 ms on one host; a topic that is slower than 2 Hz would only keep the others waiting."""
+_TURN_S = 1.0
+"""How long a wait for samples may be before it is looked whether the time is over."""
+_NAMES_S = 1.0
+"""Fast DDS tells a node's name up to half a second after its endpoints."""
+_UNNAMED = names.full_node_name("_NODE_NAME_UNKNOWN_", "/")
+_ASKED_AT_ONCE = 32
+"""Questions to the bridge that are under way together; it answers one after the other."""
+
+
+@dataclass(kw_only=True)
+class _LiveStream(Stream):
+    """A subscription that has begun at the steady time `asked_at`, waiting for the topic included."""
+
+    robot: Robot
+    listening: Listening
+    asked_at: float
+
+    @property
+    def counts(self) -> Counts:
+        return self.listening.counts
+
+    @property
+    def covered_s(self) -> float:
+        return monotonic() - self.asked_at
+
+    @property
+    def end_ns(self) -> int:
+        return time.time_ns()
+
+    async def why_no_more(self, last: Sample | None) -> str:
+        now = await self.robot.graph.endpoints(self.topic)
+        if last is not None:
+            left = len(self.publishers) - len(now.publishers)
+            gone = f" {left} publisher(s) left during the read." if left > 0 else ""
+            at = iso_time(last.received_ns)
+            return f"The time ended before all the messages came; the last came at {at}.{gone}"
+        if not now.publishers:
+            return "Nobody publishes on it now." if not self.publishers else "Its publisher left during the read."
+        if self.type not in {publisher.type for publisher in now.publishers}:
+            return f"It is published with the type {', '.join(now.types)}."
+        nodes = ", ".join(sorted({publisher.node for publisher in now.publishers}))
+        return f"{len(now.publishers)} publisher(s) there, but no message came while this listened: {nodes}."
+
+
+class Live(Source):
+    """What the robot does from the moment of asking on, for `duration_s`.
+
+    `whole` time is followed once a topic is there, however long that took; else the waiting counts too.
+    """
+
+    is_live = True
+
+    def __init__(self, robot: Robot, duration_s: float = 0.0, *, whole: bool = False) -> None:
+        bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
+        self._robot = robot
+        self._duration_s = duration_s
+        self._whole = whole
+
+    @property
+    def title(self) -> str:
+        """What it is."""
+        return "the robot"
+
+    @property
+    def words(self) -> str:
+        """What it is, with its time."""
+        return f"live, {self._duration_s:g} s"
+
+    @property
+    def duration_s(self) -> float:
+        """How long it listens."""
+        return self._duration_s
+
+    @property
+    def codec(self) -> Codec:
+        """Reads what the robot sends."""
+        return self._robot.values.codec
+
+    def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> Live:  # noqa: ARG002
+        """The robot for so long from now on."""
+        return Live(self._robot, live_s, whole=whole)
+
+    async def type_of(self, topic: str) -> str:
+        """The type of a topic that is there now; raises as `Source.type_of`."""
+        type_name = await self._robot.types.topic(await self._robot.graph.endpoints(names.absolute(topic)), "")
+        await self._robot.values.learn(type_name)
+        return type_name
+
+    async def captures(
+        self, topics: Sequence[str], report: Report = silent, *, times_only: bool = False
+    ) -> Sequence[Capture | Missing]:
+        """Listens to all topics over truly the same time, which begins when every subscription has been matched."""
+        async with AsyncExitStack() as subscriptions:
+            opened = await asyncio.gather(*(self._open(subscriptions, topic) for topic in topics))
+            streams = [each for each in opened if isinstance(each, _LiveStream)]
+            await _matched(streams)
+            start_ns, started = time.time_ns(), monotonic()
+            collectors = {each.topic: capturing(len(streams), times_only) for each in streams}
+
+            def progress() -> str:
+                return ", ".join(f"{topic}: {len(each.samples)} messages" for topic, each in collectors.items())
+
+            async with reporting(report, self._duration_s, progress):
+                deadline = started + self._duration_s
+                await asyncio.gather(*(_collect(each, collectors[each.topic], deadline) for each in streams))
+            end_ns = time.time_ns()
+        for each in streams:  # what was received before the end and sent to us after it
+            collectors[each.topic].add(await each.listening.take(0.0))
+        found = {each.topic: self._capture(each, collectors[each.topic], start_ns, end_ns) for each in streams}
+        return [found[each.topic] if isinstance(each, _LiveStream) else each for each in opened]
+
+    @asynccontextmanager
+    async def follow(
+        self,
+        topic: str,
+        type_name: str = "",
+        *,
+        limit: int | None = None,  # noqa: ARG002 - those who follow stop by themselves
+        every_n: int = 1,  # noqa: ARG002
+        latched: bool = True,  # noqa: ARG002 - the publishers decide
+    ) -> AsyncGenerator[Stream, None]:
+        """Every sample from now on; waits for the topic to appear."""
+        asked_at = monotonic()
+        async with self._robot.listen(topic, type_name, wait_s=self._duration_s) as listening:
+            deadline = (monotonic() if self._whole else asked_at) + self._duration_s
+            stream = self._stream(listening, asked_at)
+            stream.batches = _batches(listening, deadline)
+            async with aclosing(stream.batches):
+                yield stream
+
+    async def graph(self) -> GraphSnapshot:
+        """The graph now, without ourselves."""
+        graph = self._robot.graph
+        topics = await graph.topics()
+        nodes = await graph.nodes()
+        services = await graph.services()
+        own = graph.own_nodes
+        limit = asyncio.Semaphore(_ASKED_AT_ONCE)
+
+        async def endpoints(topic: str) -> TopicEndpoints:
+            async with limit:
+                return _without(own, await self._named(topic))
+
+        found = await asyncio.gather(*(endpoints(row.name) for row in topics))
+        return GraphSnapshot(
+            {each.topic: each for each in found if each.types},
+            sorted(row.name for row in nodes if row.name not in own),
+            sorted(row.name for row in services),
+            topics.settled and nodes.settled,
+        )
+
+    async def _named(self, topic: str) -> TopicEndpoints:
+        """The endpoints of a topic; the names of nodes that have only just appeared are waited for, at most 1 s."""
+        deadline = monotonic() + _NAMES_S
+        found = await self._robot.graph.endpoints(topic)
+        while monotonic() < deadline and any(each.node == _UNNAMED for each in (*found.publishers, *found.subscribers)):
+            await asyncio.sleep(0.1)
+            found = await self._robot.graph.endpoints(topic)
+        return found
+
+    async def _open(self, subscriptions: AsyncExitStack, topic: str) -> _LiveStream | Missing:
+        try:
+            listening = await subscriptions.enter_async_context(self._robot.listen(topic))
+        except RobotError as error:
+            return Missing(topic, error)
+        return self._stream(listening, monotonic())
+
+    def _stream(self, listening: Listening, asked_at: float) -> _LiveStream:
+        qos = listening.choice.qos
+        return _LiveStream(
+            topic=listening.topic,
+            type=listening.type,
+            codec=self.codec,
+            publishers=listening.publishers,
+            qos=f"{qos.reliability}, {qos.durability}: {listening.choice.reason}",
+            robot=self._robot,
+            listening=listening,
+            asked_at=asked_at,
+        )
+
+    def _capture(self, stream: _LiveStream, collector: Collector, start_ns: int, end_ns: int) -> Capture:
+        """What was received between both times; of a latched topic also what was there before."""
+        latched = stream.listening.choice.qos.durability == "transient_local"
+        whole = captured(self, stream, collector, start_ns)
+        samples = [
+            each for each in whole.samples if (latched or start_ns <= each.received_ns) and each.received_ns <= end_ns
+        ]
+        return replace(whole, samples=samples, end_ns=end_ns, received=len(samples) + whole.dropped)
+
+
+async def _collect(stream: _LiveStream, collector: Collector, deadline: float) -> None:
+    while (left := deadline - monotonic()) > 0:
+        collector.add(await stream.listening.take(min(left, _TURN_S)))
+
+
+async def _matched(streams: Sequence[_LiveStream]) -> None:
+    """Waits, at most half a second, until a message has come on every topic that has a publisher."""
+    deadline = monotonic() + _MATCHING_S
+    while monotonic() < deadline and not all(each.counts.received for each in streams if each.publishers):
+        await asyncio.sleep(0.01)
+
+
+async def _batches(listening: Listening, deadline: float) -> AsyncGenerator[Sequence[Sample], None]:
+    while (left := deadline - monotonic()) > 0:
+        yield await listening.take(min(left, _TURN_S))
+    yield await listening.take(0.0)
+
+
+def _without(nodes: Collection[str], present: TopicEndpoints) -> TopicEndpoints:
+    return TopicEndpoints(
+        present.topic,
+        [each for each in present.publishers if each.node not in nodes],
+        [each for each in present.subscribers if each.node not in nodes],
+    )
+
+
+class Robots(SourceKind):
+    """The robot of this server as a kind of source."""
+
+    async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
+        """The robot now, where no other source is named."""
+        return None if request.name else Live(robot)

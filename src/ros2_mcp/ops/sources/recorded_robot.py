@@ -1,0 +1,92 @@
+"""A recording in the place of the robot: its topics as a graph, and no ROS anywhere."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NoReturn
+
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp.link.client import Bridge
+from ros2_mcp.model.errors import RosNotFound, UnknownInterface
+from ros2_mcp.model.graph import Rows, TopicEndpoints, TopicRow
+from ros2_mcp.model.names import defining_type, did_you_mean
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.sources.bag import definitions_of, open_bag
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.graph import REQUEST_S, Graph
+from ros2_mcp.robot.values import Values
+
+if TYPE_CHECKING:
+    from ros2_mcp.bags.stored import StoredTopic
+    from ros2_mcp.model.interfaces import DefinitionText
+
+
+def recorded_robot(store: BagStore, result_bytes: int) -> Robot:
+    """The recording that is the memory's subject, as far as it can be a robot: it has topics, and does nothing."""
+    bridge = Bridge(_no_ros)
+    graph = RecordedGraph(bridge, store)
+    policy = Policy(read_only=True, recorded=True)
+    return Robot(bridge, policy, result_bytes, graph=graph, values=RecordedValues(graph, store))
+
+
+def _no_ros() -> NoReturn:
+    raise RosNotFound("This server was started with --bag: its robot is a recording.", "Start it without, for a robot.")
+
+
+class RecordedGraph(Graph):
+    """The graph as far as a recording tells it: topics, what their publishers offered, and their types."""
+
+    def __init__(self, bridge: Bridge, store: BagStore) -> None:
+        super().__init__(bridge)
+        self._store = store
+
+    async def topics(self, within_s: float | None = None) -> Rows[TopicRow]:  # noqa: ARG002 - nothing has to settle
+        """The recorded topics."""
+        recorded = (await self._recorded_topics()).values()
+        return Rows([TopicRow(found.topic, found.types, len(found.publishers), 0) for found in recorded], settled=True)
+
+    async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:  # noqa: ARG002 - a file does not make us wait
+        """The types of the recorded topics, with those that they refer to."""
+        return sorted(await recorded_definitions(self._store))
+
+    async def endpoints(self, topic: str) -> TopicEndpoints:
+        """The publishers of a topic, without names; empty where the recording does not have it."""
+        return (await self._recorded_topics()).get(topic, TopicEndpoints(topic, (), ()))
+
+    async def _recorded_topics(self) -> Mapping[str, TopicEndpoints]:
+        return (await (await open_bag(self._store, self._store.subject_name)).graph()).topics
+
+
+class RecordedValues(Values):
+    """The types of the recorded topics, as the recording itself defines them."""
+
+    def __init__(self, graph: Graph, store: BagStore) -> None:
+        super().__init__(graph)
+        self._store = store
+
+    async def learn(self, *types: str) -> None:
+        """Looks for the definitions in the recording; raises `UnknownInterface` for a type that is not in it."""
+        if all(self.definitions.knows(defining_type(name)) for name in types):
+            return
+        recorded = await recorded_definitions(self._store)
+        self.definitions.add(recorded)
+        for name in types:
+            if not self.definitions.knows(defining_type(name)):
+                hint = did_you_mean(name, list(recorded), f"It has {', '.join(sorted(recorded)[:20])}.")
+                raise UnknownInterface(f"The recording has no definition of {name}.", hint)
+
+
+async def recorded_definitions(store: BagStore) -> dict[str, DefinitionText]:
+    """Every definition that is known of the types of the recorded topics, with those that they refer to."""
+
+    def read() -> list[StoredTopic]:
+        with store.reading(store.subject_name) as bag:
+            return list({topic.type: topic for topic in bag.topics.values()}.values())
+
+    found: dict[str, DefinitionText] = {}
+    for topic in await asyncio.to_thread(read):
+        with contextlib.suppress(UnknownInterface):
+            found |= await definitions_of(topic, None)
+    return found

@@ -1,0 +1,1 @@
+"""Topics: which there are, reading, measuring their flow, publishing."""

@@ -1,0 +1,253 @@
+"""Reading topics: samples of a source are collected and shown, as many as fit; the same for all that reads messages.
+
+Samples stay bytes until it is known which of them are shown.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Picture
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.results import HIDDEN, Report, WithPictures, exact_time, facts, iso_time, reporting, silent
+from ros2_mcp.ops.sources.selection import Collector, Fitted, Selection, fit, spread_indices
+
+if TYPE_CHECKING:
+    from ros2_mcp.ops.sources.source import Source, Stream
+
+MAX_PICTURES = 4
+"""Of one topic: clients count a picture as some 1500 tokens, and two usually show what moved."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading(WithPictures):
+    """The messages of one topic.
+
+    `count` messages are shown, of `received` ones; `dropped` were discarded by this server's memory bounds, `lost`
+    never arrived (null where that cannot be known). `truncated` names paths whose values are summaries. `source` says
+    whether they are live, or of which part of which recording; `duration` is its length.
+    """
+
+    topic_name: str
+    topic_type: str = ""
+    messages: Sequence[dict[str, Any]] = ()
+    received_at: Sequence[str] = ()
+    count: int = 0
+    duration: float = 0.0
+    received: int = 0
+    dropped: int = 0
+    lost: int | None = None
+    publishers: Sequence[str] = ()
+    qos: str = ""
+    truncated: Sequence[str] = ()
+    note: str = ""
+    error: str = ""
+    source: str = ""
+    is_live: bool = field(default=True, metadata=HIDDEN)
+
+    def summary(self) -> str:
+        """One line."""
+        if self.error:
+            return f"{self.topic_name}: {self.error}"
+        shown = "" if self.count == self.received else f", {self.count} shown"
+        where = f"{self.duration:.2f} s" if self.is_live else self.source
+        return f"{self.topic_name}: {self.received} message(s) in {where}{shown}. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class Readings(WithPictures):
+    """The messages of several topics, read at the same time; an `error` of one leaves the others."""
+
+    topics: Sequence[Reading]
+    duration: float
+
+    def summary(self) -> str:
+        """A line for each topic."""
+        return "\n".join(reading.summary() for reading in self.topics)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Echo(WithPictures):
+    """The next message of a topic, or `received` false and the reason; `waited` is how long this took, in seconds."""
+
+    topic_name: str
+    topic_type: str
+    received: bool
+    message: dict[str, Any] | None
+    received_at: str
+    waited: float
+    publishers: Sequence[str]
+    truncated: Sequence[str]
+    note: str
+    source: str
+    is_live: bool = field(metadata=HIDDEN)
+
+    def summary(self) -> str:
+        """One line."""
+        what = "a message" if self.received else "no message"
+        where = f"after {self.waited:.2f} s" if self.is_live else f"in {self.source}"
+        return f"{self.topic_name}: {what} {where}. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Collected:
+    """What was read of a topic, still as bytes, with the account of all that came.
+
+    `received` came in all, of which `dropped` are not among the samples because of memory bounds. `is_full` tells that
+    reading ended because there were enough; `more` says in words how to go on where there are more.
+    """
+
+    stream: Stream
+    samples: Sequence[Sample]
+    received: int
+    dropped: int
+    lost: int | None
+    covered_s: float
+    is_full: bool
+    why_no_more: str
+    more: str
+
+
+async def collect(
+    source: Source,
+    topic: str,
+    type_name: str,
+    selection: Selection,
+    report: Report = silent,
+    *,
+    latched: bool = True,
+    names: tuple[str, str] = ("start", "end"),
+) -> Collected:
+    """The samples of one topic that the selection wants; `names` are the arguments with which a caller goes on.
+
+    Raises:
+        NotFound: if the topic is not there and its type is not given.
+        TypeConflict: if it has several types, or another than the given one.
+        BadValue: if a limit is out of range, or a field is not in the type.
+    """
+    selection.check()
+    limit, every_n = selection.enough, selection.every_n
+    async with source.follow(topic, type_name, limit=limit, every_n=every_n, latched=latched) as stream:
+        if stream.type:
+            selection.check_fields(stream.codec.definitions, stream.type)
+        collector = Collector(every_n=1 if stream.thinned else every_n, enough=limit)
+        is_full = False
+        async with reporting(report, source.duration_s, lambda: f"{stream.topic}: {collector.seen} messages"):
+            async for batch in stream.batches:
+                if is_full := collector.add(batch):
+                    break
+        samples = list(collector.samples)
+        counts, beyond = stream.counts, stream.beyond
+        ended_early = not samples or (limit is not None and not is_full and beyond is None)
+        return Collected(
+            stream=stream,
+            samples=samples,
+            received=(counts.received if stream.thinned else collector.seen) + counts.dropped,
+            dropped=collector.dropped + counts.dropped,
+            lost=counts.lost,
+            covered_s=stream.covered_s,
+            is_full=is_full,
+            why_no_more=await stream.why_no_more(samples[-1] if samples else None) if ended_early else "",
+            more=_more(stream, samples, beyond, names),
+        )
+
+
+async def read(source: Source, topic: str, type_name: str, selection: Selection, report: Report = silent) -> Reading:
+    """Messages of one topic, for as long as the selection says; raises as `collect`."""
+    source = source.lasting(selection.live_s, recorded_s=selection.duration_s)
+    collected = await collect(source, topic, type_name, selection, report)
+    return await _shown(source, collected, selection)
+
+
+async def read_several(
+    source: Source, topics: Sequence[tuple[str, str, Selection]], report: Report = silent
+) -> Readings:
+    """Messages of several topics (name, type or nothing, selection), truly at the same time."""
+    if not topics:
+        raise BadInput("No topics are given.", 'Give a list such as [{"name": "/odom", "duration": 2}].')
+
+    async def read_or_error(topic: str, type_name: str, selection: Selection) -> Reading:
+        share = replace(selection, max_bytes=max(selection.max_bytes // len(topics), 1000))
+        try:
+            return await read(source, topic, type_name, share, report)
+        except RobotError as error:
+            return Reading(topic_name=topic, error=str(error))
+
+    started = monotonic()
+    readings = await asyncio.gather(*(read_or_error(*each) for each in topics))
+    images = [image for reading in readings for image in reading.images]
+    return Readings(readings, monotonic() - started, pictures=facts(images), images=images)
+
+
+async def echo(source: Source, topic: str, topic_type: str, selection: Selection) -> Echo:
+    """The next message of a topic, waiting for the topic and for the message as long as the source lasts."""
+    started = monotonic()
+    selection = replace(selection, message_limit=1)
+    reading = await _shown(source, await collect(source, topic, topic_type, selection), selection)
+    return Echo(
+        topic_name=reading.topic_name,
+        topic_type=reading.topic_type,
+        received=bool(reading.messages),
+        message=reading.messages[0] if reading.messages else None,
+        received_at=reading.received_at[0] if reading.received_at else "",
+        waited=round(monotonic() - started, 6),
+        publishers=reading.publishers,
+        truncated=reading.truncated,
+        note=reading.note,
+        source=reading.source,
+        is_live=source.is_live,
+        pictures=reading.pictures,
+        images=reading.images,
+    )
+
+
+async def _shown(source: Source, collected: Collected, selection: Selection) -> Reading:
+    stream = collected.stream
+    fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
+    images, problem = await asyncio.to_thread(pictures_of, stream.type, fitted)
+    return Reading(
+        topic_name=stream.topic,
+        topic_type=stream.type,
+        messages=fitted.values,
+        received_at=[iso_time(sample.received_ns) for sample in fitted.samples],
+        count=len(fitted.values),
+        duration=round(collected.covered_s, 6),
+        received=collected.received,
+        dropped=collected.dropped,
+        lost=collected.lost,
+        publishers=stream.nodes,
+        qos=stream.qos,
+        truncated=fitted.truncated,
+        note=" ".join(filter(None, (stream.note, collected.why_no_more, fitted.note, fitted.hint, problem))),
+        source=source.words,
+        is_live=source.is_live,
+        pictures=facts(images),
+        images=images,
+    )
+
+
+def _more(stream: Stream, samples: Sequence[Sample], beyond: Sample | None, names: tuple[str, str]) -> str:
+    if beyond is None:
+        return ""
+    if stream.from_end:
+        earlier = exact_time(samples[0].received_ns - 1)
+        return f"There are earlier ones too: for those, give {names[1]} {earlier}."
+    return f"There are later ones too: for those, give {names[0]} {exact_time(beyond.received_ns)}."
+
+
+def pictures_of(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
+    """Pictures of the messages that are shown, made of what was decoded for it; or why there are none."""
+    if type_name not in (IMAGE, COMPRESSED_IMAGE):
+        return [], ""
+    from ros2_mcp.codec.pictures import picture_of
+
+    try:
+        chosen = spread_indices(len(fitted.messages), MAX_PICTURES)
+        return [picture_of(type_name, fitted.messages[index]) for index in chosen], ""
+    except RobotError as error:
+        return [], f"No picture: {error}"

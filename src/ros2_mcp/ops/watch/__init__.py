@@ -1,0 +1,1 @@
+"""Watching a robot, so that a client is told when something changes."""

@@ -1,0 +1,248 @@
+"""What can be watched: topics, the graph, goals, diagnostics, parameters, the log."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import aclosing, suppress
+from dataclasses import dataclass
+from typing import Any
+
+from ros2_mcp.model.errors import NotFound
+from ros2_mcp.model.goals import TERMINAL, goal_id_hex
+from ros2_mcp.model.names import is_hidden
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops import log
+from ros2_mcp.ops.actions.list import STATUS_TYPE
+from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, DiagnosticTable
+from ros2_mcp.robot import Robot
+from ros2_mcp_bridge.protocol import Keep
+
+POLL_S = 0.25
+"""A change of the graph is told within that: people see it at once, and the bridge answers from memory."""
+_ENDPOINTS_S = 2.0
+"""Publishers that offer another QoS than those before are rare, and cost only that they are heard late."""
+_APPEARS_S = 60.0
+"""One wait of the bridge; it is begun anew as long as somebody watches."""
+_LATCHED_S = 0.5
+_MATCHING_S = 0.2
+"""What was there before is taken as known and not told as a change; matching takes up to 200 ms on one host."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """The newest sample of a topic, with its type."""
+
+    type: str
+    sample: Sample
+
+
+@dataclass(frozen=True, slots=True)
+class Unchanging:
+    """What stays as it is, such as a definition."""
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[Any, None]:  # noqa: ARG002
+        """Nothing ever."""
+        yield None
+        await asyncio.Event().wait()
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSamples:
+    """The samples of a topic, which need not be there yet."""
+
+    topic: str
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[Seen | None, None]:
+        """The newest sample, whenever there is one."""
+        async with aclosing(_samples(robot, self.topic, "latest")) as arrivals:
+            type_name, samples = await anext(arrivals)
+            yield Seen(type_name, samples[-1]) if samples else None
+            async for type_name, samples in arrivals:
+                if samples:
+                    yield Seen(type_name, samples[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class GraphParts:
+    """Parts of the graph: `nodes`, `topics`, `services`. Which subscribers a topic has does not count: we are one."""
+
+    parts: Sequence[str]
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
+        """Whenever something came or went."""
+        before = await self._look(robot)
+        yield None
+        while True:
+            await asyncio.sleep(POLL_S)
+            now = await self._look(robot)
+            if now != before:
+                before = now
+                yield None
+
+    async def _look(self, robot: Robot) -> list[Any]:
+        return [await _outline(robot, part) for part in self.parts]
+
+
+@dataclass(frozen=True, slots=True)
+class GoalsEnded:
+    """The goals of every action, and the actions."""
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
+        """Whenever a goal has ended, or an action came or went."""
+        ended, followers = asyncio.Event(), dict[str, asyncio.Task[None]]()
+        try:
+            known = set(await robot.types.actions())
+            ready = [_follow_goals(robot, action, ended, followers) for action in known]
+            await asyncio.gather(*ready)
+            yield None
+            while True:
+                with suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(ended.wait(), POLL_S)
+                present = set(await robot.types.actions())
+                await asyncio.gather(*(_follow_goals(robot, action, ended, followers) for action in present))
+                if ended.is_set() or present != known:
+                    known = present
+                    ended.clear()
+                    yield None
+        finally:
+            for follower in followers.values():
+                follower.cancel()
+            await asyncio.gather(*followers.values(), return_exceptions=True)
+
+
+@dataclass(frozen=True, slots=True)
+class WorseDiagnostics:
+    """The components that report on /diagnostics."""
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[DiagnosticTable, None]:
+        """The table of all components, which stays up to date, whenever one got worse."""
+        table = DiagnosticTable()
+        async with aclosing(_samples(robot, DIAGNOSTICS, "all")) as arrivals:
+            type_name, samples = await anext(arrivals)
+            table.take_all(robot, type_name, samples)
+            yield table
+            async for type_name, samples in arrivals:
+                if table.take_all(robot, type_name, samples):
+                    yield table
+
+
+@dataclass(frozen=True, slots=True)
+class ParametersOf:
+    """The parameters of one node."""
+
+    node: str
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
+        """Whenever the node says that one has changed."""
+        async with aclosing(_samples(robot, "/parameter_events", "all")) as arrivals:
+            await anext(arrivals)
+            yield None
+            async for type_name, samples in arrivals:
+                messages: list[Any] = [robot.values.decode(type_name, sample) for sample in samples]
+                if any(message.node == self.node for message in messages):
+                    yield None
+
+
+@dataclass(frozen=True, slots=True)
+class LogLines:
+    """The lines of /rosout from a level on, of one node or of all; the names are those of `ops.log.LogRequest`."""
+
+    level: str = ""
+    node: str = ""
+
+    async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
+        """Whenever there is such a line."""
+        least, arrived = log.level_number(self.level), asyncio.Event()
+
+        def look(level: int, sample: Sample) -> None:
+            if level >= least and (not self.node or log.is_node(log.line_of(robot, sample).node, self.node)):
+                arrived.set()
+
+        await log.read(robot, log.LogRequest(limit=1))
+        stop = robot.log.on_line(look)
+        try:
+            yield None
+            while True:
+                await arrived.wait()
+                arrived.clear()
+                yield None
+        finally:
+            stop()
+
+
+async def _samples(robot: Robot, topic: str, keep: Keep) -> AsyncGenerator[tuple[str, list[Sample]], None]:
+    """The type of a topic and its samples as they come, following its publishers' QoS.
+
+    Whenever listening begins: what came until every publisher had matched, or nothing. Also nothing while the topic
+    is not there yet.
+    """
+    present = await robot.graph.endpoints(topic)
+    while True:
+        while not present.publishers:
+            yield "", []
+            present = await robot.graph.wait_for(topic, publishers=1, timeout_s=_APPEARS_S)
+        async with robot.listen(topic, present.publishers[0].type, keep=keep, max_samples=1000) as heard:
+            yield heard.type, await heard.take(_MATCHING_S)
+            while True:
+                look_at = _now() + _ENDPOINTS_S
+                while (left := look_at - _now()) > 0:
+                    if samples := await heard.take(left):
+                        yield heard.type, samples
+                present = await robot.graph.endpoints(topic)
+                is_published = any(publisher.type == heard.type for publisher in present.publishers)
+                if not is_published or not heard.still_fits(present):
+                    break
+
+
+async def _follow_goals(
+    robot: Robot, action: str, ended: asyncio.Event, followers: dict[str, asyncio.Task[None]]
+) -> None:
+    """Starts following the goals of an action, unless that goes on already; returns when it has begun."""
+    if action in followers and not followers[action].done():
+        return
+    begun = asyncio.Event()
+    follower = followers[action] = asyncio.create_task(_goals(robot, action, ended, begun))
+    waiting = asyncio.create_task(begun.wait())
+    await asyncio.wait({follower, waiting}, return_when=asyncio.FIRST_COMPLETED)
+    waiting.cancel()
+
+
+async def _goals(robot: Robot, action: str, ended: asyncio.Event, begun: asyncio.Event) -> None:
+    with suppress(NotFound):
+        async with robot.listen(f"{action}/_action/status", STATUS_TYPE, keep="latest") as heard:
+            first = await heard.take(_LATCHED_S)
+            over = _over(robot, first)
+            begun.set()
+            while True:
+                if samples := await heard.take(_APPEARS_S):
+                    now = _over(robot, samples)
+                    if now - over:
+                        ended.set()
+                    over = now
+
+
+def _over(robot: Robot, samples: Sequence[Sample]) -> set[str]:
+    """The goals that the newest status says have ended."""
+    if not samples:
+        return set()
+    message: Any = robot.values.decode(STATUS_TYPE, samples[-1])
+    return {
+        goal_id_hex([int(byte) for byte in status.goal_info.goal_id.uuid])
+        for status in message.status_list
+        if int(status.status) in TERMINAL
+    }
+
+
+async def _outline(robot: Robot, part: str) -> list[Any]:
+    """What of a part of the graph counts as a change."""
+    if part == "topics":
+        topics = [row for row in await robot.graph.topics() if not is_hidden(row.name)]
+        return sorted((row.name, row.types, row.publishers) for row in topics)
+    if part == "services":
+        return sorted(row for row in await robot.graph.services() if not is_hidden(row.name))
+    return sorted(await robot.graph.nodes())
+
+
+def _now() -> float:
+    return asyncio.get_running_loop().time()
