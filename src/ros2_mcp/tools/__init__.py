@@ -1,20 +1,34 @@
 """What the model sees: one module per family of tools. Every module of this folder is found by itself.
 
 A module says with `PLACE` where its tools stand in `tools/list`: the list must be the same for every connection, and
-models read it from the top, so what is looked at first stands first. Within a module it is the order of declaration.
+models read it from the top, so what is looked at first stands first. Tools of the same place keep the order of their
+declaration. A tool whose neighbours in the list live in another module has a `place` of its own.
 """
 
 import pkgutil
+from collections.abc import Iterable
 from importlib import import_module
 
 from ros2_mcp.tools.declare import DECLARED, ToolDeclaration
 
-__all__ = ["GROUPS", "TOOLS", "ToolDeclaration"]
+__all__ = ["GROUPS", "TOOLS", "ToolDeclaration", "in_order"]
 
 _MODULES = [import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
-_PLACES = {module.__name__: getattr(module, "PLACE", 1000) for module in _MODULES}
+_LAST = 1000
+"""The place of a module that names none: after all others."""
+_PLACES: dict[str, int] = {module.__name__: getattr(module, "PLACE", _LAST) for module in _MODULES}
 
-TOOLS = sorted(DECLARED, key=lambda tool: _PLACES[tool.function.__module__])
+
+def in_order(tools: Iterable[ToolDeclaration]) -> list[ToolDeclaration]:
+    """The tools in the order of `tools/list`."""
+
+    def place(tool: ToolDeclaration) -> int:
+        return _PLACES.get(tool.function.__module__, _LAST) if tool.place is None else tool.place
+
+    return sorted(tools, key=place)
+
+
+TOOLS = in_order(DECLARED)
 """Every tool, in the order of `tools/list`."""
 
 GROUPS = tuple(dict.fromkeys(tool.group for tool in TOOLS))

@@ -19,13 +19,14 @@ Risk = Literal["read", "write", "actuate"]
 ToolFunction = Callable[..., Awaitable[Any]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ToolDeclaration:
     """One tool as the model sees it.
 
     `aliases` maps other spellings of its arguments to the right ones. Tools that are not offered `by_default` come
     with their group: models choose best among about thirty. A call of `also_named` is answered too; it is not listed.
-    `recorded` tools also work where a recording stands for the robot.
+    `recorded` tools also work where a recording stands for the robot. `place` is where the tool stands in
+    `tools/list`; None: at the `PLACE` of its module.
     """
 
     function: ToolFunction
@@ -37,6 +38,7 @@ class ToolDeclaration:
     aliases: Mapping[str, str] = field(default_factory=dict[str, str])
     also_named: str = ""
     recorded: bool = False
+    place: int | None = None
 
     @property
     def description(self) -> str:
@@ -70,13 +72,23 @@ def tool(
     aliases: Mapping[str, str] | None = None,
     also_named: str = "",
     recorded: bool = False,
+    place: int | None = None,
 ) -> Callable[[ToolFunction], ToolFunction]:
     """Declares the function as a tool of the same name."""
 
     def declare(function: ToolFunction) -> ToolFunction:
         DECLARED.append(
             ToolDeclaration(
-                function, function.__name__, title, risk, group, by_default, aliases or {}, also_named, recorded
+                function=function,
+                name=function.__name__,
+                title=title,
+                risk=risk,
+                group=group,
+                by_default=by_default,
+                aliases=aliases or {},
+                also_named=also_named,
+                recorded=recorded,
+                place=place,
             )
         )
         return function

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 
 from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
+from ros2_mcp.tools import in_order
 from ros2_mcp.tools.declare import ToolDeclaration
+from ros2_mcp.tools.graph import PLACE, ros2_status
 
 
 async def example(robot: Robot, report: Report, name: str, limit: int = 3) -> str:
@@ -15,7 +18,7 @@ async def example(robot: Robot, report: Report, name: str, limit: int = 3) -> st
     return ""
 
 
-DECLARATION = ToolDeclaration(example, "example", "Example", "read", "core")
+DECLARATION = ToolDeclaration(function=example, name="example", title="Example", risk="read", group="core")
 
 
 def test_the_model_does_not_see_what_is_injected() -> None:
@@ -30,3 +33,11 @@ def test_annotations_are_evaluated() -> None:
 def test_the_description_is_the_docstring_without_its_indentation() -> None:
     assert DECLARATION.description == "First line.\n\nMore."
     assert inspect.cleandoc(DECLARATION.description) == DECLARATION.description
+
+
+def test_a_tool_stands_at_the_place_of_its_module_or_at_its_own() -> None:
+    last = DECLARATION
+    of_its_module = replace(DECLARATION, function=ros2_status)
+    before = replace(DECLARATION, place=PLACE - 1)
+    after = replace(of_its_module, place=PLACE + 1)
+    assert in_order([last, after, of_its_module, before]) == [before, of_its_module, after, last]
