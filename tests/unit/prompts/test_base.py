@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import Any
 
 import jsonschema
@@ -79,8 +78,8 @@ def prompt_named(robot: Robot, name: str) -> Prompt:
     return next(prompt for prompt in base_prompts(robot) if prompt.name == name)
 
 
-def text_of(robot: Robot, name: str, given: dict[str, str]) -> str:
-    messages = asyncio.run(prompt_named(robot, name).messages({**NEEDED[name], **given}))
+async def text_of(robot: Robot, name: str, given: dict[str, str]) -> str:
+    messages = await prompt_named(robot, name).messages({**NEEDED[name], **given})
     return "\n".join(message.text for message in messages)
 
 
@@ -92,18 +91,18 @@ def test_the_prompts_have_the_arguments_and_defaults_of_the_contract(robot: Robo
 
 
 @pytest.mark.parametrize(("name", "given"), [*((name, {}) for name in NEEDED), *LEAST_AND_MOST])
-def test_every_call_that_a_prompt_names_is_one_that_the_tool_accepts(
+async def test_every_call_that_a_prompt_names_is_one_that_the_tool_accepts(
     robot: Robot, name: str, given: dict[str, str]
 ) -> None:
-    steps = steps_of(text_of(robot, name, given))
+    steps = steps_of(await text_of(robot, name, given))
     assert steps
     for tool, arguments in steps:
         jsonschema.validate(arguments, SCHEMAS[tool])
 
 
-def test_given_values_stand_in_the_calls(robot: Robot) -> None:
+async def test_given_values_stand_in_the_calls(robot: Robot) -> None:
     given = {"diff_fields": "linear.x", "duration_sec": "2", "tolerance_percent": "5", "sync_by_timestamp": "no"}
-    assert steps_of(text_of(robot, "base.ros2-topic-diff-monitor", given)) == [
+    assert steps_of(await text_of(robot, "base.ros2-topic-diff-monitor", given)) == [
         (
             "ros2_topic_compare",
             {
@@ -127,11 +126,11 @@ def test_given_values_stand_in_the_calls(robot: Robot) -> None:
         ("base.ros2-node-health-check", {"expected_nodes": "/a"}, "no argument 'expected_nodes'"),
     ],
 )
-def test_wrong_values_are_refused(robot: Robot, name: str, given: dict[str, str], complaint: str) -> None:
+async def test_wrong_values_are_refused(robot: Robot, name: str, given: dict[str, str], complaint: str) -> None:
     with pytest.raises(BadInput) as refused:
-        text_of(robot, name, given)
+        await text_of(robot, name, given)
     assert complaint in str(refused.value)
 
 
-def test_a_prompt_is_short(robot: Robot) -> None:
-    assert max(len(text_of(robot, name, {})) for name in NEEDED) < 1000
+async def test_a_prompt_is_short(robot: Robot) -> None:
+    assert max([len(await text_of(robot, name, {})) for name in NEEDED]) < 1000

@@ -69,8 +69,8 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Load]:
     sys.modules.pop("my_prompts", None)
 
 
-def texts(prompt: Prompt, **given: str) -> list[str]:
-    return [message.text for message in asyncio.run(prompt.messages(given))]
+async def texts(prompt: Prompt, **given: str) -> list[str]:
+    return [message.text for message in await prompt.messages(given)]
 
 
 @pytest.mark.parametrize(
@@ -83,24 +83,24 @@ def texts(prompt: Prompt, **given: str) -> list[str]:
         "def register_prompts(): yield Takeoff()",
     ],
 )
-def test_a_module_for_the_wisevision_server_works_unchanged(load: Load, hook: str) -> None:
+async def test_a_module_for_the_wisevision_server_works_unchanged(load: Load, hook: str) -> None:
     [prompt], told = load(CLASSES + hook)
     assert told == []
     assert prompt.name == "drone.takeoff"
-    assert texts(prompt, height="7.0") == ["Call arming { data: true }.", "Go to 7 m, land=true."]
+    assert await texts(prompt, height="7.0") == ["Call arming { data: true }.", "Go to 7 m, land=true."]
     with pytest.raises(BadInput, match="needs the argument height"):
-        texts(prompt)
+        await texts(prompt)
     assert "server" not in sys.modules
 
 
-def test_functions_registered_as_on_a_fastmcp_server_work(load: Load) -> None:
+async def test_functions_registered_as_on_a_fastmcp_server_work(load: Load) -> None:
     prompts, told = load(DECORATED)
     assert told == []
     by_name = {prompt.name: prompt for prompt in prompts}
     assert list(by_name) == ["greet", "bye", "bare"]
-    assert texts(by_name["greet"], name="Bo", times="1") == ["Say hello to Bo. "]
-    assert texts(by_name["greet"], name="Bo") == ["Say hello to Bo. Say hello to Bo. "]
-    assert texts(by_name["bye"]) == ["Say", "bye"]
+    assert await texts(by_name["greet"], name="Bo", times="1") == ["Say hello to Bo. "]
+    assert await texts(by_name["greet"], name="Bo") == ["Say hello to Bo. Say hello to Bo. "]
+    assert await texts(by_name["bye"]) == ["Say", "bye"]
     assert by_name["greet"].description == "Greet somebody"
 
 
@@ -127,11 +127,11 @@ def test_good_prompts_before_a_bad_one_are_kept(load: Load) -> None:
     assert [len(prompts), len(told)] == [1, 1]
 
 
-def test_a_prompt_that_fails_when_it_is_fetched_says_what_failed(load: Load) -> None:
+async def test_a_prompt_that_fails_when_it_is_fetched_says_what_failed(load: Load) -> None:
     text = "def boom():\n    raise KeyError('wing')\nALL_PROMPTS = [boom]"
     [prompt], _ = load(text)
     with pytest.raises(RobotError, match="prompt boom failed"):
-        texts(prompt)
+        await texts(prompt)
 
 
 def test_an_installed_package_offers_prompts_through_its_entry_point(
@@ -156,7 +156,7 @@ def test_code_of_users_is_off_until_it_is_switched_on() -> None:
     assert code_of(Settings(custom_prompts=True)) is from_entry_points
 
 
-def test_code_cannot_take_a_name_that_is_taken_and_runs_once(robot: Robot) -> None:
+async def test_code_cannot_take_a_name_that_is_taken_and_runs_once(robot: Robot) -> None:
     async def write(_: object) -> list[object]:
         return []
 
@@ -176,6 +176,6 @@ def test_code_cannot_take_a_name_that_is_taken_and_runs_once(robot: Robot) -> No
         both = await asyncio.gather(catalog.prompts(), catalog.prompts())
         return [prompt.name for prompt in both[1].values() if prompt.description == "of code"]
 
-    assert asyncio.run(twice()) == ["mine"]
+    assert await twice() == ["mine"]
     assert runs == [1]
     assert len(told) == 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 from typing import Any
 
@@ -28,35 +27,35 @@ MAVROS = {
 HOME = {"HOME_LAT": 47.4, "HOME_LON": 8.5, "DEST_LAT": 47.4001, "DEST_LON": 8.5002}
 
 
-def fetched(**given: str) -> list[tuple[str, dict[str, Any]]]:
+async def fetched(**given: str) -> list[tuple[str, dict[str, Any]]]:
     told: list[Mistake] = []
     folder = PromptFolder(EXAMPLES, told.append, tools=frozenset(tool.name for tool in TOOLS))
     mission = next(prompt for prompt in folder.prompts() if prompt.name == "drone-mission")
     assert told == []
-    messages = asyncio.run(mission.messages({"dest_x": "20", "dest_y": "-10.5", "dest_z": "15", **given}))
+    messages = await mission.messages({"dest_x": "20", "dest_y": "-10.5", "dest_z": "15", **given})
     return steps_of(messages[0].text, **HOME)
 
 
-def calls(**given: str) -> dict[str, dict[str, Any]]:
-    return {step["service_name"]: step for tool, step in fetched(**given) if tool == "ros2_service_call"}
+async def calls(**given: str) -> dict[str, dict[str, Any]]:
+    return {step["service_name"]: step for tool, step in await fetched(**given) if tool == "ros2_service_call"}
 
 
-def test_every_call_of_the_mission_is_one_that_the_tool_accepts() -> None:
+async def test_every_call_of_the_mission_is_one_that_the_tool_accepts() -> None:
     schemas = {tool.name: tool.input_schema for tool in served_tools()}
-    for tool, arguments in fetched():
+    for tool, arguments in await fetched():
         jsonschema.validate(arguments, schemas[tool])
 
 
-def test_every_request_of_the_mission_fits_its_definition() -> None:
+async def test_every_request_of_the_mission_fits_its_definition() -> None:
     definitions = Definitions()
     definitions.add({name: DefinitionText(name.split("/")[1], text) for name, text in MAVROS.items()})
-    for call in calls().values():
+    for call in (await calls()).values():
         check(definitions, f"{call['service_type']}_Request", call["fields"], partial=False)
 
 
-def test_the_mission_is_pushed_before_the_motors_are_armed_and_the_mode_is_set_last() -> None:
-    assert list(calls()) == ["/mavros/mission/push", "/mavros/cmd/arming", "/mavros/set_mode"]
-    assert calls()["/mavros/set_mode"]["fields"] == {"base_mode": 0, "custom_mode": "AUTO"}
+async def test_the_mission_is_pushed_before_the_motors_are_armed_and_the_mode_is_set_last() -> None:
+    assert list(await calls()) == ["/mavros/mission/push", "/mavros/cmd/arming", "/mavros/set_mode"]
+    assert (await calls())["/mavros/set_mode"]["fields"] == {"base_mode": 0, "custom_mode": "AUTO"}
 
 
 @pytest.mark.parametrize(
@@ -68,8 +67,8 @@ def test_the_mission_is_pushed_before_the_motors_are_armed_and_the_mode_is_set_l
         ("false", "false", [16, 22, 16]),
     ],
 )
-def test_the_waypoints_follow_the_flags(back: str, land: str, commands: list[int]) -> None:
-    waypoints = calls(return_to_launch=back, land_at_launch=land)["/mavros/mission/push"]["fields"]["waypoints"]
+async def test_the_waypoints_follow_the_flags(back: str, land: str, commands: list[int]) -> None:
+    waypoints = (await calls(return_to_launch=back, land_at_launch=land))["/mavros/mission/push"]["fields"]["waypoints"]
     assert [waypoint["command"] for waypoint in waypoints] == commands
     assert {waypoint["frame"] for waypoint in waypoints} == {3}
     assert [waypoint["z_alt"] for waypoint in waypoints[:3]] == [0, 15, 15]

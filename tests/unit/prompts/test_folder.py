@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -34,15 +33,15 @@ Drive {{rounds}} rounds, {{mode}}.
 """
 
 
-def text_of(prompt: Prompt, **given: str) -> str:
-    return "".join(message.text for message in asyncio.run(prompt.messages(given)))
+async def text_of(prompt: Prompt, **given: str) -> str:
+    return "".join(message.text for message in await prompt.messages(given))
 
 
-def test_a_file_is_a_prompt(make_folder: Callable) -> None:
+async def test_a_file_is_a_prompt(make_folder: Callable) -> None:
     folder, told = make_folder({"any.md": PATROL, "README.md": "# no prompt", "notes.txt": "no prompt"})
     [prompt] = folder.prompts()
     assert (prompt.name, prompt.title, prompt.description) == ("patrol", "Patrol", "Drive around")
-    assert text_of(prompt, topic="scan", mode="fast").splitlines() == [
+    assert (await text_of(prompt, topic="scan", mode="fast")).splitlines() == [
         "Drive 3 rounds, fast.",
         '1. Call ros2_topic_list with {"pattern": "/scan"}',
     ]
@@ -108,14 +107,14 @@ def test_a_name_is_given_once_and_not_one_of_the_base_prompts(make_folder: Calla
     assert [(Path(mistake.where).name, mistake.line) for mistake in told] == [("b.md", 2), ("c.md", 2)]
 
 
-def test_a_changed_file_is_read_again_and_mistakes_are_told_once(make_folder: Callable, tmp_path: Path) -> None:
+async def test_a_changed_file_is_read_again_and_mistakes_are_told_once(make_folder: Callable, tmp_path: Path) -> None:
     folder, told = make_folder({"a.md": PATROL, "b.md": "no prompt"})
     assert not folder.has_news()  # nobody has asked yet
     assert len(folder.prompts()) == 1
     (tmp_path / "a.md").write_text(PATROL.replace("default: 3", "default: 5"))
     os.utime(tmp_path / "a.md", ns=(1, 1))
     assert [folder.has_news(), folder.has_news()] == [True, False]
-    assert "5 rounds" in text_of(folder.prompts()[0], topic="/x")
+    assert "5 rounds" in await text_of(folder.prompts()[0], topic="/x")
     (tmp_path / "a.md").unlink()
     assert list(folder.prompts()) == []
     assert len(told) == 1

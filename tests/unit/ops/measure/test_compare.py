@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 
 import numpy as np
@@ -146,7 +145,7 @@ def test_arrays_are_compared_element_by_element(window: Make) -> None:
     assert field.mean_difference == pytest.approx(0.5 / 3)
 
 
-def test_what_cannot_be_compared_is_refused_before_measuring(window: Make) -> None:
+async def test_what_cannot_be_compared_is_refused_before_measuring(window: Make) -> None:
     source = Recorded([floats(window, "/a", [0], [0]), points(window, "/b", [0], [0], [0])])
     for topics, fields, error in [
         (("/a", "/a"), [], BadInput),
@@ -155,7 +154,7 @@ def test_what_cannot_be_compared_is_refused_before_measuring(window: Make) -> No
         (("/a", "/c"), [], NotFound),
     ]:
         with pytest.raises(error):
-            asyncio.run(compare(source, topics, fields))
+            await compare(source, topics, fields)
 
 
 def test_numbers_at_the_end_of_their_range_are_compared(window: Make) -> None:

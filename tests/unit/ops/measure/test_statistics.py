@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 
 import numpy as np
@@ -159,19 +158,19 @@ def test_transforms_in_a_list_can_be_measured(window: Make) -> None:
     assert only(tf, ["transforms[1].transform.translation.x"]).mean == 2.0
 
 
-def test_a_topic_that_is_not_there_leaves_the_others(window: Make) -> None:
+async def test_a_topic_that_is_not_there_leaves_the_others(window: Make) -> None:
     source = Recorded([floats(window, [0, 1], [1, 2])])
-    there, missing = asyncio.run(measure(source, ["/x", "/y"], Selection())).topics
+    there, missing = (await measure(source, ["/x", "/y"], Selection())).topics
     assert there.count == 2 and not there.error
     assert missing.error == "no /y"
 
 
-def test_a_field_that_no_topic_has_is_refused_before_measuring(window: Make) -> None:
+async def test_a_field_that_no_topic_has_is_refused_before_measuring(window: Make) -> None:
     source = Recorded([floats(window, [0, 1], [1, 2])])
     with pytest.raises(BadValue, match="no field 'dta'"):
-        asyncio.run(measure(source, ["/x"], Selection(fields=["dta"])))
+        await measure(source, ["/x"], Selection(fields=["dta"]))
     with pytest.raises(BadInput, match="twice"):
-        asyncio.run(measure(source, ["/x", "/x"], Selection()))
+        await measure(source, ["/x", "/x"], Selection())
 
 
 def test_a_silent_topic_says_so(window: Make) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import pytest
 
 from ros2_mcp.model.errors import BadInput
@@ -17,8 +15,8 @@ def ramp(window: Make) -> Recorded:
     return Recorded([window("/x", FLOAT, [(i / 1000, {"data": float(i)}) for i in range(1000)])])
 
 
-def test_the_first_message_that_meets_the_condition_is_returned(window: Make) -> None:
-    found = asyncio.run(wait_until(ramp(window), "/x", "data > 400"))
+async def test_the_first_message_that_meets_the_condition_is_returned(window: Make) -> None:
+    found = await wait_until(ramp(window), "/x", "data > 400")
     assert (found.met, found.looked_at, found.message, dict(found.values)) == (
         True,
         402,
@@ -29,22 +27,22 @@ def test_the_first_message_that_meets_the_condition_is_returned(window: Make) ->
     assert "is met" in found.summary()
 
 
-def test_the_last_seen_is_returned_if_none_meets_it(window: Make) -> None:
-    found = asyncio.run(wait_until(ramp(window), "/x", "data < 0"))
+async def test_the_last_seen_is_returned_if_none_meets_it(window: Make) -> None:
+    found = await wait_until(ramp(window), "/x", "data < 0")
     assert (found.met, found.looked_at, found.message) == (False, 1000, {"data": 999.0})
     assert "was not met" in found.summary()
 
 
-def test_silence_says_so(window: Make) -> None:
-    found = asyncio.run(wait_until(Recorded([window("/x", FLOAT, [])]), "/x", "data < 0"))
+async def test_silence_says_so(window: Make) -> None:
+    found = await wait_until(Recorded([window("/x", FLOAT, [])]), "/x", "data < 0")
     assert (found.met, found.message, found.note) == (False, None, "No message came.")
 
 
-def test_messages_without_an_answer_are_counted(window: Make) -> None:
-    found = asyncio.run(wait_until(ramp(window), "/x", "1 / data > 0.9"))
+async def test_messages_without_an_answer_are_counted(window: Make) -> None:
+    found = await wait_until(ramp(window), "/x", "1 / data > 0.9")
     assert (found.met, found.looked_at, found.undecided) == (True, 2, 1)
 
 
-def test_a_bad_condition_is_refused_before_waiting(window: Make) -> None:
+async def test_a_bad_condition_is_refused_before_waiting(window: Make) -> None:
     with pytest.raises(BadInput, match="dat"):
-        asyncio.run(wait_until(ramp(window), "/x", "dat > 1"))
+        await wait_until(ramp(window), "/x", "dat > 1")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,7 +31,7 @@ def make_bag(folder: Path, value: int = 1) -> None:
 
 
 @pytest.fixture
-def remember() -> Iterator[Callable[..., BagStore]]:
+async def remember(anyio_backend: str) -> AsyncIterator[Callable[..., BagStore]]:
     made: list[BagStore] = []
 
     def make(*folders: Path) -> BagStore:
@@ -41,7 +40,7 @@ def remember() -> Iterator[Callable[..., BagStore]]:
 
     yield make
     for store in made:
-        asyncio.run(store.close())
+        await store.close()
 
 
 @contextmanager
@@ -56,7 +55,7 @@ def without_privileges() -> Iterator[None]:
             os.seteuid(0)
 
 
-def test_loose_files_and_links_are_listed_as_far_as_they_can_be_read(
+async def test_loose_files_and_links_are_listed_as_far_as_they_can_be_read(
     tmp_path: Path, remember: Callable[..., BagStore]
 ) -> None:
     root, elsewhere = tmp_path / "bags", tmp_path / "elsewhere"
@@ -68,7 +67,7 @@ def test_loose_files_and_links_are_listed_as_far_as_they_can_be_read(
     (root / "out.mcap").symlink_to(elsewhere / "run" / "run_0.mcap")
     (root / "gone.mcap").symlink_to(root / "nowhere.mcap")
     store = remember(root, root)
-    listed = asyncio.run(bags.list_bags(store))
+    listed = await bags.list_bags(store)
     assert sorted(entry.bag for entry in listed.bags) == ["bags_0.mcap", "deep/run", "latest"]
     for entry in listed.bags:
         with store.reading(entry.bag) as bag:
@@ -94,19 +93,19 @@ def test_what_was_recorded_here_comes_before_a_bag_of_the_same_name(
         assert [sample.data[4] for _, sample in bag.messages()] == [2]
 
 
-def test_a_folder_that_cannot_be_looked_into_is_skipped(remember: Callable[..., BagStore]) -> None:
+async def test_a_folder_that_cannot_be_looked_into_is_skipped(remember: Callable[..., BagStore]) -> None:
     with tempfile.TemporaryDirectory(dir="/tmp") as name:
         root = Path(name)
         make_bag(root / "run")
         store = remember(root)
-        asyncio.run(bags.list_bags(store))
+        await bags.list_bags(store)
         for closed, mode in (("lost+found", 0), ("names-only", 0o444)):
             make_bag(root / closed / "inside")
             make_bag(root / closed)
             (root / closed).chmod(mode)
         root.chmod(0o755)
         with without_privileges():
-            assert [entry.bag for entry in asyncio.run(bags.list_bags(store)).bags] == ["run"]
+            assert [entry.bag for entry in (await bags.list_bags(store)).bags] == ["run"]
             with pytest.raises(NotFound, match="no bag 'rum'"):
                 store.find_bag("rum")
             with pytest.raises(NotFound, match="no bag"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,17 +62,17 @@ class Asker:
         self.store = BagStore(folder, subject=subject)
         self.robot = recorded_robot(self.store, 32_000)
 
-    def get(self, topic: str = "/count", number: int = 0, **asked: str) -> StoredMessages:
+    async def get(self, topic: str = "/count", number: int = 0, **asked: str) -> StoredMessages:
         selection = Selection(message_limit=number or None)
-        return asyncio.run(history.get_messages(self.robot, self.store, topic, "", SourceRequest(**asked), selection))
+        return await history.get_messages(self.robot, self.store, topic, "", SourceRequest(**asked), selection)
 
-    def read(self, bag: str, topic: str, limit: int = 20, every_n: int = 1, **asked: str) -> bags.BagMessages:
+    async def read(self, bag: str, topic: str, limit: int = 20, every_n: int = 1, **asked: str) -> bags.BagMessages:
         selection = Selection(message_limit=limit, every_n=every_n)
-        return asyncio.run(bags.read(self.robot, self.store, bag, topic, selection, **asked))
+        return await bags.read(self.robot, self.store, bag, topic, selection, **asked)
 
-    def open(self, *names: str) -> None:
+    async def open(self, *names: str) -> None:
         for name in names:
-            asyncio.run(bags.info(self.store, name))
+            await bags.info(self.store, name)
 
     def records(self, folder: Path) -> Recorder:
         recorder = Recorder(RingWriter(folder, 10**8, 3600), folder)
@@ -80,12 +80,12 @@ class Asker:
         self.store.writes(folder, lambda: not recorder.ended)
         return recorder
 
-    def close(self) -> None:
-        asyncio.run(self.store.close())
+    async def close(self) -> None:
+        await self.store.close()
 
 
 @pytest.fixture
-def asker(tmp_path: Path) -> Iterator[Callable[..., Asker]]:
+async def asker(tmp_path: Path, anyio_backend: str) -> AsyncIterator[Callable[..., Asker]]:
     made: list[Asker] = []
 
     def make(subject: str = "") -> Asker:
@@ -94,32 +94,34 @@ def asker(tmp_path: Path) -> Iterator[Callable[..., Asker]]:
 
     yield make
     for each in made:
-        each.close()
+        await each.close()
 
 
 def values(answer: StoredMessages | bags.BagMessages) -> list[int]:
     return [each["data"] for each in answer.messages]
 
 
-def test_the_black_box_of_a_former_server_is_silent_until_it_is_opened(
+async def test_the_black_box_of_a_former_server_is_silent_until_it_is_opened(
     tmp_path: Path, asker: Callable[..., Asker]
 ) -> None:
     make_bag(tmp_path / BLACK_BOX, COUNT, number_at(1))
     agent = asker()
     with pytest.raises(NotFound, match="Nobody has kept"):
-        agent.get()
-    agent.open("black box")
-    assert "the bag" in agent.get().source
+        await agent.get()
+    await agent.open("black box")
+    assert "the bag" in (await agent.get()).source
 
 
-def test_a_bag_that_is_the_robot_answers_before_an_old_black_box(tmp_path: Path, asker: Callable[..., Asker]) -> None:
+async def test_a_bag_that_is_the_robot_answers_before_an_old_black_box(
+    tmp_path: Path, asker: Callable[..., Asker]
+) -> None:
     make_bag(tmp_path / BLACK_BOX, COUNT, number_at(1))
     make_bag(tmp_path / "robot", COUNT, number_at(2))
-    answer = asker("robot").get()
+    answer = await asker("robot").get()
     assert (answer.source, values(answer)) == ("the bag robot", [2])
 
 
-def test_the_black_box_answers_first_while_it_runs_and_last_when_it_has_ended(
+async def test_the_black_box_answers_first_while_it_runs_and_last_when_it_has_ended(
     tmp_path: Path, asker: Callable[..., Asker]
 ) -> None:
     agent = asker()
@@ -128,34 +130,34 @@ def test_the_black_box_answers_first_while_it_runs_and_last_when_it_has_ended(
         recorder.put("/count", [number_at(value)])
     mine.stop()
     deadline = time.monotonic() + 10
-    while agent.get().source != f"this server's recording {BLACK_BOX}":
+    while (await agent.get()).source != f"this server's recording {BLACK_BOX}":
         assert time.monotonic() < deadline, "the black box that runs was never asked first"
-        time.sleep(0.05)
+        await asyncio.sleep(0.05)
     box.stop()
-    answer = agent.get()
+    answer = await agent.get()
     assert (answer.source, values(answer)) == ("this server's recording mine", [1])
 
 
-def test_a_damaged_bag_and_one_of_an_unknown_type_keep_no_other_from_being_asked(
+async def test_a_damaged_bag_and_one_of_an_unknown_type_keep_no_other_from_being_asked(
     tmp_path: Path, asker: Callable[..., Asker]
 ) -> None:
     for name in ("good", "damaged", "robot"):
         make_bag(tmp_path / name, COUNT, *([] if name == "robot" else [number_at(3)]))
     make_bag(tmp_path / "odd", ODD, number_at(3))
     agent = asker("robot")
-    agent.open("good", "damaged", "odd")
+    await agent.open("good", "damaged", "odd")
     (tmp_path / "damaged" / "damaged_0.mcap").write_bytes(b"nonsense")
-    answer = agent.get()
+    answer = await agent.get()
     assert (answer.source, values(answer)) == ("the bag good", [3])
     assert "damaged cannot be read" in answer.note and "odd_msgs/msg/Odd" in answer.note
 
     alone = asker("robot")
-    alone.open("odd")
+    await alone.open("odd")
     with pytest.raises(UnknownInterface, match="odd_msgs/msg/Odd"):
-        alone.get()
+        await alone.get()
 
 
-def test_earlier_messages_that_were_not_read_are_told_and_how_to_get_them(
+async def test_earlier_messages_that_were_not_read_are_told_and_how_to_get_them(
     tmp_path: Path, asker: Callable[..., Asker]
 ) -> None:
     make_bag(tmp_path / "robot", RAW, *(large(number) for number in range(80)))
@@ -163,48 +165,48 @@ def test_earlier_messages_that_were_not_read_are_told_and_how_to_get_them(
     seen = 0
     asked: dict[str, str] = {}
     while True:
-        answer = agent.get("/raw", **asked)
+        answer = await agent.get("/raw", **asked)
         seen += answer.found
         if "earlier ones" not in answer.note:
             break
         assert answer.found == 31
         asked = {"end": re.findall(r"time_end (\S+)\.", answer.note)[0]}
     assert seen == 80
-    assert "earlier" not in agent.get("/raw", number=2).note
+    assert "earlier" not in (await agent.get("/raw", number=2)).note
 
-    read = agent.read("robot", "/raw", limit=60)
+    read = await agent.read("robot", "/raw", limit=60)
     end = re.findall(r"There are earlier ones too: for those, give end (\S+)\.", read.note)[0]
-    assert "There are earlier" in agent.read("robot", "/raw", end=end, limit=10).note
-    assert "There are earlier" not in agent.read("robot", "/raw", end=end, limit=60, every_n=2).note
+    assert "There are earlier" in (await agent.read("robot", "/raw", end=end, limit=10)).note
+    assert "There are earlier" not in (await agent.read("robot", "/raw", end=end, limit=60, every_n=2)).note
 
 
-def test_a_bag_is_read_on_from_where_the_answer_says(tmp_path: Path, asker: Callable[..., Asker]) -> None:
+async def test_a_bag_is_read_on_from_where_the_answer_says(tmp_path: Path, asker: Callable[..., Asker]) -> None:
     make_bag(tmp_path / "robot", COUNT, *(number_at(value, value / 7) for value in range(10)))
     agent = asker("robot")
-    first = agent.read("robot", "/count", start="first 0 s", limit=6)
+    first = await agent.read("robot", "/count", start="first 0 s", limit=6)
     start = re.findall(r"There are later ones too: for those, give start (\S+)\.", first.note)[0]
-    rest = agent.read("robot", "/count", start=start, limit=6)
+    rest = await agent.read("robot", "/count", start=start, limit=6)
     assert values(first) + values(rest) == list(range(10)) and rest.note == ""
 
 
-def test_only_the_messages_that_are_shown_are_decoded(tmp_path: Path, asker: Callable[..., Asker]) -> None:
+async def test_only_the_messages_that_are_shown_are_decoded(tmp_path: Path, asker: Callable[..., Asker]) -> None:
     damaged = [Sample(START_NS + number, 0, number, b"\0\1\0\0") for number in (3, 5_000, 9_999)]
     samples = [number_at(value, value / SECOND) for value in range(10_000)]
     for each in damaged:
         samples[each.received_ns - START_NS] = each
     make_bag(tmp_path / "robot", COUNT, *samples)
-    answer = asker("robot").get()
+    answer = await asker("robot").get()
     assert values(answer)[0] == 0 and values(answer)[-1] == 9_998 and 5 < answer.count < 1000
     assert "1 message(s) are not what their type says" in answer.note
 
 
-def test_messages_of_which_none_can_be_read_are_an_error(tmp_path: Path, asker: Callable[..., Asker]) -> None:
+async def test_messages_of_which_none_can_be_read_are_an_error(tmp_path: Path, asker: Callable[..., Asker]) -> None:
     make_bag(tmp_path / "robot", COUNT, Sample(START_NS, 0, 1, b"\0\1\0\0"))
     with pytest.raises(BadData, match="has 1 messages of /count, but none"):
-        asker("robot").get()
+        await asker("robot").get()
 
 
-def test_a_latched_message_that_every_file_of_a_ring_has_is_shown_once(
+async def test_a_latched_message_that_every_file_of_a_ring_has_is_shown_once(
     tmp_path: Path, asker: Callable[..., Asker]
 ) -> None:
     ring = RingWriter(tmp_path / "robot", 16 * 7000, 3600)
@@ -218,10 +220,10 @@ def test_a_latched_message_that_every_file_of_a_ring_has_is_shown_once(
     ring.close()
     assert len(list((tmp_path / "robot").iterdir())) == 4
     agent = asker("robot")
-    assert values(agent.get("/mode")) == values(agent.read("robot", "/mode")) == [7, 7]
+    assert values(await agent.get("/mode")) == values(await agent.read("robot", "/mode")) == [7, 7]
 
 
-def test_limit_is_another_name_for_the_number_of_messages(tmp_path: Path, asker: Callable[..., Asker]) -> None:
+async def test_limit_is_another_name_for_the_number_of_messages(tmp_path: Path, asker: Callable[..., Asker]) -> None:
     make_bag(tmp_path / "robot", COUNT, *(number_at(value, value) for value in range(5)))
     agent = asker("robot")
     tool = bind(next(each for each in DECLARED if each.name == "ros2_get_messages"), agent.robot, agent.store)
@@ -229,5 +231,5 @@ def test_limit_is_another_name_for_the_number_of_messages(tmp_path: Path, asker:
     async def nobody(done: float, whole: float, line: str) -> None:
         pass
 
-    answer = asyncio.run(tool.call({"topic_name": "/count", "limit": 2}, nobody)).structured_content
+    answer = (await tool.call({"topic_name": "/count", "limit": 2}, nobody)).structured_content
     assert answer and [each["data"] for each in answer["messages"]] == [3, 4]

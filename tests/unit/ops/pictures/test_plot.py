@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import io
 import math
 
@@ -20,8 +19,8 @@ FLOAT = "std_msgs/msg/Float64"
 TIMES = np.arange(1, 250) * 0.02
 
 
-def plotted(windows, series, look=None) -> Plot:
-    return asyncio.run(plot(Recorded(windows), series, look))
+async def plotted(windows, series, look=None) -> Plot:
+    return await plot(Recorded(windows), series, look)
 
 
 def odometry(window: Make, times=TIMES):
@@ -36,8 +35,8 @@ def floats(window: Make, topic: str, values, times=TIMES):
     return window(topic, FLOAT, [(t, {"data": v}) for t, v in zip(times, values, strict=True)])
 
 
-def test_a_field_is_drawn_with_the_numbers_beside_it(window: Make) -> None:
-    found = plotted([odometry(window)], ["/odom:twist.twist.angular.z"])
+async def test_a_field_is_drawn_with_the_numbers_beside_it(window: Make) -> None:
+    found = await plotted([odometry(window)], ["/odom:twist.twist.angular.z"])
     (series,) = found.series
     assert (series.name, series.unit, series.count) == ("/odom:twist.twist.angular.z", "rad/s", len(TIMES))
     assert [series.first, series.last, series.min, series.max] == [1.02, pytest.approx(5.98), 1.02, series.last]
@@ -46,13 +45,13 @@ def test_a_field_is_drawn_with_the_numbers_beside_it(window: Make) -> None:
     assert (picture.format, picture.size) == ("PNG", (1000, 640))
 
 
-def test_a_message_stands_for_the_numbers_in_it_and_a_unit_is_a_panel(window: Make) -> None:
-    found = plotted([odometry(window)], ["/odom:twist.twist"])
+async def test_a_message_stands_for_the_numbers_in_it_and_a_unit_is_a_panel(window: Make) -> None:
+    found = await plotted([odometry(window)], ["/odom:twist.twist"])
     assert [each.unit for each in found.series] == ["m/s"] * 3 + ["rad/s"] * 3
 
 
-def test_when_there_are_too_many_those_that_stand_still_are_left_out_and_named(window: Make) -> None:
-    found = plotted([odometry(window)], ["/odom"])
+async def test_when_there_are_too_many_those_that_stand_still_are_left_out_and_named(window: Make) -> None:
+    found = await plotted([odometry(window)], ["/odom"])
     assert [each.name[6:] for each in found.series] == [
         "pose.pose.position.x",
         "pose.pose.position.y",
@@ -61,64 +60,64 @@ def test_when_there_are_too_many_those_that_stand_still_are_left_out_and_named(w
     assert "/odom:pose.pose.position.z" in found.note
 
 
-def test_gaps_and_values_that_are_not_finite_are_counted(window: Make) -> None:
+async def test_gaps_and_values_that_are_not_finite_are_counted(window: Make) -> None:
     times = [t for t in TIMES if not 2 < t < 3]
     values = [{10: "nan", 20: "inf"}.get(index, 1.0) for index in range(len(times))]
-    (series,) = plotted([floats(window, "/x", values, times)], ["/x:data"]).series
+    (series,) = (await plotted([floats(window, "/x", values, times)], ["/x:data"])).series
     assert (series.gaps, series.not_finite, series.count) == (1, 2, len(times) - 2)
 
 
-def test_a_list_is_drawn_as_its_elements_also_when_it_grows(window: Make) -> None:
+async def test_a_list_is_drawn_as_its_elements_also_when_it_grows(window: Make) -> None:
     joints = [(t, {"position": [t, 2 * t] if t > 2.5 else [t]}) for t in TIMES]
-    found = plotted([window("/joints", "sensor_msgs/msg/JointState", joints)], ["/joints:position"])
+    found = await plotted([window("/joints", "sensor_msgs/msg/JointState", joints)], ["/joints:position"])
     assert [(each.name, each.count) for each in found.series] == [
         ("/joints:position[0]", len(TIMES)),
         ("/joints:position[1]", sum(t > 2.5 for t in TIMES)),
     ]
 
 
-def test_a_position_alone_is_a_trajectory(window: Make) -> None:
-    found = plotted([odometry(window)], ["/odom:pose.pose.position"], Look("xy", 800, 800))
+async def test_a_position_alone_is_a_trajectory(window: Make) -> None:
+    found = await plotted([odometry(window)], ["/odom:pose.pose.position"], Look("xy", 800, 800))
     assert [each.name for each in found.series] == ["/odom:pose.pose.position.x", "/odom:pose.pose.position.y"]
     pixels = np.asarray(Image.open(io.BytesIO(found.images[0].data)).convert("RGB")).astype(int)
     rows, columns = np.nonzero(np.abs(pixels[60:740] - (0x1F, 0x6F, 0xC4)).sum(axis=2) < 12)
     assert np.ptp(columns) == pytest.approx(np.ptp(rows), abs=20)  # most of a circle is as wide as high
 
 
-def test_series_of_two_topics_are_paired_by_time(window: Make) -> None:
+async def test_series_of_two_topics_are_paired_by_time(window: Make) -> None:
     fast, slow = floats(window, "/a", TIMES), floats(window, "/b", TIMES[::5], TIMES[::5] + 0.004)
-    found = plotted([fast, slow], ["/a:data", "/b:data"], Look("xy"))
+    found = await plotted([fast, slow], ["/a:data", "/b:data"], Look("xy"))
     assert [each.count for each in found.series] == [len(TIMES), len(TIMES[::5])]
 
 
-def test_one_series_alone_is_no_trajectory(window: Make) -> None:
+async def test_one_series_alone_is_no_trajectory(window: Make) -> None:
     with pytest.raises(BadInput, match="pairs of x and y"):
-        plotted([floats(window, "/a", TIMES)], ["/a:data"], Look("xy"))
+        await plotted([floats(window, "/a", TIMES)], ["/a:data"], Look("xy"))
 
 
-def test_a_missing_topic_leaves_the_others_and_is_named(window: Make) -> None:
-    found = plotted([floats(window, "/a", TIMES)], ["/a:data", "/b:data"])
+async def test_a_missing_topic_leaves_the_others_and_is_named(window: Make) -> None:
+    found = await plotted([floats(window, "/a", TIMES)], ["/a:data", "/b:data"])
     assert (len(found.series), found.note) == (1, "no /b")
     with pytest.raises(NotFound):
-        plotted([floats(window, "/a", TIMES)], ["/b:data"])
+        await plotted([floats(window, "/a", TIMES)], ["/b:data"])
 
 
-def test_a_silent_topic_is_drawn_empty_and_named(window: Make) -> None:
-    found = plotted([floats(window, "/a", [], [])], ["/a:data"])
+async def test_a_silent_topic_is_drawn_empty_and_named(window: Make) -> None:
+    found = await plotted([floats(window, "/a", [], [])], ["/a:data"])
     assert (found.series[0].count, found.series[0].mean, found.note) == (0, None, "/a was silent.")
 
 
 @pytest.mark.parametrize("series", ["/odom:twist.twist.linaer", "/odom:header.frame_id", "/odom:child_frame_id"])
-def test_a_field_that_is_no_number_is_refused(window: Make, series: str) -> None:
+async def test_a_field_that_is_no_number_is_refused(window: Make, series: str) -> None:
     with pytest.raises(BadValue):
-        plotted([odometry(window)], [series])
+        await plotted([odometry(window)], [series])
 
 
-def test_a_map_is_shown_with_its_facts(window: Make) -> None:
+async def test_a_map_is_shown_with_its_facts(window: Make) -> None:
     info = {"resolution": 0.5, "width": 2, "height": 2, "origin": {"position": {"x": -1.0, "y": 2.0}}}
     message = {"header": {"frame_id": "map"}, "info": info, "data": [0, 100, -1, 0]}
     recorded = Recorded([window("/map", "nav_msgs/msg/OccupancyGrid", [(0.0, message)])])
-    found = asyncio.run(map_picture(recorded, "/map"))
+    found = await map_picture(recorded, "/map")
     assert (found.frame_id, found.resolution_m, found.width, found.height) == ("map", 0.5, 2, 2)
     assert (found.origin_x_m, found.origin_y_m) == (-1.0, 2.0)
     assert (found.free, found.occupied, found.unknown) == (0.5, 0.25, 0.25)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import AsyncIterator
 from contextlib import closing
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def number_at(value: int) -> bytes:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[BagStore]:
+async def store(tmp_path: Path, anyio_backend: str) -> AsyncIterator[BagStore]:
     (tmp_path / "run").mkdir()
     writer = BagWriter(tmp_path / "run", "run")
     writer.add_topic(StoredTopic("/count", "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n"))
@@ -50,7 +50,7 @@ def store(tmp_path: Path) -> Iterator[BagStore]:
     writer.close()
     opened = BagStore(tmp_path)
     yield opened
-    asyncio.run(opened.close())
+    await opened.close()
 
 
 async def captures_of(store: BagStore, start: str, *topics: str) -> list[Capture | Missing]:
@@ -64,8 +64,8 @@ async def captures_of(store: BagStore, start: str, *topics: str) -> list[Capture
     return found
 
 
-def test_a_window_of_a_bag_has_its_time_and_the_latched_message_before(store: BagStore) -> None:
-    count, mode, missing = asyncio.run(captures_of(store, "last 2 s", "/count", "/mode", "/other"))
+async def test_a_window_of_a_bag_has_its_time_and_the_latched_message_before(store: BagStore) -> None:
+    count, mode, missing = await captures_of(store, "last 2 s", "/count", "/mode", "/other")
     assert isinstance(count, Capture) and isinstance(mode, Capture) and isinstance(missing, Missing)
     values = [count.decode(sample).data for sample in count.samples]  # type: ignore[attr-defined]
     assert values == list(range(80, 101))
@@ -101,33 +101,33 @@ async def read_of(
         ("last 0.1 s", "", None, 5, [99, 100]),
     ],
 )
-def test_a_recording_is_read_from_its_start_or_without_one_from_its_end(
+async def test_a_recording_is_read_from_its_start_or_without_one_from_its_end(
     store: BagStore, start: str, end: str, duration_s: float | None, limit: int | None, expected: list[int]
 ) -> None:
     selection = Selection(duration_s=duration_s, message_limit=limit)
-    values, note = asyncio.run(read_of(store, "count", selection, start, end))
+    values, note = await read_of(store, "count", selection, start, end)
     assert values == expected
     assert ("has no more of it" in note) == (limit is not None and limit > len(expected))
 
 
-def test_a_latched_message_from_before_the_start_is_read(store: BagStore) -> None:
-    assert asyncio.run(read_of(store, "/mode", Selection(), "last 1 s", type_name="std_msgs/Int32")) == ([7], "")
-    assert asyncio.run(read_of(store, "/mode", Selection(), type_name="std_msgs/Int32")) == ([7], "")
+async def test_a_latched_message_from_before_the_start_is_read(store: BagStore) -> None:
+    assert await read_of(store, "/mode", Selection(), "last 1 s", type_name="std_msgs/Int32") == ([7], "")
+    assert await read_of(store, "/mode", Selection(), type_name="std_msgs/Int32") == ([7], "")
     with pytest.raises(TypeConflict, match="not std_msgs/msg/Bool"):
-        asyncio.run(read_of(store, "/mode", Selection(), type_name="std_msgs/msg/Bool"))
+        await read_of(store, "/mode", Selection(), type_name="std_msgs/msg/Bool")
 
 
-def test_nothing_in_a_part_is_said_to_be_nothing(store: BagStore) -> None:
+async def test_nothing_in_a_part_is_said_to_be_nothing(store: BagStore) -> None:
     selection = Selection(message_limit=5)
-    values, note = asyncio.run(read_of(store, "/count", selection, "first 0.01 s", "first 0.09 s"))
+    values, note = await read_of(store, "/count", selection, "first 0.01 s", "first 0.09 s")
     assert values == [] and note == "The recording has nothing of it in that part."
 
 
-def test_the_flow_of_a_recording_is_that_of_the_whole_or_of_a_part(store: BagStore) -> None:
+async def test_the_flow_of_a_recording_is_that_of_the_whole_or_of_a_part(store: BagStore) -> None:
     async def flow(start: str) -> timing.Stats:
         return await timing.measure(await open_bag(store, "run", start), ["/count", "/mode", "/other"])
 
-    whole, part = asyncio.run(flow("")), asyncio.run(flow("last 2 s"))
+    whole, part = await flow(""), await flow("last 2 s")
     assert [topic.count for topic in whole.topics] == [101, 1, 0]
     assert [topic.count for topic in part.topics] == [21, 0, 0]  # a latched message from before is no flow
     count = part.topics[0]
@@ -151,14 +151,14 @@ async def follow_while_it_grows(store: BagStore, writer: BagWriter) -> int:
     return sum(sizes)
 
 
-def test_a_recording_that_grows_while_it_is_followed_is_not_opened_again(store: BagStore, tmp_path: Path) -> None:
+async def test_a_recording_that_grows_while_it_is_followed_is_not_opened_again(store: BagStore, tmp_path: Path) -> None:
     (tmp_path / "growing").mkdir()
     writer = BagWriter(tmp_path / "growing", "growing")
     writer.add_topic(StoredTopic("/count", "std_msgs/msg/Int32", None, "ros2msg", "int32 data\n"))
     for number in range(600):
         writer.write("/count", Sample(START_NS + number, 0, number + 1, number_at(number)))
     writer.flush()
-    assert asyncio.run(follow_while_it_grows(store, writer)) == 600
+    assert await follow_while_it_grows(store, writer) == 600
     writer.close()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 
 import pytest
@@ -14,25 +13,25 @@ from support.made_windows import Make, Recorded
 FLOAT = "std_msgs/msg/Float64"
 
 
-def only(window: Make, times: Sequence[float], duration_s: float) -> TopicStats:
+async def only(window: Make, times: Sequence[float], duration_s: float) -> TopicStats:
     made = window("/speed", FLOAT, [(at, {"data": 0.0}) for at in times], duration_s)
-    (found,) = asyncio.run(measure(Recorded([made], GraphSnapshot({}, None, None)), ["/speed"])).topics
+    (found,) = (await measure(Recorded([made], GraphSnapshot({}, None, None)), ["/speed"])).topics
     return found
 
 
-def test_a_silence_between_messages_is_a_gap(window: Make) -> None:
-    found = only(window, [0.1, 0.2, 0.3, 0.9, 1.0], 1.05)
+async def test_a_silence_between_messages_is_a_gap(window: Make) -> None:
+    found = await only(window, [0.1, 0.2, 0.3, 0.9, 1.0], 1.05)
     assert (found.count, found.gaps, found.longest_gap_s) == (5, 1, pytest.approx(0.6))
     assert found.note.startswith("The longest silence is 0.6 s from ")
 
 
-def test_a_topic_that_has_stopped_is_told(window: Make) -> None:
-    found = only(window, [0.1, 0.2, 0.3, 0.4], 2.4)
+async def test_a_topic_that_has_stopped_is_told(window: Make) -> None:
+    found = await only(window, [0.1, 0.2, 0.3, 0.4], 2.4)
     assert (found.gaps, found.longest_gap_s) == (1, pytest.approx(2.0))
     assert found.rate_hz == pytest.approx(10.0)
     assert found.note == "It has stopped: nothing came in the last 2 s."
 
 
-def test_a_slow_topic_has_not_stopped_between_two_messages(window: Make) -> None:
-    found = only(window, [1.0, 3.0, 5.0, 7.0], 12.0)
+async def test_a_slow_topic_has_not_stopped_between_two_messages(window: Make) -> None:
+    found = await only(window, [1.0, 3.0, 5.0, 7.0], 12.0)
     assert (found.gaps, found.note) == (0, "")
