@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,16 +10,22 @@ from typing import Any
 
 from mcp.server.lowlevel import Server
 
+from ros2_mcp.adapters.data_black_box import DataBlackBoxes
 from ros2_mcp.adapters.wisevision_prompts import code_of
 from ros2_mcp.library import robot_for, running, store_for
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.sources.kinds import OWN_KINDS
+from ros2_mcp.ops.sources.source import SourceKind
 from ros2_mcp.prompts.catalog import Catalog
 from ros2_mcp.robot import Robot
 from ros2_mcp.server import build_server
 from ros2_mcp.settings import Settings
 from ros2_mcp.tools import TOOLS
 from ros2_mcp.toolset import Toolset
+
+SOURCE_KINDS: Sequence[SourceKind] = (DataBlackBoxes(), *OWN_KINDS)
+"""Where samples can be read from, in the order in which they are asked. A vendor's kind is one line here."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +73,6 @@ def assemble(settings: Settings, bridge: Bridge | None = None) -> Assembly:
     """
     store = store_for(settings)
     robot = robot_for(settings, store, bridge)
-    toolset = Toolset(robot, store, settings.tools)
+    toolset = Toolset(robot, store, settings.tools, SOURCE_KINDS)
     robot.limitations = toolset.limitations
     return Assembly(settings=settings, robot=robot, store=store, toolset=toolset)

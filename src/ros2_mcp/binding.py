@@ -17,6 +17,8 @@ from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import visible
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report, as_json, at_most_every
+from ros2_mcp.ops.sources.kinds import OWN_KINDS
+from ros2_mcp.ops.sources.source import SourceKind
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import ToolDeclaration
 from ros2_mcp.tools.injection import Call
@@ -48,6 +50,7 @@ class BoundTool:
     arguments: type[StrictArguments]
     robot: Robot
     store: BagStore
+    kinds: Sequence[SourceKind]
 
     @property
     def name(self) -> str:
@@ -72,7 +75,7 @@ class BoundTool:
         # One level only: an argument that is an object stays the model that the tool declared.
         values = {name: getattr(checked, name) for name in self.arguments.model_fields}
         try:
-            made_for = Call(robot or self.robot, self.store, at_most_every(_PROGRESS_S, report))
+            made_for = Call(robot or self.robot, self.store, at_most_every(_PROGRESS_S, report), self.kinds)
             result = await self.declaration.perform(made_for, values)
         except RobotError as error:
             raise CallFailed(f"{type(error).__name__}: {error}") from error
@@ -93,7 +96,9 @@ class BoundTool:
         return meant
 
 
-def bind(declaration: ToolDeclaration, robot: Robot, store: BagStore) -> BoundTool:
+def bind(
+    declaration: ToolDeclaration, robot: Robot, store: BagStore, kinds: Sequence[SourceKind] = OWN_KINDS
+) -> BoundTool:
     """The tool with plain closed schemas, and annotations from the declared risk."""
     signature = declaration.arguments()
     fields: dict[str, Any] = {
@@ -115,7 +120,7 @@ def bind(declaration: ToolDeclaration, robot: Robot, store: BagStore) -> BoundTo
             open_world_hint=True,
         ),
     )
-    return BoundTool(declaration=declaration, listed=listed, arguments=arguments, robot=robot, store=store)
+    return BoundTool(declaration=declaration, listed=listed, arguments=arguments, robot=robot, store=store, kinds=kinds)
 
 
 def answer(result: Any) -> CallToolResult:

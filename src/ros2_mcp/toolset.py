@@ -13,6 +13,8 @@ from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.sources.kinds import OWN_KINDS
+from ros2_mcp.ops.sources.source import SourceKind
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import GROUPS, TOOLS, ToolDeclaration
 
@@ -29,7 +31,13 @@ class Toolset:
         BadInput: for a group that does not exist.
     """
 
-    def __init__(self, robot: Robot, store: BagStore, groups: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        store: BagStore,
+        groups: Sequence[str] = (),
+        kinds: Sequence[SourceKind] = OWN_KINDS,
+    ) -> None:
         for group in groups:
             if group not in (*GROUPS, "default", "all"):
                 known = ", ".join(("default", "all", *GROUPS))
@@ -37,7 +45,7 @@ class Toolset:
         allowed = [tool for tool in TOOLS if _is_allowed(tool, robot.policy)]
         # Who opens a recording has all that works on one: it is a short list.
         chosen = [tool for tool in allowed if robot.policy.recorded or _is_chosen(tool, groups)]
-        self.by_name = {tool.name: bind(tool, robot, store) for tool in chosen}
+        self.by_name = {tool.name: bind(tool, robot, store, kinds) for tool in chosen}
         self.missing = {
             tool.name: _why_missing(tool, robot.policy, groups) for tool in TOOLS if tool.name not in self.by_name
         }

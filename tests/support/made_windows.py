@@ -13,7 +13,7 @@ from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions, DefinitionText
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.qos import Endpoint, QoS
-from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Missing, Past, Source, in_batches
+from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Missing, Source, Stream, in_batches
 
 START_NS = 1_700_000_000_000_000_000
 NODE = Endpoint("/node", "", "", "", QoS())
@@ -46,7 +46,6 @@ class Recorded(Source):
     """A source that is no robot and no bag: what tests add is all that there is to a kind of source."""
 
     title = words = "made"
-    codec = CODEC
     duration_s = 1.0
 
     def __init__(self, captures: Sequence[Capture], graph: GraphSnapshot | None = None) -> None:
@@ -55,13 +54,17 @@ class Recorded(Source):
         if captures:
             self.duration_s = captures[0].duration_s
 
+    @property
+    def codec(self) -> Codec:
+        return CODEC
+
     async def type_of(self, topic: str) -> str:
         return self._capture(topic).type
 
     @asynccontextmanager
-    async def follow(self, topic: str, type_name: str = "", **_: Any) -> AsyncGenerator[Past, None]:  # noqa: ARG002
+    async def follow(self, topic: str, type_name: str = "", **_: Any) -> AsyncGenerator[Stream, None]:  # noqa: ARG002
         capture = self._capture(topic)
-        stream = Past(
+        stream = Stream(
             topic=topic,
             type=capture.type,
             codec=CODEC,

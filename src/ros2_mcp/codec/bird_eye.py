@@ -15,15 +15,18 @@ from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import BirdEyeOptions, Picture
 
 _COARSER = 1.1
-"""By how much at least, where a picture has too many bytes; mostly their square root says it at once."""
+"""The least factor by which the resolution grows when a picture has too many bytes. The square root of the excess
+mostly fits at once, as bytes grow with the area."""
+
+_DARKEST = 24
+"""A black point could not be told from the black of no point."""
 
 
-@dataclass(frozen=True, slots=True)
-class BirdEye:
-    """The picture and what it shows: pixel (column, row) begins at (x_min + column · m, y_max - row · m), where m is
-    `metres_per_pixel`. `low` and `high` are the values at the ends of the colours; None for `rgb`."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BirdEyeNumbers:
+    """What a picture shows: pixel (column, row) begins at (x_min + column · m, y_max - row · m), where m is
+    `metres_per_pixel`. `color_low` and `color_high` are the values at the ends of the colours; None for `rgb`."""
 
-    picture: Picture
     shown: int
     resolution_m: float
     metres_per_pixel: float
@@ -34,9 +37,17 @@ class BirdEye:
     z_min_m: float
     z_max_m: float
     color_mode: str
-    low: float | None
-    high: float | None
+    color_low: float | None
+    color_high: float | None
     note: str
+
+
+@dataclass(frozen=True, slots=True)
+class BirdEye:
+    """A picture from above and what it shows in numbers."""
+
+    picture: Picture
+    numbers: BirdEyeNumbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +65,10 @@ def bird_eye(cloud: Cloud, options: BirdEyeOptions) -> BirdEye:
     Raises:
         BadData: if no point is left to show.
     """
-    kept = _within(cloud, options)
+    heights = cloud.xyz[:, 2]
+    lowest = -math.inf if options.z_min_m is None else options.z_min_m
+    highest = math.inf if options.z_max_m is None else options.z_max_m
+    kept = (heights >= lowest) & (heights <= highest)
     if not kept.any():
         raise BadData(
             f"No point to show: of {cloud.points} points, {cloud.not_finite} are not finite and the others are outside "
@@ -72,57 +86,33 @@ def bird_eye(cloud: Cloud, options: BirdEyeOptions) -> BirdEye:
         if len(data) <= max_bytes:
             break
         resolution *= max(_COARSER, math.sqrt(len(data) / max_bytes))
-    return _described(xyz, coloured, options, image, data, (left, top, resolution, resolution / times))
-
-
-def _described(
-    xyz: NDArray[np.float64],
-    coloured: _Coloured,
-    options: BirdEyeOptions,
-    image: Image.Image,
-    data: bytes,
-    scale: tuple[float, float, float, float],
-) -> BirdEye:
-    left, top, resolution, pixel_m = scale
-    coarser = (
-        f"The resolution is {resolution:.4g} m instead of {options.resolution_m:.4g} m, to fit the picture."
-        if resolution > options.resolution_m
-        else ""
-    )
-    colours = "" if coloured.low is None else f", {coloured.low:.4g} ({_names(options)[0]}) to {coloured.high:.4g} "
-    colours += f"({_names(options)[1]})" if colours else ""
+    pixel_m = resolution / times
+    width_m, height_m = image.width * pixel_m, image.height * pixel_m
+    colours = ""
+    if coloured.low is not None:
+        low, high = ("blue", "red") if options.colormap == "jet" else ("dark", "white")
+        colours = f", {coloured.low:.4g} ({low}) to {coloured.high:.4g} ({high})"
     note = (
-        f"From above, x to the right, y up, {pixel_m:.4g} m per pixel; "
-        f"{image.width * pixel_m:.4g} m × {image.height * pixel_m:.4g} m. Colour: {coloured.mode}{colours}."
+        f"From above, x to the right, y up, {pixel_m:.4g} m per pixel; {width_m:.4g} m × {height_m:.4g} m. "
+        f"Colour: {coloured.mode}{colours}."
     )
-    low, high = xyz[:, 2].min(), xyz[:, 2].max()
-    return BirdEye(
-        Picture(data, "image/png", image.width, image.height, note),
-        len(xyz),
-        resolution,
-        pixel_m,
-        left,
-        left + image.width * pixel_m,
-        top - image.height * pixel_m,
-        top,
-        float(low),
-        float(high),
-        coloured.mode,
-        coloured.low,
-        coloured.high,
-        f"{coarser} {coloured.note}".strip(),
+    coarser = f"The resolution is {resolution:.4g} m instead of {options.resolution_m:.4g} m, to fit the picture."
+    numbers = BirdEyeNumbers(
+        shown=len(xyz),
+        resolution_m=resolution,
+        metres_per_pixel=pixel_m,
+        x_min_m=left,
+        x_max_m=left + width_m,
+        y_min_m=top - height_m,
+        y_max_m=top,
+        z_min_m=float(xyz[:, 2].min()),
+        z_max_m=float(xyz[:, 2].max()),
+        color_mode=coloured.mode,
+        color_low=coloured.low,
+        color_high=coloured.high,
+        note=f"{coarser if resolution > options.resolution_m else ''} {coloured.note}".strip(),
     )
-
-
-def _names(options: BirdEyeOptions) -> tuple[str, str]:
-    return ("blue", "red") if options.colormap == "jet" else ("dark", "white")
-
-
-def _within(cloud: Cloud, options: BirdEyeOptions) -> NDArray[np.bool_]:
-    z = cloud.xyz[:, 2]
-    low = -math.inf if options.z_min_m is None else options.z_min_m
-    high = math.inf if options.z_max_m is None else options.z_max_m
-    return (z >= low) & (z <= high)
+    return BirdEye(Picture(data, "image/png", image.width, image.height, note), numbers)
 
 
 def _finest(xyz: NDArray[np.float64], max_side: int) -> float:
@@ -151,14 +141,15 @@ def _pixels(
 
 
 def _coloured(cloud: Cloud, kept: NDArray[np.bool_], options: BirdEyeOptions) -> _Coloured:
-    """The colour of each point; by height where the cloud has not what was asked for."""
+    """The colour of each point; by height if the cloud lacks what was asked for."""
     if options.color_mode == "rgb" and cloud.rgb is not None:
-        return _Coloured(np.maximum(cloud.rgb[kept], 24), "rgb")
+        return _Coloured(np.maximum(cloud.rgb[kept], _DARKEST), "rgb")
     values, mode = cloud.xyz[kept, 2], "height"
     if options.color_mode == "intensity" and cloud.intensity is not None:
         values, mode = cloud.intensity[kept], "intensity"
     note = "" if mode == options.color_mode else f"The cloud has no {options.color_mode}; colours show the height."
     finite = values[np.isfinite(values)]
+    # Two per cent at both ends, so that single outliers do not use up the scale of colours.
     low, high = (float(bound) for bound in np.percentile(finite, (2, 98))) if len(finite) else (0.0, 0.0)
     share = np.nan_to_num((values - low) / (high - low), nan=0.0) if high > low else np.full(len(values), 0.5)
     scaled = np.minimum(np.maximum(share, 0.0), 1.0)

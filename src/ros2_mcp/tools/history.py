@@ -8,10 +8,9 @@ from typing import Annotated
 from pydantic import Field
 
 from ros2_mcp.ops.memory import messages as history
-from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.source import SourceRequest
-from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import MessageType, TopicName, Whole
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Messages
@@ -32,8 +31,7 @@ PastTime = Annotated[
     also_named="ros2_get_messages_stored_in_influx_data_base",
 )
 async def ros2_get_messages(
-    robot: Robot,
-    store: BagStore,
+    sources: Sources,
     report: Report,
     topic_name: TopicName,
     message_type: MessageType = "",
@@ -47,4 +45,4 @@ async def ros2_get_messages(
     """Get messages that were sent earlier, and say from where: a WiseVision Data Black Box, recordings, opened bags."""
     request = SourceRequest(start=time_start.strip(), end=time_end.strip(), bucket=bucket_name)
     chosen = replace(selection, message_limit=number_of_messages or None)
-    return await history.get_messages(robot, store, topic_name, message_type, request, chosen, report)
+    return await history.get_messages(sources, topic_name, message_type, request, chosen, report)

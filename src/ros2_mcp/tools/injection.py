@@ -8,17 +8,18 @@ Parameters with a `MadeBy` get their values, and their tool its arguments, from 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from operator import attrgetter
 from typing import Annotated, Any
 
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report
-from ros2_mcp.ops.sources.kinds import open_source
+from ros2_mcp.ops.sources.kinds import OWN_KINDS, Sources
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.sources.selection import Selection
-from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.sources.source import Source, SourceKind
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import (
     Duration,
@@ -38,11 +39,12 @@ Maker = Callable[..., Any]
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """What there is in every call: the robot, the bags, and who is told of progress."""
+    """What there is in every call: the robot, the bags, where progress is reported, and the kinds of sources."""
 
     robot: Robot
     store: BagStore
     report: Report
+    kinds: Sequence[SourceKind] = OWN_KINDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,28 +57,20 @@ class MadeBy:
 # ── makers ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _robot(call: Call) -> Robot:
-    return call.robot
-
-
-def _store(call: Call) -> BagStore:
-    return call.store
-
-
-def _report(call: Call) -> Report:
-    return call.report
+def _sources(call: Call) -> Sources:
+    return Sources(call.robot, call.store, call.kinds)
 
 
 async def _source(call: Call, bag: FromBag = "", start: FromStart = "", end: UpToEnd = "") -> Source:
-    return await open_source(call.robot, call.store, bag, start, end)
+    return await _sources(call).open(bag, start, end)
 
 
 async def _log_source(call: Call, since: Since = "", bag: FromBag = "", end: UpToEnd = "") -> Source:
-    """The log of the robot is not a bag's: moments alone do not mean the black box here."""
+    """Without the name of a bag the log is the robot's own: times alone do not mean the black box here."""
     if not (bag or end or call.store.subject_name):
         return Live(call.robot)
     is_number = since.strip().replace(".", "", 1).isdigit()
-    return await open_source(call.robot, call.store, bag, f"{since} s ago" if is_number else since, end)
+    return await _sources(call).open(bag, f"{since} s ago" if is_number else since, end)
 
 
 def _size(call: Call) -> Selection:
@@ -121,10 +115,11 @@ LogSource = Annotated[Source, MadeBy(_log_source)]
 
 _MAKERS: Mapping[Any, Maker] = {
     Source: _source,
+    Sources: _sources,
     Selection: _size,
-    Robot: _robot,
-    BagStore: _store,
-    Report: _report,
+    Robot: attrgetter("robot"),
+    BagStore: attrgetter("store"),
+    Report: attrgetter("report"),
 }
 """Of parameters whose type alone says what they are."""
 
@@ -170,6 +165,8 @@ async def values_for(whole: inspect.Signature, call: Call, arguments: Mapping[st
 
 @cache
 def _parameters_of(maker: Maker) -> dict[str, inspect.Parameter]:
-    """Of a maker without the call."""
+    """The parameters of a maker, the call left out."""
+    if isinstance(maker, attrgetter):
+        return {}
     found = list(inspect.signature(maker, eval_str=True).parameters.values())
-    return {each.name: each for each in found[1:]}
+    return {parameter.name: parameter for parameter in found[1:]}

@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from ros2_mcp.model.pictures import MAX_SIDE, BirdEyeOptions, Bounds
-from ros2_mcp.ops.pictures import map_and_cloud as picturing
-from ros2_mcp.ops.pictures import plot as plotting
+from ros2_mcp.ops.pictures.cloud import CloudPicture, cloud_picture
+from ros2_mcp.ops.pictures.map import MapPicture, map_picture
+from ros2_mcp.ops.pictures.plot import Plot, PlotRequest, plot
 from ros2_mcp.ops.results import Report
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.tools.arguments import Number, TopicName, Whole
@@ -41,9 +42,9 @@ async def ros2_plot(
     height: Pixels = 640,
     *,
     source: Source,
-) -> plotting.Plot:
+) -> Plot:
     """Draw numeric fields over time, or trajectories, as a picture; with minimum, maximum and mean of each."""
-    return await plotting.plot(source.lasting(duration), series, plotting.Look(kind, width, height), report)
+    return await plot(source.lasting(duration), PlotRequest(series, kind, width, height), report)
 
 
 @tool(title="Map as a picture", risk="read", group="pictures", recorded=True)
@@ -53,9 +54,9 @@ async def ros2_get_map_as_image(
     timeout: Timeout = 5.0,
     *,
     source: Source,
-) -> picturing.MapPicture:
+) -> MapPicture:
     """Show an occupancy grid as a picture, with resolution, origin, size and shares of free, occupied and unknown."""
-    return await picturing.map_picture(source.lasting(timeout), topic_name, report)
+    return await map_picture(source.lasting(timeout), topic_name, report)
 
 
 @tool(title="Point cloud from above", risk="read", group="pictures", recorded=True, by_default=False)
@@ -76,8 +77,8 @@ async def ros2_get_pointcloud_as_bev(
     ] = "jet",
     *,
     source: Source,
-) -> picturing.CloudPicture:
+) -> CloudPicture:
     """Show a point cloud from above (bird's-eye view), with its extent and scale in metres."""
     bounds = Bounds(min(max_pixels, MAX_SIDE))
     options = BirdEyeOptions(resolution, zmin, zmax, color_mode, colormap, bounds)
-    return await picturing.cloud_picture(source.lasting(timeout), topic_name, options, report)
+    return await cloud_picture(source.lasting(timeout), topic_name, options, report)

@@ -171,6 +171,16 @@ def test_an_answer_that_breaks_off_gives_what_is_whole(agent: Agent) -> None:
     assert datetime.fromisoformat(answer["timestamps"][0].replace("Z", "+00:00")).tzinfo == timezone.utc
 
 
+def test_the_box_is_asked_like_a_bag_by_its_name(agent: Agent) -> None:
+    said = {"bag": "data black box", "start": "2026-01-01T00:00:02Z", "end": "2026-01-01T00:00:05Z"}
+    if agent.generation == 1:
+        refusal = agent.refusal("ros2_topic_subscribe", topic_name="/kept/Float64", message_limit=10, **said)
+        assert "does not say their type" in refusal
+        said["msg_type"] = "std_msgs/msg/Float64"
+    read = agent.call("ros2_topic_subscribe", topic_name="/kept/Float64", message_limit=10, **said)
+    assert numbers(read) == [2, 3, 4] and f"generation {agent.generation}" in read["source"]
+
+
 def test_what_the_box_does_not_have_comes_from_the_own_recording(agent: Agent) -> None:
     said = {"topic_name": "/aside", "message_type": "std_msgs/msg/Int32"}
     recording_id = agent.call("ros2_record_start", topics=["/aside"], name="aside")["recording_id"]

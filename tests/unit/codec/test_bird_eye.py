@@ -89,11 +89,11 @@ def test_known_points_are_at_known_pixels(definitions: Definitions) -> None:
     seen = bird_eye(cloud_of(cloud(definitions, XYZ, places(points))), BirdEyeOptions(0.1, color_mode="height"))
     image = pixels(seen)
     assert image.shape == (201, 401, 3)
-    assert seen.metres_per_pixel == pytest.approx(0.1)
+    assert seen.numbers.metres_per_pixel == pytest.approx(0.1)
     lit = {(int(column), int(row)) for row, column in np.argwhere(image.any(axis=2))}
     assert lit == {(0, 200), (400, 0), (251, 69)}
     for x, y, _ in points:
-        assert ((x - seen.x_min_m) // 0.1, (seen.y_max_m - y) // 0.1) in lit
+        assert ((x - seen.numbers.x_min_m) // 0.1, (seen.numbers.y_max_m - y) // 0.1) in lit
     assert image[200, 0, 2] > image[200, 0, 0] and image[0, 400, 0] > image[0, 400, 2]  # low is blue, high is red
 
 
@@ -109,7 +109,7 @@ def test_the_highest_point_of_a_pixel_is_seen(definitions: Definitions) -> None:
 def test_only_the_heights_asked_for_are_shown(definitions: Definitions) -> None:
     points = cloud_of(cloud(definitions, XYZ, places([(0, 0, -1), (1, 1, 0.5), (2, 2, 3)])))
     seen = bird_eye(points, BirdEyeOptions(z_min_m=0.0, z_max_m=1.0))
-    assert (seen.shown, seen.z_min_m, seen.z_max_m) == (1, 0.5, 0.5)
+    assert (seen.numbers.shown, seen.numbers.z_min_m, seen.numbers.z_max_m) == (1, 0.5, 0.5)
     with pytest.raises(BadData, match="No point to show"):
         bird_eye(points, BirdEyeOptions(z_min_m=5.0))
 
@@ -118,8 +118,8 @@ def test_a_wide_cloud_is_shown_coarser_and_says_so(definitions: Definitions) -> 
     points = cloud_of(cloud(definitions, XYZ, places([(0, 0, 0), (1000, 10, 1)])))
     seen = bird_eye(points, BirdEyeOptions(0.05, color_mode="height"))
     assert max(seen.picture.width, seen.picture.height) <= 1568
-    assert 1000 / 1568 < seen.resolution_m < 1.05 * 1000 / 1568
-    assert seen.note.startswith(f"The resolution is {seen.resolution_m:.4g} m instead of 0.05 m")
+    assert 1000 / 1568 < seen.numbers.resolution_m < 1.05 * 1000 / 1568
+    assert seen.numbers.note.startswith(f"The resolution is {seen.numbers.resolution_m:.4g} m instead of 0.05 m")
 
 
 def test_a_picture_of_noise_stays_within_its_bytes() -> None:
@@ -131,14 +131,17 @@ def test_a_picture_of_noise_stays_within_its_bytes() -> None:
         Cloud(xyz, random.uniform(0, 1, 600_000), None, 600_000, 0), BirdEyeOptions(bounds=Bounds(max_bytes=300_000))
     )
     assert len(seen.picture.data) <= 300_000
-    assert seen.metres_per_pixel * seen.picture.width == pytest.approx(70, abs=2 * seen.resolution_m)
+    assert seen.numbers.metres_per_pixel * seen.picture.width == pytest.approx(70, abs=2 * seen.numbers.resolution_m)
 
 
 def test_a_cloud_without_the_colour_asked_for_is_shown_by_height(definitions: Definitions) -> None:
     points = cloud_of(cloud(definitions, XYZ, places([(0, 0, 0), (1, 1, 1)])))
     for mode in ("intensity", "rgb"):
         seen = bird_eye(points, BirdEyeOptions(color_mode=mode))
-        assert (seen.color_mode, seen.note) == ("height", f"The cloud has no {mode}; colours show the height.")
+        assert (seen.numbers.color_mode, seen.numbers.note) == (
+            "height",
+            f"The cloud has no {mode}; colours show the height.",
+        )
 
 
 @pytest.mark.parametrize(

@@ -11,15 +11,15 @@ from typing import Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError
-from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.bag import end_note
-from ros2_mcp.ops.sources.data_black_box import ANY, TIMEOUT_S
-from ros2_mcp.ops.sources.kinds import sources_of_the_past
+from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.selection import MAX_MESSAGES, Fitted, Selection, fit
-from ros2_mcp.ops.sources.source import Source, SourceRequest
+from ros2_mcp.ops.sources.source import ANSWER_S, Source, SourceRequest
 from ros2_mcp.ops.topics.subscribe import Collected, collect
-from ros2_mcp.robot import Robot
+
+_ANY = "any"
+"""Callers who know WiseVision's own tool give this where they mean no type."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,8 +53,7 @@ class _Found:
 
 
 async def get_messages(
-    robot: Robot,
-    store: BagStore,
+    sources: Sources,
     topic: str,
     type_name: str,
     request: SourceRequest,
@@ -74,21 +73,19 @@ async def get_messages(
     bounded("number_of_messages", selection.message_limit or 0, 0, MAX_MESSAGES, "messages")
     selection.check()
     topic = names.absolute(topic)
-    type_name = "" if type_name in ("", ANY) else names.interface_type(type_name, "msg")
-    async with reporting(report, TIMEOUT_S, f"looking for earlier messages of {topic}"):
-        found = await _find(robot, store, topic, type_name, request, selection)
+    type_name = "" if type_name in ("", _ANY) else names.interface_type(type_name, "msg")
+    async with reporting(report, ANSWER_S, f"looking for earlier messages of {topic}"):
+        found = await _find(sources, topic, type_name, request, selection)
     return await asyncio.to_thread(_show, found, type_name, request, selection)
 
 
-async def _find(
-    robot: Robot, store: BagStore, topic: str, type_name: str, request: SourceRequest, selection: Selection
-) -> _Found:
+async def _find(sources: Sources, topic: str, type_name: str, request: SourceRequest, selection: Selection) -> _Found:
     """What the first source has that has messages, else what one without any says; and which sources failed."""
     all_of_them = replace(selection, fields=(), every_n=1, message_limit=selection.message_limit or MAX_MESSAGES)
     empty: _Found | None = None
     failed: list[RobotError] = []
-    async with aclosing(sources_of_the_past(robot, store, request)) as sources:
-        async for source in sources:
+    async with aclosing(sources.of_the_past(request)) as opened:
+        async for source in opened:
             try:
                 if isinstance(source, RobotError):
                     raise source

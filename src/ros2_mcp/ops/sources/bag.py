@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import copy
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Iterator, Sequence
-from contextlib import aclosing, asynccontextmanager
-from dataclasses import replace
+from contextlib import aclosing, asynccontextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, islice
 from typing import TYPE_CHECKING
 
+from ros2_mcp.bags.schema import definitions_in, schema_text
+from ros2_mcp.bags.stored import Span, StoredTopic
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound, TypeConflict, UnknownInterface
 from ros2_mcp.model.interfaces import DefinitionText
@@ -19,63 +21,41 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore, OpenedBag
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.sources.selection import MAX_BYTES
-from ros2_mcp.ops.sources.source import GraphSnapshot, Past, Source, SourceKind, SourceRequest, Stream
+from ros2_mcp.ops.sources.source import GraphSnapshot, Source, SourceKind, SourceRequest, Stream
 from ros2_mcp.ops.sources.times import is_relative, span_of
 from ros2_mcp.robot import Robot, TopicEndpoints
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
-    from ros2_mcp.bags.stored import Span, StoredTopic
     from ros2_mcp.codec.cdr import Codec
 
 _BATCH = 256
 _BATCH_BYTES = 8_000_000
-"""A batch is read in a thread of its own: large enough that starting it does not count, small enough to be stopped."""
+"""Each batch is read in another thread: large enough that starting it does not count, small enough to be given up."""
 _TO_DISK_NS = 1_000_000_000
-"""Messages of a recording that runs are on their way to the disk for up to a second (`recorder.FLUSH_S`)."""
+"""Messages that are being recorded reach the disk up to a second after they came (`recorder.FLUSH_S`)."""
 _RECORDED = "(recorded)"
 
 
+@dataclass(kw_only=True)
 class BagSource(Source):
     """A part of a bag; get it with `open_bag`. `covers` are the times of the whole bag's beginning and end.
 
-    `from_end` tells that a limit means the last messages.
+    With `from_end`, a limit means the last messages.
     """
 
-    def __init__(
-        self,
-        opened: OpenedBag,
-        span: Span,
-        *,
-        name: str,
-        title: str,
-        covers: tuple[int, int],
-        robot: Robot | None,
-        from_end: bool,
-    ) -> None:
-        self.covers = covers
-        self._name = name
-        self._opened = opened
-        self._span = span
-        self._robot = robot
-        self._from_end = from_end
-        self._title = title
-        self._codec = opened.codec
+    opened: OpenedBag
+    span: Span
+    name: str
+    title: str
+    covers: tuple[int, int]
+    robot: Robot | None
+    from_end: bool
 
-    @property
-    def title(self) -> str:
-        """Whose bag it is, and its name."""
-        return self._title
-
-    @property
-    def words(self) -> str:
-        """What it is, with its time."""
-        return f"bag {self._name}, {self.duration_s:g} s from {iso_time(self._span.start_ns)} on"
-
-    @property
-    def duration_s(self) -> float:
-        """How much time it covers."""
-        return (self._span.end_ns - self._span.start_ns) / 1e9
+    def __post_init__(self) -> None:
+        self.duration_s = (self.span.end_ns - self.span.start_ns) / 1e9
+        self.words = f"bag {self.name}, {self.duration_s:g} s from {iso_time(self.span.start_ns)} on"
+        self._codec = self.opened.codec  # this one also when the bag's definitions change while it is read
 
     @property
     def codec(self) -> Codec:
@@ -87,11 +67,9 @@ class BagSource(Source):
         if recorded_s is None:
             return self
         longest_ns = max(round(recorded_s * 1e9), 1)
-        span = self._span
-        start_ns = max(span.start_ns, span.end_ns - longest_ns) if self._from_end else span.start_ns
-        shorter = copy.copy(self)
-        shorter._span = replace(span, start_ns=start_ns, end_ns=min(span.end_ns, start_ns + longest_ns))
-        return shorter
+        start_ns = max(self.span.start_ns, self.span.end_ns - longest_ns) if self.from_end else self.span.start_ns
+        end_ns = min(self.span.end_ns, start_ns + longest_ns)
+        return replace(self, span=replace(self.span, start_ns=start_ns, end_ns=end_ns))
 
     async def type_of(self, topic: str) -> str:
         """The type of a topic; raises as `Source.type_of`."""
@@ -106,31 +84,18 @@ class BagSource(Source):
         if type_name and names.interface_type(type_name, "msg") != stored.type:
             raise TypeConflict(f"{stored.name} has the type {stored.type}, not {type_name}.", "Leave the type out.")
         publishers = _publishers(stored)
-        span = replace(self._span, topics=(stored.name,))
-
-        def begin() -> Iterator[Sample]:
-            with self._opened.reading() as bag:
-                before = _latched_before(bag, stored, span) if latched else []
-                if limit is None:
-                    return chain(before, (sample for _, sample in bag.messages(span)))
-                messages = (sample for _, sample in bag.messages(span, newest_first=stream.from_end))
-                found, stream.received, stream.further = _taken(
-                    chain(messages, before[::-1]) if stream.from_end else chain(before, messages), limit, every_n
-                )
-                return iter(found[::-1] if stream.from_end else found)
-
-        stream = Past(
+        stream = Stream(
             topic=stored.name,
             type=stored.type,
             codec=self._codec,
             publishers=publishers,
             qos=f"{publishers[0].qos.durability}, as it was recorded",
-            start_ns=self._span.start_ns,
-            until_ns=self._span.end_ns,
-            from_end=limit is not None and self._from_end,
+            start_ns=self.span.start_ns,
+            until_ns=self.span.end_ns,
+            from_end=limit is not None and self.from_end,
             thinned=limit is not None,
         )
-        stream.batches = self._batches(stream, begin)
+        stream.batches = self._batches(stream, stored, limit, every_n, latched)
         async with aclosing(stream.batches):
             yield stream
 
@@ -138,31 +103,43 @@ class BagSource(Source):
         """The topics with what their publishers offered; nodes and services are not in a bag."""
 
         def read() -> dict[str, TopicEndpoints]:
-            with self._opened.reading() as bag:
+            with self.opened.reading() as bag:
                 return {topic.name: TopicEndpoints(topic.name, _publishers(topic), ()) for topic in bag.topics.values()}
 
         return GraphSnapshot(await asyncio.to_thread(read))
 
     async def _learn(self, name: str) -> StoredTopic:
-        topic = await asyncio.to_thread(self._topic, name)
+        def find() -> StoredTopic:
+            with self.opened.reading() as bag:
+                return find_topic(bag, name)
+
+        topic = await asyncio.to_thread(find)
         if not self._codec.definitions.knows(topic.type):
-            self._codec.definitions.add(await definitions_of(topic, self._robot))
+            self._codec.definitions.add(await definitions_of(topic, self.robot))
         return topic
 
-    def _topic(self, name: str) -> StoredTopic:
-        with self._opened.reading() as bag:
-            return find_topic(bag, name)
-
     async def _batches(
-        self, stream: Past, begin: Callable[[], Iterator[Sample]]
+        self, stream: Stream, stored: StoredTopic, limit: int | None, every_n: int, latched: bool
     ) -> AsyncGenerator[Sequence[Sample], None]:
         """Of the bag as it is at the beginning, although it may grow meanwhile."""
-        messages = await asyncio.to_thread(begin)
+        span = replace(self.span, topics=(stored.name,))
+
+        def begin() -> Iterator[Sample]:
+            with self.opened.reading() as bag:
+                before = _latched_before(bag, stored, span) if latched else []
+                messages = (sample for _, sample in bag.messages(span, newest_first=stream.from_end))
+                ordered = chain(messages, before[::-1]) if stream.from_end else chain(before, messages)
+                if limit is None:
+                    return ordered
+                # All at once: what is thinned and limited fits into memory, and the newest first cannot be streamed.
+                found, stream.received, stream.further = _taken(ordered, limit, every_n)
+                return iter(found[::-1] if stream.from_end else found)
 
         def following() -> list[Sample]:
-            with self._opened.lock:
-                return _batch(messages)
+            with self.opened.lock:
+                return _batch(samples)
 
+        samples = await asyncio.to_thread(begin)
         while batch := await asyncio.to_thread(following):
             stream.received += 0 if stream.thinned else len(batch)
             yield batch
@@ -193,8 +170,6 @@ async def open_bag(
     """
 
     def opened() -> BagSource:
-        from ros2_mcp.bags.stored import Span
-
         opened = store.opened(bag)
         with opened.reading() as found:
             first_ns, last_ns = times_of(store, found)
@@ -206,8 +181,8 @@ async def open_bag(
                 raise BadValue("start" if start else "end", f"{bag} has nothing in that time.", covers)
             end_ns = start_ns
         return BagSource(
-            opened,
-            Span(None, start_ns, end_ns),
+            opened=opened,
+            span=Span(None, start_ns, end_ns),
             name=bag,
             title=title or f"the bag {bag}",
             covers=(first_ns, last_ns),
@@ -241,14 +216,15 @@ class Bags(SourceKind):
         own = dict(store.own)
         running = [name for name in own if name == BLACK_BOX and own[name].is_growing()]
         subject = [store.subject_name] if store.subject else []
-        known = dict.fromkeys([*running, *reversed(own), *subject, *store.opened_names()])
+        candidates = dict.fromkeys([*running, *reversed(own), *subject, *store.opened_names()])
 
         def opening(name: str) -> Callable[[], Awaitable[Source]]:
             title = f"this server's recording {name}" if name in own else f"the bag {name}"
-            start, end = request.start, request.end
-            return lambda: open_bag(store, name, start, end, robot, title=title, may_be_empty=True, from_end=True)
+            return partial(
+                open_bag, store, name, request.start, request.end, robot, title=title, may_be_empty=True, from_end=True
+            )
 
-        return [opening(name) for name in known]
+        return [opening(name) for name in candidates]
 
 
 async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, DefinitionText]:
@@ -257,12 +233,17 @@ async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, D
     Raises:
         UnknownInterface: if nobody knows.
     """
-    from ros2_mcp.bags.schema import definitions_in, schema_text
+    from rosbags.typesys import Stores, TypesysError, get_typestore  # with numpy: not before it is needed
 
-    found = definitions_in(topic.type, topic.encoding, topic.definition)
-    found = found or await asyncio.to_thread(_common_definitions, topic.type)
-    if found:
+    if found := definitions_in(topic.type, topic.encoding, topic.definition):
         return found
+    with suppress(
+        TypesysError, KeyError
+    ):  # of the packages that every ROS 2 has, as the newest distribution defines them
+        common = await asyncio.to_thread(get_typestore, Stores.LATEST)
+        text, _ = await asyncio.to_thread(common.generate_msgdef, topic.type, ros_version=2)
+        if found := definitions_in(topic.type, "ros2msg", text):
+            return found
     if robot is None:
         raise UnknownInterface(f"The bag has no definition of {topic.type}.", "It was recorded without.")
     await robot.values.learn(topic.type)
@@ -309,24 +290,11 @@ def end_note(source: Source, *texts: str) -> str:
     return ""
 
 
-def _common_definitions(type_name: str) -> dict[str, DefinitionText]:
-    """Of the packages that every ROS 2 has, as the newest distribution defines them; for bags that have none."""
-    from rosbags.typesys import Stores, TypesysError, get_typestore
-
-    from ros2_mcp.bags.schema import definitions_in
-
-    store = get_typestore(Stores.LATEST)
-    try:
-        return definitions_in(type_name, "ros2msg", store.generate_msgdef(type_name, ros_version=2)[0])
-    except (TypesysError, KeyError):
-        return {}
-
-
 # ── samples ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def _taken(samples: Iterable[Sample], limit: int, every_n: int) -> tuple[list[Sample], int, Sample | None]:
-    """Every n-th sample, at least one, within both bounds; how many were looked at; and the next one, if there is."""
+    """Every n-th sample up to the limit and `MAX_BYTES`, at least one; how many were read; the next one, if any."""
     found: list[Sample] = []
     size = passed = 0
     for passed, sample in enumerate(samples):
@@ -352,7 +320,7 @@ def _batch(messages: Iterator[Sample]) -> list[Sample]:
 
 def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
     """What a late subscriber of a latched topic would still have got at the beginning, the oldest first."""
-    from ros2_mcp.bags.qos import is_latched
+    from ros2_mcp.bags.qos import is_latched  # with rosbags: not before it is needed
 
     if not is_latched(topic.qos):
         return []
@@ -360,8 +328,8 @@ def _latched_before(bag: Bag, topic: StoredTopic, span: Span) -> list[Sample]:
 
 
 def _publishers(topic: StoredTopic) -> list[Endpoint]:
-    """Who published: how many and with which durability is known, their names are not."""
-    from ros2_mcp.bags.qos import is_latched, parse_qos
+    """The publishers: their number and durability are known, their names are not."""
+    from ros2_mcp.bags.qos import is_latched, parse_qos  # with rosbags: not before it is needed
 
     durability = "transient_local" if is_latched(topic.qos) else "volatile"
     publishers = max(len(parse_qos(topic.qos)), 1)

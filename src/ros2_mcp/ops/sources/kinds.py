@@ -1,53 +1,56 @@
-"""Which sources there are: one line for each kind."""
+"""All sources that a server can read, of every kind that it was given."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Sequence
+from dataclasses import dataclass
 
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.sources.bag import Bags
-from ros2_mcp.ops.sources.data_black_box import DataBlackBoxes
 from ros2_mcp.ops.sources.live import Robots
 from ros2_mcp.ops.sources.source import Source, SourceKind, SourceRequest
 from ros2_mcp.robot import Robot
 
-KINDS: list[SourceKind] = [
-    DataBlackBoxes(),
-    Bags(),
-    Robots(),
-]
-"""In the order in which they are asked. The first that knows a name has it."""
+OWN_KINDS: Sequence[SourceKind] = (Bags(), Robots())
+"""The kinds that need nothing of others. `assembly.py` adds vendors' kinds before them."""
 
 
-async def open_source(robot: Robot, store: BagStore, name: str = "", start: str = "", end: str = "") -> Source:
-    """The source of that name between two moments; without a name the recording that stands for the robot, else itself.
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """The sources of one server. `kinds` are asked in their order; the first that knows a name has the source."""
 
-    Raises:
-        BadInput: if moments are given, and no recording.
-        NotFound, BadData, BadValue: as `open_bag`.
-    """
-    request = SourceRequest(name.strip(), start.strip(), end.strip())
-    for kind in KINDS:
-        if source := await kind.named(robot, store, request):
-            return source
-    raise NotFound(f"There is no source {name!r}.", "ros2_bag_list shows what can be read.")
+    robot: Robot
+    store: BagStore
+    kinds: Sequence[SourceKind] = OWN_KINDS
 
+    async def open(self, name: str = "", start: str = "", end: str = "") -> Source:
+        """The source of that name between two times.
 
-async def sources_of_the_past(
-    robot: Robot, store: BagStore, request: SourceRequest
-) -> AsyncGenerator[Source | RobotError, None]:
-    """One source after the other that may have messages of the past, or why it cannot be opened."""
-    for kind in KINDS:
-        try:
-            openings = await kind.kept(robot, store, request)
-        except RobotError as error:
-            yield error
-            continue
-        for opening in openings:
+        Without a name it is the recording that stands for the robot, else the robot itself.
+
+        Raises:
+            BadInput: if times are given, and no recording.
+            NotFound, BadData, BadValue: as `open_bag`.
+        """
+        request = SourceRequest(name.strip(), start.strip(), end.strip())
+        for kind in self.kinds:
+            if source := await kind.named(self.robot, self.store, request):
+                return source
+        raise NotFound(f"There is no source {name!r}.", "ros2_bag_list shows what can be read.")
+
+    async def of_the_past(self, request: SourceRequest) -> AsyncGenerator[Source | RobotError, None]:
+        """One source after the other that may have earlier messages, or the error why it cannot be opened."""
+        for kind in self.kinds:
             try:
-                source = await opening()
+                openings = await kind.kept(self.robot, self.store, request)
             except RobotError as error:
                 yield error
                 continue
-            yield source
+            for opening in openings:
+                try:
+                    source = await opening()
+                except RobotError as error:
+                    yield error
+                    continue
+                yield source

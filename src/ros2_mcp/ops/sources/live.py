@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Collection, Sequence
+from collections.abc import AsyncGenerator, Sequence
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
 from dataclasses import dataclass, replace
 from time import monotonic
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _MATCHING_S = 0.5
 """Matching takes 20 to 200 ms on one host; a topic that is slower than 2 Hz would only keep the others waiting."""
 _TURN_S = 1.0
-"""How long a wait for samples may be before it is looked whether the time is over."""
+"""The longest single wait for samples; the empty batch after it is the sign of life that a stream gives."""
 _NAMES_S = 1.0
 """Fast DDS tells a node's name up to half a second after its endpoints."""
 _UNNAMED = names.full_node_name("_NODE_NAME_UNKNOWN_", "/")
@@ -47,7 +47,7 @@ _ASKED_AT_ONCE = 32
 
 @dataclass(kw_only=True)
 class _LiveStream(Stream):
-    """A subscription that has begun at the steady time `asked_at`, waiting for the topic included."""
+    """A subscription; the call that made it began at the steady time `asked_at`, waiting for the topic included."""
 
     robot: Robot
     listening: Listening
@@ -79,35 +79,28 @@ class _LiveStream(Stream):
         nodes = ", ".join(sorted({publisher.node for publisher in now.publishers}))
         return f"{len(now.publishers)} publisher(s) there, but no message came while this listened: {nodes}."
 
+    async def take_until(self, deadline: float) -> AsyncGenerator[Sequence[Sample], None]:
+        """What comes before that steady time."""
+        while (left := deadline - monotonic()) > 0:
+            yield await self.listening.take(min(left, _TURN_S))
+        yield await self.listening.take(0.0)
+
 
 class Live(Source):
-    """What the robot does from the moment of asking on, for `duration_s`.
+    """What the robot does for `duration_s` from the call on.
 
-    `whole` time is followed once a topic is there, however long that took; else the waiting counts too.
+    With `whole` that time begins when the topic is there, however long that took; else waiting for it counts too.
     """
 
+    title = "the robot"
     is_live = True
 
     def __init__(self, robot: Robot, duration_s: float = 0.0, *, whole: bool = False) -> None:
         bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
+        self.words = f"live, {duration_s:g} s"
+        self.duration_s = duration_s
         self._robot = robot
-        self._duration_s = duration_s
         self._whole = whole
-
-    @property
-    def title(self) -> str:
-        """What it is."""
-        return "the robot"
-
-    @property
-    def words(self) -> str:
-        """What it is, with its time."""
-        return f"live, {self._duration_s:g} s"
-
-    @property
-    def duration_s(self) -> float:
-        """How long it listens."""
-        return self._duration_s
 
     @property
     def codec(self) -> Codec:
@@ -128,24 +121,37 @@ class Live(Source):
         self, topics: Sequence[str], report: Report = silent, *, times_only: bool = False
     ) -> Sequence[Capture | Missing]:
         """Listens to all topics over truly the same time, which begins when every subscription has been matched."""
+
+        async def opened(topic: str) -> _LiveStream | Missing:
+            try:
+                return self._stream(await subscriptions.enter_async_context(self._robot.listen(topic)), monotonic())
+            except RobotError as error:
+                return Missing(topic, error)
+
+        async def collect(stream: _LiveStream) -> None:
+            async for batch in stream.take_until(deadline):
+                collectors[stream.topic].add(batch)
+
+        def progress() -> str:
+            return ", ".join(f"{topic}: {len(found.samples)} messages" for topic, found in collectors.items())
+
         async with AsyncExitStack() as subscriptions:
-            opened = await asyncio.gather(*(self._open(subscriptions, topic) for topic in topics))
-            streams = [each for each in opened if isinstance(each, _LiveStream)]
+            results = await asyncio.gather(*map(opened, topics))
+            streams = [result for result in results if isinstance(result, _LiveStream)]
             await _matched(streams)
-            start_ns, started = time.time_ns(), monotonic()
-            collectors = {each.topic: capturing(len(streams), times_only) for each in streams}
-
-            def progress() -> str:
-                return ", ".join(f"{topic}: {len(each.samples)} messages" for topic, each in collectors.items())
-
-            async with reporting(report, self._duration_s, progress):
-                deadline = started + self._duration_s
-                await asyncio.gather(*(_collect(each, collectors[each.topic], deadline) for each in streams))
+            start_ns, deadline = time.time_ns(), monotonic() + self.duration_s
+            collectors = {stream.topic: capturing(len(streams), times_only) for stream in streams}
+            async with reporting(report, self.duration_s, progress):
+                await asyncio.gather(*map(collect, streams))
             end_ns = time.time_ns()
-        for each in streams:  # what was received before the end and sent to us after it
-            collectors[each.topic].add(await each.listening.take(0.0))
-        found = {each.topic: self._capture(each, collectors[each.topic], start_ns, end_ns) for each in streams}
-        return [found[each.topic] if isinstance(each, _LiveStream) else each for each in opened]
+        for stream in streams:  # what was received before the end and sent to us after it
+            collectors[stream.topic].add(await stream.listening.take(0.0))
+        return [
+            self._capture(result, collectors[result.topic], start_ns, end_ns)
+            if isinstance(result, _LiveStream)
+            else result
+            for result in results
+        ]
 
     @asynccontextmanager
     async def follow(
@@ -153,21 +159,20 @@ class Live(Source):
         topic: str,
         type_name: str = "",
         *,
-        limit: int | None = None,  # noqa: ARG002 - those who follow stop by themselves
+        limit: int | None = None,  # noqa: ARG002 - the reader stops by itself
         every_n: int = 1,  # noqa: ARG002
         latched: bool = True,  # noqa: ARG002 - the publishers decide
     ) -> AsyncGenerator[Stream, None]:
         """Every sample from now on; waits for the topic to appear."""
         asked_at = monotonic()
-        async with self._robot.listen(topic, type_name, wait_s=self._duration_s) as listening:
-            deadline = (monotonic() if self._whole else asked_at) + self._duration_s
+        async with self._robot.listen(topic, type_name, wait_s=self.duration_s) as listening:
             stream = self._stream(listening, asked_at)
-            stream.batches = _batches(listening, deadline)
+            stream.batches = stream.take_until((monotonic() if self._whole else asked_at) + self.duration_s)
             async with aclosing(stream.batches):
                 yield stream
 
     async def graph(self) -> GraphSnapshot:
-        """The graph now, without ourselves."""
+        """The graph now, without our own nodes."""
         graph = self._robot.graph
         topics = await graph.topics()
         nodes = await graph.nodes()
@@ -177,31 +182,29 @@ class Live(Source):
 
         async def endpoints(topic: str) -> TopicEndpoints:
             async with limit:
-                return _without(own, await self._named(topic))
+                present = await self._named(topic)
+            return TopicEndpoints(
+                topic,
+                [publisher for publisher in present.publishers if publisher.node not in own],
+                [subscriber for subscriber in present.subscribers if subscriber.node not in own],
+            )
 
-        found = await asyncio.gather(*(endpoints(row.name) for row in topics))
+        present = await asyncio.gather(*(endpoints(row.name) for row in topics))
         return GraphSnapshot(
-            {each.topic: each for each in found if each.types},
+            {found.topic: found for found in present if found.types},
             sorted(row.name for row in nodes if row.name not in own),
             sorted(row.name for row in services),
             topics.settled and nodes.settled,
         )
 
     async def _named(self, topic: str) -> TopicEndpoints:
-        """The endpoints of a topic; the names of nodes that have only just appeared are waited for, at most 1 s."""
+        """The endpoints of a topic; waits for the names of nodes that have only just appeared, at most 1 s."""
         deadline = monotonic() + _NAMES_S
         found = await self._robot.graph.endpoints(topic)
-        while monotonic() < deadline and any(each.node == _UNNAMED for each in (*found.publishers, *found.subscribers)):
-            await asyncio.sleep(0.1)
+        while monotonic() < deadline and _UNNAMED in {one.node for one in (*found.publishers, *found.subscribers)}:
+            await asyncio.sleep(0.1)  # a tenth of the time: at most ten questions for each topic
             found = await self._robot.graph.endpoints(topic)
         return found
-
-    async def _open(self, subscriptions: AsyncExitStack, topic: str) -> _LiveStream | Missing:
-        try:
-            listening = await subscriptions.enter_async_context(self._robot.listen(topic))
-        except RobotError as error:
-            return Missing(topic, error)
-        return self._stream(listening, monotonic())
 
     def _stream(self, listening: Listening, asked_at: float) -> _LiveStream:
         qos = listening.choice.qos
@@ -220,41 +223,21 @@ class Live(Source):
         """What was received between both times; of a latched topic also what was there before."""
         latched = stream.listening.choice.qos.durability == "transient_local"
         whole = captured(self, stream, collector, start_ns)
-        samples = [
-            each for each in whole.samples if (latched or start_ns <= each.received_ns) and each.received_ns <= end_ns
-        ]
+        earliest_ns = 0 if latched else start_ns
+        samples = [sample for sample in whole.samples if earliest_ns <= sample.received_ns <= end_ns]
         return replace(whole, samples=samples, end_ns=end_ns, received=len(samples) + whole.dropped)
-
-
-async def _collect(stream: _LiveStream, collector: Collector, deadline: float) -> None:
-    while (left := deadline - monotonic()) > 0:
-        collector.add(await stream.listening.take(min(left, _TURN_S)))
 
 
 async def _matched(streams: Sequence[_LiveStream]) -> None:
     """Waits, at most half a second, until a message has come on every topic that has a publisher."""
     deadline = monotonic() + _MATCHING_S
-    while monotonic() < deadline and not all(each.counts.received for each in streams if each.publishers):
-        await asyncio.sleep(0.01)
-
-
-async def _batches(listening: Listening, deadline: float) -> AsyncGenerator[Sequence[Sample], None]:
-    while (left := deadline - monotonic()) > 0:
-        yield await listening.take(min(left, _TURN_S))
-    yield await listening.take(0.0)
-
-
-def _without(nodes: Collection[str], present: TopicEndpoints) -> TopicEndpoints:
-    return TopicEndpoints(
-        present.topic,
-        [each for each in present.publishers if each.node not in nodes],
-        [each for each in present.subscribers if each.node not in nodes],
-    )
+    while monotonic() < deadline and not all(stream.counts.received for stream in streams if stream.publishers):
+        await asyncio.sleep(0.01)  # short beside the 20 ms that matching takes at least
 
 
 class Robots(SourceKind):
     """The robot of this server as a kind of source."""
 
     async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
-        """The robot now, where no other source is named."""
+        """The robot now, if no other source is named."""
         return None if request.name else Live(robot)

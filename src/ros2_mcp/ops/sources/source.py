@@ -1,6 +1,6 @@
 """What a source is: samples of topics from the robot now, from a bag, from a black box, and what is known around them.
 
-Operations that read take a `Source`. What differs between now and then is told by `is_live`, never by its words.
+Operations that read take a `Source`. `is_live` tells live sources from recorded ones, never their text.
 """
 
 from __future__ import annotations
@@ -27,7 +27,11 @@ MAX_BYTES = 192_000_000
 """Of all topics that are measured together: a minute of a raw camera at 3 MB/s, and affordable beside a robot."""
 MAX_SAMPLES = 200_000
 """Of one topic: an IMU at 1 kHz for three minutes."""
+ANSWER_S = 15.0
+"""How long a source may take to answer. A question to a database over a day takes some seconds; if one hangs, there
+must be time left to ask the other sources before clients give the call up."""
 _STAMP_END = 12
+"""A message that begins with a header has its stamp in bytes 4 to 11, after the header of CDR."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,24 +96,28 @@ class Capture:
         """The header's stamp of each sample; None where the type does not begin with a header."""
         if not self.definitions.starts_with_header(self.type):
             return None
-        return [header_stamp_ns(each.data) if len(each.data) >= _STAMP_END else 0 for each in self.samples]
+        return [header_stamp_ns(sample.data) if len(sample.data) >= _STAMP_END else 0 for sample in self.samples]
 
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """A topic of which there is no capture, and why."""
+    """A topic that could not be captured, and why."""
 
     topic: str
     error: RobotError
 
 
 @dataclass(kw_only=True)
-class Stream(ABC):
+class Stream:
     """The samples of one topic one after the other, in batches as they come; an empty batch is only a sign of life.
 
-    The batches end with the source's time. `qos` says how it listens, or what was recorded. Samples from before
-    `start_ns` are latched ones. `from_end`: the limit meant the last messages. `thinned`: it is every n-th already.
-    `note` is for whoever shows them.
+    The batches end with the source's time. As it stands here it is a stream of samples that were kept, up to the Unix
+    time `until_ns`; a live one overrides what differs.
+
+    `qos` says how it listens, or what was recorded. Samples from before `start_ns` are latched ones. `from_end`: the
+    limit meant the last messages. `thinned`: it is every n-th already. `received` samples have been read so far. With
+    a limit, `further` is the next sample after those that were asked for, in the direction of reading; None where
+    there are no more. `note` is for whoever shows them.
     """
 
     topic: str
@@ -119,8 +127,11 @@ class Stream(ABC):
     batches: AsyncGenerator[Sequence[Sample], None] = field(init=False)
     qos: str = ""
     start_ns: int = 0
+    until_ns: int = 0
     from_end: bool = False
     thinned: bool = False
+    received: int = 0
+    further: Sample | None = None
     note: str = ""
 
     @property
@@ -129,63 +140,22 @@ class Stream(ABC):
         return sorted({publisher.node for publisher in self.publishers})
 
     @property
-    @abstractmethod
     def counts(self) -> Counts:
-        """What became of the messages so far."""
-
-    @property
-    @abstractmethod
-    def covered_s(self) -> float:
-        """How much of the source's time its samples are of."""
-
-    @property
-    @abstractmethod
-    def end_ns(self) -> int:
-        """How far it has come, as Unix time."""
-
-    @property
-    def beyond(self) -> Sample | None:
-        """The next sample, where there are more than were asked for; the one before them with `from_end`."""
-        return None
-
-    @abstractmethod
-    async def why_no_more(self, last: Sample | None) -> str:
-        """In words, why none came after the given last one."""
-
-
-@dataclass(kw_only=True)
-class Past(Stream):
-    """Samples that somebody has kept, up to the Unix time `until_ns`; `received` were looked at so far.
-
-    Of those that were asked for with a limit, `further` is the next one, in the direction of reading.
-    """
-
-    until_ns: int
-    received: int = 0
-    further: Sample | None = None
-
-    @property
-    def counts(self) -> Counts:
-        """Nothing is dropped; what was lost is not known any more."""
+        """What became of the messages so far. Kept ones are not dropped; how many were lost nobody knows."""
         return Counts(self.received, 0, None)
 
     @property
     def covered_s(self) -> float:
-        """All of its time."""
-        return (self.until_ns - self.start_ns) / 1e9
+        """How much of the source's time its samples are of."""
+        return (self.end_ns - self.start_ns) / 1e9
 
     @property
     def end_ns(self) -> int:
-        """The end of its time."""
+        """How far it has come, as Unix time."""
         return self.until_ns
 
-    @property
-    def beyond(self) -> Sample | None:
-        """The next sample, where there are more than were asked for."""
-        return self.further
-
     async def why_no_more(self, last: Sample | None) -> str:
-        """There is no more than was kept."""
+        """In words, why no sample came after `last`; None where none came at all."""
         return f"The recording has {'no more' if last else 'nothing'} of it in that part."
 
 
@@ -201,7 +171,7 @@ class GraphSnapshot:
 
 @dataclass(frozen=True, slots=True)
 class SourceRequest:
-    """Which source is meant, in the caller's words: its name, the moments between which, a database's bucket."""
+    """Which source is meant, in the caller's words: its name, a beginning and an end, the bucket of a database."""
 
     name: str = ""
     start: str = ""
@@ -212,28 +182,19 @@ class SourceRequest:
 class Source(ABC):
     """Where samples come from: the robot for some time from now on, or a part of what somebody has kept.
 
-    A new kind of source implements what is abstract here, and is entered in `ops/sources/kinds.py`.
+    A new kind of source sets these attributes, implements what is abstract here, and has a `SourceKind`.
     """
 
+    title: str
+    """What it is, as in `the bag run`."""
+    words: str
+    """The same with its time, for results and people: `live, 5 s`."""
+    duration_s: float
+    """How much time it covers."""
     is_live: bool = False
     """Whether its messages have yet to come. Of what was kept, nothing has to be waited for."""
     keeps_types: bool = True
-    """Whether it knows the types of its messages; else whoever asks has to say them."""
-
-    @property
-    @abstractmethod
-    def title(self) -> str:
-        """What it is, as in `the bag run`."""
-
-    @property
-    @abstractmethod
-    def words(self) -> str:
-        """The same with its time, for results and people: `live, 5 s`."""
-
-    @property
-    @abstractmethod
-    def duration_s(self) -> float:
-        """How much time it covers."""
+    """Whether it knows the types of its messages; if not, the caller has to give them."""
 
     @property
     @abstractmethod
@@ -258,10 +219,10 @@ class Source(ABC):
         Args:
             topic: its name; live it need not be there yet.
             type_name: needed only if the topic has several types, or live none yet.
-            limit: how many samples are needed; of a recording without a start these are the last ones. Live, whoever
-                follows stops by himself.
-            every_n: with a limit, of a recording only every n-th sample is given, counted from the first that is read.
-            latched: whether a recording also gives what a late subscriber would still have got from before.
+            limit: how many samples are needed; of a recording without a start these are the last ones. A live stream
+                goes on: its reader stops.
+            every_n: with a limit, a recording gives only every n-th sample, counted from the first that is read.
+            latched: whether a recording also gives the earlier messages that a late subscriber would still have got.
 
         Raises:
             NotFound: if the topic does not appear in that time.
@@ -305,10 +266,10 @@ class Source(ABC):
 
 
 class SourceKind:
-    """A kind of source: how its sources are found. By itself it has none."""
+    """A kind of source: how its sources are found. A kind overrides one method or both."""
 
     async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
-        """The source that is meant, or None where it is none of this kind."""
+        """The source that is meant, or None if it is not of this kind."""
         return None
 
     async def kept(
@@ -317,12 +278,12 @@ class SourceKind:
         store: BagStore,  # noqa: ARG002
         request: SourceRequest,  # noqa: ARG002
     ) -> Sequence[Callable[[], Awaitable[Source]]]:
-        """What opens each of its sources that may have messages of the past, the likeliest first."""
+        """For each of its sources that may have earlier messages a function that opens it, the likeliest first."""
         return ()
 
 
 def capturing(topics: int, times_only: bool) -> Collector:
-    """A collector for one of so many topics that are measured together."""
+    """A collector for one topic of `topics` that are measured together and share the memory."""
     return Collector(max_samples=MAX_SAMPLES, max_bytes=MAX_BYTES // max(topics, 1), times_only=times_only)
 
 

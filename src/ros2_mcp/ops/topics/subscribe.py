@@ -142,7 +142,7 @@ async def collect(
                 if is_full := collector.add(batch):
                     break
         samples = list(collector.samples)
-        counts, beyond = stream.counts, stream.beyond
+        counts, beyond = stream.counts, stream.further
         ended_early = not samples or (limit is not None and not is_full and beyond is None)
         return Collected(
             stream=stream,

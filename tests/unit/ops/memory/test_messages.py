@@ -24,6 +24,7 @@ from ros2_mcp.ops.memory import bags
 from ros2_mcp.ops.memory import messages as history
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.memory.messages import StoredMessages
+from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.ops.sources.source import SourceRequest
@@ -64,7 +65,9 @@ class Asker:
 
     async def get(self, topic: str = "/count", number: int = 0, **asked: str) -> StoredMessages:
         selection = Selection(message_limit=number or None)
-        return await history.get_messages(self.robot, self.store, topic, "", SourceRequest(**asked), selection)
+        return await history.get_messages(
+            Sources(self.robot, self.store), topic, "", SourceRequest(**asked), selection
+        )
 
     async def read(self, bag: str, topic: str, limit: int = 20, every_n: int = 1, **asked: str) -> bags.BagMessages:
         selection = Selection(message_limit=limit, every_n=every_n)

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
-from ros2_mcp.ops.pictures.map_and_cloud import map_picture
-from ros2_mcp.ops.pictures.plot import Look, Plot, plot
+from ros2_mcp.ops.pictures.map import map_picture
+from ros2_mcp.ops.pictures.plot import Plot, PlotRequest, plot
 from support.made_windows import Make, Recorded
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -19,8 +19,8 @@ FLOAT = "std_msgs/msg/Float64"
 TIMES = np.arange(1, 250) * 0.02
 
 
-async def plotted(windows, series, look=None) -> Plot:
-    return await plot(Recorded(windows), series, look)
+async def plotted(windows, series, *look) -> Plot:
+    return await plot(Recorded(windows), PlotRequest(series, *look))
 
 
 def odometry(window: Make, times=TIMES):
@@ -77,7 +77,7 @@ async def test_a_list_is_drawn_as_its_elements_also_when_it_grows(window: Make) 
 
 
 async def test_a_position_alone_is_a_trajectory(window: Make) -> None:
-    found = await plotted([odometry(window)], ["/odom:pose.pose.position"], Look("xy", 800, 800))
+    found = await plotted([odometry(window)], ["/odom:pose.pose.position"], "xy", 800, 800)
     assert [each.name for each in found.series] == ["/odom:pose.pose.position.x", "/odom:pose.pose.position.y"]
     pixels = np.asarray(Image.open(io.BytesIO(found.images[0].data)).convert("RGB")).astype(int)
     rows, columns = np.nonzero(np.abs(pixels[60:740] - (0x1F, 0x6F, 0xC4)).sum(axis=2) < 12)
@@ -86,13 +86,13 @@ async def test_a_position_alone_is_a_trajectory(window: Make) -> None:
 
 async def test_series_of_two_topics_are_paired_by_time(window: Make) -> None:
     fast, slow = floats(window, "/a", TIMES), floats(window, "/b", TIMES[::5], TIMES[::5] + 0.004)
-    found = await plotted([fast, slow], ["/a:data", "/b:data"], Look("xy"))
+    found = await plotted([fast, slow], ["/a:data", "/b:data"], "xy")
     assert [each.count for each in found.series] == [len(TIMES), len(TIMES[::5])]
 
 
 async def test_one_series_alone_is_no_trajectory(window: Make) -> None:
     with pytest.raises(BadInput, match="pairs of x and y"):
-        await plotted([floats(window, "/a", TIMES)], ["/a:data"], Look("xy"))
+        await plotted([floats(window, "/a", TIMES)], ["/a:data"], "xy")
 
 
 async def test_a_missing_topic_leaves_the_others_and_is_named(window: Make) -> None:

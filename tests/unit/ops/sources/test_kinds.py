@@ -21,9 +21,8 @@ from ros2_mcp.ops.memory import messages as history
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.pictures import plot as plotting
 from ros2_mcp.ops.results import silent
-from ros2_mcp.ops.sources import kinds as sources
 from ros2_mcp.ops.sources.bag import BagSource, open_bag
-from ros2_mcp.ops.sources.kinds import open_source
+from ros2_mcp.ops.sources.kinds import OWN_KINDS, Sources
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
 from ros2_mcp.ops.sources.selection import Collector, Selection, fit
 from ros2_mcp.ops.sources.source import Source, SourceKind, SourceRequest
@@ -54,23 +53,17 @@ class MadeSources(SourceKind):
         return [opened]
 
 
-async def called(robot: Robot, store: BagStore, name: str, **arguments: Any) -> Mapping[str, Any]:
-    tool = bind(next(each for each in DECLARED if each.name == name), robot, store)
-    answer = (await tool.call(arguments, silent)).structured_content
-    assert answer
-    return answer
-
-
-async def test_a_new_kind_of_source_is_one_class_and_one_line(
-    tmp_path: Path, window: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_new_kind_of_source_is_one_class_and_one_line(tmp_path: Path, window: Make) -> None:
     made = Recorded([window("/x", FLOAT, [(each / 10, {"data": float(each)}) for each in range(11)], 1.0)])
-    monkeypatch.setattr(sources, "KINDS", [MadeSources(made), *sources.KINDS])
+    kinds = [MadeSources(made), *OWN_KINDS]
     store = BagStore(tmp_path)
     robot = recorded_robot(store, 32_000)
 
     async def ask(name: str, **arguments: Any) -> Mapping[str, Any]:
-        return await called(robot, store, name, **arguments)
+        tool = bind(next(each for each in DECLARED if each.name == name), robot, store, kinds)
+        answer = (await tool.call(arguments, silent)).structured_content
+        assert answer
+        return answer
 
     (measured,) = (await ask("ros2_topic_statistics", topic_names=["/x"], bag="made"))["topics"]
     assert (measured["count"], measured["fields"][0]["max"]) == (11, 10.0)
@@ -85,11 +78,11 @@ async def test_a_new_kind_of_source_is_one_class_and_one_line(
 
 async def test_no_name_means_the_robot_and_moments_mean_a_recording(tmp_path: Path) -> None:
     robot, store = robot_of(MadeBridge()), BagStore(tmp_path)
-    assert (await open_source(robot, store)).is_live
+    assert (await Sources(robot, store).open()).is_live
     with pytest.raises(BadInput, match="none is named"):
-        await open_source(robot, store, start="last 1 s")
+        await Sources(robot, store).open(start="last 1 s")
     with pytest.raises(NotFound, match="no bag"):
-        await open_source(robot, store, "nowhere")
+        await Sources(robot, store).open("nowhere")
 
 
 # ── messages that cannot be decoded ──────────────────────────────────────────────────────────────────────────────────
@@ -116,7 +109,7 @@ async def test_what_cannot_be_decoded_is_skipped_counted_and_told_by_whoever_rea
     read = await reading.read(await open_bag(damaged, "run"), "/count", "", six)
     from_bag = await bags.read(robot, damaged, "run", "/count", six)
     await bags.info(damaged, "run")
-    kept = await history.get_messages(robot, damaged, "/count", "", SourceRequest(), Selection())
+    kept = await history.get_messages(Sources(robot, damaged), "/count", "", SourceRequest(), Selection())
     for found in (read, from_bag, kept):
         assert [each["data"] for each in found.messages] == [0, 2, 3, 4]
         assert told in found.note
@@ -130,7 +123,7 @@ async def test_what_cannot_be_decoded_is_not_measured(damaged: BagStore) -> None
     (found,) = (await statistics.measure(source, ["/count"], Selection())).topics
     assert (found.count, found.fields[0].count, found.fields[0].max) == (6, 4, 4.0)
     assert "2 message(s) are not what their type says" in found.note
-    drawn = await plotting.plot(source, ["/count:data"])
+    drawn = await plotting.plot(source, plotting.PlotRequest(["/count:data"]))
     assert drawn.series[0].count == 4 and "2 message(s) are not what their type says" in drawn.note
 
 

@@ -7,8 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from ros2_mcp.model.errors import BadData
-from ros2_mcp.ops.sources.data_black_box import (
+from ros2_mcp.adapters.data_black_box import (
     Question,
     full_date_time,
     read_second,
@@ -17,6 +16,7 @@ from ros2_mcp.ops.sources.data_black_box import (
     time_range,
     unix_ns,
 )
+from ros2_mcp.model.errors import BadData
 
 NEW_YEAR_NS = 1_767_225_600 * 10**9
 

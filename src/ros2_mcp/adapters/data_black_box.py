@@ -21,7 +21,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.sources.selection import MAX_MESSAGES
-from ros2_mcp.ops.sources.source import Past, Source, SourceKind, SourceRequest, Stream, in_batches
+from ros2_mcp.ops.sources.source import ANSWER_S, Source, SourceKind, SourceRequest, Stream, in_batches
 from ros2_mcp.ops.sources.times import last_ns_of, parsed_ns
 from ros2_mcp.robot import Robot
 
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 FIRST_TYPE = "lora_msgs/srv/GetMessages"
 SECOND_TYPE = "wisevision_msgs/srv/InfluxGetMessages"
 ANY = "any"
-TIMEOUT_S = 15.0
-"""A question to InfluxDB over a day takes some seconds; a box that hangs must leave time to ask the recordings."""
 NAMES = ("data black box", "data-black-box", "wisevision")
 """By these it is asked like a bag."""
 _SPECIAL = {
@@ -120,7 +118,7 @@ class DataBlackBox:
     async def _inquire(self, request: Mapping[str, Any]) -> bytes:
         try:
             answer = await self.robot.ask_service(
-                self.service, self.service_type, request, timeout_s=TIMEOUT_S, wait_s=1.0
+                self.service, self.service_type, request, timeout_s=ANSWER_S, wait_s=1.0
             )
         except TimedOut as error:
             raise TimedOut(error.message, "Ask the Data Black Box for a shorter time.") from error
@@ -217,7 +215,7 @@ class DataBlackBoxSource(Source):
         if kind:
             await self._box.robot.values.learn(kind)
         unconfirmed = "" if answered.type else f"This box does not keep types: right only if they are {kind}."
-        stream = Past(
+        stream = Stream(
             topic=topic,
             type=kind,
             codec=self.codec,

@@ -1,0 +1,77 @@
+"""A point cloud from above as a picture with its facts."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import asdict, dataclass
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions
+from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
+from ros2_mcp.ops.sources.source import Source
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CloudPicture(WithPictures):
+    """A point cloud from above, x to the right, y up, of the frame `frame_id`.
+
+    Pixel (column, row) begins at x = `x_min_m` + column · `metres_per_pixel`, y = `y_max_m` - row · `metres_per_pixel`.
+    Of `points`, `not_finite` have no place, and `shown` lie within the heights asked for. `color_low` and
+    `color_high` are the values at the ends of the colours; null for rgb.
+    """
+
+    topic_name: str
+    frame_id: str
+    points: int
+    shown: int
+    not_finite: int
+    resolution_m: float
+    metres_per_pixel: float
+    x_min_m: float
+    x_max_m: float
+    y_min_m: float
+    y_max_m: float
+    z_min_m: float
+    z_max_m: float
+    color_mode: str
+    color_low: float | None
+    color_high: float | None
+    received_at: str
+    source: str
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{self.topic_name}: {self.shown} of {self.points} points. {self.pictures[0].note} {self.note}".rstrip()
+
+
+async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, report: Report = silent) -> CloudPicture:
+    """The next point cloud of a topic, from above.
+
+    Raises:
+        NotFound: if the topic is not there.
+        TypeConflict: if it is no PointCloud2.
+        TimedOut: if no cloud came.
+        BadData: if its data does not fit its layout, or no point is left to show.
+        BadValue: if the resolution is out of range.
+    """
+    from ros2_mcp.codec.bird_eye import bird_eye  # with numpy: not before it is needed
+    from ros2_mcp.codec.clouds import cloud_of
+
+    bounded("resolution", options.resolution_m, 0.001, 100.0, "m")
+    message, sample = await next_message(source, topic, POINT_CLOUD, report)
+    cloud = await asyncio.to_thread(cloud_of, message)
+    seen = await asyncio.to_thread(bird_eye, cloud, options)
+    return CloudPicture(
+        topic_name=names.absolute(topic),
+        frame_id=message.header.frame_id,
+        points=cloud.points,
+        not_finite=cloud.not_finite,
+        **asdict(seen.numbers),
+        received_at=iso_time(sample.received_ns),
+        source=source.words,
+        pictures=facts([seen.picture]),
+        images=[seen.picture],
+    )
