@@ -32,7 +32,7 @@ FIRST_TYPE = "lora_msgs/srv/GetMessages"
 SECOND_TYPE = "wisevision_msgs/srv/InfluxGetMessages"
 ANY = "any"
 NAMES = ("data black box", "data-black-box", "wisevision")
-"""By these it is asked like a bag."""
+"""The names by which it is read in the place of a bag."""
 _SPECIAL = {
     "std_msgs/msg/Int32": "std_msgs/Int32",
     "lora_msgs/msg/MicroPublisher": "lora_msgs/MicroPublisher",
@@ -48,14 +48,14 @@ _SPECIAL_LISTS = {
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _DAY_NS = 86_400 * 10**9
 _REACHES_NS = tuple(seconds * 10**9 for seconds in (60, 3600, 86_400, 30 * 86_400))
-"""How far back is looked for the last N messages, step by step, before everything is asked for."""
+"""The last N messages are looked for in these times, one after the other, before all time is asked for."""
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What is asked: messages of a topic from `start_ns` up to `end_ns` (Unix time; None is open).
+    """Which messages of a topic: from `start_ns` up to `end_ns` (Unix time; None is open).
 
-    `type` is needed by the first generation for all but its special types; `bucket` is for the second only.
+    The first generation needs `type` for all but its special types; only the second has a `bucket`.
     """
 
     topic: str
@@ -153,25 +153,13 @@ class DataBlackBoxSource(Source):
     keeps_types = False
 
     def __init__(self, box: DataBlackBox, start_ns: int | None, end_ns: int | None, bucket: str = "") -> None:
+        self.title = f"the WiseVision Data Black Box (generation {box.generation}, {box.service})"
+        self.words = f"{self.title}, from {iso_time(start_ns) if start_ns else 'the beginning'} on"
+        self.duration_s = ((end_ns or time.time_ns()) - (start_ns or 0)) / 1e9
         self._box = box
         self._start_ns = start_ns
         self._end_ns = end_ns
         self._bucket = bucket
-
-    @property
-    def title(self) -> str:
-        """Which box it is."""
-        return f"the WiseVision Data Black Box (generation {self._box.generation}, {self._box.service})"
-
-    @property
-    def words(self) -> str:
-        """What it is, with its time."""
-        return f"{self.title}, from {iso_time(self._start_ns) if self._start_ns else 'the beginning'} on"
-
-    @property
-    def duration_s(self) -> float:
-        """How much time was asked for."""
-        return ((self._end_ns or time.time_ns()) - (self._start_ns or 0)) / 1e9
 
     @property
     def codec(self) -> Codec:
@@ -193,8 +181,8 @@ class DataBlackBoxSource(Source):
         type_name: str = "",
         *,
         limit: int | None = None,
-        every_n: int = 1,  # noqa: ARG002 - it gives all
-        latched: bool = True,  # noqa: ARG002 - it knows nothing of that
+        every_n: int = 1,  # noqa: ARG002 - the box cannot thin them
+        latched: bool = True,  # noqa: ARG002 - the box does not keep QoS
     ) -> AsyncGenerator[Stream, None]:
         """The messages that it has, the last ones with a limit.
 
@@ -220,7 +208,7 @@ class DataBlackBoxSource(Source):
             type=kind,
             codec=self.codec,
             publishers=(),
-            start_ns=self._start_ns or min((each.received_ns for each in answered.samples), default=0),
+            start_ns=self._start_ns or min((sample.received_ns for sample in answered.samples), default=0),
             until_ns=self._end_ns or time.time_ns(),
             from_end=bool(limit),
             received=len(answered.samples),
@@ -362,14 +350,14 @@ def _timed(kind: str, bodies: Sequence[bytes], dates: Sequence[Any]) -> Answered
         problem = f"The box gave {len(dates)} times for {len(bodies)} messages."
         times += [0] * (len(bodies) - len(times))
     samples = [Sample(at_ns, 0, None, body) for at_ns, body in zip(times, bodies, strict=True)]
-    return Answered(kind, samples if problem else sorted(samples, key=lambda each: each.received_ns), problem)
+    return Answered(kind, samples if problem else sorted(samples, key=lambda sample: sample.received_ns), problem)
 
 
 def _within(answered: Answered, question: Question) -> Answered:
-    """Without what the box gave from outside the time, because it reads fractions of a second loosely."""
+    """Without the messages from outside the time: the box does not compare fractions of a second exactly."""
     start_ns = question.start_ns or 0
     end_ns = question.end_ns or 2**63
-    inside = [each for each in answered.samples if not each.received_ns or start_ns <= each.received_ns <= end_ns]
+    inside = [one for one in answered.samples if not one.received_ns or start_ns <= one.received_ns <= end_ns]
     return replace(answered, samples=inside)
 
 

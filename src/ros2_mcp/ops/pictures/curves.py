@@ -116,9 +116,10 @@ def against_each_other(values: Sequence[FieldValues], title: str) -> Figure:
     across, up = values[::2], values[1::2]
     curves: list[Curve] = []
     for x, y in zip(across, up, strict=True):
-        matched = np.array(pairs(x.times, y.times), np.intp).reshape(-1, 2)
+        matched = pairs(x.times, y.times)
+        in_x, in_y = (np.array([pair[side] for pair in matched], np.intp) for side in (0, 1))
         name = f"{y.name} over {x.field if x.topic == y.topic else x.name}"
-        curves.append(Curve(name, x.values[matched[:, 0]], y.values[matched[:, 1]], breaks(x.times[matched[:, 0]])))
+        curves.append(Curve(name, x.values[in_x], y.values[in_y], breaks(x.times[in_x])))
     x_unit, y_unit = _common_unit(across), _common_unit(up)
     x_name = across[0].name if len(curves) == 1 else "x"
     return Figure(

@@ -32,7 +32,5 @@ async def next_message(source: Source, topic: str, type_name: str, report: Repor
             if batch:
                 sample = batch[-1 if source.is_live else 0]
                 return await asyncio.to_thread(stream.codec.decode, stream.type, sample.data), sample
-        publishers = (
-            f"It is published by {', '.join(stream.nodes)}." if stream.publishers else "Nobody publishes on it."
-        )
-        raise TimedOut(f"No message on {topic} ({source.words}).", publishers)
+        hint = f"It is published by {', '.join(stream.nodes)}." if stream.publishers else "Nobody publishes on it."
+        raise TimedOut(f"No message on {topic} ({source.words}).", hint)

@@ -93,9 +93,8 @@ async def plot(source: Source, request: PlotRequest, report: Report = silent) ->
     """
     bounded("width", request.width, 300, MAX_SIDE, "px")
     bounded("height", request.height, 200, MAX_SIDE, "px")
-    parts = [
-        (names.absolute(text.partition(":")[0].strip()), text.partition(":")[2].strip()) for text in request.series
-    ]
+    texts = [text.partition(":") for text in request.series]
+    parts = [(names.absolute(topic.strip()), field.strip()) for topic, _, field in texts]
     if not parts:
         raise BadInput("Nothing to plot is given.", 'Give series such as ["/odom:twist.twist.linear.x"].')
     topics = list(dict.fromkeys(topic for topic, _ in parts))

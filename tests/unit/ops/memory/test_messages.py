@@ -65,9 +65,7 @@ class Asker:
 
     async def get(self, topic: str = "/count", number: int = 0, **asked: str) -> StoredMessages:
         selection = Selection(message_limit=number or None)
-        return await history.get_messages(
-            Sources(self.robot, self.store), topic, "", SourceRequest(**asked), selection
-        )
+        return await history.get_messages(Sources(self.robot, self.store), topic, "", SourceRequest(**asked), selection)
 
     async def read(self, bag: str, topic: str, limit: int = 20, every_n: int = 1, **asked: str) -> bags.BagMessages:
         selection = Selection(message_limit=limit, every_n=every_n)
