@@ -58,10 +58,6 @@ class Recorded(Source):
     def codec(self) -> Codec:
         return CODEC
 
-    @property
-    def codec(self) -> Codec:
-        return CODEC
-
     async def type_of(self, topic: str) -> str:
         return self._capture(topic).type
 
