@@ -1,4 +1,4 @@
-"""What every operation's result has in common."""
+"""What the results of all operations have in common: progress, notes, pictures, JSON and readable words."""
 
 from __future__ import annotations
 
@@ -10,21 +10,25 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import datetime, timezone
 from functools import cache
 from time import monotonic
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
+from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.pictures import Picture
 
+R = TypeVar("R")
+
 Report = Callable[[float, float, str], Awaitable[None]]
-"""Told of progress: done so far, the whole, and a readable line."""
+"""Is called with progress: done so far, the whole, and a readable line."""
 
 _LINE_PART = 120
+"""Characters of one value in a summary: about one line of a terminal. The whole value is in the JSON beside it."""
 
 HIDDEN = {"hidden": True}
 """Metadata of a result's field that is not part of its JSON, such as a picture."""
 
 
 def at_most_every(seconds: float, report: Report) -> Report:
-    """A `Report` that passes on no more than one line in that time."""
+    """A `Report` that passes on no more than one line in that time; clients show each of them."""
     next_at = 0.0
 
     async def passed_on(done: float, whole: float, line: str) -> None:
@@ -37,17 +41,35 @@ def at_most_every(seconds: float, report: Report) -> Report:
 
 
 async def silent(_done: float, _whole: float, _line: str) -> None:
-    """A `Report` for callers that do not want to know."""
+    """A `Report` for callers that show no progress."""
+
+
+async def or_error(work: Awaitable[R], failed: Callable[..., R]) -> R:
+    """The result of the work, or `failed(error=...)` if it fails: the error of one topic must not end the others."""
+    try:
+        return await work
+    except RobotError as error:
+        return failed(error=str(error))
+
+
+def list_note(matching: int, limit: int, settled: bool = True) -> str:
+    """What a shortened or early list says of itself; empty if it is complete."""
+    notes: list[str] = []
+    if matching > limit:
+        notes.append(f"{matching} match, the first {limit} are shown: narrow the pattern or raise the limit.")
+    if not settled:
+        notes.append("Discovery had not settled yet: the list may be incomplete, ask again.")
+    return " ".join(notes)
 
 
 @asynccontextmanager
 async def reporting(report: Report, whole_s: float, line: str | Callable[[], str]) -> AsyncGenerator[None, None]:
-    """Reports once a second, while the block runs, for how long it has been waited; `line` may change meanwhile."""
+    """Reports once a second, while the block runs, how long it has run; `line` may change meanwhile."""
     started = monotonic()
 
     async def tick() -> None:
         while True:
-            await asyncio.sleep(1.0)
+            await asyncio.sleep(1.0)  # as often as a person reads a new line
             elapsed = monotonic() - started
             await report(elapsed, max(whole_s, elapsed), line if isinstance(line, str) else line())
 
@@ -102,7 +124,7 @@ def iso_time(unix_ns: int) -> str:
 
 
 def exact_time(unix_ns: int) -> str:
-    """As `iso_time` with nanoseconds: to ask for what comes before a message, or from it on."""
+    """As `iso_time`, with nanoseconds: a time argument that separates a message from the one before it."""
     return f"{iso_time(unix_ns)[:-1]}{unix_ns % 1000:03d}Z"
 
 

@@ -14,9 +14,11 @@ from ros2_mcp.ops.graph import interfaces
 from ros2_mcp.ops.measure.diagnostics import read_diagnostics
 from ros2_mcp.ops.nodes import list as nodes
 from ros2_mcp.ops.nodes import parameters
+from ros2_mcp.ops.nodes.info import Offer, node_info
 from ros2_mcp.ops.results import as_json, iso_time
-from ros2_mcp.ops.services import call as services
+from ros2_mcp.ops.services import list as services
 from ros2_mcp.ops.topics import list as topics
+from ros2_mcp.ops.topics.info import TopicInfo, topic_info
 from ros2_mcp.ops.watch.changes import Seen, TopicSamples, WorseDiagnostics
 from ros2_mcp.ops.watch.watchers import Watcher
 from ros2_mcp.robot import Robot
@@ -84,7 +86,7 @@ async def log_lines(robot: Robot, _: Watcher, level: str = "", node: str = "") -
 
 async def topic(robot: Robot, watcher: Watcher, name: str) -> Content:
     """Who speaks to whom on a topic, and its newest message."""
-    info = await topics.topic_info(robot, name)
+    info = await topic_info(robot, name)
     seen = watcher.newest(TopicSamples(info.topic_name)) or await _sample_now(robot, info)
     return {**as_json(info), "sample": await _shown(robot, seen), "note": _silence(info) if seen is None else ""}
 
@@ -96,7 +98,7 @@ async def interface(robot: Robot, _: Watcher, type: str) -> Content:  # noqa: A0
 
 async def node_parameters(robot: Robot, _: Watcher, name: str) -> Content:
     """The parameters of a node."""
-    node = (await nodes.node_info(robot, name)).node
+    node = (await node_info(robot, name)).node
     found = (await parameters.describe(robot, [node], limit=MOST)).nodes[0]
     if found.error:
         raise NotFound(found.error)
@@ -137,11 +139,11 @@ def _text(value: Any) -> str:
 
 async def _node(robot: Robot, node: str) -> Content | None:
     try:
-        info = await nodes.node_info(robot, node)
+        info = await node_info(robot, node)
     except RobotError:
         return None  # it has left meanwhile, or has no name
 
-    def named(offers: Sequence[nodes.Offer]) -> list[str]:
+    def named(offers: Sequence[Offer]) -> list[str]:
         return [offer.name for offer in offers]
 
     return {
@@ -153,7 +155,7 @@ async def _node(robot: Robot, node: str) -> Content | None:
     }
 
 
-async def _sample_now(robot: Robot, info: topics.TopicInfo) -> Seen | None:
+async def _sample_now(robot: Robot, info: TopicInfo) -> Seen | None:
     if not info.publishers:
         return None
     async with robot.listen(info.topic_name, info.publishers[0].type, keep="latest") as heard:
@@ -177,7 +179,7 @@ async def _shown(robot: Robot, seen: Seen | None) -> Content | None:
     }
 
 
-def _silence(info: topics.TopicInfo) -> str:
+def _silence(info: TopicInfo) -> str:
     if not info.publishers:
         return "Nobody publishes on it."
     publishers = ", ".join(sorted({publisher.node for publisher in info.publishers}))

@@ -1,4 +1,4 @@
-"""Tools that look at nodes, interfaces and the server itself."""
+"""Tools that show the server itself and the interfaces of the robot."""
 
 from __future__ import annotations
 
@@ -7,35 +7,18 @@ from typing import Annotated
 from pydantic import Field
 
 from ros2_mcp.ops.graph import interfaces, status
-from ros2_mcp.ops.nodes import list as nodes
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import Hidden, Limit, Pattern
+from ros2_mcp.tools.arguments import Limit, Pattern
 from ros2_mcp.tools.declare import tool
 
-PLACE = 10
+PLACE = 12
+"""After the nodes; the status stands before them, at the very top."""
 
 
-@tool(title="Server and robot status", risk="read")
+@tool(title="Server and robot status", risk="read", place=10)
 async def ros2_status(robot: Robot) -> status.Status:
     """Show which ROS 2 this server uses (distribution, middleware, domain), its health, and what is not possible."""
     return await status.status(robot)
-
-
-@tool(title="List nodes", risk="read")
-async def ros2_node_list(
-    robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 200
-) -> nodes.NodeList:
-    """List the nodes of the robot by full name, and names that several nodes share."""
-    return await nodes.list_nodes(robot, pattern, include_hidden, limit)
-
-
-@tool(title="Node details", risk="read")
-async def ros2_node_info(
-    robot: Robot,
-    node_name: Annotated[str, Field(description="Full name of the node, such as /base_controller.")],
-) -> nodes.NodeInfo:
-    """Show what a node publishes, subscribes to, offers and calls, its lifecycle state and how many parameters."""
-    return await nodes.node_info(robot, node_name)
 
 
 @tool(title="Definition of an interface", risk="read", recorded=True, aliases={"msg_type": "message_type"})

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from ros2_mcp.ops.results import Report
-from ros2_mcp.ops.services import call as services
+from ros2_mcp.ops.services.call import ServiceAnswer, call
+from ros2_mcp.ops.services.list import ServiceList, list_services
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Number, Pattern
 from ros2_mcp.tools.declare import tool
@@ -19,9 +20,9 @@ PLACE = 80
 @tool(title="List services", risk="read", group="services")
 async def ros2_service_list(
     robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 100
-) -> services.ServiceList:
+) -> ServiceList:
     """List the services of the robot with their types, request fields and the nodes that serve them."""
-    return await services.list_services(robot, pattern, include_hidden, limit)
+    return await list_services(robot, pattern, include_hidden, limit)
 
 
 @tool(title="Call a service", risk="actuate", group="services", aliases={"timeout": "timeout_sec"})
@@ -39,11 +40,11 @@ async def ros2_service_call(
     timeout_sec: Annotated[
         Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most this long, in seconds.")
     ] = 10.0,
-) -> services.ServiceAnswer:
+) -> ServiceAnswer:
     """Call a service and wait for its answer. Can move the robot.
 
     If request fields are missing it is not called: the answer names them.
     """
-    return await services.call(
+    return await call(
         robot, service_name, service_type, fields, force_call=force_call, timeout_s=timeout_sec, report=report
     )

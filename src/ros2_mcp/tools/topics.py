@@ -1,27 +1,35 @@
-"""Tools that list and read topics."""
+"""Tools that list, read, measure and publish topics."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 from ros2_mcp.ops.results import Report
 from ros2_mcp.ops.sources.source import Source
-from ros2_mcp.ops.topics import list as topics
-from ros2_mcp.ops.topics import stats as timing
-from ros2_mcp.ops.topics import subscribe as reading
+from ros2_mcp.ops.topics import info, publish, stats, subscribe
+from ros2_mcp.ops.topics.list import TopicList, list_topics
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Duration, Hidden, Limit, MessageLimit, MessageType, Number, Pattern, TopicName
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import LimitedMessages, Messages, OneMessage
-from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ
 
 PLACE = 20
+_PUBLISHING_PLACE = 60
+"""After everything that only reads, just before `ros2_stop`."""
 
 MEASURE_S = 3.0
 """Enough for the rate of anything above 1 Hz, and short enough to be asked often."""
+
+Data = Annotated[
+    dict[str, Any],
+    Field(description='The message\'s fields, such as {"linear": {"x": 0.2}}. Fields left out get their default.'),
+]
+_HZ = "How often per second, with duration."
+_SECONDS = "For how long, in seconds, with frequency."
 
 
 class TopicToRead(BaseModel):
@@ -35,31 +43,43 @@ class TopicToRead(BaseModel):
     message_limit: MessageLimit = None
 
 
+class TopicToPublish(BaseModel):
+    """One topic of `ros2_publish_multiple_topics`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    topic_name: TopicName
+    message_type: Annotated[MessageType, Field(validation_alias=AliasChoices("message_type", "msg_type"))] = ""
+    data: Data
+    frequency: Annotated[Number, Field(gt=0, le=MAX_RATE_HZ, description=_HZ)] = 1.0
+    duration: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description=_SECONDS)] = 5.0
+
+
 @tool(title="List topics", risk="read", recorded=True)
 async def ros2_topic_list(
     robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 200
-) -> topics.TopicList:
+) -> TopicList:
     """List the topics of the robot with their types and the number of publishers and subscribers."""
-    return await topics.list_topics(robot, pattern, include_hidden, limit)
+    return await list_topics(robot, pattern, include_hidden, limit)
 
 
 @tool(title="Topic details", risk="read", recorded=True)
-async def ros2_topic_info(robot: Robot, topic_name: TopicName) -> topics.TopicInfo:
+async def ros2_topic_info(robot: Robot, topic_name: TopicName) -> info.TopicInfo:
     """Show who publishes and subscribes on a topic, with type, type hash and QoS, and why pairs do not match."""
-    return await topics.topic_info(robot, topic_name)
+    return await info.topic_info(robot, topic_name)
 
 
 @tool(title="Read messages", risk="read", recorded=True, aliases={"message_type": "msg_type"})
 async def ros2_topic_subscribe(
     report: Report, topic_name: TopicName, msg_type: MessageType = "", *, selection: LimitedMessages, source: Source
-) -> reading.Reading:
+) -> subscribe.Reading:
     """Read messages of a topic: for a duration, or until a number of messages came. With neither: the first message.
 
     QoS is chosen to match the publishers. Camera topics come back as pictures. Long arrays are summarised: use
     fields to see a part in full. For rates use ros2_topic_stats. Of a recording: from start on, or without start the
     last seconds or messages.
     """
-    return await reading.read(source, topic_name, msg_type, selection, report)
+    return await subscribe.read(source, topic_name, msg_type, selection, report)
 
 
 @tool(title="Read several topics", risk="read", recorded=True)
@@ -68,16 +88,16 @@ async def ros2_subscribe_multiple_topics(
     topics: Annotated[list[TopicToRead], Field(min_length=1, max_length=20, description="The topics to read.")],
     selection: Messages,
     source: Source,
-) -> reading.Readings:
+) -> subscribe.Readings:
     """Read several topics truly at the same time, each with its own duration or message limit.
 
     Of a recording: from start on, or without start the last seconds or messages.
     """
-    wanted = [
+    requests = [
         (topic.name, topic.msg_type, replace(selection, duration_s=topic.duration, message_limit=topic.message_limit))
         for topic in topics
     ]
-    return await reading.read_several(source, wanted, report)
+    return await subscribe.read_several(source, requests, report)
 
 
 @tool(title="Wait for a message", risk="read", recorded=True, aliases={"msg_type": "message_type"})
@@ -88,12 +108,12 @@ async def ros2_topic_echo_wait(
     *,
     selection: OneMessage,
     source: Source,
-) -> reading.Echo:
+) -> subscribe.Echo:
     """Wait for the next message of a topic; the topic itself may appear meanwhile.
 
     Of a recording: the next one from start on, or without start the last one.
     """
-    return await reading.echo(source.lasting(timeout), topic_name, message_type, selection)
+    return await subscribe.echo(source.lasting(timeout), topic_name, message_type, selection)
 
 
 @tool(title="Rate and age of topics", risk="read", recorded=True)
@@ -106,7 +126,39 @@ async def ros2_topic_stats(
     ] = None,
     *,
     source: Source,
-) -> timing.Stats:
+) -> stats.Stats:
     """Measure how topics flow, several at once: rate, jitter, gaps, bandwidth, loss, age against the header's stamp."""
     lasting = source.lasting(duration or MEASURE_S, recorded_s=duration, whole=True)
-    return await timing.measure(lasting, topic_names, report)
+    return await stats.measure(lasting, topic_names, report)
+
+
+@tool(title="Publish", risk="actuate", place=_PUBLISHING_PLACE, aliases={"msg_type": "message_type"})
+async def ros2_topic_publish(
+    robot: Robot,
+    report: Report,
+    topic_name: TopicName,
+    data: Data,
+    message_type: MessageType = "",
+    frequency: Annotated[Number | None, Field(gt=0, le=MAX_RATE_HZ, description=_HZ)] = None,
+    duration: Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description=_SECONDS)] = None,
+) -> publish.Published:
+    """Publish a message once, or repeatedly with frequency and duration. Can move the robot.
+
+    Values are checked against the definition first. The result says how many subscribers were reached. A repeated
+    velocity command ends with a zero command.
+    """
+    request = publish.PublishRequest(
+        topic_name=topic_name, message_type=message_type, data=data, frequency=frequency, duration=duration
+    )
+    return await publish.publish(robot, request, report)
+
+
+@tool(title="Publish on several topics", risk="actuate", place=_PUBLISHING_PLACE)
+async def ros2_publish_multiple_topics(
+    robot: Robot,
+    report: Report,
+    topics: Annotated[list[TopicToPublish], Field(min_length=1, max_length=20, description="What to publish where.")],
+) -> publish.PublishedSeveral:
+    """Publish repeatedly on several topics at the same time, each with its own frequency and duration."""
+    requests = [publish.PublishRequest(**dict(topic)) for topic in topics]
+    return await publish.publish_several(robot, requests, report)

@@ -1,4 +1,4 @@
-"""Names of the graph as it is now, quickly or not at all: for completions and for prompts that name what is there."""
+"""Names of the graph as it is now, quickly or not at all: for completions, and for prompts that name topics."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.graph import OF_EVERY_NODE
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.resolution import is_infrastructure
 
 PATIENCE_S = 1.0
-"""Nobody who types waits longer."""
+"""A completion that comes later than this is of no use to somebody who types."""
 _ACTION_SERVICE = "/_action/send_goal"
+"""What the name of an action's service ends with; every action has exactly one."""
 
 
 async def live_names(robot: Robot, kind: str, within_s: float = PATIENCE_S) -> list[str]:
-    """The names of a kind, sorted: those of the robot's own before those that every ROS system has.
+    """The names of a kind, sorted: the robot's own names come before names that every ROS system has.
 
     Args:
         robot: the robot.
@@ -30,7 +32,7 @@ async def live_names(robot: Robot, kind: str, within_s: float = PATIENCE_S) -> l
         return []
     try:
         return await asyncio.wait_for(_LISTS[kind](robot, within_s), within_s)
-    except (TimeoutError, asyncio.TimeoutError, RobotError):
+    except (TimeoutError, asyncio.TimeoutError, RobotError):  # two time-out types until Python 3.11
         return []
 
 
@@ -45,32 +47,28 @@ async def topic_types(robot: Robot, topic: str) -> list[str]:
 
 
 def is_of_every_node(topic: str) -> bool:
-    """Whether every ROS system has the topic, so that it tells nothing of this robot."""
+    """Whether every ROS system has the topic, such as /rosout, so that it says nothing about this robot."""
     return topic in OF_EVERY_NODE
 
 
 async def _topics(robot: Robot, within_s: float) -> list[str]:
     visible = [row.name for row in await robot.graph.topics(within_s) if not names.is_hidden(row.name)]
-    return sorted(visible, key=lambda name: (is_of_every_node(name), name))
+    return sorted(visible, key=lambda name: (name in OF_EVERY_NODE, name))
 
 
 async def _services(robot: Robot, within_s: float) -> list[str]:
     visible = [row for row in await robot.graph.services(within_s) if not names.is_hidden(row.name)]
-    return [row.name for row in sorted(visible, key=lambda row: (_is_infrastructure(row.types[0]), row.name))]
-
-
-def _is_infrastructure(service_type: str) -> bool:
-    return service_type.startswith(("rcl_interfaces/", "type_description_interfaces/"))
+    return [row.name for row in sorted(visible, key=lambda row: (is_infrastructure(row.name, row.types), row.name))]
 
 
 async def _nodes(robot: Robot, within_s: float) -> list[str]:
-    every = {row.name for row in await robot.graph.nodes(within_s)}.difference(robot.graph.own_nodes)
-    return sorted(name for name in every if name.startswith("/") and not names.is_hidden(name))
+    others = {row.name for row in await robot.graph.nodes(within_s)}.difference(robot.graph.own_nodes)
+    return sorted(name for name in others if name.startswith("/") and not names.is_hidden(name))
 
 
 async def _actions(robot: Robot, within_s: float) -> list[str]:
-    every = [row.name for row in await robot.graph.services(within_s)]
-    return sorted(name.removesuffix(_ACTION_SERVICE) for name in every if name.endswith(_ACTION_SERVICE))
+    services = [row.name for row in await robot.graph.services(within_s)]
+    return sorted(name.removesuffix(_ACTION_SERVICE) for name in services if name.endswith(_ACTION_SERVICE))
 
 
 async def _message_types(robot: Robot, within_s: float) -> list[str]:

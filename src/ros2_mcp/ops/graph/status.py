@@ -1,4 +1,4 @@
-"""What this server runs on, how it is, and what it cannot do."""
+"""The state of the server and its bridge: versions, health, and what is not possible here."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from importlib.metadata import version
 
 from ros2_mcp.robot import Robot
 
+_LAST_RESTARTS = 5
+"""The reasons of the last ones are enough to see a pattern; `bridge_starts` counts all."""
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
     """The state of the server and its bridge; `limitations` says in words what is not possible here and why."""
 
@@ -60,7 +63,7 @@ async def status(robot: Robot) -> Status:
         bridge_python=bridge.python,
         bridge_pid=bridge.pid,
         bridge_starts=bridge.starts,
-        bridge_restarts=bridge.restarts[-5:],
+        bridge_restarts=bridge.restarts[-_LAST_RESTARTS:],
         bridge_uptime_s=bridge.uptime_s,
         bridge_memory_bytes=bridge.memory_bytes,
         subscriptions=bridge.subscriptions,

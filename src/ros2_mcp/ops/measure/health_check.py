@@ -20,7 +20,7 @@ from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, Diagnostic, Diagnostic
 from ros2_mcp.ops.measure.flow import Silence, rate_hz, silence_in
 from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Missing, Source
-from ros2_mcp.ops.topics.list import mismatches
+from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import TopicEndpoints
 from ros2_mcp_bridge.limits import MAX_RATE_HZ
 

@@ -1,25 +1,23 @@
-"""Lifecycle nodes: their state, what is possible now, and changing it by name."""
+"""Lifecycle nodes: their state, the transitions that are possible now, and making one, as `ros2 lifecycle` does."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import ChangeState
-from ros2_mcp.model.errors import BadInput, NotFound, RobotError, TimedOut
-from ros2_mcp.ops.nodes.list import ask_node
+from ros2_mcp.model.errors import BadInput, NotFound
+from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
+from ros2_mcp.ops.results import or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.translation import CHANGE_STATE
 
-TIMEOUT_S = 5.0
-"""A node that spins answers within milliseconds."""
 CHANGE_S = 30.0
 """A transition may start hardware: drivers take seconds to configure."""
-_APPEAR_S = 1.0
-"""For a service of a node that has only just come up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +46,9 @@ class LifecycleStates:
         return "\n".join(node.summary() for node in self.nodes) or "There is no lifecycle node."
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Transition:
-    """What became of a transition: the states before and after, and what is possible now."""
+    """The result of a transition: the states before and after, and what is possible now."""
 
     node: str
     transition: str
@@ -66,9 +64,10 @@ class Transition:
 
 
 async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
-    """The states of the named nodes, or of every lifecycle node; an `error` of one leaves the others."""
-    wanted = [names.absolute(node, "node") for node in nodes] or await _lifecycle_nodes(robot)
-    return LifecycleStates(await asyncio.gather(*(_state_or_error(robot, node) for node in wanted)))
+    """The states of the named nodes, or of every lifecycle node; the `error` of one does not end the others."""
+    chosen = [names.absolute(node, "node") for node in nodes] or await _lifecycle_nodes(robot)
+    asking = [or_error(_state(robot, node), partial(LifecycleState, node, "unknown", ())) for node in chosen]
+    return LifecycleStates(await asyncio.gather(*asking))
 
 
 async def change(robot: Robot, node: str, transition: str) -> Transition:
@@ -83,62 +82,53 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
     if transition not in before.transitions:
         possible = ", ".join(before.transitions) or "nothing"
         raise BadInput(f"{node} is {before.state}: {transition!r} is not possible.", f"Possible now: {possible}.")
-    available = await _call(robot, node, "GetAvailableTransitions")
-    offered = [entry["transition"] for entry in available["available_transitions"]]
-    chosen = next((entry for entry in offered if entry["label"] == transition), {"id": 0, "label": transition})
+    available = (await _response(robot, node, "GetAvailableTransitions"))["available_transitions"]
+    labelled = [entry["transition"] for entry in available if entry["transition"]["label"] == transition]
+    # If it has become impossible in between, the node itself refuses: it goes by the label before the id.
+    chosen = labelled[0] if labelled else {"id": 0, "label": transition}
     command = ChangeState(
         principal=robot.principal,
         name=node,
-        through=f"{node}/change_state",
+        through=service_of(node, CHANGE_STATE),
         type=CHANGE_STATE,
         value={"transition": chosen},
         transition=transition,
         transition_id=int(chosen["id"]),
         timeout_s=CHANGE_S,
-        wait_s=_APPEAR_S,
+        wait_s=APPEAR_S,
     )
-    response = await _told(robot, node, _done(robot, command), CHANGE_S)
+    response = await fields_of_answer(robot, node, robot.do(command), _not_found, CHANGE_S)
     after = await _state(robot, node)
-    return Transition(node, transition, response["success"], before.state, after.state, after.transitions)
+    return Transition(
+        node=node,
+        transition=transition,
+        successful=response["success"],
+        state_before=before.state,
+        state=after.state,
+        transitions=after.transitions,
+    )
 
 
 async def _lifecycle_nodes(robot: Robot) -> list[str]:
-    ending, kind = "/change_state", CHANGE_STATE
-    services = [row for row in await robot.graph.services() if row.name.endswith(ending)]
-    return sorted(row.name.removesuffix(ending) for row in services if kind in row.types)
-
-
-async def _state_or_error(robot: Robot, node: str) -> LifecycleState:
-    try:
-        return await _state(robot, node)
-    except RobotError as error:
-        return LifecycleState(node, "unknown", (), str(error))
+    services = [row.name for row in await robot.graph.services() if CHANGE_STATE in row.types]
+    ending = service_of("", CHANGE_STATE)
+    return sorted(name.removesuffix(ending) for name in services if name.endswith(ending))
 
 
 async def _state(robot: Robot, node: str) -> LifecycleState:
     current, available = await asyncio.gather(
-        _call(robot, node, "GetState"), _call(robot, node, "GetAvailableTransitions")
+        _response(robot, node, "GetState"), _response(robot, node, "GetAvailableTransitions")
     )
-    labels = [entry["transition"]["label"] for entry in available["available_transitions"]]
-    return LifecycleState(node, current["current_state"]["label"], sorted(set(labels)))
+    labels = {entry["transition"]["label"] for entry in available["available_transitions"]}
+    return LifecycleState(node, current["current_state"]["label"], sorted(labels))
 
 
-async def _call(robot: Robot, node: str, kind: str) -> dict[str, Any]:
-    kind = f"lifecycle_msgs/srv/{kind}"
-    return await _told(robot, node, ask_node(robot, node, kind, {}, timeout_s=TIMEOUT_S, wait_s=_APPEAR_S), TIMEOUT_S)
+async def _response(robot: Robot, node: str, kind: str) -> dict[str, Any]:
+    asking = ask_node(robot, node, f"lifecycle_msgs/srv/{kind}", {}, timeout_s=TIMEOUT_S, wait_s=APPEAR_S)
+    return await fields_of_answer(robot, node, asking, _not_found)
 
 
-async def _done(robot: Robot, command: ChangeState) -> dict[str, Any]:
-    return robot.fields_of(await robot.do(command))
-
-
-async def _told(robot: Robot, node: str, asking: Awaitable[dict[str, Any]], timeout_s: float) -> dict[str, Any]:
-    """The response; what went wrong is told of the node."""
-    try:
-        return await asking
-    except NotFound as error:
-        known = await _lifecycle_nodes(robot)
-        hint = names.did_you_mean(node, known, f"Lifecycle nodes: {', '.join(known) or 'none'}.")
-        raise NotFound(f"{node} is not a lifecycle node that is running.", hint) from error
-    except TimedOut as error:
-        raise TimedOut(f"{node} did not answer within {timeout_s:g} s: it is busy or hangs.") from error
+async def _not_found(robot: Robot, node: str) -> NotFound:
+    known = await _lifecycle_nodes(robot)
+    hint = names.did_you_mean(node, known, f"Lifecycle nodes: {', '.join(known) or 'none'}.")
+    return NotFound(f"{node} is not a lifecycle node that is running.", hint)

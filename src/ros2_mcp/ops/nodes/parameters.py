@@ -1,28 +1,27 @@
-"""Parameters of nodes, through the services that every node has."""
+"""Listing, reading and setting parameters of nodes, as `ros2 param` does, through the services that every node has."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from ros2_mcp.model import names, parameters
 from ros2_mcp.model.commands import SetParameters
-from ros2_mcp.model.errors import BadInput, BadValue, NotFound, RobotError, TimedOut
-from ros2_mcp.ops.nodes.list import ask_node, list_nodes
+from ros2_mcp.model.errors import BadInput, BadValue, NotFound
+from ros2_mcp.ops.nodes.list import list_nodes
+from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer
+from ros2_mcp.ops.results import or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.translation import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
-TIMEOUT_S = 5.0
-"""A node that spins answers within milliseconds, and one that is starting up within seconds."""
 _DISCOVERY_S = 6.0
 """How old a bridge is that has discovered the services of every node: they come up to 3 s after the nodes."""
-_APPEAR_S = 1.0
-"""For a service of a node that has only just come up, where the bridge knows the others."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Parameter:
     """One parameter with what its descriptor says; `range` is null where any value is allowed."""
 
@@ -82,7 +81,7 @@ class SetOne:
 
 @dataclass(frozen=True, slots=True)
 class SetResult:
-    """What the node made of each value. With `atomic` all were taken or none."""
+    """Whether the node took each value. With `atomic` it took all or none."""
 
     node: str
     successful: bool
@@ -99,37 +98,40 @@ class SetResult:
 
 
 async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit: int = 200) -> ParameterList:
-    """Parameters with values and descriptors, of several nodes at once; an `error` of one leaves the others.
+    """Parameters with values and descriptors, of several nodes at once; the `error` of one does not end the others.
 
     Without nodes: of every node.
     """
-    wanted = [names.absolute(node, "node") for node in nodes] or list((await list_nodes(robot)).nodes)
-    found = await asyncio.gather(*(_describe_or_error(robot, node, pattern) for node in wanted))
+
+    async def described(node: str) -> NodeParameters:
+        return NodeParameters(node, await _read(robot, node, names.matching(await _names(robot, node), pattern)))
+
+    chosen = [names.absolute(node, "node") for node in nodes] or list((await list_nodes(robot)).nodes)
+    found = await asyncio.gather(*(or_error(described(node), partial(NodeParameters, node)) for node in chosen))
     total = sum(len(node.parameters) for node in found)
     shown: list[NodeParameters] = []
     left = limit
     for node in found:
         if pattern and not (nodes or node.parameters or node.error):
-            continue
+            continue  # nobody asked for this node, and it has no such parameter
         shown.append(NodeParameters(node.node, node.parameters[:left], node.error))
         left = max(left - len(node.parameters), 0)
     note = f"{total} parameters match, the first {limit} are shown." if total > limit else ""
     return ParameterList(shown, note)
 
 
-async def dump(robot: Robot, node: str, wanted: Sequence[str] | None = None) -> Dump:
-    """Parameters of a node, the wanted ones or all, in a form that can be set back.
+async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None) -> Dump:
+    """Parameters of a node, the asked ones or all, in a form that can be set back.
 
     Raises:
         NotFound: if the node is not there, or a parameter is not declared.
     """
     node = names.absolute(node, "node")
-    known = await _names(robot, node)
-    for name in wanted or ():
-        if name not in known:
-            hint = names.did_you_mean(name, known, f"It has: {', '.join(known[:20])}.")
-            raise NotFound(f"{node} has no parameter {name}.", hint)
-    found = await _read(robot, node, list(known if wanted is None else wanted))
+    declared = await _names(robot, node)
+    for name in asked or ():
+        if name not in declared:
+            raise NotFound(f"{node} has no parameter {name}.", _near(name, declared))
+    found = await _read(robot, node, declared if asked is None else asked)
     values = {parameter.name: parameter.value for parameter in found if parameter.type != "not_set"}
     return Dump(node, values, [parameter.name for parameter in found if parameter.read_only])
 
@@ -161,10 +163,11 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
         timeout_s=TIMEOUT_S,
         wait_s=await _time_to_appear(robot),
     )
-    response = await _told(robot, node, _done(robot, command))
+    response = await fields_of_answer(robot, node, robot.do(command), _not_found)
     results = [response["result"]] * len(messages) if atomic else response["results"]
     result_of = {message["name"]: result for message, result in zip(messages, results, strict=True)}
     now = {parameter.name: parameter.value for parameter in await _read(robot, node, list(values))}
+    # What was left out of the request: a node would refuse a read-only parameter even with the value that it has.
     kept = {"successful": True, "reason": "it is read-only and has this value"}
     ones = [
         SetOne(name, result["successful"], result["reason"], now.get(name))
@@ -174,32 +177,25 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
 
 
 async def _messages(robot: Robot, node: str, values: Mapping[str, Any]) -> list[dict[str, Any]]:
-    known = await _names(robot, node)
-    declared = {p.name: p for p in await _read(robot, node, [name for name in values if name in known])}
-    for name in values:
-        if name not in declared and not await _allows_undeclared(robot, node, name):
-            hint = names.did_you_mean(name, known, f"It has: {', '.join(known[:20])}.")
-            raise BadValue(name, f"{node} has no such parameter.", hint)
-    return [
-        {"name": name, "value": _checked(name, value, declared.get(name))}
-        for name, value in values.items()
-        if not _is_kept(value, declared.get(name))
-    ]
-
-
-def _is_kept(value: Any, parameter: Parameter | None) -> bool:
-    """Whether a read-only parameter is given the value that it has."""
-    return parameter is not None and parameter.read_only and bool(value == parameter.value)
-
-
-def _checked(name: str, value: Any, parameter: Parameter | None) -> dict[str, Any]:
-    if parameter is None:
-        return parameters.as_message(name, value, "dynamic")
-    if parameter.read_only:
-        raise BadValue(name, "it is read-only.", "It can be set only when the node starts.")
-    message = parameters.as_message(name, value, parameter.type)
-    _check_range(name, parameters.value_of(message), parameter.range)
-    return message
+    """The values as `rcl_interfaces/msg/Parameter`, checked; without read-only ones that have their value already."""
+    declared = await _names(robot, node)
+    current = {found.name: found for found in await _read(robot, node, [name for name in values if name in declared])}
+    messages: list[dict[str, Any]] = []
+    for name, value in values.items():
+        parameter = current.get(name)
+        if parameter is None:
+            # A node answers a question for an undeclared parameter only if it allows undeclared ones.
+            answer = await _response(robot, node, "GetParameters", {"names": [name]})
+            if len(answer["values"]) != 1:
+                raise BadValue(name, f"{node} has no such parameter.", _near(name, declared))
+            messages.append({"name": name, "value": parameters.as_message(name, value, "dynamic")})
+        elif not parameter.read_only:
+            message = parameters.as_message(name, value, parameter.type)
+            _check_range(name, parameters.value_of(message), parameter.range)
+            messages.append({"name": name, "value": message})
+        elif value != parameter.value:
+            raise BadValue(name, "it is read-only.", "It can be set only when the node starts.")
+    return messages
 
 
 def _check_range(name: str, value: Any, allowed: Mapping[str, Any] | None) -> None:
@@ -209,83 +205,58 @@ def _check_range(name: str, value: Any, allowed: Mapping[str, Any] | None) -> No
         raise BadValue(name, f"{value} is out of range.", f"It takes {allowed['from']} to {allowed['to']}.")
 
 
-async def _allows_undeclared(robot: Robot, node: str, name: str) -> bool:
-    """Whether a node answers a question for an undeclared parameter, which only nodes that allow them do."""
-    response = await _call(robot, node, "GetParameters", {"names": [name]})
-    return len(response["values"]) == 1
-
-
-async def _describe_or_error(robot: Robot, node: str, pattern: str) -> NodeParameters:
-    try:
-        chosen = names.matching(await _names(robot, node), pattern)
-        return NodeParameters(node, await _read(robot, node, chosen))
-    except RobotError as error:
-        return NodeParameters(node, error=str(error))
+def _near(name: str, declared: Sequence[str]) -> str:
+    return names.did_you_mean(name, declared, f"It has: {', '.join(declared[:20])}.")
 
 
 async def _names(robot: Robot, node: str) -> list[str]:
-    response = await _call(robot, node, "ListParameters", {"prefixes": [], "depth": 0})
+    response = await _response(robot, node, "ListParameters", {"prefixes": [], "depth": 0})
     return sorted(response["result"]["names"])
 
 
-async def _read(robot: Robot, node: str, wanted: list[str]) -> list[Parameter]:
-    if not wanted:
+async def _read(robot: Robot, node: str, asked: Sequence[str]) -> list[Parameter]:
+    if not asked:
         return []
+    request = {"names": list(asked)}
     values, descriptors = await asyncio.gather(
-        _call(robot, node, "GetParameters", {"names": wanted}),
-        _call(robot, node, "DescribeParameters", {"names": wanted}),
+        _response(robot, node, "GetParameters", request), _response(robot, node, "DescribeParameters", request)
     )
-    return [
-        _parameter(name, value, descriptor)
-        for name, value, descriptor in zip(wanted, values["values"], descriptors["descriptors"], strict=False)
-    ]
+    # A node may answer with fewer than it was asked for: what it does not know is left out.
+    found = zip(asked, values["values"], descriptors["descriptors"], strict=False)
+    return [_parameter(name, value, descriptor) for name, value, descriptor in found]
 
 
 def _parameter(name: str, value: Mapping[str, Any], descriptor: Mapping[str, Any]) -> Parameter:
-    code = int(value["type"])
-    declared = parameters.type_name(code or int(descriptor["type"]))
+    declared = parameters.type_name(int(value["type"]) or int(descriptor["type"]))
+    # A descriptor has at most one range, of either kind.
+    ranges = (*descriptor["floating_point_range"], *descriptor["integer_range"])
+    allowed = [{"from": entry["from_value"], "to": entry["to_value"], "step": entry["step"]} for entry in ranges]
     return Parameter(
-        name,
-        "dynamic" if descriptor["dynamic_typing"] else declared,
-        parameters.value_of(value),
-        descriptor["description"],
-        descriptor["read_only"],
-        _range(descriptor),
-        descriptor["additional_constraints"],
+        name=name,
+        type="dynamic" if descriptor["dynamic_typing"] else declared,
+        value=parameters.value_of(value),
+        description=descriptor["description"],
+        read_only=descriptor["read_only"],
+        range=allowed[0] if allowed else None,
+        constraints=descriptor["additional_constraints"],
     )
-
-
-def _range(descriptor: Mapping[str, Any]) -> dict[str, Any] | None:
-    for kind in ("floating_point_range", "integer_range"):
-        for allowed in descriptor[kind]:
-            return {"from": allowed["from_value"], "to": allowed["to_value"], "step": allowed["step"]}
-    return None
-
-
-async def _done(robot: Robot, command: SetParameters) -> dict[str, Any]:
-    return robot.fields_of(await robot.do(command))
 
 
 async def _time_to_appear(robot: Robot) -> float:
     """How long a service may take to be seen: the younger the bridge, the longer. Services come after their nodes."""
-    return max(_APPEAR_S, _DISCOVERY_S - (await robot.graph.bridge_status()).uptime_s)
+    return max(APPEAR_S, _DISCOVERY_S - (await robot.graph.bridge_status()).uptime_s)
 
 
-async def _call(robot: Robot, node: str, kind: str, request: Mapping[str, Any]) -> dict[str, Any]:
-    """One of a node's reading parameter services; the response in full."""
+async def _response(robot: Robot, node: str, kind: str, request: Mapping[str, Any]) -> dict[str, Any]:
+    """The answer, in full, of one of a node's parameter services that only read."""
     kind, wait_s = f"rcl_interfaces/srv/{kind}", await _time_to_appear(robot)
-    return await _told(robot, node, ask_node(robot, node, kind, request, timeout_s=TIMEOUT_S, wait_s=wait_s))
+    asking = ask_node(robot, node, kind, request, timeout_s=TIMEOUT_S, wait_s=wait_s)
+    return await fields_of_answer(robot, node, asking, _not_found)
 
 
-async def _told(robot: Robot, node: str, asking: Awaitable[dict[str, Any]]) -> dict[str, Any]:
-    """The response; what went wrong is told of the node."""
-    try:
-        return await asking
-    except NotFound as error:
-        known = (await list_nodes(robot, include_hidden=True)).nodes
-        if node in known:
-            hint = "It was started without them, or has only just come up: then try again."
-            raise NotFound(f"{node} shows no parameter services.", hint) from error
-        raise NotFound(f"There is no node {node}.", names.did_you_mean(node, known)) from error
-    except TimedOut as error:
-        raise TimedOut(f"{node} did not answer within {TIMEOUT_S:g} s: it is busy or hangs.") from error
+async def _not_found(robot: Robot, node: str) -> NotFound:
+    known = (await list_nodes(robot, include_hidden=True)).nodes
+    if node in known:
+        hint = "It was started without them, or has only just come up: then try again."
+        return NotFound(f"{node} shows no parameter services.", hint)
+    return NotFound(f"There is no node {node}.", names.did_you_mean(node, known))

@@ -1,40 +1,42 @@
-"""Publishing: once or repeatedly, and the truth about who received it."""
+"""Publishing once or repeatedly, and saying who received it."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import Publish, Repeat
-from ros2_mcp.model.errors import BadInput, LinkError, RobotError
-from ros2_mcp.ops.results import Report, silent
-from ros2_mcp.ops.topics.list import mismatches
+from ros2_mcp.model.errors import BadInput, LinkError
+from ros2_mcp.ops.results import Report, or_error, silent
+from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import VELOCITY_TYPES, Robot, Sent
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ, MIN_RATE_HZ
 
 MATCH_S = 1.0
-"""Who is there matches within milliseconds; who has just come up gets the message all the same."""
+"""How long the bridge waits for a first subscriber to match. A running node matches within milliseconds; one that has
+only just come up within this time, and then it does not miss the message."""
 
 
-@dataclass(frozen=True, slots=True)
-class Publication:
-    """What to publish: once, or at `frequency_hz` for `duration_s`."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PublishRequest:
+    """What to publish where: once, or at `frequency` in Hz for `duration` in seconds. An empty type is the topic's."""
 
     topic_name: str
-    topic_type: str
+    message_type: str
     data: dict[str, Any]
-    frequency_hz: float | None = None
-    duration_s: float | None = None
+    frequency: float | None = None
+    duration: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Published:
-    """What became of it.
+    """The result of publishing on one topic.
 
     `status` is `published` if at least one subscriber was matched when it was sent, `nobody_listening` if none was,
     and `failed` with an `error` where several were published and this one could not be. `acknowledged` is null where
@@ -63,7 +65,7 @@ class Published:
 
 @dataclass(frozen=True, slots=True)
 class PublishedSeveral:
-    """What became of each."""
+    """The results of publishing on several topics."""
 
     topics: Sequence[Published]
 
@@ -72,7 +74,7 @@ class PublishedSeveral:
         return "\n".join(published.summary() for published in self.topics)
 
 
-async def publish(robot: Robot, publication: Publication, report: Report = silent) -> Published:
+async def publish(robot: Robot, request: PublishRequest, report: Report = silent) -> Published:
     """Publishes, after every value has been checked against its definition; nothing is sent if one does not fit.
 
     Raises:
@@ -80,85 +82,69 @@ async def publish(robot: Robot, publication: Publication, report: Report = silen
         TypeConflict: if the topic has another type.
         Refused: if this server is read-only.
     """
-    sent = await _send(robot, publication, report)
+    rate_hz, duration_s = request.frequency, request.duration
+    if (rate_hz is None) != (duration_s is None):
+        given, missing = ("duration", "frequency") if rate_hz is None else ("frequency", "duration")
+        raise BadInput(f"{given} is given without {missing}.", "To repeat, give both; to publish once, give neither.")
+    if rate_hz is not None and duration_s is not None:
+        bounded("frequency", rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
+        bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
+    to = await robot.types.destination(request.topic_name, request.message_type)
+    if rate_hz is None or duration_s is None:
+        command = Publish(
+            principal=robot.principal,
+            name=to.topic,
+            type=to.type,
+            value=request.data,
+            choice=to.choice,
+            wait_match_s=MATCH_S,
+        )
+        sent = await robot.do(command)
+    else:
+        command = Repeat(
+            principal=robot.principal,
+            name=to.topic,
+            type=to.type,
+            value=request.data,
+            choice=to.choice,
+            rate_hz=rate_hz,
+            duration_s=duration_s,
+            wait_match_s=MATCH_S,
+        )
+        sent = await _repeat(robot, command, report)
     return Published(
-        "published" if sent.matched else "nobody_listening",
-        sent.topic,
-        sent.type,
-        sent.sent,
-        sent.matched,
-        sent.acked,
-        sent.stopped_with_zero,
-        round(sent.elapsed_s, 6),
-        f"{sent.choice.qos.reliability}, {sent.choice.qos.durability}: {sent.choice.reason}",
-        await _note(robot, sent),
+        status="published" if sent.matched else "nobody_listening",
+        topic_name=sent.topic,
+        topic_type=sent.type,
+        sent=sent.sent,
+        subscribers=sent.matched,
+        acknowledged=sent.acked,
+        stopped_with_zero=sent.stopped_with_zero,
+        elapsed=round(sent.elapsed_s, 6),
+        qos=f"{sent.choice.qos.reliability}, {sent.choice.qos.durability}: {sent.choice.reason}",
+        note=await _note(robot, sent),
     )
 
 
 async def publish_several(
-    robot: Robot, publications: Sequence[Publication], report: Report = silent
+    robot: Robot, requests: Sequence[PublishRequest], report: Report = silent
 ) -> PublishedSeveral:
-    """Publishes on several topics at the same time; an `error` of one leaves the others."""
-    if not publications:
+    """Publishes on several topics at the same time; the `error` of one does not end the others."""
+    if not requests:
         raise BadInput("No topics are given.", 'Give a list of {"topic_name", "message_type", "data"}.')
-    return PublishedSeveral(await asyncio.gather(*(_publish_or_error(robot, p, report) for p in publications)))
-
-
-async def _publish_or_error(robot: Robot, publication: Publication, report: Report) -> Published:
-    try:
-        return await publish(robot, publication, report)
-    except RobotError as error:
-        return Published("failed", publication.topic_name, error=str(error))
-
-
-async def _send(robot: Robot, publication: Publication, report: Report) -> Sent:
-    topic, kind = publication.topic_name, publication.topic_type
-    rate_hz, duration_s = publication.frequency_hz, publication.duration_s
-    if rate_hz is None and duration_s is None:
-        to = await robot.types.destination(topic, kind)
-        once = Publish(
-            principal=robot.principal,
-            name=to.topic,
-            type=to.type,
-            value=publication.data,
-            choice=to.choice,
-            wait_match_s=MATCH_S,
-        )
-        return await robot.do(once)
-    if rate_hz is None or duration_s is None:
-        given, missing = ("duration", "frequency") if rate_hz is None else ("frequency", "duration")
-        raise BadInput(f"{given} is given without {missing}.", "To repeat, give both; to publish once, give neither.")
-    bounded("frequency", rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
-    bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
-    to = await robot.types.destination(topic, kind)
-    command = Repeat(
-        principal=robot.principal,
-        name=to.topic,
-        type=to.type,
-        value=publication.data,
-        choice=to.choice,
-        rate_hz=rate_hz,
-        duration_s=duration_s,
-        wait_match_s=MATCH_S,
-    )
-    repetition = Repetition(robot, command)
-
-    async def tell() -> None:
-        elapsed_s = min(repetition.elapsed_s, duration_s)
-        await report(elapsed_s, duration_s, f"{topic}: publishing for {elapsed_s:.0f} of {duration_s:g} s")
-
-    await robot.jobs.run(repetition, every_second=tell)
-    if repetition.sent is None:
-        raise LinkError(f"Publishing on {topic} was stopped, and the bridge has not said in time what was sent.")
-    return repetition.sent
+    publications = [
+        or_error(publish(robot, request, report), partial(Published, status="failed", topic_name=request.topic_name))
+        for request in requests
+    ]
+    return PublishedSeveral(await asyncio.gather(*publications))
 
 
 class Repetition(Job):
-    """One message that is published again and again, which its call awaits. `sent` is what became of it."""
+    """One message that is published again and again; its call waits for the end. `sent` is the result."""
 
     kind = "repeat"
     most_running = 256
-    """More topics than anybody publishes on at once; `ros2_topic_publish_several` counts as many as it has topics."""
+    """More topics than anybody publishes on at once; `ros2_publish_multiple_topics` counts as many as it has topics."""
     patience_s = 1.0
     """The bridge answers at once when it has ended a repetition, as `ros2_stop` tells it to before it asks the jobs."""
 
@@ -174,18 +160,34 @@ class Repetition(Job):
         self.sent = await self._robot.do(self._command)
 
     async def wind_down(self) -> None:
-        """Leaves its call the time to tell what was sent."""
+        """Does nothing: the bridge ends the repetition, and its answer with what was sent is still awaited."""
+
+
+async def _repeat(robot: Robot, command: Repeat, report: Report) -> Sent:
+    repetition = Repetition(robot, command)
+    topic, duration_s = command.name, command.duration_s
+
+    async def progress() -> None:
+        elapsed_s = min(repetition.elapsed_s, duration_s)
+        await report(elapsed_s, duration_s, f"{topic}: publishing for {elapsed_s:.0f} of {duration_s:g} s")
+
+    await robot.jobs.run(repetition, every_second=progress)
+    if repetition.sent is None:
+        raise LinkError(f"Publishing on {topic} was stopped, and the bridge has not said in time what was sent.")
+    return repetition.sent
 
 
 async def _note(robot: Robot, sent: Sent) -> str:
     notes: list[str] = []
     if not sent.matched:
-        there = await robot.graph.endpoints(sent.topic)
-        ours = [publisher for publisher in there.publishers if publisher.node in robot.graph.own_nodes]
-        reasons = mismatches(ours, there.subscribers)
-        notes.append("Nobody received it." if not reasons else f"Nobody received it: {' '.join(reasons)}")
-        if not there.subscribers:
-            notes.append(await _likely_typo(robot, sent.topic))
+        found = await robot.graph.endpoints(sent.topic)
+        ours = [publisher for publisher in found.publishers if publisher.node in robot.graph.own_nodes]
+        reasons = mismatches(ours, found.subscribers)
+        notes.append(f"Nobody received it: {' '.join(reasons)}" if reasons else "Nobody received it.")
+        if not found.subscribers:  # most likely a slip in the name: a topic with subscribers was meant
+            subscribed = [row.name for row in await robot.graph.topics() if row.subscribers and row.name != sent.topic]
+            near = names.nearest(sent.topic, subscribed)
+            notes.append(f"Did you mean {near}?" if near else "")
     if sent.acked is False:
         notes.append("Not every subscriber has acknowledged it in time.")
     if sent.late:
@@ -200,10 +202,3 @@ async def _note(robot: Robot, sent: Sent) -> str:
             "give frequency and duration."
         )
     return " ".join(filter(None, notes))
-
-
-async def _likely_typo(robot: Robot, topic: str) -> str:
-    """The topic with subscribers that was most likely meant; nothing if none is near."""
-    listened_to = [row.name for row in await robot.graph.topics() if row.subscribers]
-    near = names.nearest(topic, [name for name in listened_to if name != topic])
-    return f"Did you mean {near}?" if near else ""

@@ -1,4 +1,7 @@
-"""How topics flow: rate, jitter, gaps, bandwidth and age, without decoding more than a header's stamp."""
+"""How messages flow: rate, jitter, gaps, bandwidth and age, as `ros2 topic hz`, `bw` and `delay` measure them.
+
+Of a message nothing but the header's stamp is decoded, so that fast topics and large messages can be measured, too.
+"""
 
 from __future__ import annotations
 
@@ -6,30 +9,34 @@ import asyncio
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from ros2_mcp.model.errors import BadInput, RobotError
-from ros2_mcp.model.samples import Sample, header_stamp_ns
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.samples import header_stamp_ns
 from ros2_mcp.ops.measure.flow import GAP_FACTOR, Silence, gaps, rate_hz, silence_in
-from ros2_mcp.ops.results import HIDDEN, Report, iso_time, reporting, silent
+from ros2_mcp.ops.results import HIDDEN, Report, iso_time, or_error, reporting, silent
 
 if TYPE_CHECKING:
-    from ros2_mcp.ops.sources.source import Source, Stream
+    from ros2_mcp.ops.sources.source import Source
 
 MAX_TOPICS = 20
+"""As many as the tools that read several topics take; each is a subscription."""
 _SILENCE_S = 0.5
-"""A shorter silence at the end is not told: a slow machine makes one now and then."""
+"""A shorter silence at the end is not reported: a slow machine makes one now and then."""
 _OTHER_CLOCK_S = 1e6
 """A stamp that is eleven days off is not of this clock: simulated time begins at zero."""
 _STAMP_END = 12
+"""Bytes up to the end of a header's stamp: 4 of the CDR encapsulation, 4 of seconds, 4 of nanoseconds."""
 _LEAST_S = 1e-3
+"""A recording of a single message has no duration; bytes per second are then counted over this."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TopicStats:
-    """The flow of one topic over a window. Times in seconds; null where there were too few messages to tell.
+    """The flow of one topic over a span. Times in seconds; null where there were too few messages to tell.
 
     `jitter_s` is the standard deviation of the periods. `gaps` counts periods longer than three times the median one,
     and the silence after the last message if it is that long and over half a second.
@@ -66,7 +73,7 @@ class TopicStats:
 
 @dataclass(frozen=True, slots=True)
 class Stats:
-    """The flow of several topics over the same window: live, or the part of a recording that `source` names."""
+    """The flow of several topics over the same span: live, or the part of a recording that `source` names."""
 
     topics: Sequence[TopicStats]
     duration: float
@@ -79,25 +86,8 @@ class Stats:
         return "\n".join(lines if self.is_live else [f"In {self.source}:", *lines])
 
 
-@dataclass(slots=True)
-class Flow:
-    """What is kept of each message: when it came, how big it was, and how old it said it was."""
-
-    has_header: bool
-    received_ns: list[int] = field(default_factory=list[int])
-    sizes: list[int] = field(default_factory=list[int])
-    ages_s: list[float] = field(default_factory=list[float])
-
-    def add(self, sample: Sample) -> None:
-        """Takes one message in."""
-        self.received_ns.append(sample.received_ns)
-        self.sizes.append(len(sample.data))
-        if self.has_header and len(sample.data) >= _STAMP_END:
-            self.ages_s.append((sample.received_ns - header_stamp_ns(sample.data)) / 1e9)
-
-
 async def measure(source: Source, topics: Sequence[str], report: Report = silent) -> Stats:
-    """Measures several topics at once; an `error` of one leaves the others.
+    """Measures several topics at once; the `error` of one does not end the others.
 
     Raises:
         BadInput: if there are no topics, or too many.
@@ -105,67 +95,59 @@ async def measure(source: Source, topics: Sequence[str], report: Report = silent
     if not 1 <= len(topics) <= MAX_TOPICS:
         raise BadInput(f"{len(topics)} topics are given.", f"Give 1 to {MAX_TOPICS}.")
     started = monotonic()
-    results = await asyncio.gather(*(_measure_or_error(source, topic, report) for topic in topics))
+    measuring = [or_error(_measure(source, topic, report), partial(TopicStats, topic_name=topic)) for topic in topics]
+    results = await asyncio.gather(*measuring)
     duration_s = monotonic() - started if source.is_live else source.duration_s
     return Stats(results, round(duration_s, 6), source.words, source.is_live)
 
 
-async def _measure_or_error(source: Source, topic: str, report: Report) -> TopicStats:
-    try:
-        return await _measure(source, topic, report)
-    except RobotError as error:
-        return TopicStats(topic, error=str(error))
-
-
 async def _measure(source: Source, topic: str, report: Report) -> TopicStats:
+    received_ns: list[int] = []
+    sizes: list[int] = []
+    ages_s: list[float] = []
     async with source.follow(topic, latched=False) as stream:
-        flow = Flow(has_header=stream.codec.definitions.starts_with_header(stream.type))
-        async with reporting(report, source.duration_s, lambda: f"{topic}: {len(flow.sizes)} messages"):
+        has_header = stream.codec.definitions.starts_with_header(stream.type)
+        async with reporting(report, source.duration_s, lambda: f"{topic}: {len(sizes)} messages"):
             async for batch in stream.batches:
                 for sample in batch:
-                    flow.add(sample)
-        return _evaluate(stream, flow, source.duration_s)
-
-
-def _evaluate(stream: Stream, flow: Flow, duration_s: float) -> TopicStats:
-    counts = stream.counts
-    times_s = [(at_ns - flow.received_ns[0]) / 1e9 for at_ns in flow.received_ns]
-    periods = [later - earlier for earlier, later in pairwise(times_s)]
-    silence = silence_in(flow.received_ns, stream.end_ns, GAP_FACTOR, _SILENCE_S)
-    breaks_s = [gap.duration_s for gap in gaps(times_s)]
-    breaks_s += [silence.duration_s] if silence and silence.is_end else []
-    same_clock = bool(flow.ages_s) and abs(statistics.fmean(flow.ages_s)) < _OTHER_CLOCK_S
-    return TopicStats(
-        stream.topic,
-        stream.type,
-        publishers=len(stream.publishers),
-        count=len(flow.sizes),
-        rate_hz=rate_hz(times_s),
-        period_mean_s=statistics.fmean(periods) if periods else None,
-        period_min_s=min(periods, default=None),
-        period_max_s=max(periods, default=None),
-        jitter_s=statistics.pstdev(periods) if len(periods) > 1 else None,
-        gaps=len(breaks_s),
-        longest_gap_s=max(breaks_s, default=None),
-        bytes_per_second=sum(flow.sizes) / max(duration_s, _LEAST_S),
-        mean_size_bytes=statistics.fmean(flow.sizes) if flow.sizes else None,
-        age_mean_s=statistics.fmean(flow.ages_s) if same_clock else None,
-        age_max_s=max(flow.ages_s) if same_clock else None,
-        lost=counts.lost,
-        dropped=counts.dropped,
-        note=_note(stream, flow, duration_s, silence, same_clock),
-    )
-
-
-def _note(stream: Stream, flow: Flow, duration_s: float, silence: Silence | None, same_clock: bool) -> str:
-    if not stream.publishers:
-        return "Nobody publishes on it."
-    if not flow.sizes:
-        return f"Published by {stream.nodes[0]}, but silent for {duration_s:g} s."
-    notes = [_in_words(silence)] if silence else []
-    if flow.ages_s and not same_clock:
-        notes.append("Its stamps are not from this clock (simulated time?), so ages are left out.")
-    return " ".join(notes)
+                    received_ns.append(sample.received_ns)
+                    sizes.append(len(sample.data))
+                    if has_header and len(sample.data) >= _STAMP_END:
+                        ages_s.append((sample.received_ns - header_stamp_ns(sample.data)) / 1e9)
+        times_s = [(at_ns - received_ns[0]) / 1e9 for at_ns in received_ns]
+        periods = [later - earlier for earlier, later in pairwise(times_s)]
+        silence = silence_in(received_ns, stream.end_ns, GAP_FACTOR, _SILENCE_S)
+        breaks_s = [gap.duration_s for gap in gaps(times_s)]
+        breaks_s += [silence.duration_s] if silence and silence.is_end else []
+        same_clock = bool(ages_s) and abs(statistics.fmean(ages_s)) < _OTHER_CLOCK_S
+        if not stream.publishers:
+            notes = ["Nobody publishes on it."]
+        elif not sizes:
+            notes = [f"Published by {stream.nodes[0]}, but silent for {source.duration_s:g} s."]
+        else:
+            notes = [_in_words(silence)] if silence else []
+            if ages_s and not same_clock:
+                notes.append("Its stamps are not from this clock (simulated time?), so ages are left out.")
+        return TopicStats(
+            topic_name=stream.topic,
+            topic_type=stream.type,
+            publishers=len(stream.publishers),
+            count=len(sizes),
+            rate_hz=rate_hz(times_s),
+            period_mean_s=statistics.fmean(periods) if periods else None,
+            period_min_s=min(periods, default=None),
+            period_max_s=max(periods, default=None),
+            jitter_s=statistics.pstdev(periods) if len(periods) > 1 else None,
+            gaps=len(breaks_s),
+            longest_gap_s=max(breaks_s, default=None),
+            bytes_per_second=sum(sizes) / max(source.duration_s, _LEAST_S),
+            mean_size_bytes=statistics.fmean(sizes) if sizes else None,
+            age_mean_s=statistics.fmean(ages_s) if same_clock else None,
+            age_max_s=max(ages_s) if same_clock else None,
+            lost=stream.counts.lost,
+            dropped=stream.counts.dropped,
+            note=" ".join(notes),
+        )
 
 
 def _in_words(silence: Silence) -> str:

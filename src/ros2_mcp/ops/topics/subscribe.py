@@ -1,6 +1,6 @@
-"""Reading topics: samples of a source are collected and shown, as many as fit; the same for all that reads messages.
+"""Reading the messages of topics, live or recorded, as `ros2 topic echo` does; `collect` serves bags and history, too.
 
-Samples stay bytes until it is known which of them are shown.
+Samples stay bytes until it is known which of them are shown: decoding is what costs most, and few of many are shown.
 """
 
 from __future__ import annotations
@@ -8,13 +8,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Picture
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import HIDDEN, Report, WithPictures, exact_time, facts, iso_time, reporting, silent
+from ros2_mcp.ops.results import HIDDEN, Report, WithPictures, exact_time, facts, iso_time, or_error, reporting, silent
 from ros2_mcp.ops.sources.selection import Collector, Fitted, Selection, fit, spread_indices
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 MAX_PICTURES = 4
 """Of one topic: clients count a picture as some 1500 tokens, and two usually show what moved."""
+_LEAST_BYTES = 1000
+"""Of the result for one of several topics: two messages at the 500 bytes below which a message says nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +64,7 @@ class Reading(WithPictures):
 
 @dataclass(frozen=True, slots=True)
 class Readings(WithPictures):
-    """The messages of several topics, read at the same time; an `error` of one leaves the others."""
+    """The messages of several topics, read at the same time; each may have an `error` of its own."""
 
     topics: Sequence[Reading]
     duration: float
@@ -96,10 +99,10 @@ class Echo(WithPictures):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Collected:
-    """What was read of a topic, still as bytes, with the account of all that came.
+    """What was read of a topic, still as bytes.
 
-    `received` came in all, of which `dropped` are not among the samples because of memory bounds. `is_full` tells that
-    reading ended because there were enough; `more` says in words how to go on where there are more.
+    `received` counts all messages that came; `dropped` of them are not among the samples because of memory bounds.
+    `more` says in words how to read on where there are more; `why_no_more` why fewer came than were asked for.
     """
 
     stream: Stream
@@ -108,7 +111,6 @@ class Collected:
     dropped: int
     lost: int | None
     covered_s: float
-    is_full: bool
     why_no_more: str
     more: str
 
@@ -123,7 +125,7 @@ async def collect(
     latched: bool = True,
     names: tuple[str, str] = ("start", "end"),
 ) -> Collected:
-    """The samples of one topic that the selection wants; `names` are the arguments with which a caller goes on.
+    """The samples of one topic that the selection asks for; `names` are the arguments with which a caller reads on.
 
     Raises:
         NotFound: if the topic is not there and its type is not given.
@@ -144,6 +146,11 @@ async def collect(
         samples = list(collector.samples)
         counts, beyond = stream.counts, stream.further
         ended_early = not samples or (limit is not None and not is_full and beyond is None)
+        more = ""
+        if beyond and stream.from_end:
+            more = f"There are earlier ones too: for those, give {names[1]} {exact_time(samples[0].received_ns - 1)}."
+        elif beyond:
+            more = f"There are later ones too: for those, give {names[0]} {exact_time(beyond.received_ns)}."
         return Collected(
             stream=stream,
             samples=samples,
@@ -151,9 +158,8 @@ async def collect(
             dropped=collector.dropped + counts.dropped,
             lost=counts.lost,
             covered_s=stream.covered_s,
-            is_full=is_full,
             why_no_more=await stream.why_no_more(samples[-1] if samples else None) if ended_early else "",
-            more=_more(stream, samples, beyond, names),
+            more=more,
         )
 
 
@@ -167,19 +173,19 @@ async def read(source: Source, topic: str, type_name: str, selection: Selection,
 async def read_several(
     source: Source, topics: Sequence[tuple[str, str, Selection]], report: Report = silent
 ) -> Readings:
-    """Messages of several topics (name, type or nothing, selection), truly at the same time."""
+    """Messages of several topics (name, type or "", selection), at the same time; the `error` of one ends no other."""
     if not topics:
         raise BadInput("No topics are given.", 'Give a list such as [{"name": "/odom", "duration": 2}].')
 
-    async def read_or_error(topic: str, type_name: str, selection: Selection) -> Reading:
-        share = replace(selection, max_bytes=max(selection.max_bytes // len(topics), 1000))
-        try:
-            return await read(source, topic, type_name, share, report)
-        except RobotError as error:
-            return Reading(topic_name=topic, error=str(error))
+    def share(selection: Selection) -> Selection:
+        return replace(selection, max_bytes=max(selection.max_bytes // len(topics), _LEAST_BYTES))
 
     started = monotonic()
-    readings = await asyncio.gather(*(read_or_error(*each) for each in topics))
+    reads = [
+        or_error(read(source, topic, kind, share(selection), report), partial(Reading, topic_name=topic))
+        for topic, kind, selection in topics
+    ]
+    readings = await asyncio.gather(*reads)
     images = [image for reading in readings for image in reading.images]
     return Readings(readings, monotonic() - started, pictures=facts(images), images=images)
 
@@ -231,20 +237,11 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
     )
 
 
-def _more(stream: Stream, samples: Sequence[Sample], beyond: Sample | None, names: tuple[str, str]) -> str:
-    if beyond is None:
-        return ""
-    if stream.from_end:
-        earlier = exact_time(samples[0].received_ns - 1)
-        return f"There are earlier ones too: for those, give {names[1]} {earlier}."
-    return f"There are later ones too: for those, give {names[0]} {exact_time(beyond.received_ns)}."
-
-
 def pictures_of(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
-    """Pictures of the messages that are shown, made of what was decoded for it; or why there are none."""
+    """Pictures of the shown messages, from what is already decoded: each is decoded once. Or why there are none."""
     if type_name not in (IMAGE, COMPRESSED_IMAGE):
         return [], ""
-    from ros2_mcp.codec.pictures import picture_of
+    from ros2_mcp.codec.pictures import picture_of  # numpy: not at the start of the server
 
     try:
         chosen = spread_indices(len(fitted.messages), MAX_PICTURES)

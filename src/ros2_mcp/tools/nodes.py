@@ -1,4 +1,4 @@
-"""Tools for parameters and the lifecycle of nodes."""
+"""Tools for nodes, their parameters and their lifecycle."""
 
 from __future__ import annotations
 
@@ -6,15 +6,31 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ros2_mcp.ops.nodes import lifecycle, parameters
+from ros2_mcp.ops.nodes import info, lifecycle, parameters
+from ros2_mcp.ops.nodes.list import NodeList, list_nodes
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import Flag, Limit, Pattern
+from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Pattern
 from ros2_mcp.tools.declare import tool
 
 PLACE = 100
+"""Of parameters and lifecycle; the list of nodes stands near the top."""
 
 NodeName = Annotated[str, Field(description="Full name of the node, such as /base_controller.")]
 NodeNames = Annotated[list[str] | None, Field(description="Full names of nodes; default: every node.")]
+
+
+@tool(title="List nodes", risk="read", place=11)
+async def ros2_node_list(
+    robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 200
+) -> NodeList:
+    """List the nodes of the robot by full name, and names that several nodes share."""
+    return await list_nodes(robot, pattern, include_hidden, limit)
+
+
+@tool(title="Node details", risk="read", place=11)
+async def ros2_node_info(robot: Robot, node_name: NodeName) -> info.NodeInfo:
+    """Show what a node publishes, subscribes to, offers and calls, its lifecycle state and how many parameters."""
+    return await info.node_info(robot, node_name)
 
 
 @tool(title="List parameters", risk="read", group="parameters")

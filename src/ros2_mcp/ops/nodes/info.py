@@ -1,0 +1,121 @@
+"""One node in detail, as `ros2 node info` shows it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.model.graph import NamedTypes
+from ros2_mcp.ops.nodes.list import list_nodes
+from ros2_mcp.ops.nodes.own_services import ask_node, service_of
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.translation import CHANGE_STATE
+
+ANSWER_S = 0.4
+"""A node that spins answers within milliseconds; what the graph knows of it must not wait for one that hangs."""
+_PARAMETER_SERVICES = (
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
+_SEND_GOAL = "/_action/send_goal"
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """A topic, service or action of a node, with its type."""
+
+    name: str
+    type: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NodeInfo:
+    """What one node offers and uses; the six parameter services that every node has are left out.
+
+    `parameters` is how many it has and `lifecycle_state` its state, null where it has none or did not answer at once.
+    """
+
+    node: str
+    publishes: Sequence[Offer]
+    subscribes: Sequence[Offer]
+    services: Sequence[Offer]
+    service_clients: Sequence[Offer]
+    actions: Sequence[Offer]
+    action_clients: Sequence[Offer]
+    has_parameters: bool
+    is_lifecycle: bool
+    parameters: int | None
+    lifecycle_state: str | None
+
+    def summary(self) -> str:
+        """One line."""
+        has = "" if self.parameters is None else f" It has {self.parameters} parameters."
+        state = f" Its lifecycle state is {self.lifecycle_state}." if self.lifecycle_state else ""
+        return (
+            f"{self.node} publishes {len(self.publishes)} and subscribes to {len(self.subscribes)} topics, "
+            f"offers {len(self.services)} services and {len(self.actions)} actions.{has}{state}"
+        )
+
+
+async def node_info(robot: Robot, node: str) -> NodeInfo:
+    """What a node publishes, subscribes to, serves and calls.
+
+    Raises:
+        NotFound: if no such node is in the graph.
+    """
+    node = names.absolute(node, "node")
+    try:
+        found = await robot.graph.node(node)
+    except NotFound as error:
+        known = await list_nodes(robot, include_hidden=True)
+        hint = names.did_you_mean(node, known.nodes, "ros2_node_list shows what is there.")
+        raise NotFound(f"There is no node {node}.", hint) from error
+    served = {entry.name for entry in found.servers}
+
+    async def response(kind: str) -> dict[str, Any] | None:
+        """None where the node has no such service, or does not answer at once."""
+        if service_of(node, kind) not in served:
+            return None
+        try:
+            return robot.fields_of(await ask_node(robot, node, kind, {}, timeout_s=ANSWER_S))
+        except RobotError:
+            return None
+
+    listed, current = await asyncio.gather(
+        response("rcl_interfaces/srv/ListParameters"), response("lifecycle_msgs/srv/GetState")
+    )
+    own_parameters = {f"{node}/{service}" for service in _PARAMETER_SERVICES}
+    return NodeInfo(
+        node=node,
+        publishes=_offers(found.publishers),
+        subscribes=_offers(found.subscribers),
+        services=[offer for offer in _offers(found.servers) if offer.name not in own_parameters],
+        service_clients=_offers(found.clients),
+        actions=_actions(found.servers),
+        action_clients=_actions(found.clients),
+        has_parameters=own_parameters <= served,
+        is_lifecycle=service_of(node, CHANGE_STATE) in served,
+        parameters=None if listed is None else len(listed["result"]["names"]),
+        lifecycle_state=None if current is None else current["current_state"]["label"],
+    )
+
+
+def _offers(rows: Sequence[NamedTypes]) -> list[Offer]:
+    return [Offer(row.name, " | ".join(row.types)) for row in sorted(rows) if not names.is_hidden(row.name)]
+
+
+def _actions(services: Sequence[NamedTypes]) -> list[Offer]:
+    """An action is seen in the graph as its services: the hidden one that takes goals bears its name and type."""
+    return [
+        Offer(row.name.removesuffix(_SEND_GOAL), " | ".join(row.types).removesuffix("_SendGoal"))
+        for row in sorted(services)
+        if row.name.endswith(_SEND_GOAL)
+    ]
