@@ -10,21 +10,26 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model.errors import BadInput, BadValue
-from ros2_mcp.ops.measure.statistics import seconds
+from ros2_mcp.model.errors import BadInput
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.sources.source import Capture, Missing, Source
 
 if TYPE_CHECKING:
+    from ros2_mcp.codec.definitions import Definitions
     from ros2_mcp.codec.select import FieldPath
     from ros2_mcp.ops.measure.signals import Numbers
 
 SIMILAR_PERCENT = 5.0
 DIFFERENT_PERCENT = 50.0
+"""Up to here topics are similar, and different: of the RMS difference, as a share of a field's largest magnitude."""
+_EDGES = 2
+"""Messages that may be without a partner and topics still be identical: one at each end of the time."""
 _UNPAIRED_SHARE = 0.1
-_UNPAIRED = 2
-_REASONS = 5
+"""The same for long captures: the share of the messages that may be without a partner."""
+_MAX_REASONS = 5
+"""Fields whose differences are told as reasons; all are in the table."""
 _SURE = 0.7
+"""Correlation at the best delay from which on the two signals are said to resemble each other."""
 
 Verdict = Literal["IDENTICAL", "SIMILAR", "DIFFERENT", "VERY DIFFERENT"]
 
@@ -102,20 +107,19 @@ async def compare(
     if topics[0].strip("/") == topics[1].strip("/"):
         raise BadInput(f"{topics[0]} is given twice.", "Give two topics.")
     types = [await source.type_of(topic) for topic in topics]
-    common_fields(source, types, fields)
-    first, second = await source.captures(topics, report)
-    for capture in (first, second):
+    common_fields(source.codec.definitions, types, fields)  # before any time is spent on listening
+    captures: list[Capture] = []
+    for capture in await source.captures(topics, report):
         if isinstance(capture, Missing):
             raise capture.error
-    assert isinstance(first, Capture)
-    assert isinstance(second, Capture)
+        captures.append(capture)
     return await asyncio.to_thread(
-        evaluate, first, second, fields, tolerance_percent=tolerance_percent, by_stamp=by_stamp
+        evaluate, *captures, fields=fields, tolerance_percent=tolerance_percent, by_stamp=by_stamp
     )
 
 
 def common_fields(
-    source: Source | Capture, types: Sequence[str], fields: Sequence[str]
+    definitions: Definitions, types: Sequence[str], chosen: Sequence[str]
 ) -> list[tuple[FieldPath, FieldPath]]:
     """What is compared: the chosen fields, or all numeric ones that both types have.
 
@@ -125,9 +129,7 @@ def common_fields(
     """
     from ros2_mcp.codec.select import measurable
 
-    first, second = (
-        {each.path: each for each in measurable(source.codec.definitions, type_name, fields)} for type_name in types
-    )
+    first, second = ({field.path: field for field in measurable(definitions, name, chosen)} for name in types)
     common = [(first[path], second[path]) for path in first if path in second]
     if not common:
         raise BadInput(f"{types[0]} and {types[1]} have no numeric field in common.", "Compare topics of one type.")
@@ -143,168 +145,151 @@ def evaluate(
     by_stamp: bool = True,
 ) -> Comparison:
     """Compares two captures; raises as `compare`, and `BadData` if no message of one is what its type says."""
-    from ros2_mcp.ops.measure import signals
+    from ros2_mcp.ops.measure.series import seconds
+    from ros2_mcp.ops.measure.signals import pairs
 
-    readings = common_fields(first, (first.type, second.type), fields)
+    common = common_fields(first.definitions, (first.type, second.type), fields)
     first, first_messages, first_trouble = first.readable()
     second, second_messages, second_trouble = second.readable()
-    messages = [first_messages, second_messages]
-    times, paired_by = _times(first, second, by_stamp)
-    partners = signals.pairs(*times)
-    compared = [_compare_field(pair, messages, (seconds(first), seconds(second)), partners) for pair in readings]
-    received = [
-        (second.samples[j].received_ns - first.samples[i].received_ns) / 1e9 for i, j in partners
-    ]  # fmt: skip
+    times, paired_by = _pairing_times(first, second, by_stamp)
+    partners = pairs(*times)
+    messages, received = (first_messages, second_messages), (seconds(first), seconds(second))
+    compared = [_compare_field(paths, messages, received, partners) for paths in common]
+    delays_ns = [second.samples[j].received_ns - first.samples[i].received_ns for i, j in partners]
+    delays_s = sorted(row.delay_s for row in compared if row.delay_s is not None)
     verdict, reasons = _judge(first, second, len(partners), compared, tolerance_percent)
-    reasons += [
-        f"{topic}: {said}" for topic, said in ((first.topic, first_trouble), (second.topic, second_trouble)) if said
-    ]
+    troubles = ((first.topic, first_trouble), (second.topic, second_trouble))
     return Comparison(
-        first.topic,
-        second.topic,
-        verdict,
-        reasons,
-        tolerance_percent,
-        paired_by,
-        len(first.samples),
-        len(second.samples),
-        len(partners),
-        sum(first.samples[i].data == second.samples[j].data for i, j in partners),
-        sum(received) / len(received) if received else None,
-        _likely_delay(compared),
-        compared,
-        first.source,
+        topic1=first.topic,
+        topic2=second.topic,
+        verdict=verdict,
+        reasons=[*reasons, *(f"{topic}: {trouble}" for topic, trouble in troubles if trouble)],
+        tolerance_percent=tolerance_percent,
+        paired_by=paired_by,
+        count1=len(first.samples),
+        count2=len(second.samples),
+        pairs=len(partners),
+        equal_messages=sum(first.samples[i].data == second.samples[j].data for i, j in partners),
+        receive_delay_s=sum(delays_ns) / len(delays_ns) / 1e9 if delays_ns else None,
+        delay_s=delays_s[len(delays_s) // 2] if delays_s else None,
+        fields=compared,
+        source=first.source,
     )
 
 
-def _times(first: Capture, second: Capture, by_stamp: bool) -> tuple[tuple[Numbers, Numbers], str]:
-    """The times by which messages are paired, in seconds, and what they are."""
+def _pairing_times(first: Capture, second: Capture, by_stamp: bool) -> tuple[tuple[Numbers, Numbers], str]:
+    """The times by which messages are paired, in seconds, and in words which these are."""
+    from ros2_mcp.ops.measure.series import seconds
     from ros2_mcp.ops.measure.signals import flat
 
-    by_receipt = (seconds(first), seconds(second))
-    if not by_stamp:
-        return by_receipt, "nearest time of receipt"
-    stamps = first.stamps_ns(), second.stamps_ns()
+    stamps = (first.stamps_ns(), second.stamps_ns()) if by_stamp else (None, None)
+    reason = ""
     if stamps[0] is None or stamps[1] is None:
-        return by_receipt, "nearest time of receipt: not both have a header"
-    if not stamps[0] or not stamps[1]:
-        return by_receipt, "nearest time of receipt: a topic is silent"
-    if not all(_rises(each) for each in stamps if each is not None):
-        return by_receipt, "nearest time of receipt: the stamps do not rise"
-    if stamps[0][-1] < stamps[1][0] or stamps[1][-1] < stamps[0][0]:
-        return by_receipt, "nearest time of receipt: the stamps are of different times"
-    origin = stamps[0][0]
-    return (flat([(at - origin) / 1e9 for at in stamps[0]]), flat([(at - origin) / 1e9 for at in stamps[1]])), "stamp"
-
-
-def _rises(stamps: Sequence[int]) -> bool:
-    return stamps[-1] > 0 and all(later > earlier for earlier, later in pairwise(stamps))
+        reason = ": not both have a header" if by_stamp else ""
+    elif not stamps[0] or not stamps[1]:
+        reason = ": a topic is silent"
+    elif any(own[-1] <= 0 or any(later <= earlier for earlier, later in pairwise(own)) for own in stamps if own):
+        reason = ": the stamps do not rise"
+    elif stamps[0][-1] < stamps[1][0] or stamps[1][-1] < stamps[0][0]:
+        reason = ": the stamps are of different times"
+    else:
+        # counted from the first stamp, because a Unix time in nanoseconds does not fit a float exactly
+        origin = stamps[0][0]
+        first_s, second_s = (flat([(at - origin) / 1e9 for at in own]) for own in stamps if own)
+        return (first_s, second_s), "stamp"
+    return (seconds(first), seconds(second)), f"nearest time of receipt{reason}"
 
 
 def _compare_field(
-    readings: tuple[FieldPath, FieldPath],
-    messages: Sequence[Sequence[object]],
+    fields: tuple[FieldPath, FieldPath],
+    messages: tuple[Sequence[object], Sequence[object]],
     times: tuple[Numbers, Numbers],
     partners: Sequence[tuple[int, int]],
 ) -> FieldComparison:
+    """One field of the partners, and the delay between all its values; lists element by element."""
     import numpy as np
 
     from ros2_mcp.ops.measure import signals
+    from ros2_mcp.ops.measure.series import value_of
 
-    values = [[_value(reading, message) for message in each] for reading, each in zip(readings, messages, strict=True)]
-    same_length = [(values[0][i], values[1][j]) for i, j in partners if len(values[0][i]) == len(values[1][j])]
-    one = np.concatenate([pair[0] for pair in same_length]) if same_length else signals.flat([])
-    other = np.concatenate([pair[1] for pair in same_length]) if same_length else signals.flat([])
+    first, second = (
+        [signals.flat(() if (value := value_of(field, message)) is None else value) for message in own]
+        for field, own in zip(fields, messages, strict=True)
+    )
+    same_length = [(i, j) for i, j in partners if len(first[i]) == len(second[j])]
+    # behind an empty array, because NumPy does not join none
+    one = np.concatenate([signals.flat([]), *(first[i] for i, _ in same_length)])
+    other = np.concatenate([signals.flat([]), *(second[j] for _, j in same_length)])
     both, alike = np.isfinite(one) & np.isfinite(other), (one == other) | (np.isnan(one) & np.isnan(other))
     not_compared = int(np.count_nonzero(~both & ~alike)) + len(partners) - len(same_length)
     one, other = one[both], other[both]
     if not len(one):
-        return FieldComparison(readings[0].path, 0, not_compared=not_compared)
+        return FieldComparison(fields[0].path, 0, not_compared=not_compared)
+    delay_s = None
+    if not fields[0].is_list:
+        delay_s, score = signals.delay(*_finite(times[0], first), *_finite(times[1], second))
+        delay_s = delay_s if score is not None and score >= _SURE else None
+    # of numbers at the end of their range a difference may be infinite, which is shown as null; squares of shares
+    # of the scale do not overflow where squares of the differences would
     with np.errstate(over="ignore", invalid="ignore"):
         difference = other - one
         scale = float(max(np.abs(one).max(), np.abs(other).max()))
-        shares = difference / (scale or 1.0)
-        largest, rms = float(np.abs(difference).max()), float(np.sqrt(np.mean(shares**2))) * (scale or 1.0)
+        unit = scale or 1.0
+        largest, rms = float(np.abs(difference).max()), float(np.sqrt(np.mean((difference / unit) ** 2))) * unit
         return FieldComparison(
-            readings[0].path,
-            len(one),
-            signals.number(difference.mean()),
-            signals.number(largest),
-            signals.number(rms),
-            signals.number(100 * largest / scale) if scale else 0.0,
-            signals.number(100 * rms / scale) if scale else 0.0,
-            signals.number(scale),
-            signals.correlation(one, other),
-            None if readings[0].is_list else _delay(times, values),
-            not_compared,
+            field=fields[0].path,
+            compared=len(one),
+            mean_difference=signals.number(difference.mean()),
+            max_difference=signals.number(largest),
+            rms_difference=signals.number(rms),
+            max_percent=signals.number(100 * largest / unit),
+            rms_percent=signals.number(100 * rms / unit),
+            scale=signals.number(scale),
+            correlation=signals.correlation(one, other),
+            delay_s=delay_s,
+            not_compared=not_compared,
         )
 
 
-def _value(reading: FieldPath, message: object) -> Numbers:
+def _finite(times: Numbers, values: Sequence[Numbers]) -> tuple[Numbers, Numbers]:
+    """The finite values of a field that is no list, with their times; a message without it has an empty array."""
     from ros2_mcp.ops.measure.signals import flat
 
-    try:
-        return flat(reading.value_in(message))
-    except BadValue:
-        return flat([])
-
-
-def _delay(times: tuple[Numbers, Numbers], values: Sequence[Sequence[Numbers]]) -> float | None:
-    import numpy as np
-
-    from ros2_mcp.ops.measure import signals
-
-    series: list[tuple[Numbers, Numbers]] = []
-    for when, each in zip(times, values, strict=True):
-        there = np.array([len(value) == 1 and bool(np.isfinite(value[0])) for value in each], bool)
-        series.append(
-            (when[there], signals.flat([value[0] for value, is_there in zip(each, there, strict=True) if is_there]))
-        )
-    found, score = signals.delay(*series[0], *series[1])
-    return found if score is not None and score >= _SURE else None
-
-
-def _likely_delay(compared: Sequence[FieldComparison]) -> float | None:
-    """The middle one of the fields' delays."""
-    delays = sorted(each.delay_s for each in compared if each.delay_s is not None)
-    return delays[len(delays) // 2] if delays else None
+    points = [(at, value[0]) for at, value in zip(times, values, strict=True) if len(value) and math.isfinite(value[0])]
+    return flat([at for at, _ in points]), flat([value for _, value in points])
 
 
 def _judge(
     first: Capture, second: Capture, pairs: int, compared: Sequence[FieldComparison], tolerance: float
 ) -> tuple[Verdict, list[str]]:
+    """The verdict as `Comparison` says, and its reasons, the largest differences first."""
+    counts = len(first.samples), len(second.samples)
     if not pairs:
-        silent_ones = [capture.topic for capture in (first, second) if not capture.samples]
-        why = f"{' and '.join(silent_ones)} sent nothing." if silent_ones else "No two messages are near in time."
+        silent_topics = [capture.topic for capture in (first, second) if not capture.samples]
+        why = f"{' and '.join(silent_topics)} sent nothing." if silent_topics else "No two messages are near in time."
         return "VERY DIFFERENT", [why]
-    reasons = _differences(compared, tolerance)
-    alone = max(len(first.samples), len(second.samples)) - pairs
-    unpaired = alone > max(_UNPAIRED, _UNPAIRED_SHARE * max(len(first.samples), len(second.samples)))
-    if unpaired:
-        reasons.append(f"{alone} messages have no partner ({len(first.samples)} and {len(second.samples)} came).")
-    odd = sum(each.not_compared for each in compared)
-    if odd:
-        reasons.append(f"{odd} values are not finite or missing in one of them only.")
+
+    def percent(row: FieldComparison) -> float:
+        return math.inf if row.rms_percent is None else row.rms_percent  # null: it does not fit a number
+
+    differing = [row for row in compared if row.max_percent is None or row.max_percent > tolerance]
+    differing.sort(key=percent, reverse=True)
+    reasons = [
+        f"{row.field} differs by {row.rms_difference or 0.0:.3g} ({row.rms_percent or 0.0:.3g} %) RMS, "
+        f"{row.max_difference or 0.0:.3g} at most."
+        for row in differing[:_MAX_REASONS]
+        if row.compared
+    ]
+    if len(differing) > _MAX_REASONS:
+        reasons.append(f"{len(differing) - _MAX_REASONS} more fields differ.")
+    unpaired = max(counts) - pairs
+    if unpaired > max(_EDGES, _UNPAIRED_SHARE * max(counts)):
+        reasons.append(f"{unpaired} messages have no partner ({counts[0]} and {counts[1]} came).")
+    if not_compared := sum(row.not_compared for row in compared):
+        reasons.append(f"{not_compared} values are not finite or missing in one of them only.")
     if not reasons:
         return "IDENTICAL", [f"All {len(compared)} fields of {pairs} pairs agree within {tolerance:g} %."]
-    worst = max((_percent(each) for each in compared if each.compared), default=0.0)
+    worst = max((percent(row) for row in compared if row.compared), default=0.0)
     if worst <= max(SIMILAR_PERCENT, tolerance):
         return "SIMILAR", reasons
     return ("DIFFERENT" if worst <= max(DIFFERENT_PERCENT, tolerance) else "VERY DIFFERENT"), reasons
-
-
-def _percent(field: FieldComparison) -> float:
-    """How much it differs; a difference beyond all numbers is infinite."""
-    return math.inf if field.rms_percent is None else field.rms_percent
-
-
-def _differences(compared: Sequence[FieldComparison], tolerance: float) -> list[str]:
-    beyond = [each for each in compared if each.max_percent is None or each.max_percent > tolerance]
-    beyond.sort(key=_percent, reverse=True)
-    lines = [
-        f"{each.field} differs by {each.rms_difference or 0.0:.3g} ({each.rms_percent or 0.0:.3g} %) RMS, "
-        f"{each.max_difference or 0.0:.3g} at most."
-        for each in beyond[:_REASONS]
-        if each.compared
-    ]
-    return lines + ([f"{len(beyond) - _REASONS} more fields differ."] if len(beyond) > _REASONS else [])

@@ -13,19 +13,19 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.select import FieldPath, parse_field
+from ros2_mcp.codec.select import parse_field
 from ros2_mcp.model.errors import BadInput, BadValue
-from ros2_mcp.model.interfaces import TEXTS, FieldType
+from ros2_mcp.model.interfaces import TEXTS
 
 MAX_LENGTH = 1000
 """Characters. Far more than a condition that can still be understood."""
 MAX_DEPTH = 40
 """Levels of nesting. Evaluation recurses, and Python's own parser gives up at about 200."""
 _LARGEST = 2**64
-"""Integers beyond every type of ROS; without a bound a literal of 1000 digits would be computed with."""
+"""Integers above every type of ROS are refused; without a bound a literal of 1000 digits would be computed with."""
 
 Evaluate = Callable[[object], Any]
 
@@ -35,22 +35,22 @@ _ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Mult: lambda left, right: left * right,
     ast.Div: lambda left, right: left / right,
 }
-_ORDER: Mapping[type[ast.cmpop], Callable[[Any, Any], bool]] = {
-    ast.Lt: operator.lt,
-    ast.LtE: operator.le,
-    ast.Gt: operator.gt,
-    ast.GtE: operator.ge,
-}
-_EQUALITY: Mapping[type[ast.cmpop], Callable[[Any, Any], bool]] = {ast.Eq: operator.eq, ast.NotEq: operator.ne}
-_MEMBERSHIP: Mapping[type[ast.cmpop], Callable[[Any, Any], bool]] = {
-    ast.In: lambda part, whole: part in whole,
-    ast.NotIn: lambda part, whole: part not in whole,
+_COMPARISONS: Mapping[type[ast.cmpop], tuple[str, Callable[[Any, Any], bool]]] = {
+    ast.Eq: ("equality", operator.eq),
+    ast.NotEq: ("equality", operator.ne),
+    ast.Lt: ("order", operator.lt),
+    ast.LtE: ("order", operator.le),
+    ast.Gt: ("order", operator.gt),
+    ast.GtE: ("order", operator.ge),
+    ast.In: ("membership", lambda part, whole: part in whole),
+    ast.NotIn: ("membership", lambda part, whole: part not in whole),
 }
 _CONSTANTS = {"true": True, "false": False, "nan": math.nan, "inf": math.inf}
 _ALLOWED = (
     "A condition is made of fields, numbers, texts, comparisons, and, or, not, + - * /, parentheses, "
     "in, abs(), min(), max(), len() and hypot()."
 )
+_COMPARE_IT = "Compare it, such as: … > 1.0."
 
 
 class Undecided(Exception):
@@ -77,13 +77,13 @@ def condition(definitions: Definitions, type_name: str, text: str) -> Condition:
     """Reads a condition and checks it against the definition.
 
     Raises:
-        BadInput: for what is not a condition.
+        BadInput: if the text is not a condition.
         BadValue: for a field that does not exist, with the nearest that does.
     """
     compiler = _Compiler(definitions, type_name)
     term = compiler.term(_parse(text))
     if term.kind != "truth":
-        raise BadInput(f"{text.strip()!r} is {term.words}, not a condition.", "Compare it, such as: … > 1.0.")
+        raise BadInput(f"{text.strip()!r} is {term.words}, not a condition.", _COMPARE_IT)
     return Condition(text.strip(), list(compiler.fields), term.evaluate)
 
 
@@ -93,75 +93,79 @@ def _parse(text: str) -> ast.expr:
     if len(text) > MAX_LENGTH:
         raise BadInput(f"The condition has {len(text)} characters.", f"At most {MAX_LENGTH} are read.")
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings():  # Python warns of `1 is 1` and the like on stderr; we refuse them ourselves
             warnings.simplefilter("ignore")
             tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise BadInput(f"The condition cannot be read: {getattr(error, 'msg', error)}.", _syntax_hint(text)) from error
-    _check_depth(tree)
-    return tree
-
-
-def _check_depth(tree: ast.expr) -> None:
+        hint = _ALLOWED
+        if "&&" in text or "||" in text or "!" in text.replace("!=", ""):
+            hint = "Write and, or, not."
+        elif "=" in text and "==" not in text:
+            hint = "Write == to compare."
+        raise BadInput(f"The condition cannot be read: {getattr(error, 'msg', error)}.", hint) from error
     level: list[ast.AST] = [tree]
     for _ in range(MAX_DEPTH):
-        level = [below for node in level for below in ast.iter_child_nodes(node)]
+        level = [child for node in level for child in ast.iter_child_nodes(node)]
     if level:
         raise BadInput("The condition is nested too deeply.", "Make it simpler.")
-
-
-def _syntax_hint(text: str) -> str:
-    if "&&" in text or "||" in text or "!" in text.replace("!=", ""):
-        return "Write and, or, not."
-    if "=" in text and "==" not in text:
-        return "Write == to compare."
-    return _ALLOWED
+    return tree
 
 
 @dataclass(frozen=True, slots=True)
 class _Term:
-    """A part of the condition: how to evaluate it, and of which kind it is: number, truth, text, list or message.
+    """A part of the condition: how to evaluate it, and its kind: `number`, `truth`, `text`, `list` or `message`.
 
-    `words` describe it in errors; `element` is the kind of a list's elements.
+    `type` is the type of a field, `element` the kind of a list's elements. `is_single` is a field or a constant, and
+    not something computed.
     """
 
     kind: str
     evaluate: Evaluate
-    words: str
+    type: str = ""
     element: str = ""
+    is_single: bool = False
 
+    @property
+    def words(self) -> str:
+        """What it is, for errors."""
+        if self.type:
+            return f"a {self.kind} ({self.type})"
+        return "true or false" if self.kind == "truth" else f"a {self.kind}"
 
-def _truth(evaluate: Evaluate) -> _Term:
-    return _Term("truth", evaluate, "true or false")
-
-
-def _number(evaluate: Evaluate) -> _Term:
-    return _Term("number", evaluate, "a number")
+    @property
+    def hint(self) -> str:
+        """How to use it, where it cannot be compared or computed with as it is."""
+        hints = {
+            "message": "Name one of its fields.",
+            "list": "Pick an element, such as [0], or use min(), max() or len().",
+        }
+        return hints.get(self.kind, "")
 
 
 @dataclass(slots=True)
 class _Compiler:
+    """Makes terms of syntax; `fields` are the paths that were met so far, in order (the values mean nothing)."""
+
     definitions: Definitions
     type_name: str
     fields: dict[str, None] = field(default_factory=dict[str, None])
 
     def term(self, node: ast.expr) -> _Term:
+        """The term of any node; raises `BadInput` for syntax that is not permitted."""
         match node:
             case ast.BoolOp(op=op, values=values):
-                parts = [self._of_kind(value, "truth").evaluate for value in values]
+                parts = [self._of_kind(value, "truth") for value in values]
                 decide = all if isinstance(op, ast.And) else any
-                return _truth(lambda message: decide(part(message) for part in parts))
+                return _Term("truth", lambda message: decide(part(message) for part in parts))
             case ast.UnaryOp(op=ast.Not(), operand=operand):
-                inner = self._of_kind(operand, "truth").evaluate
-                return _truth(lambda message: not inner(message))
-            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-                return _number(self._of_kind(operand, "number").evaluate)
-            case ast.UnaryOp(op=ast.USub(), operand=operand):
-                value = self._of_kind(operand, "number").evaluate
-                return _number(lambda message: -value(message))
+                inner = self._of_kind(operand, "truth")
+                return _Term("truth", lambda message: not inner(message))
+            case ast.UnaryOp(op=ast.UAdd() | ast.USub() as op, operand=operand):
+                value, sign = self._of_kind(operand, "number"), -1 if isinstance(op, ast.USub) else 1
+                return _Term("number", lambda message: sign * value(message))
             case ast.BinOp(op=op) if compute := _ARITHMETIC.get(type(op)):
-                left, right = (self._of_kind(side, "number").evaluate for side in (node.left, node.right))
-                return _number(lambda message: compute(left(message), right(message)))
+                left, right = (self._of_kind(side, "number") for side in (node.left, node.right))
+                return _Term("number", lambda message: compute(left(message), right(message)))
             case ast.Compare():
                 return self._comparison(node)
             case ast.Call():
@@ -179,19 +183,20 @@ class _Compiler:
             (_comparing(node, sign, left, right), left.evaluate, right.evaluate)
             for sign, left, right in zip(node.ops, terms, terms[1:], strict=False)
         ]
-        return _truth(lambda message: all(compare(left(message), right(message)) for compare, left, right in steps))
+        return _Term(
+            "truth", lambda message: all(compare(left(message), right(message)) for compare, left, right in steps)
+        )
 
     def _call(self, node: ast.Call) -> _Term:
         name = node.func.id if isinstance(node.func, ast.Name) else ""
         if name not in _FUNCTIONS or node.keywords or not node.args:
             raise BadInput(f"{_excerpt(node)} cannot be called here.", f"There are {', '.join(_FUNCTIONS)}.")
         arguments = [self.term(argument) for argument in node.args]
-        compute, takes, hint = _FUNCTIONS[name]
-        if not takes([f"{term.kind} {term.element}".strip() for term in arguments]):
+        compute, accepts, hint = _FUNCTIONS[name]
+        if not accepts([f"{term.kind} {term.element}".strip() for term in arguments]):
             kinds = ", ".join(term.words for term in arguments)
             raise BadInput(f"{_excerpt(node)}: {name}() does not take {kinds}.", hint)
-        values = [term.evaluate for term in arguments]
-        return _number(lambda message: compute(*(value(message) for value in values)))
+        return _Term("number", lambda message: compute(*(term.evaluate(message) for term in arguments)))
 
     def _field(self, node: ast.expr) -> _Term:
         if isinstance(node, ast.Name):
@@ -201,103 +206,77 @@ class _Compiler:
                 return _constant(constants[node.id])
         path = parse_field(self.definitions, self.type_name, _text_of(node))
         self.fields[path.path] = None
-        if path.is_list:
-            return _Term("list", _reader(path), f"a list ({path.type})", _single_kind(path.type.element))
-        kind = _single_kind(path.type)
-        return _Term(kind, _reader(path), f"a {kind} ({path.type})")
+        single = path.type.element if path.is_list else path.type
+        kind = "text" if single.base in TEXTS else "number"
+        if single.is_message or single.base == "bool":
+            kind = "message" if single.is_message else "truth"
+        is_truth = kind == "truth" and not path.is_list
 
-    def _of_kind(self, node: ast.expr, kind: str) -> _Term:
+        def read(message: object) -> Any:
+            try:
+                value = path.value_in(message)
+            except BadValue as error:
+                raise Undecided from error
+            return bool(value) if is_truth else value
+
+        if path.is_list:
+            return _Term("list", read, str(path.type), kind, is_single=True)
+        return _Term(kind, read, str(path.type), is_single=True)
+
+    def _of_kind(self, node: ast.expr, kind: str) -> Evaluate:
         term = self.term(node)
         # a single boolean counts as 0 or 1; a whole comparison as a number would be a mistake
-        if term.kind == kind or (kind == "number" and term.kind == "truth" and isinstance(node, _SINGLE)):
-            return term
-        needed = {"truth": "a condition", "number": "a number"}[kind]
-        raise BadInput(f"{_excerpt(node)} is {term.words}, but {needed} is needed here.", _kind_hint(term, kind))
-
-
-_SINGLE = (ast.Name, ast.Attribute, ast.Subscript, ast.Constant)
+        if term.kind == kind or (kind == "number" and term.kind == "truth" and term.is_single):
+            return term.evaluate
+        needed, hint = ("a condition", _COMPARE_IT) if kind == "truth" else ("a number", "")
+        raise BadInput(f"{_excerpt(node)} is {term.words}, but {needed} is needed here.", term.hint or hint)
 
 
 def _constant(value: object) -> _Term:
-    if isinstance(value, bool):
-        return _truth(lambda _: value)
-    if isinstance(value, str):
-        return _Term("text", lambda _: value, "a text")
-    if isinstance(value, float) or (isinstance(value, int) and abs(value) <= _LARGEST):
-        return _number(lambda _: value)
+    if isinstance(value, (bool, str, float)) or (isinstance(value, int) and abs(value) <= _LARGEST):
+        kind = "truth" if isinstance(value, bool) else "text" if isinstance(value, str) else "number"
+        return _Term(kind, lambda _: value, is_single=True)
     raise BadInput(f"{str(value)[:40]} cannot be used here.", _ALLOWED) from None
-
-
-def _single_kind(field_type: FieldType) -> str:
-    if field_type.is_message:
-        return "message"
-    if field_type.base == "bool":
-        return "truth"
-    return "text" if field_type.base in TEXTS else "number"
-
-
-def _reader(path: FieldPath) -> Evaluate:
-    is_truth = not path.is_list and path.type.base == "bool"
-
-    def read(message: object) -> Any:
-        try:
-            value = path.value_in(message)
-        except BadValue as error:
-            raise Undecided from error
-        return bool(value) if is_truth else value
-
-    return read
 
 
 def _comparing(node: ast.Compare, sign: ast.cmpop, left: _Term, right: _Term) -> Callable[[Any, Any], bool]:
     """The comparison, if these two can be compared so."""
     kinds = {left.kind, right.kind}
-    if (compare := _EQUALITY.get(type(sign))) and (kinds <= {"number", "truth"} or kinds == {"text"}):
+    way, compare = _COMPARISONS.get(type(sign), ("", operator.eq))
+    possible = {
+        "equality": kinds <= {"number", "truth"} or kinds == {"text"},
+        "order": kinds in ({"number"}, {"text"}),
+        "membership": kinds == {"text"} or (right.kind == "list" and right.element == left.kind),
+    }
+    if possible.get(way):
         return compare
-    if (compare := _ORDER.get(type(sign))) and kinds in ({"number"}, {"text"}):
-        return compare
-    is_in_list = right.kind == "list" and right.element == left.kind
-    if (compare := _MEMBERSHIP.get(type(sign))) and (is_in_list or kinds == {"text"}):
-        return compare
-    hint = _kind_hint(left, "") or _kind_hint(right, "") or "Numbers compare with numbers, texts with texts."
+    hint = left.hint or right.hint or "Numbers compare with numbers, texts with texts."
     raise BadInput(f"{_excerpt(node)}: {left.words} and {right.words} cannot be compared so.", hint)
 
 
 def _extreme(choose: Callable[..., Any], first: Any, *others: Any) -> Any:
     """The smallest or largest of several numbers, or of one list of them; NaN left out."""
-    several = cast("Any", (first, *others) if others else first)
-    plain = cast("Sequence[Any]", several.tolist() if hasattr(several, "tolist") else several)
-    numbers = [value for value in plain if not math.isnan(value)]
+    values: Any = (first, *others) if others else first
+    # Python is quicker with its own numbers than with NumPy's: 60 instead of 86 µs for 1000 elements
+    numbers = [value for value in (values.tolist() if hasattr(values, "tolist") else values) if not math.isnan(value)]
     if not numbers:
         raise Undecided
     return choose(numbers)
 
 
-def _several_numbers(kinds: Sequence[str]) -> bool:
+def _accepts_several(kinds: Sequence[str]) -> bool:
     return list(kinds) == ["list number"] or (len(kinds) > 1 and set(kinds) == {"number"})
-
-
-def _one_list_or_text(kinds: Sequence[str]) -> bool:
-    return len(kinds) == 1 and kinds[0].startswith(("list", "text"))
 
 
 _SEVERAL = "Give it one list of numbers, or several numbers."
 _FUNCTIONS: Mapping[str, tuple[Callable[..., Any], Callable[[Sequence[str]], bool], str]] = {
     "abs": (abs, lambda kinds: list(kinds) == ["number"], "Give it one number."),
-    "min": (partial(_extreme, min), _several_numbers, _SEVERAL),
-    "max": (partial(_extreme, max), _several_numbers, _SEVERAL),
-    "len": (len, _one_list_or_text, "Give it one list or text."),
+    "min": (partial(_extreme, min), _accepts_several, _SEVERAL),
+    "max": (partial(_extreme, max), _accepts_several, _SEVERAL),
+    "len": (len, lambda kinds: len(kinds) == 1 and kinds[0].startswith(("list", "text")), "Give it one list or text."),
     "hypot": (math.hypot, lambda kinds: set(kinds) == {"number"}, "Give it numbers, such as hypot(x - 1, y - 2)."),
 }
-"""What can be called: what it computes, whether it takes arguments of such kinds, and what to give it."""
-
-
-def _kind_hint(term: _Term, needed: str) -> str:
-    if term.kind == "message":
-        return "Name one of its fields."
-    if term.kind == "list":
-        return "Pick an element, such as [0], or use min(), max() or len()."
-    return "Compare it, such as: … > 1.0." if needed == "truth" else ""
+"""What can be called: what it computes, which kinds of arguments it accepts, and the hint where they are others."""
 
 
 def _excerpt(node: ast.expr) -> str:

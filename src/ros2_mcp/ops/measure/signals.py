@@ -6,7 +6,6 @@ Import it inside functions only: NumPy takes a moment, and listing the tools mus
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -20,13 +19,24 @@ JUMP_FACTOR = 8.0
 STUCK_SAMPLES = 5
 STUCK_SHARE = 0.1
 """A value is stuck if it stands still this long (samples, and share of all) although it changes otherwise."""
+_LEAST_STEPS = 3
+"""Of fewer steps none is usual, so that none can be unusual."""
+_RARE_STEPS = 100
+"""Of a value that mostly stands still, one step in so many may be a jump; more are how it moves."""
 _LIVELY = 0.8
+"""Share of the messages outside long rests with which a value must change to be one that changes otherwise."""
 _NOISY = 0.25
+"""Share of steps that turn back, above which a value is noisy: of pure noise two in three do, of a smooth one few."""
 _MAD_TO_SIGMA = 1.4826
-_MOST_SAMPLES = 3
+"""From the median absolute deviation to the standard deviation of a normal distribution: 1 / Φ⁻¹(3/4)."""
+_LEAST_POINTS = 8
+"""Of fewer points some delay always fits well."""
 _GRID = 2000
+"""Points at most on which two signals are laid over each other: 0.12 s for one field, measured."""
 _NEAR_BEST = 0.98
+"""A peak of this share of the best correlation fits as well: a periodic signal has one for each period."""
 _ROUNDING = 1e-28
+"""Of values scaled to 1 a mean square below this is rounding: doubles are exact to about 1e-16."""
 _ROUNDING_STEP = 1e-5
 """A step that is smaller than this part of the largest value is no jump of a robot, but of its arithmetic."""
 
@@ -65,16 +75,15 @@ def slope(times: Numbers, values: Numbers) -> float | None:
 def jumps(times: Numbers, values: Numbers) -> list[Jump]:
     """Steps far out of the usual. A value that mostly stands still has one only if it moves once."""
     steps = np.diff(values)
-    if len(steps) < _MOST_SAMPLES:
+    if len(steps) < _LEAST_STEPS:
         return []
     size = np.abs(steps)
-    usual = _MAD_TO_SIGMA * float(np.median(np.abs(steps - np.median(steps))))
-    if float(np.median(size)) > 0:
-        rounding = _ROUNDING_STEP * float(np.abs(values).max())
-        large = size > max(JUMP_FACTOR * max(usual, float(np.median(size))), rounding)
+    if (median := float(np.median(size))) > 0:
+        usual = max(_MAD_TO_SIGMA * float(np.median(np.abs(steps - np.median(steps)))), median)
+        large = size > max(JUMP_FACTOR * usual, _ROUNDING_STEP * float(np.abs(values).max()))
     else:
         large = size > 0
-        if np.count_nonzero(large) > max(1, len(steps) // 100):
+        if np.count_nonzero(large) > max(1, len(steps) // _RARE_STEPS):
             return []
     return [Jump(float(times[i + 1]), float(values[i]), float(values[i + 1])) for i in np.flatnonzero(large)]
 
@@ -93,53 +102,50 @@ def stuck(times: Numbers, values: Numbers) -> Stuck | None:
     is_rest = lengths >= max(STUCK_SAMPLES, STUCK_SHARE * len(values))
     moving = len(values) - int(lengths[is_rest].sum())
     is_lively = np.count_nonzero(~is_rest) >= max(_LIVELY * moving, STUCK_SAMPLES)
-    if not (is_rest[longest] and is_lively and _is_suspicious(np.diff(values[starts]), longest)):
+    steps = np.diff(values[starts])
+    is_noisy = np.count_nonzero(np.diff(np.sign(steps))) / max(len(steps) - 1, 1) > _NOISY
+    leaps = longest < len(steps) and abs(steps[longest]) > JUMP_FACTOR * float(np.median(np.abs(steps)))
+    if not (is_rest[longest] and is_lively and (is_noisy or leaps)):
         return None
     last = first + samples - 1
     return Stuck(float(times[first]), float(times[last] - times[first]), samples, float(values[first]))
 
 
-def _is_suspicious(steps: Numbers, still: int) -> bool:
-    """Whether it is strange that the value rests between the steps before and at `still`."""
-    noise = np.count_nonzero(np.diff(np.sign(steps))) / max(len(steps) - 1, 1)
-    leap = still < len(steps) and abs(steps[still]) > JUMP_FACTOR * float(np.median(np.abs(steps)))
-    return bool(noise > _NOISY or leap)
-
-
 def pairs(first: Numbers, second: Numbers) -> list[tuple[int, int]]:
-    """Which of the one belongs to which of the other: each the other's nearest in time, and not far apart.
+    """Which of the one belongs to which of the other: both are each other's nearest in time, and not far apart.
 
-    Not far is at most half of the longer of the two median periods (or one whole window with too few to tell).
+    Not far is at most half of the longer of the two median periods (or any time with too few to tell).
     """
     if not len(first) or not len(second):
         return []
     forth, back = _nearest(first, second), _nearest(second, first)
-    periods = [float(np.median(np.diff(times))) for times in (first, second) if len(times) > 1]
+    periods = [_period(times) for times in (first, second) if len(times) > 1]
     limit = max(periods) / 2 if len(periods) == 2 else math.inf
     mutual = [(i, int(j)) for i, j in enumerate(forth) if back[j] == i]
     return [(i, j) for i, j in mutual if abs(first[i] - second[j]) <= limit]
 
 
-def _nearest(wanted: Numbers, times: Numbers) -> NDArray[np.intp]:
-    if len(times) == 1:
-        return np.zeros(len(wanted), np.intp)
-    right = np.minimum(np.maximum(np.searchsorted(times, wanted), 1), len(times) - 1)
-    return np.where(wanted - times[right - 1] <= times[right] - wanted, right - 1, right)
+def _nearest(times: Numbers, others: Numbers) -> NDArray[np.intp]:
+    """For each time the index of the nearest of the others."""
+    if len(others) == 1:
+        return np.zeros(len(times), np.intp)
+    right = np.minimum(np.maximum(np.searchsorted(others, times), 1), len(others) - 1)
+    return np.where(times - others[right - 1] <= others[right] - times, right - 1, right)
+
+
+def _period(times: Numbers) -> float:
+    return float(np.median(np.diff(times)))
 
 
 def correlation(first: Numbers, second: Numbers) -> float | None:
     """Pearson's correlation; None where one of them does not vary."""
     if len(first) < 2:
         return None
-    one, other = _centred(first), _centred(second)
+    # as shares of the largest magnitude, so that no square overflows
+    one, other = (values / (float(np.abs(values).max()) or 1.0) for values in (first, second))
+    one, other = one - one.mean(), other - other.mean()
     norm = math.sqrt(float(one @ one) * float(other @ other))
     return number(one @ other / norm) if norm > _ROUNDING * len(first) else None
-
-
-def _centred(values: Numbers) -> Numbers:
-    """The values around their mean, as shares of the largest magnitude."""
-    scaled = values / (float(np.abs(values).max()) or 1.0)
-    return scaled - scaled.mean()
 
 
 def delay(
@@ -150,30 +156,32 @@ def delay(
     Both are brought onto one grid of times; the lag with the highest correlation counts, up to a third of the time
     they have in common. Of lags that fit equally well (a periodic signal), the shortest.
     """
-    begin, end = max(first_times[0], second_times[0]), min(first_times[-1], second_times[-1])
-    if min(len(first), len(second)) < 8 or end <= begin:
+    if min(len(first), len(second)) < _LEAST_POINTS:
         return None, None
+    begin, end = max(first_times[0], second_times[0]), min(first_times[-1], second_times[-1])
+    if end <= begin:
+        return None, None
+    # four points to the shorter period follow both signals; at most as many as can be afforded
     step = max(min(_period(first_times), _period(second_times)) / 4, (end - begin) / _GRID)
     grid = np.arange(begin, end, step)
-    if len(grid) < 8:
+    if len(grid) < _LEAST_POINTS:
         return None, None
     one, other = np.interp(grid, first_times, first), np.interp(grid, second_times, second)
-    most = len(grid) // 3
-    scores = [correlation(*_shifted(one, other, lag)) for lag in range(-most, most + 1)]
-    known = np.array([-2.0 if score is None else score for score in scores])
-    best = float(known.max())
+    count, most = len(grid), len(grid) // 3
+    lags = [*range(-most, most + 1)]
+    overlaps = ((one[max(-lag, 0) : count - max(lag, 0)], other[max(lag, 0) : count + min(lag, 0)]) for lag in lags)
+    scores = np.array([-2.0 if (score := correlation(*overlap)) is None else score for overlap in overlaps])
+    best = float(scores.max())
     if best < 0:
         return None, None
-    index = _shortest_peak(known, best, most)
-    return (index - most + _vertex(known, index)) * step, best
-
-
-def _period(times: Numbers) -> float:
-    return float(np.median(np.diff(times)))
-
-
-def _shifted(one: Numbers, other: Numbers, lag: int) -> tuple[Numbers, Numbers]:
-    return (one[: len(one) - lag], other[lag:]) if lag >= 0 else (one[-lag:], other[:lag])
+    index = _shortest_peak(scores, best, most)
+    lag = float(lags[index])
+    if 0 < index < len(scores) - 1:
+        # between the points of the grid: the vertex of the parabola through the peak and its neighbours
+        left, middle, right = (float(score) for score in scores[index - 1 : index + 2])
+        bend = left - 2 * middle + right
+        lag += (left - right) / (2 * bend) if bend < 0 else 0.0
+    return lag * step, best
 
 
 def _shortest_peak(scores: Numbers, best: float, middle: int) -> int:
@@ -184,15 +192,6 @@ def _shortest_peak(scores: Numbers, best: float, middle: int) -> int:
     return int(peaks[np.argmin(np.abs(peaks - middle))])
 
 
-def _vertex(scores: Numbers, index: int) -> float:
-    """Where between the grid's points the peak is: the vertex of a parabola through three of them."""
-    if not 0 < index < len(scores) - 1:
-        return 0.0
-    left, middle, right = (float(score) for score in scores[index - 1 : index + 2])
-    bend = left - 2 * middle + right
-    return (left - right) / (2 * bend) if bend < 0 else 0.0
-
-
-def flat(values: Sequence[Any]) -> Numbers:
-    """A list or array of numbers as float64."""
+def flat(values: Any) -> Numbers:
+    """A number, or a list or array of numbers, as a flat array of float64."""
     return np.asarray(values, np.float64).ravel()

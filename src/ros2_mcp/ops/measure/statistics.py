@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, BadValue, RobotError
 from ros2_mcp.ops.measure.flow import gaps, rate_hz
@@ -18,10 +19,15 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.measure.signals import Numbers
 
 MAX_TOPICS = 20
-MAX_DURATION_S = 600.0
+"""All are subscribed to at the same time, and share the memory that a capture may take."""
 _FIELD_BYTES = 350
+"""What one field takes in the result, 13 names and numbers and a short path; for how many there is room."""
 _TOPIC_BYTES = 500
-_LISTED = 5
+"""What a topic takes beside its fields."""
+_MIN_FIELDS = 3
+"""Fields of each topic that are shown in any case, however small the result has to be."""
+_MAX_LISTED = 5
+"""Jumps that are listed of one field, and half of the gaps of one topic; the others are only counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +85,8 @@ class TopicStatistics:
             return f"{self.topic_name}: {self.error}"
         rate = "rate unknown" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
         line = f"{self.topic_name}: {self.count} message(s), {rate}, {len(self.fields)} field(s). {self.note}".rstrip()
-        odd = [f"{each.field}: {anomaly}" for each in self.fields for anomaly in each.anomalies]
-        return "\n  ".join([line, *self.gaps, *odd])
+        anomalies = [f"{row.field}: {anomaly}" for row in self.fields for anomaly in row.anomalies]
+        return "\n  ".join([line, *self.gaps, *anomalies])
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,21 +113,24 @@ async def measure(
         BadInput: if there are no topics, too many, or one twice.
         BadValue: if the time is out of range, or a field is in none of the topics.
     """
-    check_topics(topics)
-    fields = selection.fields
-    await _check_fields(source, topics, fields)
-    captures = await source.captures(topics, report)
-    most = max((selection.max_bytes // len(topics) - _TOPIC_BYTES) // _FIELD_BYTES, 3)
-    return Statistics(source.words, await asyncio.to_thread(_evaluate_all, captures, fields, most))
-
-
-def check_topics(topics: Sequence[str]) -> None:
-    """Raises `BadInput` unless there are 1 to 20 different topics."""
     if not 1 <= len(topics) <= MAX_TOPICS:
         raise BadInput(f"{len(topics)} topics are given.", f"Give 1 to {MAX_TOPICS}.")
-    twice = sorted({topic for topic in topics if list(topics).count(topic) > 1})
-    if twice:
+    if twice := sorted({topic for topic in topics if list(topics).count(topic) > 1}):
         raise BadInput(f"{', '.join(twice)} is given twice.", "Give each topic once.")
+    if selection.fields:
+        await _check_fields(source, topics, selection.fields)
+    captures = await source.captures(topics, report)
+    most_fields = max((selection.max_bytes // len(topics) - _TOPIC_BYTES) // _FIELD_BYTES, _MIN_FIELDS)
+
+    def evaluated(capture: Capture | Missing) -> TopicStatistics:
+        if isinstance(capture, Missing):
+            return TopicStatistics(capture.topic, error=str(capture.error))
+        try:
+            return evaluate(capture, selection.fields, most_fields)
+        except RobotError as error:
+            return TopicStatistics(capture.topic, capture.type, count=len(capture.samples), error=str(error))
+
+    return Statistics(source.words, await asyncio.to_thread(lambda: list(map(evaluated, captures))))
 
 
 async def _check_fields(source: Source, topics: Sequence[str], fields: Sequence[str]) -> None:
@@ -129,33 +138,18 @@ async def _check_fields(source: Source, topics: Sequence[str], fields: Sequence[
     from ros2_mcp.codec.select import measurable
 
     types: list[str] = []
-    for topic in topics if fields else ():
-        try:
+    for topic in topics:
+        with suppress(RobotError):  # its result will say that it is not there
             types.append(await source.type_of(topic))
-        except RobotError:
-            continue
-    for field in fields if types else ():
+    for path in fields:
         errors: list[BadValue] = []
         for type_name in types:
             try:
-                measurable(source.codec.definitions, type_name, [field])
+                measurable(source.codec.definitions, type_name, [path])
             except BadValue as error:
                 errors.append(error)
-        if len(errors) == len(types):
+        if errors and len(errors) == len(types):
             raise errors[0]
-
-
-def _evaluate_all(captures: Sequence[Capture | Missing], fields: Sequence[str], most: int) -> list[TopicStatistics]:
-    return [_evaluate_or_error(capture, fields, most) for capture in captures]
-
-
-def _evaluate_or_error(capture: Capture | Missing, fields: Sequence[str], most: int) -> TopicStatistics:
-    if isinstance(capture, Missing):
-        return TopicStatistics(capture.topic, error=str(capture.error))
-    try:
-        return evaluate(capture, fields, most)
-    except RobotError as error:
-        return TopicStatistics(capture.topic, capture.type, count=len(capture.samples), error=str(error))
 
 
 def evaluate(capture: Capture, fields: Sequence[str] = (), most_fields: int = 80) -> TopicStatistics:
@@ -166,10 +160,26 @@ def evaluate(capture: Capture, fields: Sequence[str] = (), most_fields: int = 80
     """
     import numpy as np
 
-    readings, note = _readings(capture, fields, most_fields)
-    readable, messages, trouble = capture.readable() if readings else (capture, [], "")
+    from ros2_mcp.codec.select import measurable
+    from ros2_mcp.ops.measure.series import seconds
+
+    found = [] if fields else measurable(capture.definitions, capture.type)
+    for path in fields:
+        with suppress(BadValue):  # another of the topics has it
+            found += measurable(capture.definitions, capture.type, [path])
+    readable, messages, trouble = capture.readable() if found else (capture, [], "")
     times = seconds(capture)
     periods = np.diff(times)
+    notes = [trouble]
+    if not found:
+        notes.insert(0, "It has no numbers to measure; choose fields for bytes, booleans and stamps.")
+    elif len(found) > most_fields:
+        left_out = len(found) - most_fields
+        notes.insert(0, f"{left_out} more fields are not shown: choose fields, from {found[most_fields].path} on.")
+    if not capture.samples:
+        notes.insert(0, "Silent in this time." if capture.publishers else "Nobody published on it.")
+    elif capture.dropped:
+        notes.insert(0, f"{capture.dropped} messages were too much to keep; the newest are counted.")
     return TopicStatistics(
         capture.topic,
         capture.type,
@@ -177,71 +187,57 @@ def evaluate(capture: Capture, fields: Sequence[str] = (), most_fields: int = 80
         rate_hz=rate_hz(times.tolist()),
         period_median_s=float(np.median(periods)) if len(periods) else None,
         period_std_s=float(periods.std()) if len(periods) > 1 else None,
-        gaps=_gap_lines(capture, times),
-        fields=[_field(each, messages, seconds(readable)) for each in readings],
+        gaps=_gap_lines(times.tolist(), capture.duration_s),
+        fields=[_field_statistics(field, messages, seconds(readable)) for field in found[:most_fields]],
         started_at=iso_time(capture.start_ns),
         duration=capture.duration_s,
         received=capture.received,
         dropped=capture.dropped,
         lost=capture.lost,
         publishers=capture.publishers,
-        note=" ".join(filter(None, (_note(capture), note, trouble))),
+        note=" ".join(filter(None, notes)),
     )
 
 
-def seconds(capture: Capture) -> Numbers:
-    """When each sample was received, in seconds from the capture's beginning."""
-    from ros2_mcp.ops.measure.signals import flat
-
-    return flat([(sample.received_ns - capture.start_ns) / 1e9 for sample in capture.samples])
-
-
-def _readings(capture: Capture, fields: Sequence[str], most: int) -> tuple[list[FieldPath], str]:
-    from ros2_mcp.codec.select import measurable
-
-    found: list[FieldPath] = []
-    for chosen in fields:
-        try:
-            found += measurable(capture.definitions, capture.type, [chosen])
-        except BadValue:
-            continue
-    if not fields:
-        found = measurable(capture.definitions, capture.type)
-    if len(found) <= most:
-        return found, "" if found else "It has no numbers to measure; choose fields for bytes, booleans and stamps."
-    return found[:most], f"{len(found) - most} more fields are not shown: choose fields, from {found[most].path} on."
-
-
-def _note(capture: Capture) -> str:
-    if not capture.samples:
-        return "Silent in this time." if capture.publishers else "Nobody published on it."
-    return f"{capture.dropped} messages were too much to keep; the newest are counted." if capture.dropped else ""
-
-
-def _gap_lines(capture: Capture, times: Numbers) -> list[str]:
-    found = sorted(gaps(times.tolist(), 0.0, capture.duration_s), key=lambda gap: -gap.duration_s)
-    shown = sorted(found[: 2 * _LISTED], key=lambda gap: gap.at_s)
+def _gap_lines(times_s: Sequence[float], duration_s: float) -> list[str]:
+    found = sorted(gaps(times_s, 0.0, duration_s), key=lambda gap: -gap.duration_s)
+    shown = sorted(found[: 2 * _MAX_LISTED], key=lambda gap: gap.at_s)
     lines = [f"nothing for {gap.duration_s:.3f} s from {gap.at_s:.3f} s on" for gap in shown]
     return lines + ([f"{len(found) - len(shown)} shorter gaps"] if len(found) > len(shown) else [])
 
 
-def _field(reading: FieldPath, messages: Sequence[object], times: Numbers) -> FieldStatistics:
+def _field_statistics(field: FieldPath, messages: Sequence[object], times: Numbers) -> FieldStatistics:
+    """The statistics of one field over messages that were received at `times`.
+
+    `numbers` are all its values, of a list all elements of all messages. `series` has one finite value at each time
+    `when`: the value itself, of a list the mean of its finite elements.
+    """
     import numpy as np
 
     from ros2_mcp.ops.measure import signals
+    from ros2_mcp.ops.measure.series import present
 
-    found = zip(times, messages, strict=True)
-    present = [(time, value) for time, message in found for value in _values(reading, message)]
-    when, values = signals.flat([time for time, _ in present]), [value for _, value in present]
-    numbers, when, series, constant = _of_lists(when, values) if reading.is_list else _of_numbers(when, values)
-    finite = numbers[np.isfinite(numbers)]
-    if not len(finite):
-        not_finite = len(numbers)
-        return FieldStatistics(reading.path, reading.is_list, 0, not_finite=not_finite, anomalies=_strange(numbers))
-    with np.errstate(over="ignore", invalid="ignore"):
+    when, values = present(field, messages, times)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers at the end of their range; a result of inf is null
+        if field.is_list:
+            arrays = [signals.flat(value) for value in values]
+            numbers = np.concatenate(arrays) if arrays else signals.flat([])
+            finite_parts = [array[np.isfinite(array)] for array in arrays]
+            when = when[[len(part) > 0 for part in finite_parts]]
+            series = signals.flat([part.mean() for part in finite_parts if len(part)])
+            constant = len(arrays) > 1 and all(np.array_equal(array, arrays[0], equal_nan=True) for array in arrays)
+        else:
+            numbers = signals.flat(values)
+            when, series = when[np.isfinite(numbers)], numbers[np.isfinite(numbers)]
+            constant = len(numbers) > 1 and bool((numbers == numbers[0]).all())
+        finite = numbers[np.isfinite(numbers)]
+        not_finite, nan = len(numbers) - len(finite), int(np.count_nonzero(np.isnan(numbers)))
+        anomalies = [f"{not_finite} of {len(numbers)} values are not finite ({nan} NaN)"] if not_finite else []
+        if not len(finite):
+            return FieldStatistics(field.path, field.is_list, 0, not_finite=not_finite, anomalies=anomalies)
         return FieldStatistics(
-            reading.path,
-            reading.is_list,
+            field.path,
+            field.is_list,
             count=len(finite),
             min=signals.number(finite.min()),
             max=signals.number(finite.max()),
@@ -251,62 +247,19 @@ def _field(reading: FieldPath, messages: Sequence[object], times: Numbers) -> Fi
             last=signals.number(series[-1]),
             slope=signals.slope(when, series),
             constant=constant,
-            not_finite=len(numbers) - len(finite),
-            anomalies=[] if reading.is_list else [*_strange(numbers), *_anomalies(when, series)],
+            not_finite=not_finite,
+            anomalies=[] if field.is_list else [*anomalies, *_anomalies(when, series)],
         )
 
 
-def _of_numbers(times: Numbers, values: Sequence[Any]) -> tuple[Numbers, Numbers, Numbers, bool]:
-    """All numbers; the finite ones over time; whether all are the same."""
-    import numpy as np
-
-    from ros2_mcp.ops.measure.signals import flat
-
-    numbers = flat(values)
-    there = np.isfinite(numbers)
-    constant = len(numbers) > 1 and bool((numbers == numbers[0]).all())
-    return numbers, times[there], numbers[there], constant
-
-
-def _of_lists(times: Numbers, values: Sequence[Any]) -> tuple[Numbers, Numbers, Numbers, bool]:
-    """All elements of all lists; the means of the finite ones over time; whether all lists are the same."""
-    import numpy as np
-
-    from ros2_mcp.ops.measure.signals import flat
-
-    arrays = [flat(value) for value in values]
-    finite = [(time, each[np.isfinite(each)]) for time, each in zip(times, arrays, strict=True)]
-    kept = [(time, float(each.mean())) for time, each in finite if len(each)]
-    constant = len(arrays) > 1 and all(np.array_equal(each, arrays[0], equal_nan=True) for each in arrays)
-    numbers = np.concatenate(arrays) if arrays else flat([])
-    return numbers, flat([time for time, _ in kept]), flat([mean for _, mean in kept]), constant
-
-
-def _values(reading: FieldPath, message: object) -> list[Any]:
-    """The value in a message, or nothing where a list has no such element."""
-    try:
-        value = reading.value_in(message)
-    except BadValue:
-        return []
-    return [value] if not reading.is_list or len(value) else []
-
-
-def _strange(numbers: Numbers) -> list[str]:
-    import numpy as np
-
-    odd = int(np.count_nonzero(~np.isfinite(numbers)))
-    nan = int(np.count_nonzero(np.isnan(numbers)))
-    return [f"{odd} of {len(numbers)} values are not finite ({nan} NaN)"] if odd else []
-
-
 def _anomalies(times: Numbers, values: Numbers) -> list[str]:
+    """Jumps and the time that the value stood still, in words."""
     from ros2_mcp.ops.measure import signals
 
     found = signals.jumps(times, values)
-    lines = [f"jump from {each.before:g} to {each.after:g} at {each.at_s:.3f} s" for each in found[:_LISTED]]
-    if len(found) > _LISTED:
-        lines.append(f"{len(found) - _LISTED} more jumps")
-    still = signals.stuck(times, values)
-    if still:
+    lines = [f"jump from {jump.before:g} to {jump.after:g} at {jump.at_s:.3f} s" for jump in found[:_MAX_LISTED]]
+    if len(found) > _MAX_LISTED:
+        lines.append(f"{len(found) - _MAX_LISTED} more jumps")
+    if still := signals.stuck(times, values):
         lines.append(f"stuck at {still.value:g} for {still.duration_s:.3f} s from {still.at_s:.3f} s on")
     return lines
