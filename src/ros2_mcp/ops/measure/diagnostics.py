@@ -1,10 +1,10 @@
-"""Diagnostics: what the components of a robot say of their health."""
+"""Diagnostics: what the components of a robot report of their health on /diagnostics."""
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from time import monotonic
 from typing import Any
 
 from ros2_mcp.model.samples import Sample
@@ -13,11 +13,13 @@ from ros2_mcp.robot import Robot
 
 DIAGNOSTICS = "/diagnostics"
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
+LISTEN_S = 1.5
+"""Components report once a second by convention (`diagnostic_updater`), and matching takes up to 0.2 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """What a component last said of itself; `level` is OK, WARN, ERROR or STALE."""
+    """What a component last reported of itself; `level` is OK, WARN, ERROR or STALE."""
 
     name: str
     hardware_id: str
@@ -27,26 +29,36 @@ class Diagnostic:
     received_at: str
 
 
-@dataclass(slots=True)
 class DiagnosticTable:
-    """The newest word of every component, and its worst one."""
+    """The newest status of every component, and its worst one."""
 
-    _newest: dict[tuple[str, str], tuple[int, Diagnostic]] = field(
-        default_factory=dict[tuple[str, str], tuple[int, Diagnostic]]
-    )
-    _worst: dict[tuple[str, str], tuple[int, Diagnostic]] = field(
-        default_factory=dict[tuple[str, str], tuple[int, Diagnostic]]
-    )
+    def __init__(self) -> None:
+        self._newest: dict[tuple[str, str], tuple[int, Diagnostic]] = {}
+        self._worst: dict[tuple[str, str], tuple[int, Diagnostic]] = {}
 
-    def take_all(self, robot: Robot, type_name: str, samples: Sequence[Sample]) -> bool:
+    def add_all(self, robot: Robot, type_name: str, samples: Sequence[Sample]) -> bool:
         """Takes samples of diagnostic_msgs/msg/DiagnosticArray in; true if a component got worse."""
-        worse = [self.take(robot.values.decode(type_name, sample), sample.received_ns) for sample in samples]
+        worse = [self.add(robot.values.decode(type_name, sample), sample.received_ns) for sample in samples]
         return any(worse)
 
-    def take(self, message: Any, received_ns: int) -> bool:
-        """Takes one message in; true if a component got worse."""
-        worse = [self._take_one(status, received_ns) for status in message.status]
-        return any(worse)
+    def add(self, message: Any, received_ns: int) -> bool:
+        """Takes one message in; true if a component got worse than it was before."""
+        is_worse = False
+        for status in message.status:
+            key, level = (status.name, status.hardware_id), int(status.level)
+            is_worse |= level > (self._newest[key][0] if key in self._newest else 0)
+            row = Diagnostic(
+                status.name,
+                status.hardware_id,
+                LEVELS[level] if level < len(LEVELS) else str(level),
+                status.message,
+                {entry.key: entry.value for entry in status.values},
+                iso_time(received_ns),
+            )
+            self._newest[key] = (level, row)
+            if key not in self._worst or level > self._worst[key][0]:
+                self._worst[key] = (level, row)
+        return is_worse
 
     @property
     def rows(self) -> list[Diagnostic]:
@@ -55,30 +67,19 @@ class DiagnosticTable:
 
     @property
     def past(self) -> list[Diagnostic]:
-        """The worst words of components that have become better since."""
+        """The worst statuses of components that have become better since."""
         return [row for key, (level, row) in self._worst.items() if level > self._newest[key][0]]
 
-    def _take_one(self, status: Any, received_ns: int) -> bool:
-        key, level = (status.name, status.hardware_id), int(status.level)
-        before = self._newest[key][0] if key in self._newest else 0
-        values = {entry.key: entry.value for entry in status.values}
-        label = LEVELS[level] if level < len(LEVELS) else str(level)
-        row = Diagnostic(status.name, status.hardware_id, label, status.message, values, iso_time(received_ns))
-        self._newest[key] = (level, row)
-        if key not in self._worst or level > self._worst[key][0]:
-            self._worst[key] = (level, row)
-        return level > before
 
-
-async def read_diagnostics(robot: Robot, listen_s: float = 1.5) -> DiagnosticTable:
-    """What the components say within a while; most say it once a second.
+async def read_diagnostics(robot: Robot) -> DiagnosticTable:
+    """What the components report within `LISTEN_S`.
 
     Raises:
         NotFound: if nobody publishes diagnostics.
     """
     table = DiagnosticTable()
-    end = asyncio.get_running_loop().time() + listen_s
-    async with robot.listen(DIAGNOSTICS) as heard:
-        while (left := end - asyncio.get_running_loop().time()) > 0:
-            table.take_all(robot, heard.type, await heard.take(left))
+    end = monotonic() + LISTEN_S
+    async with robot.listen(DIAGNOSTICS) as listening:
+        while (left := end - monotonic()) > 0:
+            table.add_all(robot, listening.type, await listening.take(left))
     return table

@@ -16,6 +16,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.graph import OF_EVERY_NODE
+from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
 from ros2_mcp.ops.measure.flow import Silence, rate_hz, silence_in
 from ros2_mcp.ops.results import Report, iso_time, silent
@@ -26,12 +27,17 @@ from ros2_mcp_bridge.limits import MAX_RATE_HZ
 
 MAX_MEASURED = 60
 MAX_LARGE = 4
+"""Topics that are listened to, and of those images and clouds: a check must not be a load that makes a robot ill."""
 MAX_ROWS = 60
 MAX_FINDINGS = 40
 MAX_STATUSES = 30
 MAX_NAMES = 30
+"""Entries of the result's lists, the worst first, so that the report on a very broken robot fits into a result, too."""
+_MAX_SKIPPED = 8
+_MAX_FAILED = 5
+"""Names in the note: which topics were not measured, and which could not be."""
 RATE_TOLERANCE = 0.9
-"""A topic is slow below this share of the rate that is expected of it."""
+"""A topic is slow below this share of the rate that is expected of it: a few seconds are not whole periods."""
 STOPPED_PERIODS = 10
 STOPPED_S = 1.0
 """A stream is interrupted if nothing came for so many of its median periods, and for so long."""
@@ -48,7 +54,7 @@ STREAM_TYPES = LARGE_TYPES | {
     "sensor_msgs/msg/Range",
     "nav_msgs/msg/Odometry",
 }
-"""Types of sensors that stream as long as they live. On any other topic silence may be what is meant."""
+"""Types of sensors that stream as long as they live. On any other topic silence may be intended."""
 _OPTIONAL_TRANSPORT = "/compressedDepth"  # image_transport offers it for every image, and sends it for depth only
 _DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -101,8 +107,8 @@ class Health:
     `CRITICAL`: something expected is missing or silent, or diagnostics report an error. `DEGRADED`: a sensor is silent,
     has stopped, was interrupted or is slow, endpoints cannot match, nodes share a name, or diagnostics warn; of a
     recording also if they reported something that was over before its end. Topics that nobody listens to, or nobody
-    publishes on, are told but are no fault by themselves. A `rate_hz` of null: fewer than two messages came.
-    `counts` tells how many there are where a list is cut; the worst come first.
+    publishes on, are listed but are no fault by themselves. A `rate_hz` of null: fewer than two messages came.
+    `counts` says how many there are where a list is cut; the worst come first.
     """
 
     verdict: Verdict
@@ -117,7 +123,7 @@ class Health:
 
     def summary(self) -> str:
         """The verdict, and a line for each finding."""
-        lines = [f"{each.severity}: {each.subject}: {each.problem} {each.recommendation}" for each in self.findings]
+        lines = [f"{row.severity}: {row.subject}: {row.problem} {row.recommendation}" for row in self.findings]
         return "\n".join([f"{self.verdict}. {self.note}".rstrip(), *lines])
 
 
@@ -142,234 +148,210 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
         BadValue: if a number is out of range.
     """
     bounded("min_expected_rate_hz", expected.min_rate_hz, 0.0, MAX_RATE_HZ, "Hz")
-    expected = _normalized(expected)
+    expected = replace(
+        expected,
+        topics=[names.absolute(name) for name in expected.topics],
+        services=[names.absolute(name, "service") for name in expected.services],
+        nodes=[names.absolute(name, "node") for name in expected.nodes],
+    )
     graph = await source.graph()
     chosen, skipped = to_measure(graph, expected) if expected.check_rates else ([], [])
+    has_diagnostics = DIAGNOSTICS in graph.topics and bool(graph.topics[DIAGNOSTICS].publishers)
     measured, reported = await asyncio.gather(
         source.captures(chosen, report, times_only=True),
-        source.captures([DIAGNOSTICS] if _is_published(graph, DIAGNOSTICS) else []),
+        source.captures([DIAGNOSTICS] if has_diagnostics else []),
     )
     if any(_missing(graph, expected)):  # it may only just have appeared
         graph = await source.graph()
-    told, trouble = await asyncio.to_thread(_reported, [each for each in reported if isinstance(each, Capture)])
+    diagnostics, trouble = await asyncio.to_thread(_diagnostics_in, reported)
     flows = {capture.topic: flow(capture) for capture in measured if isinstance(capture, Capture)}
-    failed = [each for each in measured if isinstance(each, Missing)]
-    return _judge(source, graph, expected, flows, told, f"{_note(graph, skipped, failed)} {trouble}".strip())
+    failed = [missing for missing in measured if isinstance(missing, Missing)]
+    rows = [_row(graph, name, flows.get(name), expected) for name in sorted({*graph.topics, *expected.topics})]
+    findings = [
+        *_missing(graph, expected),
+        *(finding for row in rows for finding in _flow_finding(graph, row, flows.get(row.topic_name), expected)),
+        *_graph_findings(graph),
+        *_diagnostic_findings(diagnostics, with_past=not source.is_live),
+    ]
+    findings.sort(key=lambda finding: finding.severity)  # critical before warning
+    visible = [row for row in rows if not names.is_hidden(row.topic_name) and row.topic_name not in OF_EVERY_NODE]
+    visible.sort(key=lambda row: (row.state in ("OK", "QUIET", "NOT MEASURED"), not row.expected))
+    # a recording knows who published, and neither nodes nor subscribers
+    without_subscribers = [row.topic_name for row in visible if graph.nodes and row.publishers and not row.subscribers]
+    without_publishers = [row.topic_name for row in visible if row.subscribers and not row.publishers]
+    return Health(
+        verdict="HEALTHY" if not findings else "CRITICAL" if findings[0].severity == "critical" else "DEGRADED",
+        findings=findings[:MAX_FINDINGS],
+        topics=visible[:MAX_ROWS],
+        diagnostics=[replace(row, values={}) if row.level == "OK" else row for row in diagnostics.rows[:MAX_STATUSES]],
+        publishers_without_subscribers=without_subscribers[:MAX_NAMES],
+        subscribers_without_publishers=without_publishers[:MAX_NAMES],
+        counts={
+            "topics": len(graph.topics),
+            "nodes": len(graph.nodes or ()),
+            "services": len(graph.services or ()),
+            "measured": len(flows),
+            "findings": len(findings),
+            "diagnostics": len(diagnostics.rows),
+        },
+        source=source.words,
+        note=f"{_note(graph, skipped, failed)} {trouble}".strip(),
+    )
 
 
-def _reported(captures: Sequence[Capture]) -> tuple[DiagnosticTable, str]:
-    """What the components said; and in words, what of it could not be decoded."""
+def to_measure(graph: GraphSnapshot, expected: Expectations) -> tuple[list[str], list[str]]:
+    """Which topics to listen to: those expected, then the others as far as the bounds go; and those left out."""
+
+    def is_measurable(topic: TopicEndpoints) -> bool:
+        is_own = topic.topic in OF_EVERY_NODE or names.is_hidden(topic.topic)
+        return bool(topic.publishers) and len(topic.types) == 1 and not is_own
+
+    first = [name for name in expected.topics if name in graph.topics and graph.topics[name].publishers]
+    others = [name for name in sorted(graph.topics) if name not in first and is_measurable(graph.topics[name])]
+    others.sort(key=lambda name: not _streams(graph.topics[name]))
+    large = [name for name in others if LARGE_TYPES.intersection(graph.topics[name].types)]
+    chosen = [*first, *(name for name in others if name not in large[MAX_LARGE:])]
+    return chosen[:MAX_MEASURED], [*large[MAX_LARGE:], *chosen[MAX_MEASURED:]]
+
+
+def flow(capture: Capture) -> Flow:
+    """The rate of a capture's messages, the highest that its longest silence allows, and where it was interrupted."""
+    times = [(sample.received_ns - capture.start_ns) / 1e9 for sample in capture.samples]
+    longest = max(later - earlier for earlier, later in pairwise([0.0, *times, capture.duration_s]))
+    received_ns = [sample.received_ns for sample in capture.samples]
+    silence = silence_in(received_ns, capture.end_ns, STOPPED_PERIODS, STOPPED_S)
+    return Flow(len(times), rate_hz(times), 1 / longest if longest > 0 else 0.0, silence)
+
+
+def _row(graph: GraphSnapshot, name: str, measured: Flow | None, expected: Expectations) -> TopicRow:
+    topic = graph.topics.get(name, TopicEndpoints(name, (), ()))
+    is_expected = name in expected.topics
+    must_flow = is_expected or _streams(topic)
+    state: State = "OK"
+    if is_expected and not topic.publishers:
+        state = "MISSING"
+    elif measured is None:
+        state = "NOT MEASURED"
+    elif not measured.count:
+        state = "SILENT" if must_flow else "QUIET"
+    elif must_flow and not _is_latched(topic):
+        highest_hz = measured.most_hz if measured.rate_hz is None else measured.rate_hz
+        if measured.silence:
+            state = "STOPPED" if measured.silence.is_end else "INTERRUPTED"
+        elif highest_hz < RATE_TOLERANCE * expected.min_rate_hz:
+            state = "SLOW"
+    return TopicRow(
+        topic_name=name,
+        topic_type=", ".join(topic.types),
+        publishers=len(topic.publishers),
+        subscribers=len(topic.subscribers),
+        state=state,
+        rate_hz=measured.rate_hz if measured else None,
+        expected=is_expected,
+    )
+
+
+# ── what is wrong ────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _missing(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:
+    """What is expected and not there; what a source does not know of (services, nodes) is not missing."""
+    for name in expected.topics:
+        if name not in graph.topics:
+            hint = names.did_you_mean(name, list(graph.topics), "Start the node that publishes it.")
+            yield Finding("critical", name, "The expected topic is not there.", hint)
+        elif not graph.topics[name].publishers:
+            yield Finding("critical", name, "Nobody publishes on the expected topic.", "Start its publisher.")
+    kinds = (("service", expected.services, graph.services), ("node", expected.nodes, graph.nodes))
+    for kind, expected_names, present in kinds:
+        for name in expected_names if present is not None else ():
+            if name not in (present or ()):
+                hint = names.did_you_mean(name, present or (), "Start it, or correct the name.")
+                yield Finding("critical", name, f"The expected {kind} is not there.", hint)
+
+
+def _flow_finding(
+    graph: GraphSnapshot, row: TopicRow, measured: Flow | None, expected: Expectations
+) -> Iterator[Finding]:
+    """What is wrong with the flow of one topic, if anything is."""
+    if row.state == "SLOW":
+        rate = "fewer than two messages came" if row.rate_hz is None else f"{row.rate_hz:.2f} Hz"
+        problem = f"Slow: {rate}, at least {expected.min_rate_hz:g} Hz expected."
+        advice = "Look at its publisher's load and rate parameter, or lower min_expected_rate_hz."
+        yield Finding("warning", row.topic_name, problem, advice)
+    elif row.state in ("SILENT", "STOPPED", "INTERRUPTED"):
+        publishers = _nodes_of(graph.topics[row.topic_name].publishers)
+        problem = f"Published by {publishers}, but nothing came."
+        if measured and (silence := measured.silence):
+            since, for_s = f"from {iso_time(silence.from_ns)} on", f"{silence.duration_s:.1f} s"
+            problem = f"It was interrupted: nothing for {for_s} {since}."
+            if silence.is_end:
+                problem = f"It has stopped: nothing in the last {for_s}, {since}."
+        advice = f"Look at {publishers}: its device, parameters and log."
+        yield Finding("critical" if row.expected else "warning", row.topic_name, problem, advice)
+
+
+def _graph_findings(graph: GraphSnapshot) -> Iterator[Finding]:
+    """Endpoints that cannot match, sensors that nodes wait for, names that nodes share."""
+    for name, topic in graph.topics.items():
+        for sentence in mismatches(topic.publishers, topic.subscribers):
+            yield Finding("warning", name, sentence, "They never exchange a message: align type and QoS of the two.")
+        if _streams(topic) and topic.subscribers and not topic.publishers:
+            problem = f"{_nodes_of(topic.subscribers)} waits for it, but nobody publishes."
+            yield Finding("warning", name, problem, "Start the sensor's driver, or correct a remapping.")
+    for name, count in Counter(graph.nodes or ()).items():
+        if count > 1:
+            yield Finding("warning", name, f"{count} nodes have this name.", "Rename or stop all but one.")
+
+
+def _diagnostic_findings(table: DiagnosticTable, *, with_past: bool) -> Iterator[Finding]:
+    """What components report; `with_past` also what was over before the end, which live nobody waits for."""
+    for row in table.rows:
+        if row.level != "OK":
+            problem = f"Diagnostics say {row.level}: {row.message}."
+            yield Finding("critical" if row.level == "ERROR" else "warning", row.name, problem, "See its values.")
+    for row in table.past if with_past else ():
+        problem = f"Diagnostics said {row.level} at {row.received_at}: {row.message}."
+        yield Finding("warning", row.name, problem, "It has become better since.")
+
+
+def _diagnostics_in(captures: Sequence[Capture | Missing]) -> tuple[DiagnosticTable, str]:
+    """What the components reported; and in words, what of it could not be decoded."""
     table, trouble = DiagnosticTable(), ""
     for capture in captures:
-        if capture.type != _DIAGNOSTICS_TYPE:
+        if isinstance(capture, Missing) or capture.type != _DIAGNOSTICS_TYPE:
             continue
         try:
             readable, messages, trouble = capture.readable()
         except BadData as error:
             return table, f"Diagnostics cannot be read: {error}"
         for sample, message in zip(readable.samples, messages, strict=True):
-            table.take(message, sample.received_ns)
+            table.add(message, sample.received_ns)
     return table, trouble
-
-
-def _normalized(expected: Expectations) -> Expectations:
-    return Expectations(
-        [names.absolute(name) for name in expected.topics],
-        [names.absolute(name, "service") for name in expected.services],
-        [names.absolute(name, "node") for name in expected.nodes],
-        expected.check_rates,
-        expected.min_rate_hz,
-    )
-
-
-def to_measure(graph: GraphSnapshot, expected: Expectations) -> tuple[list[str], list[str]]:
-    """Which topics to listen to: those expected, then the others as far as the bounds go; and those left out."""
-    wanted = [name for name in expected.topics if _is_published(graph, name)]
-    others = [name for name in sorted(graph.topics) if name not in wanted and _is_measured(graph.topics[name])]
-    others.sort(key=lambda name: not _streams(graph.topics[name]))
-    large = [name for name in others if LARGE_TYPES.intersection(graph.topics[name].types)]
-    chosen = [*wanted, *(name for name in others if name not in large[MAX_LARGE:])]
-    left_out = [*large[MAX_LARGE:], *chosen[MAX_MEASURED:]]
-    return chosen[:MAX_MEASURED], left_out
-
-
-def flow(capture: Capture) -> Flow:
-    """The rate of a capture's messages, the highest that its longest silence allows, and where it was interrupted."""
-    times = [(sample.received_ns - capture.start_ns) / 1e9 for sample in capture.samples]
-    edges = [0.0, *times, capture.duration_s]
-    longest = max(later - earlier for earlier, later in pairwise(edges))
-    received_ns = [sample.received_ns for sample in capture.samples]
-    silence = silence_in(received_ns, capture.end_ns, STOPPED_PERIODS, STOPPED_S)
-    return Flow(len(times), rate_hz(times), 1 / longest if longest > 0 else 0.0, silence)
-
-
-def _judge(
-    source: Source,
-    graph: GraphSnapshot,
-    expected: Expectations,
-    flows: Mapping[str, Flow],
-    told: DiagnosticTable,
-    note: str,
-) -> Health:
-    diagnostics = told.rows
-    rows = [_row(graph, name, flows.get(name), expected) for name in sorted({*graph.topics, *expected.topics})]
-    findings = [
-        *_missing(graph, expected),
-        *(finding for row in rows for finding in _flow_finding(graph, row, flows.get(row.topic_name), expected)),
-        *_graph_findings(graph),
-        *(_diagnosis(status) for status in diagnostics if status.level != "OK"),
-        *(map(_past, told.past) if not source.is_live else ()),
-    ]
-    findings.sort(key=lambda finding: finding.severity)  # critical before warning
-    severities = {finding.severity for finding in findings}
-    visible = [row for row in rows if not names.is_hidden(row.topic_name) and row.topic_name not in OF_EVERY_NODE]
-    visible.sort(key=lambda row: (row.state in ("OK", "QUIET", "NOT MEASURED"), not row.expected))
-    return Health(
-        "CRITICAL" if "critical" in severities else "DEGRADED" if severities else "HEALTHY",
-        findings[:MAX_FINDINGS],
-        visible[:MAX_ROWS],
-        [_brief(status) for status in diagnostics[:MAX_STATUSES]],
-        [row.topic_name for row in visible if row.publishers and not row.subscribers][:MAX_NAMES]
-        if graph.nodes
-        else [],
-        [row.topic_name for row in visible if row.subscribers and not row.publishers][:MAX_NAMES],
-        {
-            "topics": len(graph.topics),
-            "nodes": len(graph.nodes or ()),
-            "services": len(graph.services or ()),
-            "measured": len(flows),
-            "findings": len(findings),
-            "diagnostics": len(diagnostics),
-        },
-        source.words,
-        note,
-    )
-
-
-def _brief(status: Diagnostic) -> Diagnostic:
-    """Without the values where all is well."""
-    return replace(status, values={}) if status.level == "OK" else status
-
-
-def _row(graph: GraphSnapshot, name: str, measured: Flow | None, expected: Expectations) -> TopicRow:
-    found = graph.topics.get(name, TopicEndpoints(name, (), ()))
-    is_expected = name in expected.topics
-    return TopicRow(
-        name,
-        ", ".join(found.types),
-        len(found.publishers),
-        len(found.subscribers),
-        _state(found, measured, is_expected, expected.min_rate_hz),
-        measured.rate_hz if measured else None,
-        is_expected,
-    )
-
-
-def _state(found: TopicEndpoints, measured: Flow | None, is_expected: bool, min_rate_hz: float) -> State:
-    if is_expected and not found.publishers:
-        return "MISSING"
-    if measured is None:
-        return "NOT MEASURED"
-    if not measured.count:
-        return "SILENT" if is_expected or _streams(found) else "QUIET"
-    if _is_latched(found) or not (is_expected or _streams(found)):
-        return "OK"
-    if measured.silence:
-        return "STOPPED" if measured.silence.is_end else "INTERRUPTED"
-    found_hz = measured.most_hz if measured.rate_hz is None else measured.rate_hz
-    return "SLOW" if found_hz < RATE_TOLERANCE * min_rate_hz else "OK"
-
-
-def _missing(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:
-    for topic in expected.topics:
-        if topic not in graph.topics:
-            hint = names.did_you_mean(topic, list(graph.topics), "Start the node that publishes it.")
-            yield Finding("critical", topic, "The expected topic is not there.", hint)
-        elif not graph.topics[topic].publishers:
-            yield Finding("critical", topic, "Nobody publishes on the expected topic.", "Start its publisher.")
-    for what, wanted, there in (
-        ("service", expected.services, graph.services),
-        ("node", expected.nodes, graph.nodes),
-    ):
-        known = wanted if there is None else there  # what a source does not know is not missing
-        for name in wanted:
-            if name not in known:
-                hint = names.did_you_mean(name, known, "Start it, or correct the name.")
-                yield Finding("critical", name, f"The expected {what} is not there.", hint)
-
-
-def _flow_finding(
-    graph: GraphSnapshot, row: TopicRow, measured: Flow | None, expected: Expectations
-) -> Iterator[Finding]:
-    if row.state in ("SILENT", "STOPPED", "INTERRUPTED"):
-        by = ", ".join(sorted({each.node for each in graph.topics[row.topic_name].publishers}))
-        advice = f"Look at {by}: its device, parameters and log."
-        problem = f"Published by {by}, but nothing came."
-        if measured and measured.silence:
-            problem = _interrupted(measured.silence)
-        yield Finding("critical" if row.expected else "warning", row.topic_name, problem, advice)
-    elif row.state == "SLOW":
-        rate = "fewer than two messages came" if row.rate_hz is None else f"{row.rate_hz:.2f} Hz"
-        problem = f"Slow: {rate}, at least {expected.min_rate_hz:g} Hz expected."
-        advice = "Look at its publisher's load and rate parameter, or lower min_expected_rate_hz."
-        yield Finding("warning", row.topic_name, problem, advice)
-
-
-def _interrupted(silence: Silence) -> str:
-    since = f"from {iso_time(silence.from_ns)} on"
-    if silence.is_end:
-        return f"It has stopped: nothing in the last {silence.duration_s:.1f} s, {since}."
-    return f"It was interrupted: nothing for {silence.duration_s:.1f} s {since}."
-
-
-def _graph_findings(graph: GraphSnapshot) -> Iterator[Finding]:
-    for topic, found in graph.topics.items():
-        for sentence in mismatches(found.publishers, found.subscribers):
-            yield Finding("warning", topic, sentence, "They never exchange a message: align type and QoS of the two.")
-        if _streams(found) and found.subscribers and not found.publishers:
-            waiting = ", ".join(sorted({each.node for each in found.subscribers}))
-            problem = f"{waiting} waits for it, but nobody publishes."
-            yield Finding("warning", topic, problem, "Start the sensor's driver, or correct a remapping.")
-    for name, count in Counter(graph.nodes or ()).items():
-        if count > 1:
-            yield Finding("warning", name, f"{count} nodes have this name.", "Rename or stop all but one.")
-
-
-def _diagnosis(status: Diagnostic) -> Finding:
-    severity: Severity = "critical" if status.level == "ERROR" else "warning"
-    return Finding(severity, status.name, f"Diagnostics say {status.level}: {status.message}.", "See its values.")
-
-
-def _past(status: Diagnostic) -> Finding:
-    problem = f"Diagnostics said {status.level} at {status.received_at}: {status.message}."
-    return Finding("warning", status.name, problem, "It has become better since.")
 
 
 def _note(graph: GraphSnapshot, skipped: Sequence[str], failed: Sequence[Missing]) -> str:
     notes = [] if graph.settled else ["Discovery had not settled: ask again."]
     if skipped:
-        listed = ", ".join(skipped[:8]) + (f" and {len(skipped) - 8} more" if len(skipped) > 8 else "")
-        notes.append(f"Not measured, to spare the robot: {listed} (expected_topics are always measured).")
+        more = f" and {len(skipped) - _MAX_SKIPPED} more" if len(skipped) > _MAX_SKIPPED else ""
+        listed = ", ".join(skipped[:_MAX_SKIPPED])
+        notes.append(f"Not measured, to spare the robot: {listed}{more} (expected_topics are always measured).")
     if graph.nodes is None or graph.services is None:
         notes.append("Nodes and services are not known here.")
     if failed:
-        notes.append(f"Could not be measured: {'; '.join(f'{each.topic}: {each.error}' for each in failed[:5])}")
+        errors = "; ".join(f"{missing.topic}: {missing.error}" for missing in failed[:_MAX_FAILED])
+        notes.append(f"Could not be measured: {errors}")
     return " ".join(notes)
 
 
-def _is_published(graph: GraphSnapshot, topic: str) -> bool:
-    return topic in graph.topics and bool(graph.topics[topic].publishers)
+def _nodes_of(endpoints: Sequence[Endpoint]) -> str:
+    return ", ".join(sorted({endpoint.node for endpoint in endpoints}))
 
 
-def _is_measured(found: TopicEndpoints) -> bool:
-    is_of_ros = found.topic in OF_EVERY_NODE or names.is_hidden(found.topic)
-    return bool(found.publishers) and len(found.types) == 1 and not is_of_ros
+def _streams(topic: TopicEndpoints) -> bool:
+    is_stream = STREAM_TYPES.intersection(topic.types) and not topic.topic.endswith(_OPTIONAL_TRANSPORT)
+    return bool(is_stream) and not _is_latched(topic)
 
 
-def _streams(found: TopicEndpoints) -> bool:
-    is_stream = STREAM_TYPES.intersection(found.types) and not found.topic.endswith(_OPTIONAL_TRANSPORT)
-    return bool(is_stream) and not _is_latched(found)
-
-
-def _is_latched(found: TopicEndpoints) -> bool:
-    return bool(found.publishers) and all(each.qos.durability == "transient_local" for each in found.publishers)
+def _is_latched(topic: TopicEndpoints) -> bool:
+    return bool(topic.publishers) and all(row.qos.durability == "transient_local" for row in topic.publishers)

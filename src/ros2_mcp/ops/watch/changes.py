@@ -120,10 +120,10 @@ class WorseDiagnostics:
         table = DiagnosticTable()
         async with aclosing(_samples(robot, DIAGNOSTICS, "all")) as arrivals:
             type_name, samples = await anext(arrivals)
-            table.take_all(robot, type_name, samples)
+            table.add_all(robot, type_name, samples)
             yield table
             async for type_name, samples in arrivals:
-                if table.take_all(robot, type_name, samples):
+                if table.add_all(robot, type_name, samples):
                     yield table
 
 
