@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NoReturn, TypeVar
 from . import definitions, interfaces
 from .loop import Loop, log_failure
 from .packets import PacketError
-from .protocol import DefinitionsReply, InterfacesReply, PingReply
+from .protocol import PingReply
 from .request import Request
 from .stream import Outbox, claim_standard_streams, read_packets
 
@@ -55,8 +55,8 @@ class Bridge:
         self._ros_is_up = threading.Event()
         self._table: dict[str, Operation] = {
             "ping": self._ping,
-            "interfaces": _interfaces,
-            "definitions": _definitions,
+            "interfaces": definitions.list_interfaces,
+            "definitions": definitions.find,
         }
         self._without_ros = frozenset(self._table)
         self._operations: Operations | None = None
@@ -104,12 +104,9 @@ class Bridge:
     def _end(self) -> None:
         if self._ending.acquire(blocking=False):
             signal.setitimer(signal.ITIMER_REAL, GIVE_UP_AFTER_S)  # ends the process, even where nothing of Python runs
-            threading.Timer(FAILSAFES_AFTER_S, self._carry_out_failsafes).start()
+            if self._operations is not None:
+                threading.Timer(FAILSAFES_AFTER_S, self._operations.failsafes.carry_out).start()
             self._loop.end()
-
-    def _carry_out_failsafes(self) -> None:
-        if self._operations is not None:
-            self._operations.failsafes.carry_out()
 
     def _exit(self, status: int) -> NoReturn:
         # threads of ours may still wait for the stream, which the interpreter's own end does not survive
@@ -141,15 +138,6 @@ class Bridge:
 
     def _ping(self, _request: Request) -> PingReply:
         return {"ros_idle_s": round(time.monotonic() - self._loop.last_turn, 6)}
-
-
-def _interfaces(_request: Request) -> InterfacesReply:
-    return {"interfaces": definitions.interfaces()}
-
-
-def _definitions(request: Request) -> DefinitionsReply:
-    found, missing = definitions.definitions(request.texts("types"))
-    return {"definitions": found, "missing": missing}
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 
-from . import rcl
+from . import protocol, rcl
 from .failsafes import FailSafes
 from .pace import Pace
 from .pool import Pool
@@ -21,16 +21,18 @@ from .request import OperationError, Request, Steps
 if TYPE_CHECKING:
     from rclpy.client import Client
     from rclpy.node import Node
+    from rclpy.task import Future
 
 # An answer wakes its request; this is only for noticing that a server has gone or time is up.
 POLL_S = 0.1
 # While a server is waited for: nothing tells of its coming.
 APPEARS_POLL_S = 0.005
-# A server that has just come up throws its answer away if it has not discovered our client yet. Who was there at once,
-# or came within the first of these, has had time to discover us; others are given the second.
+# A server that has just come up throws its answer away if it has not discovered our client yet. A server that was there
+# at once, or came within the first of these times, has had time to discover us; any other is given the second. Both are
+# chosen, not measured.
 JUST_STARTED_S = 0.3
 KNOWS_US_S = 0.5
-# Discovery can lose sight of a server for a moment; so long is no moment. Chosen.
+# Discovery can lose sight of a server for a short time; a server that is missing for longer is gone. Chosen.
 GONE_AFTER_S = 0.3
 # The default depth of 10 loses responses where more are on their way at the same moment.
 MANY_AT_ONCE = QoSProfile(depth=500, reliability=QoSReliabilityPolicy.RELIABLE)
@@ -59,8 +61,8 @@ class Clients:
             yield from pace.wait_turn(request, latest)
             sent_at = time.monotonic()
             if sent_at >= latest:
-                late = f"The server of {service} appeared too late: nothing was sent."
-                raise OperationError("timeout", late, "Try again: it is there now.")
+                too_late = f"The server of {service} appeared too late: nothing was sent."
+                raise OperationError("timeout", too_late, "Try again: it is there now.")
             future = client.call_async(message)
 
             def answered(_: object) -> None:
@@ -80,31 +82,27 @@ class Clients:
         """The services that we have a client of and nobody serves: pairs of name and type."""
         return {key for key, client in self.pool.entities().items() if not client.service_is_ready()}
 
-    def failsafe(self, request: Request) -> Steps[dict[str, bool]]:
+    def failsafe(self, request: Request) -> Steps[protocol.Cancelled]:
         """A request to send at the end, if its server is there, unless this request is cancelled before."""
         with self._use(request) as (client, message):
-            action = partial(_call_if_ready, client, message)
-            return (yield from self._failsafes.until_cancelled(request, action))
+
+            def call_if_ready() -> Future | None:
+                return client.call_async(message) if client.service_is_ready() else None
+
+            return (yield from self._failsafes.until_cancelled(request, call_if_ready))
 
     @contextmanager
     def _use(self, request: Request) -> Generator[tuple[Client, Any], None, None]:
         """The pooled client of the service that a request names, and the message to send."""
-        message, service = _deserialize(request), request.text("service")
+        service, type_name = request.text("service"), request.text("type")
+        try:
+            message = rcl.deserialize(request.body, request.interface.Request)
+        except Exception as error:  # the middlewares raise errors of many kinds
+            problem = f"{request.op}: the body is no request of {type_name}: {error}"
+            raise OperationError("bad_request", problem) from error
         create = partial(rcl.client, self._node, request.interface, service, MANY_AT_ONCE)
-        with self.pool.use((service, request.text("type")), create) as (client, _):
+        with self.pool.use((service, type_name), create) as (client, _):
             yield client, message
-
-
-def _call_if_ready(client: Client, message: Any) -> rcl.Response | None:
-    return client.call_async(message) if client.service_is_ready() else None
-
-
-def _deserialize(request: Request) -> Any:
-    try:
-        return rcl.deserialize(request.body, request.interface.Request)
-    except Exception as error:  # the middlewares raise errors of many kinds
-        message = f"{request.op}: the body is no request of {request.text('type')}: {error}"
-        raise OperationError("bad_request", message) from error
 
 
 def _wait_server(client: Client, service: str, wait_s: float, latest: float) -> Steps[None]:
@@ -118,7 +116,7 @@ def _wait_server(client: Client, service: str, wait_s: float, latest: float) -> 
         yield min(KNOWS_US_S, max(0.0, latest - time.monotonic()))
 
 
-def _wait_response(client: Client, service: str, future: rcl.Response, timeout_s: float, latest: float) -> Steps[None]:
+def _wait_response(client: Client, service: str, future: Future, timeout_s: float, latest: float) -> Steps[None]:
     deadline = min(time.monotonic() + timeout_s, latest)
     last_ready = time.monotonic()
     while not future.done():

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-from .protocol import Definition
+from .protocol import Definition, DefinitionsReply, InterfacesReply
+from .request import Request
 
 _PRIMITIVES = re.compile(r"bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string")
 _FIELD_TYPE = re.compile(r"\s*([A-Za-z][A-Za-z0-9_/]*)")
@@ -24,7 +24,7 @@ _USED_BY_ACTIONS = (
 )
 
 
-def interfaces() -> list[str]:
+def list_interfaces(_request: Request) -> InterfacesReply:
     """All `package/kind/Name` of the ament index, sorted."""
     found: set[str] = set()
     for prefix in _prefixes():
@@ -33,17 +33,17 @@ def interfaces() -> list[str]:
                 match = _INTERFACE_FILE.match(line.strip())
                 if match:
                     found.add(f"{index.name}/{match[1]}/{match[2]}")
-    return sorted(found)
+    return {"interfaces": sorted(found)}
 
 
-def definitions(types: Sequence[str]) -> tuple[dict[str, Definition], list[str]]:
-    """Definitions of `types` with everything they refer to, and the list of those that are missing.
+def find(request: Request) -> DefinitionsReply:
+    """Definitions of `types` with everything that they refer to, and the list of types that are missing.
 
     The parts of an action or service (`Fibonacci_FeedbackMessage`) are defined by the whole (`Fibonacci`).
     """
     found: dict[str, Definition] = {}
     missing: list[str] = []
-    open_types = [*types]
+    open_types = request.texts("types").copy()
     while open_types:
         type_name = open_types.pop()
         whole = _PART.sub("", type_name)
@@ -55,7 +55,7 @@ def definitions(types: Sequence[str]) -> tuple[dict[str, Definition], list[str]]
             continue
         found[whole] = definition
         open_types += _references(whole, definition)
-    return found, missing
+    return {"definitions": found, "missing": missing}
 
 
 def _prefixes() -> list[Path]:
@@ -82,10 +82,6 @@ def _references(type_name: str, definition: Definition) -> list[str]:
         found = set(_INCLUDE.findall(definition["text"]))
     else:
         lines = (_FIELD_TYPE.match(line) for line in definition["text"].splitlines())
-        found = {_full_name(package, line[1]) for line in lines if line and not _PRIMITIVES.fullmatch(line[1])}
+        names = [line[1].split("/") for line in lines if line and not _PRIMITIVES.fullmatch(line[1])]
+        found = {f"{parts[0] if len(parts) > 1 else package}/msg/{parts[-1]}" for parts in names}
     return sorted(found.union(_USED_BY_ACTIONS if kind == "action" else ()))
-
-
-def _full_name(package: str, written: str) -> str:
-    parts = written.split("/")
-    return "/".join((parts[0] if len(parts) > 1 else package, "msg", parts[-1]))

@@ -7,9 +7,10 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Protocol
 
+from . import protocol
 from .request import Cancelled, Request, Steps
 
-# A request that only holds a fail-safe has nothing to wake up for; it is thrown out of its sleep when it is cancelled.
+# A request that only keeps a fail-safe has nothing to wake up for: cancelling ends this sleep. Any long time would do.
 HOLD_S = 3600.0
 
 
@@ -44,7 +45,7 @@ class FailSafes:
         finally:
             self._actions.pop(request, None)
 
-    def until_cancelled(self, request: Request, action: Action) -> Steps[dict[str, bool]]:
+    def until_cancelled(self, request: Request, action: Action) -> Steps[protocol.Cancelled]:
         """Steps that keep the action in force until the request is cancelled."""
         with self.in_force(request, action):
             try:
@@ -54,10 +55,10 @@ class FailSafes:
                 return {"cancelled": True}
 
     def carry_out(self) -> list[Arrival]:
-        """Do it all, calls after messages, because they can block; returns what to wait for.
+        """Carry all of them out, calls after messages, because calls can block; returns what to wait for.
 
-        Another thread does it when the ROS thread does not come to it. The ROS thread then does it once more, for what
-        it was about to publish may have followed.
+        Another thread does this when the ROS thread hangs. If the ROS thread comes to it later, it does it once more:
+        it may have published something after the final messages.
         """
         pending: list[Arrival] = []
         for request, action in sorted(self._actions.items(), key=lambda entry: entry[0].op == "failsafe_call"):

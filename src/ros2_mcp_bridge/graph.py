@@ -1,4 +1,4 @@
-"""What is in the ROS graph, told once discovery has settled."""
+"""What is in the ROS graph, as soon as discovery has settled."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-# Each look lists the whole graph; about seven of them fit into QUIET_S.
+# Each time the whole graph is listed; about seven listings fit into QUIET_S. Chosen.
 POLL_S = 0.06
-# So long nothing has changed. The participants of this machine are counted besides, so that it need not bridge an
-# announcement's period.
+# The graph is quiet when nothing has changed for this time. It need not be as long as the period of announcements,
+# because the participants of this machine are counted besides. Chosen.
 QUIET_S = 0.4
-# Fast DDS announces itself every 3 s: whoever is there has been heard after that and a little more.
+# Fast DDS announces itself every 3 s (decision 13): after that and a little more, everybody has been discovered.
 ANNOUNCEMENT_PERIOD_S = 3.5
-# A graph that keeps changing is told as it is.
+# A graph that keeps changing is listed as it is after this time. Chosen.
 LONGEST_SETTLING_S = 10.0
-# What `settle_s` is if it is not given.
+# What `settle_s` is if it is not given: as long as the period of announcements (decision 13).
 SETTLE_S = 3.0
-# While a request waits; it costs a look at one number, or at the endpoints of one topic.
+# While a request waits; each time costs a look at one number, or at the endpoints of one topic. Chosen.
 WAIT_POLL_S = 0.02
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 
@@ -47,7 +47,8 @@ class Graph:
             # Our own lateness is no quiet: whoever stalled with us has not told us anything meanwhile.
             quiet_s = quiet_s + min(now - looked_at, 2 * POLL_S) if current == seen else 0.0
             seen, looked_at = current, now
-            is_quiet = quiet_s >= QUIET_S and not self._has_unknown_nodes(self._topics())
+            topics = [name for name, _ in self._node.get_topic_names_and_types()]
+            is_quiet = quiet_s >= QUIET_S and not self._has_unknown_nodes(topics)
             is_whole = self._hears_all() or now - started >= ANNOUNCEMENT_PERIOD_S
             self.settled = (is_quiet and is_whole) or now - started >= LONGEST_SETTLING_S
 
@@ -129,27 +130,21 @@ class Graph:
             "settled": self.settled,
         }
 
-    def _topics(self) -> list[str]:
-        return [name for name, _ in self._node.get_topic_names_and_types()]
-
     def _snapshot(self) -> object:
         node = self._node
-        return (
-            node.get_topic_names_and_types(),
-            node.get_service_names_and_types(),
-            sorted(node.get_node_names_and_namespaces()),
-        )
+        nodes = sorted(node.get_node_names_and_namespaces())
+        return node.get_topic_names_and_types(), node.get_service_names_and_types(), nodes
 
     def _hears_all(self) -> bool:
-        """Whether all participants on this machine are there.
+        """Whether all participants on this machine have been discovered.
 
-        Where the kernel cannot tell of everybody, one who is heard stands for all who are not.
+        Where participants may be elsewhere too, the kernel cannot count them: then one other node has to be there.
         """
         if not participants.all_discovered(self._node):
             return False
-        is_told = participants.reach_is_local() and participants.on_this_machine(self._node.context.get_domain_id())
+        counts_all = participants.reach_is_local() and participants.on_this_machine(self._node.context.get_domain_id())
         ours = self._node.get_name(), self._node.get_namespace()
-        return bool(is_told or set(self._node.get_node_names_and_namespaces()) - {ours})
+        return bool(counts_all or set(self._node.get_node_names_and_namespaces()) - {ours})
 
     def _has_unknown_nodes(self, topics: Iterable[str]) -> bool:
         return any(

@@ -26,7 +26,13 @@ def load(type_name: str) -> Any:
     from rclpy.type_support import check_for_type_support  # pyright: ignore[reportUnknownVariableType]
 
     try:
-        interface = _find(*type_name.split("/"))
+        package, kind, name = type_name.split("/")
+        module = importlib.import_module(f"{package}.{kind}")
+        if kind == "action" and "_" in name:
+            action, _, part = name.partition("_")
+            interface = getattr(getattr(module, action).Impl, _PARTS_OF_ACTIONS[part])
+        else:
+            interface = getattr(module, name)
         check_for_type_support(interface)
     except Exception as error:  # importing a broken interface package can raise anything
         raise OperationError(
@@ -35,11 +41,3 @@ def load(type_name: str) -> Any:
             "Names look like std_msgs/msg/String; the package must be installed and sourced where the bridge runs.",
         ) from error
     return interface
-
-
-def _find(package: str, kind: str, name: str) -> Any:
-    module = importlib.import_module(f"{package}.{kind}")
-    if kind == "action" and "_" in name:
-        action, _, part = name.partition("_")
-        return getattr(getattr(module, action).Impl, _PARTS_OF_ACTIONS[part])
-    return getattr(module, name)

@@ -16,9 +16,9 @@ from .request import Steps
 T = TypeVar("T")
 
 # The longest sleep of the ROS thread. Requests and due work wake it; `ping` tells how long ago it went round, and the
-# server takes 4 s of that for a hang.
+# server takes 4 s of that for a hang. Chosen: far below these 4 s.
 IDLE_S = 0.25
-# After a callback has failed: one that fails in every round must not take the whole processor.
+# After a callback has failed: one that fails in every round must not take the whole processor. Chosen.
 AFTER_FAILURE_S = 0.01
 
 
@@ -60,14 +60,13 @@ class Task(Generic[T]):
     def _advance(self, step: Callable[[], float]) -> None:
         try:
             self._loop.resume_after(self, step())
+            return
         except StopIteration as stop:
-            self._finish(stop.value, None)
+            result, failure = stop.value, None
         except Exception as error:  # noqa: BLE001 - whatever it is, it answers the request and not the loop
-            self._finish(None, error)
-
-    def _finish(self, result: T | None, error: Exception | None) -> None:
+            result, failure = None, error
         self.open = False
-        self._finished(result, error)
+        self._finished(result, failure)
 
 
 class Loop:
@@ -108,7 +107,7 @@ class Loop:
         return bool(self._submitted or self._ending or (self._waiting and self._waiting[0][0] <= time.monotonic()))
 
     def turn_of(self, seconds: float) -> Callable[[], bool]:
-        """What tells whether a turn has been long enough: something else waits, or so many seconds are over."""
+        """A function that says whether a turn has been long enough: something else waits, or the time is over."""
         deadline = time.monotonic() + seconds
         return lambda: self.has_due() or time.monotonic() > deadline
 
@@ -127,13 +126,6 @@ class Loop:
         # Only as many as wait now: what they submit themselves waits for the next round, so that the executor has one.
         for _ in range(len(self._submitted)):
             self._submitted.popleft()()
-        self._resume_due()
-        pause = self._waiting[0][0] - time.monotonic() if self._waiting else IDLE_S
-        if self._submitted or self._ending:
-            pause = 0.0
-        executor.spin_once(timeout_sec=min(max(pause, 0.0), IDLE_S))
-
-    def _resume_due(self) -> None:
         now = time.monotonic()
         due: list[tuple[float, int, Task[object]]] = []
         while self._waiting and self._waiting[0][0] <= now:
@@ -141,17 +133,17 @@ class Loop:
         for _, entry, task in due:
             if task.open and task.entry == entry:
                 task.advance()
+        pause = self._waiting[0][0] - time.monotonic() if self._waiting else IDLE_S
+        if self._submitted or self._ending:
+            pause = 0.0
+        executor.spin_once(timeout_sec=min(max(pause, 0.0), IDLE_S))
 
     def _wake(self) -> None:
         if self._executor is not None:
-            self._executor.create_task(_nothing)
+            self._executor.create_task(lambda: None)  # creating a task wakes the executor
 
 
 def log_failure(_result: object, error: Exception | None) -> None:
     """For tasks that answer nobody."""
     if error is not None:
         traceback.print_exception(type(error), error, error.__traceback__, file=sys.stderr)
-
-
-def _nothing() -> None:
-    """A task of no work: creating it wakes the executor."""

@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 Operation = Callable[[Request], "Answer | Steps[Answer]"]
 
-# Often enough for entities that go after a minute without use.
+# Often enough for entities that are destroyed after a minute without use. Chosen.
 EXPIRE_EVERY_S = 5.0
-# What is lost stays lost, and is rare: two seconds later is soon enough for a look at all mapped files.
-HEARING_CHECKED_EVERY_S = 2.0
-# For acknowledgements of what is sent last. Who would need longer is too far away to be waited for: the whole end is
-# enforced after 1 s (GIVE_UP_AFTER_S).
+# A loss is for good, and rare; each check reads the list of all mapped files. Chosen.
+SHARED_MEMORY_CHECKED_EVERY_S = 2.0
+# For acknowledgements of what is sent last. Chosen so that it fits into the end of the process, which is enforced after
+# 1 s (GIVE_UP_AFTER_S).
 ARRIVAL_S = 0.3
 ARRIVAL_POLL_S = 0.005
 
@@ -79,7 +79,7 @@ class Operations:
                 "stats": self._stats,
             }
         )
-        for steps in (self._graph.settle(), self._expire(), self._leave_when_deaf()):
+        for steps in (self._graph.settle(), self._expire(), self._leave_when_shared_memory_is_lost()):
             loop.start(steps, log_failure)
 
     def start(self, request: Request) -> None:
@@ -89,7 +89,7 @@ class Operations:
                 raise OperationError("bad_request", f"There is no operation {request.op!r}.")
             result = self._table[request.op](request)
         except Exception as error:  # noqa: BLE001 - whatever it is, it answers this request
-            self._outbox.reply_error(request.id, error)
+            self._finish(request, None, error)
             return
         if isinstance(result, Generator):
             self._requests[request.id] = request
@@ -132,10 +132,10 @@ class Operations:
 
     def _stop(self, request: Request) -> StopReply:
         """End all repeating and relaying, or one relay by its name."""
-        meant = [found for found in self._requests.values() if found.op in ("repeat", "relay")]
+        chosen = [found for found in self._requests.values() if found.op in ("repeat", "relay")]
         if request.op == "relay_stop":
-            meant = [found for found in meant if found.op == "relay" and found.text("name") == request.text("name")]
-        ended = [found.op for found in meant if found.cancel()]
+            chosen = [found for found in chosen if found.op == "relay" and found.text("name") == request.text("name")]
+        ended = [found.op for found in chosen if found.cancel()]
         return {"repeats": ended.count("repeat"), "relays": ended.count("relay")}
 
     def _stats(self, _request: Request) -> StatsReply:
@@ -156,10 +156,10 @@ class Operations:
             self._publishers.pool.expire()
             self._clients.pool.expire()
 
-    def _leave_when_deaf(self) -> Steps[None]:
-        """The server then starts another bridge, which hears again."""
+    def _leave_when_shared_memory_is_lost(self) -> Steps[None]:
+        """The server then starts another bridge, which receives again."""
         while not shared_memory.is_lost(self._node.context.get_domain_id()):
-            yield HEARING_CHECKED_EVERY_S
+            yield SHARED_MEMORY_CHECKED_EVERY_S
         sys.stderr.write("Other processes have replaced the shared memory that this bridge receives through.\n")
         os.kill(os.getpid(), signal.SIGTERM)
 

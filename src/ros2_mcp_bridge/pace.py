@@ -9,7 +9,7 @@ from .request import OperationError, Request, Steps
 
 # Of the 10 places in the queue of a server with the default profile; two are left for its other clients.
 ROOM = 8
-# Presumed time in which a server takes one request that it has not answered yet.
+# Presumed time in which a server takes one request that it has not answered yet. Chosen, not measured.
 TAKEN_EVERY_S = 0.05
 NOT_SENT = "It was not sent in time: too many others wait for their answers."
 
@@ -46,7 +46,7 @@ class Pace:
         self._wake_next()
 
     def _has_room(self) -> bool:
-        # One at a look, however long it has been: where this process was not run, the server may not have been either.
+        # One each time, however long it has been: while this process was not run, the server may not have run either.
         if time.monotonic() - self._taken_at >= TAKEN_EVERY_S:
             self._take(1)
         return len(self._untaken) < ROOM

@@ -1,8 +1,8 @@
 """What crosses the stream, as types that server and bridge share. docs/reference/stream.md says what it means.
 
-A request is `{"id", "op", ...arguments}`; its answer is `{"id", "ok"}` or `{"id", "error"}`. For each operation there
-are its arguments (`…Arguments`; those of a class with `total=False` may be absent) and the `ok` part of its answer
-(`…Reply`). `OPERATIONS` names them all.
+A request is `{"id", "op", ...arguments}`; its answer is `{"id", "ok"}` or `{"id", "error"}`. Arguments are checked
+where they are read (`request.Request`); here is the `ok` part of each answer (`…Reply`). The table of operations is in
+`__main__.py` and `operations.py`.
 """
 
 from __future__ import annotations
@@ -76,15 +76,6 @@ class Empty(TypedDict):
     """Nothing to say."""
 
 
-class QoS(TypedDict, total=False):
-    """The `qos` that a request asks for."""
-
-    reliability: Literal["reliable", "best_effort"]
-    durability: Literal["volatile", "transient_local"]
-    history: Literal["keep_last", "keep_all"]
-    depth: int
-
-
 class EndpointQoS(TypedDict):
     """The `qos` of an endpoint; what the middleware does not tell is "unknown", an infinite duration is None."""
 
@@ -109,14 +100,6 @@ class Endpoint(TypedDict):
     qos: EndpointQoS
 
 
-class Destination(TypedDict):
-    """Where messages go."""
-
-    topic: str
-    type: str
-    qos: QoS
-
-
 class Cancelled(TypedDict):
     """Whether the server ended it before its time."""
 
@@ -138,12 +121,6 @@ class InterfacesReply(TypedDict):
     interfaces: list[str]
 
 
-class DefinitionsArguments(TypedDict):
-    """The types that are asked for."""
-
-    types: list[str]
-
-
 class Definition(TypedDict):
     """The text of an interface, and how it is written: `msg`, `srv`, `action` or `idl`."""
 
@@ -158,19 +135,7 @@ class DefinitionsReply(TypedDict):
     missing: list[str]
 
 
-class CancelArguments(TypedDict):
-    """The id of the request to cancel."""
-
-    request: int
-
-
 # ── the graph ──────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-class SettleArguments(TypedDict, total=False):
-    """How long to wait for discovery to settle; it is 3 s if not given."""
-
-    settle_s: float
 
 
 class Settled(TypedDict):
@@ -197,13 +162,6 @@ class NodesReply(Settled):
     nodes: list[tuple[str, str]]
 
 
-class NodeArguments(SettleArguments):
-    """Which node."""
-
-    name: str
-    namespace: str
-
-
 class NodeReply(TypedDict):
     """Names and types of what it publishes, subscribes, serves and calls."""
 
@@ -211,21 +169,6 @@ class NodeReply(TypedDict):
     subscribers: NamesAndTypes
     servers: NamesAndTypes
     clients: NamesAndTypes
-
-
-class EndpointsArguments(SettleArguments):
-    """Which topic."""
-
-    topic: str
-
-
-class WaitEndpointsArguments(TypedDict):
-    """How many publishers and subscribers to wait for."""
-
-    topic: str
-    publishers: int
-    subscribers: int
-    timeout_s: float
 
 
 class EndpointsReply(Settled):
@@ -238,32 +181,10 @@ class EndpointsReply(Settled):
 # ── messages ───────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-class SubscribeArguments(Destination):
-    """What to receive, and how much of it may wait."""
-
-    keep: Keep
-    max_samples: int
-    max_bytes: int
-    drain_s: float
-
-
 class SubscribeReply(TypedDict):
     """The number of the subscription."""
 
     sub: int
-
-
-class UnsubscribeArguments(TypedDict):
-    """The number of the subscription."""
-
-    sub: int
-
-
-class PublishArguments(Destination, total=False):
-    """How long to wait for subscribers, and for their acknowledgement."""
-
-    wait_match_s: float
-    wait_ack_s: float
 
 
 class PublishReply(TypedDict):
@@ -275,14 +196,6 @@ class PublishReply(TypedDict):
     waited_s: float
 
 
-class RepeatArguments(PublishArguments):
-    """How often and how long; `final_size` bytes at the end of the body are the message sent last."""
-
-    rate_hz: float
-    duration_s: float
-    final_size: int
-
-
 class RepeatReply(Cancelled):
     """What was sent."""
 
@@ -291,16 +204,6 @@ class RepeatReply(Cancelled):
     elapsed_s: float
     late: int
     final_sent: bool
-
-
-class RelayArguments(Destination, total=False):
-    """A relay by its name; without a `source` it is fed."""
-
-    name: str
-    source: str
-    rate_hz: float
-    duration_s: float
-    wait_match_s: float
 
 
 class RelayCounts(TypedDict):
@@ -325,23 +228,10 @@ class RelayReply(RelayEnd, Cancelled):
     """The same, when it is answered."""
 
 
-class RelayFeedArguments(TypedDict):
-    """The sizes of the messages that are in the body."""
-
-    name: str
-    sizes: list[int]
-
-
 class RelayFeedReply(TypedDict):
     """How many have passed so far."""
 
     passed: int
-
-
-class RelayStopArguments(TypedDict):
-    """Which relay."""
-
-    name: str
 
 
 class RelaysReply(TypedDict):
@@ -358,21 +248,6 @@ class StopReply(TypedDict):
 
 
 # ── services ───────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-class ServiceName(TypedDict):
-    """Which service."""
-
-    service: str
-    type: str
-
-
-class CallArguments(ServiceName, total=False):
-    """How long to wait for a server, for its answer, and for both together."""
-
-    wait_s: float
-    timeout_s: float
-    within_s: float
 
 
 class CallReply(TypedDict):
@@ -396,31 +271,3 @@ class StatsReply(TypedDict):
     rss_bytes: int
     repeats: int
     uptime_s: float
-
-
-OPERATIONS: dict[str, tuple[type, type]] = {
-    "ping": (Empty, PingReply),
-    "cancel": (CancelArguments, Empty),
-    "topics": (SettleArguments, TopicsReply),
-    "services": (SettleArguments, ServicesReply),
-    "nodes": (SettleArguments, NodesReply),
-    "node": (NodeArguments, NodeReply),
-    "endpoints": (EndpointsArguments, EndpointsReply),
-    "wait_endpoints": (WaitEndpointsArguments, EndpointsReply),
-    "interfaces": (Empty, InterfacesReply),
-    "definitions": (DefinitionsArguments, DefinitionsReply),
-    "subscribe": (SubscribeArguments, SubscribeReply),
-    "unsubscribe": (UnsubscribeArguments, Counts),
-    "publish": (PublishArguments, PublishReply),
-    "repeat": (RepeatArguments, RepeatReply),
-    "call": (CallArguments, CallReply),
-    "failsafe_publish": (Destination, Cancelled),
-    "failsafe_call": (ServiceName, Cancelled),
-    "relay": (RelayArguments, RelayReply),
-    "relay_feed": (RelayFeedArguments, RelayFeedReply),
-    "relay_stop": (RelayStopArguments, StopReply),
-    "relays": (Empty, RelaysReply),
-    "stop": (Empty, StopReply),
-    "stats": (Empty, StatsReply),
-}
-"""The arguments and the reply of every operation."""

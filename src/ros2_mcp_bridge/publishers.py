@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from functools import partial
 from typing import TYPE_CHECKING
 
-from . import qos, rcl
+from . import protocol, qos, rcl
 from .failsafes import FailSafes
 from .graph import Graph
 from .pool import Pool
@@ -17,19 +17,19 @@ from .request import Cancelled, OperationError, Request, Steps
 
 if TYPE_CHECKING:
     from rclpy.node import Node
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-# While a publication waits for a match or an acknowledgement: a local one comes within milliseconds.
+# While a publication waits for a match or an acknowledgement: on one machine, either comes within milliseconds.
 POLL_S = 0.002
 # Chosen: if no further subscriber has matched for so long, the others are not waited for, only counted.
 NO_MORE_MATCHES_S = 0.1
-# A repetition waits for its first message only: a second one would replace it. Chosen; it goes on without, afterwards.
+# A repeat waits for the acknowledgement of its first message only, which a second one would replace; afterwards it goes
+# on without. Chosen.
 FIRST_ACK_S = 0.5
-# For the answer of a repetition that has ended; the final message was sent twice and goes on without us. Chosen.
+# Before the answer of a repeat that has ended: its final message was sent twice, and does not depend on this. Chosen.
 FINAL_ACK_S = 0.1
-# A subscriber gets to know a new publisher a moment later than this the subscriber.
-KNOWN_S = 0.1
-# A latched publisher keeps as many messages for late joiners as it was asked for, up to this.
+# A subscriber discovers a new publisher a little later than the publisher discovers the subscriber. Chosen.
+DISCOVERED_S = 0.1
+# A latched publisher keeps as many messages for late joiners as it was asked for, up to this. Chosen.
 MAX_LATCHED_DEPTH = 1000
 # A period counts as missed, or the end as reached, with this share of a period to spare: sums of floats are inexact.
 ROUNDING = 1e-6
@@ -71,17 +71,16 @@ class Publisher:
         changed_at = time.monotonic()
         deadline, before = changed_at + wait_s, None
         while time.monotonic() < deadline:
-            now = self.matched(), len(self._fitting_subscribers())
+            matched, fitting = now = self.matched(), len(self._subscribers_reliable())
             if now != before:
                 before, changed_at = now, time.monotonic()
             no_more = now == self._accepted or time.monotonic() - changed_at > NO_MORE_MATCHES_S
-            if now[0] and (now[0] >= now[1] or no_more) and (self._graph.settled or not created):
+            if matched and (matched >= fitting or no_more) and (self._graph.settled or not created):
                 break
             yield POLL_S
         self._accepted = before
-        is_reliable = [info.qos_profile.reliability.name == "RELIABLE" for info in self._fitting_subscribers()]
-        if created and self.matched() and not all(is_reliable):
-            yield KNOWN_S  # a best-effort one would not ask for what it has missed
+        if created and self.matched() and not all(self._subscribers_reliable()):
+            yield DISCOVERED_S  # a best-effort subscriber would not ask for what it has missed
 
     def publish_acknowledged(self, data: bytes, wait_s: float) -> Steps[tuple[int, bool | None]]:
         """Steps that publish one message after the other: returns the number of matches and `wait_acknowledged`."""
@@ -98,9 +97,8 @@ class Publisher:
 
     def wait_acknowledged(self, wait_s: float) -> Steps[bool | None]:
         """Steps until all is acknowledged: returns True, False when time is up, None where nobody acknowledges."""
-        subscribers = self._fitting_subscribers()
-        is_reliable = any(info.qos_profile.reliability.name == "RELIABLE" for info in subscribers)
-        if not is_reliable or not self.matched() or self._profile.reliability.name != "RELIABLE":
+        is_reliable = self._profile.reliability.name == "RELIABLE" and any(self._subscribers_reliable())
+        if not is_reliable or not self.matched():
             return None
         deadline = time.monotonic() + wait_s
         while not self.done():
@@ -117,9 +115,10 @@ class Publisher:
         """End it."""
         self._raw.destroy_when_not_in_use()
 
-    def _fitting_subscribers(self) -> list[TopicEndpointInfo]:
+    def _subscribers_reliable(self) -> list[bool]:
+        """For each subscriber in the graph that can match, whether it is reliable."""
         return [
-            info
+            info.qos_profile.reliability.name == "RELIABLE"
             for info in self._graph.subscribers(self._topic)
             if info.topic_type == self._type and qos.offers_enough(self._profile, info.qos_profile)
         ]
@@ -128,19 +127,18 @@ class Publisher:
 class Repeat:
     """Repeated publishing of one message."""
 
-    def __init__(self, publisher: Publisher, message: bytes) -> None:
+    def __init__(self) -> None:
         self.sent = 0
         self.late = 0
         self.started = time.monotonic()
-        self._publisher = publisher
-        self._message = message
 
-    def run(self, rate_hz: float, duration_s: float) -> Steps[None]:
+    def run(self, publisher: Publisher, message: bytes, rate_hz: float, duration_s: float) -> Steps[None]:
         """Steps that publish at the rate; periods that were missed are counted and not made up for."""
         period = 1.0 / rate_hz
-        self._publish()
+        publisher.publish(message)
+        self.sent = 1
         # A subscriber may not know a new publisher yet, and with a depth of 1 the second message replaces the first.
-        yield from self._publisher.wait_acknowledged(FIRST_ACK_S)
+        yield from publisher.wait_acknowledged(FIRST_ACK_S)
         self.started = due = time.monotonic()
         end = self.started + duration_s
         while True:
@@ -152,11 +150,8 @@ class Repeat:
             yield max(0.0, min(due, end) - time.monotonic())
             if due >= end - period * ROUNDING:
                 return
-            self._publish()
-
-    def _publish(self) -> None:
-        self._publisher.publish(self._message)
-        self.sent += 1
+            publisher.publish(message)
+            self.sent += 1
 
 
 class Publishers:
@@ -169,7 +164,7 @@ class Publishers:
         self.pool: Pool[Hashable, Publisher] = Pool(Publisher.destroy)
 
     def publish(self, request: Request) -> Steps[PublishReply]:
-        """Publish once, when those who listen are matched, and wait for their acknowledgement."""
+        """Publish once, when the subscribers are matched, and wait for their acknowledgement."""
         wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
         started = time.monotonic()
         with self._use(request) as (publisher, created):
@@ -187,11 +182,11 @@ class Publishers:
             raise OperationError("bad_request", "repeat: final_size is larger than the body.")
         message, final = request.body[:split_at], request.body[split_at:]
         with self._use(request) as (publisher, created):
-            repeat, cancelled = Repeat(publisher, message), False
+            repeat, cancelled = Repeat(), False
             try:
                 yield from publisher.wait_match(created, wait_match_s)
                 with self._failsafes.in_force(request, partial(publisher.publish_last, final)):
-                    yield from repeat.run(rate_hz, duration_s)
+                    yield from repeat.run(publisher, message, rate_hz, duration_s)
             except Cancelled:
                 cancelled = True
             finally:
@@ -209,7 +204,7 @@ class Publishers:
             "cancelled": cancelled,
         }
 
-    def failsafe(self, request: Request) -> Steps[dict[str, bool]]:
+    def failsafe(self, request: Request) -> Steps[protocol.Cancelled]:
         """A message to publish at the end, unless the request is cancelled before."""
         with self._use(request) as (publisher, _):
             action = partial(publisher.publish_last, request.body)

@@ -55,18 +55,6 @@ class RawSubscription(Protocol):
         ...
 
 
-class Response(Protocol):
-    """The future of a service's response."""
-
-    def done(self) -> bool:
-        """Whether it is there."""
-        ...
-
-    def result(self) -> Any:
-        """The response."""
-        ...
-
-
 def publisher(node: Node, interface: Any, topic: str, profile: QoSProfile) -> RawPublisher:
     """A new publisher of a node."""
     with node.handle:

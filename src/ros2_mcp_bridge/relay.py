@@ -24,15 +24,15 @@ from .subscriptions import DEPTH_FOR_ALL, DRAIN_AT_MOST_S, DRAIN_PERIOD_S, LAST_
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-# A relay that is fed has nothing to do but to see that its time is over.
+# A relay that is fed has nothing to do but to notice that its time is over. Chosen.
 FED_PERIOD_S = 0.25
-# Who publishes is looked up only while nobody is matched.
-LOOK_EVERY_S = 0.1
+# The publishers are looked up only while none is matched. Chosen.
+CHECK_EVERY_S = 0.1
 # A burst must fit while a subscriber is slow; a relay that drives has 1 (decision 10).
 DEPTH = 100
-# As for repetitions, only the first message is waited for; a relay begins more rarely and has more to lose. Chosen.
+# As for repeats, only the first message is waited for; a relay begins more rarely and has more to lose. Chosen.
 FIRST_ACK_S = 1.0
-# Fast DDS asks every 3 s for what is missing; who discovered us late gets it all then.
+# Fast DDS asks every 3 s for what is missing: a subscriber that discovered us late then gets all of it.
 LAST_ACK_S = 3.5
 
 
@@ -46,15 +46,15 @@ class FollowedSource:
         self._graph = graph
         self._topic, self._type = request.text("source"), request.text("type")
         self._open = partial(RawSubscription, node, graph, self._topic, request.interface)
-        self._look_at = 0.0
+        self._checked_next = 0.0
         self._chosen: dict[str, str] | None = None
         self.subscription: RawSubscription | None = None
 
-    def look(self) -> None:
-        """Every now and then, where nobody is matched: subscribe in a way that matches those who are there."""
-        if time.monotonic() < self._look_at:
+    def resubscribe(self) -> None:
+        """Every 0.1 s, where nobody is matched: subscribe so that all publishers in the graph match."""
+        if time.monotonic() < self._checked_next:
             return
-        self._look_at = time.monotonic() + LOOK_EVERY_S
+        self._checked_next = time.monotonic() + CHECK_EVERY_S
         if self.subscription is not None and self.subscription.publisher_count():
             return
         profiles = [p.qos_profile for p in self._graph.publishers(self._topic) if p.topic_type == self._type]
@@ -82,10 +82,10 @@ class Relay:
 
     def __init__(self, node: Node, graph: Graph, loop: Loop, request: Request) -> None:
         # A depth of 1 is acknowledged at once (see `Publisher`), which the final message needs; else a burst must fit.
-        self._is_unheard = bool(request.body)
+        self._awaits_first_ack = bool(request.body)
         self._rhythm = Rhythm(request.rate()) if request.has("rate_hz") else None
         self._source = FollowedSource(node, graph, request) if request.has("source") else None
-        self._publisher = Publisher(node, graph, request, max_depth=1 if self._is_unheard else DEPTH)
+        self._publisher = Publisher(node, graph, request, max_depth=1 if self._awaits_first_ack else DEPTH)
         self._loop = loop
         self._started = time.monotonic()
         self._final = b""
@@ -94,32 +94,32 @@ class Relay:
         self.dropped = 0
 
     def run(self, request: Request, duration_s: float) -> Steps[None]:
-        """Steps that relay: first wait for those who listen, so that they miss nothing."""
+        """Steps that relay: first wait for the subscribers, so that they miss nothing."""
         yield from self._publisher.wait_match(True, request.number("wait_match_s", 0.0))
         self._final, self.is_running, self._started = request.body, True, time.monotonic()
         end = self._started + (duration_s or math.inf)
         while time.monotonic() < end:
             pause = self._relay_waiting()
-            yield from self.wait_heard()
+            yield from self.wait_first_ack()
             yield max(0.0, min(pause, end - time.monotonic()))
 
     def publish(self, data: bytes) -> None:
-        """Pass one message on, unless it has ended; afterwards `wait_heard`, before the next replaces it."""
+        """Pass one message on, unless it has ended; afterwards `wait_first_ack`, before the next replaces it."""
         if self.is_running:
             self._publisher.publish(data)
             self.passed += 1
 
-    def wait_heard(self) -> Steps[None]:
+    def wait_first_ack(self) -> Steps[None]:
         """Steps until the first message is acknowledged, where there is no room for a second one beside it.
 
-        A subscriber learns of a new publisher a moment later than the publisher of the subscriber.
+        A subscriber discovers a new publisher a little later than the publisher discovers the subscriber.
         """
-        if self._is_unheard and self.passed:
-            self._is_unheard = False
+        if self._awaits_first_ack and self.passed:
+            self._awaits_first_ack = False
             yield from self._publisher.wait_acknowledged(FIRST_ACK_S)
 
     def finish(self) -> Steps[RelayEnd]:
-        """Steps that pass on what has come, send the final message and wait until that is acknowledged; its counts."""
+        """Steps that pass on what has come, send the final message and wait for its acknowledgement; its counts."""
         deadline = time.monotonic() + LAST_DRAIN_S
         while self.is_running and self._relay_waiting() == 0.0 and time.monotonic() < deadline:
             yield 0.0
@@ -129,7 +129,7 @@ class Relay:
         return {**counts, "final_sent": bool(self._final)}
 
     def send_final(self) -> Publisher | None:
-        """Send the final message, if there is one and it has begun; nothing passes any more."""
+        """Send the final message, if there is one and the relay has begun; nothing passes any more."""
         self.is_running = False
         return self._publisher.publish_last(self._final)
 
@@ -156,7 +156,7 @@ class Relay:
         """Relay what the middleware holds, from whoever publishes; returns when to come again, in seconds."""
         if self._source is None:
             return FED_PERIOD_S
-        self._source.look()
+        self._source.resubscribe()
         subscription, started = self._source.subscription, time.monotonic()
         if subscription is None:
             return DRAIN_PERIOD_S
@@ -166,12 +166,12 @@ class Relay:
         return started + DRAIN_PERIOD_S - time.monotonic()
 
     def _take_in(self, sample: Sample) -> bool:
-        """Relay one sample; true where it must be heard before the next."""
+        """Relay one sample; true where it must be acknowledged before the next."""
         if self._rhythm is None or self._rhythm.passes(sample.received_ns):
             self.publish(sample.data)
         else:
             self.dropped += 1
-        return self._is_unheard and self.passed > 0
+        return self._awaits_first_ack and self.passed > 0
 
 
 class Relays:
@@ -209,7 +209,7 @@ class Relays:
             raise OperationError("not_found", f"There is no running relay {request.text('name')!r}.")
         for size in request.sizes("sizes"):
             relay.publish(request.body[offset : offset + size])
-            yield from relay.wait_heard()
+            yield from relay.wait_first_ack()
             offset += size
         return {"passed": relay.passed}
 

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Union, cast
 from .limits import MAX_RATE_HZ
 
 if TYPE_CHECKING:
-    from typing import TypeGuard
-
     from .protocol import ErrorKind, Failure
 
 T = TypeVar("T")
@@ -81,75 +79,54 @@ class Request:
             task.throw(Cancelled())
         return task is not None
 
+    def has(self, name: str) -> bool:
+        """Whether the argument is there and not null."""
+        return self._header.get(name) is not None
+
     def text(self, name: str) -> str:
         """A required string that is not empty."""
-        return self._required(name, "a string that is not empty", _is_text)
+        return self._required(name, "a string that is not empty", lambda value: value != "" and isinstance(value, str))
 
     def texts(self, name: str) -> list[str]:
         """A required list of strings."""
-        return self._required(name, "a list of strings", _is_list_of_texts)
+        return self._required(name, "a list of strings", lambda value: _is_list_of(str, value))
 
     def number(self, name: str, default: float | None = None) -> float:
         """A number that is not negative; the default where it is absent or null, an error if there is no default."""
         if default is not None and not self.has(name):
             return default
-        return self._required(name, "a number that is not negative", _is_number)
+        return self._required(name, "a number that is not negative", lambda value: _is_number(value) and value >= 0)
 
     def rate(self) -> float:
         """The required `rate_hz`."""
-
-        def is_rate(value: object) -> TypeGuard[float]:
-            return _is_number(value) and 0 < value <= MAX_RATE_HZ
-
-        return self._required("rate_hz", f"a number above 0, up to {MAX_RATE_HZ:g}", is_rate)
+        expected = f"a number above 0, up to {MAX_RATE_HZ:g}"
+        return self._required("rate_hz", expected, lambda value: _is_number(value) and 0 < value <= MAX_RATE_HZ)
 
     def sizes(self, name: str) -> list[int]:
         """The required sizes of the parts that the body is made of."""
         size = len(self.body)
-
-        def add_up(value: object) -> TypeGuard[list[int]]:
-            return _is_list_of_sizes(value) and sum(value) == size
-
-        return self._required(name, f"a list of sizes that add up to the body's {size} bytes", add_up)
+        expected = f"a list of sizes that add up to the body's {size} bytes"
+        return self._required(name, expected, lambda value: _is_list_of(int, value) and sum(value) == size)
 
     def choice(self, name: str, choices: Sequence[str]) -> str:
         """A required string out of `choices`."""
-
-        def is_one(value: object) -> TypeGuard[str]:
-            return value in choices
-
-        return self._required(name, "one of " + ", ".join(choices), is_one)
-
-    def has(self, name: str) -> bool:
-        """Whether the argument is there and not null."""
-        return self._header.get(name) is not None
+        return self._required(name, "one of " + ", ".join(choices), lambda value: value in choices)
 
     def qos(self) -> Mapping[str, object]:
         """A required object of policies."""
-        return self._required("qos", "an object", _is_object)
+        return self._required("qos", "an object", lambda value: isinstance(value, dict))
 
-    def _required(self, name: str, expected: str, fits: Callable[[object], TypeGuard[T]]) -> T:
-        value: object = self._header.get(name)
-        if not fits(value):
+    def _required(self, name: str, expected: str, is_right: Callable[[Any], bool]) -> Any:
+        """The argument, which `is_right` makes sure is of the type that the caller returns."""
+        value = self._header.get(name)
+        if not is_right(value):
             raise OperationError("bad_request", f"{self.op}: {name} is {value!r}, expected {expected}.")
         return value
 
 
-def _is_text(value: object) -> TypeGuard[str]:
-    return isinstance(value, str) and value != ""
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def _is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and value >= 0
-
-
-def _is_list_of_texts(value: object) -> TypeGuard[list[str]]:
-    return isinstance(value, list) and all(isinstance(item, str) for item in cast("list[object]", value))
-
-
-def _is_list_of_sizes(value: object) -> TypeGuard[list[int]]:
-    return isinstance(value, list) and all(isinstance(item, int) for item in cast("list[object]", value))
-
-
-def _is_object(value: object) -> TypeGuard[Mapping[str, object]]:
-    return isinstance(value, dict)
+def _is_list_of(kind: type, value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(item, kind) for item in cast("list[object]", value))

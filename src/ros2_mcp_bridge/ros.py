@@ -26,24 +26,32 @@ if TYPE_CHECKING:
 MORE_CANDIDATES = 2
 # The participants of this machine answer an announcement after 0.2 to 1 ms (decision 13), a busy one later.
 ANSWERED_S = 0.2
+# While these answers are waited for; each time reads the kernel's table of ports. Chosen.
 _LOOK_EVERY_S = 0.01
 
 
 def enter(node_name: str) -> tuple[Node, Executor]:
     """Initialise ROS and make the bridge's node, as light as it can be; returns it with its executor.
 
-    A participant that has not heard everybody on this machine at once hears the others only at their next announcement,
-    up to 3 s later: then more are tried, and the one that heard most stays.
+    A participant that has not discovered everybody on this machine at once discovers the others only at their next
+    announcement, up to 3 s later: then more are tried, and the one that has discovered most stays.
     """
     node = _new_node(node_name)
-    if not _hears_all_within(node, ANSWERED_S):
+    deadline = time.monotonic() + ANSWERED_S
+    while not (complete := participants.all_discovered(node)) and time.monotonic() <= deadline:
+        time.sleep(_LOOK_EVERY_S)
+    if not complete:
         nodes = [node, *(_new_node(node_name) for _ in range(MORE_CANDIDATES))]
         time.sleep(ANSWERED_S)
         node = max(nodes, key=participants.discovered)
         for other in nodes:
             if other is not node:
                 _destroy_node(other)
-    executor = _new_executor(node.context)
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor as BestExecutor
+    except ImportError:  # before Jazzy
+        from rclpy.executors import SingleThreadedExecutor as BestExecutor
+    executor = BestExecutor(context=node.context)
     executor.add_node(node)
     return node, executor
 
@@ -57,9 +65,11 @@ def leave(node: Node, executor: Executor) -> None:
 
 def hello(node: Node, executor: Executor) -> dict[str, object]:
     """The event that tells the server who we are."""
+    packages = Path(str(rclpy.__file__)).parent.parent
+    wheels = (found.name.split("_")[1] for found in packages.glob("ros_*_rclpy-*.dist-info"))
     introduction = Hello(
         python=platform.python_version(),
-        distro=os.environ.get("ROS_DISTRO") or _distro_of_wheels(),
+        distro=os.environ.get("ROS_DISTRO") or next(wheels, ""),
         rmw=get_rmw_implementation_identifier(),
         domain_id=node.context.get_domain_id(),
         node=node.get_fully_qualified_name(),
@@ -94,8 +104,13 @@ def _receiving_after_sending() -> Generator[None, None, None]:
         return
     processors = os.sched_getaffinity(0)
     with suppress(OSError):
-        os.sched_setaffinity(0, {_processor()})
-        _go_before_new_threads()
+        # The processor that this thread runs on (field 39 of its stat) is seldom one that others keep busy.
+        after_name = Path("/proc/thread-self/stat").read_text().rpartition(")")[2]
+        os.sched_setaffinity(0, {int(after_name.split()[36])})
+        try:  # real time for this thread alone, where that is allowed
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+        except PermissionError:  # else batch for all, of which none interrupts another
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     try:
         yield
     finally:
@@ -105,45 +120,7 @@ def _receiving_after_sending() -> Generator[None, None, None]:
                 os.sched_setscheduler(int(thread.name), os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
 
 
-def _go_before_new_threads() -> None:
-    """Real time for this thread alone, where that is allowed; else batch for all, of which none interrupts another."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
-    except PermissionError:
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-
-
-def _processor() -> int:
-    """The number of the processor that this thread runs on, which is seldom one that others keep busy."""
-    after_name = Path("/proc/thread-self/stat").read_text().rpartition(")")[2]
-    return int(after_name.split()[36])
-
-
-def _hears_all_within(node: Node, seconds: float) -> bool:
-    deadline = time.monotonic() + seconds
-    while not participants.all_discovered(node):
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(_LOOK_EVERY_S)
-    return True
-
-
 def _destroy_node(node: Node) -> None:
     context = node.context
     node.destroy_node()
     context.try_shutdown()
-
-
-def _new_executor(context: Context) -> Executor:
-    try:
-        from rclpy.experimental.events_executor import EventsExecutor
-    except ImportError:  # before Jazzy
-        from rclpy.executors import SingleThreadedExecutor
-
-        return SingleThreadedExecutor(context=context)
-    return EventsExecutor(context=context)
-
-
-def _distro_of_wheels() -> str:
-    packages = Path(str(rclpy.__file__)).parent.parent
-    return next((found.name.split("_")[1] for found in packages.glob("ros_*_rclpy-*.dist-info")), "")

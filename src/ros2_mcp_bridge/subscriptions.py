@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 # How long a message may wait for us. Shorter costs processor time without traffic; with this, 1 kHz costs 5 to 6 % of a
 # core (decision 7).
 DRAIN_PERIOD_S = 0.005
-# A flood must leave the ROS thread to the others now and then; it goes on in the next round.
+# A flood must leave the ROS thread to the others now and then; it goes on in the next round. Chosen.
 DRAIN_AT_MOST_S = 0.01
-# What has arrived before the end is sent, a flood that goes on is not.
+# What has arrived before the end is sent, a flood that goes on is not. Chosen.
 LAST_DRAIN_S = 0.1
 # The queue of the middleware is what bridges the time between two rounds (decision 7): 0.2 s of 5 kHz.
 DEPTH_FOR_ALL = 1000
-# Looking at the clock and the queues costs as much as taking a small message.
+# Looking at the clock and the queues costs time, too: it is done once for so many messages. Chosen.
 _LOOK_EVERY_MESSAGES = 16
 NO_SEQUENCE = (None, 0, 2**64 - 1)
 CDR_HEAD_BYTES = 4
@@ -75,7 +75,7 @@ class RawSubscription:
         """What the middleware holds.
 
         While Fast DDS puts a large message together, it can hand out an empty one, again and again, with a time of 1970
-        (seen after another subscriber was killed). No message is shorter than the head of its CDR: that is none yet.
+        (seen after another subscriber was killed). No message is shorter than the head of its CDR: it is not one yet.
         """
         while (taken := self._raw.take_message(self._interface, True)) and len(taken[0]) >= CDR_HEAD_BYTES:
             data, info = taken
@@ -88,6 +88,7 @@ class RawSubscription:
             yield Sample(received_ns, info.get("source_timestamp") or 0, sequence, data, self.lost)
 
     def _lost_before(self, sequence: int | None, lost: int) -> int | None:
+        """How many were lost up to this message, if `lost` were up to the last one; None where that is not known."""
         if sequence is None:
             return None
         if self._last is None or sequence <= self._last:  # the first message, or the first of a restarted publisher
@@ -119,17 +120,13 @@ class Subscription(RawSubscription):
             is_empty = self.drain(samples.append, is_enough)
         except rcl.RCLError as error:
             is_empty = True  # this one is tried again, and the others go on
-            self._fail(error)
+            if not self._has_failed:
+                log_failure(None, error)  # once
+            self._has_failed, self.lost = True, None
         if samples:
             self.check_publishers()
             outbox.add_samples(self.queue, samples)
         return is_empty
-
-    def _fail(self, error: Exception) -> None:
-        """What was lost is not known from now on; it is logged once."""
-        if not self._has_failed:
-            log_failure(None, error)
-        self._has_failed, self.lost = True, None
 
 
 class Subscriptions:
@@ -153,7 +150,7 @@ class Subscriptions:
         self._open[number] = Subscription(number, self._node, self._graph, request)
         if self._draining is None or not self._draining.open:
             self._draining = self._loop.start(self._drain_all(), log_failure)
-        self._draining.wake()  # those that were there may let it sleep for longer
+        self._draining.wake()  # the other subscriptions may let it sleep for longer
         return {"sub": number}
 
     def unsubscribe(self, request: Request) -> Steps[None]:

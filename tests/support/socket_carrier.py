@@ -32,6 +32,7 @@ class SocketCarrier(asyncio.Protocol):
     """Carries the stream over a connected socket."""
 
     origin = "behind a socket"
+    start_s = 20.0
 
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected

@@ -26,6 +26,7 @@ class Peer:
     """A carrier to nowhere."""
 
     origin = ""
+    start_s = 20.0
 
     def __init__(self, vitality: Vitality = "unknown") -> None:
         self.log: list[str] = []

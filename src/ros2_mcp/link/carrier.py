@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Literal, Protocol
 
 Vitality = Literal["running", "stopped", "starved", "unknown"]
-"""What a carrier can see of the far end without asking it: `stopped` from outside (a debugger, SIGSTOP), `starved` of
+"""What a carrier can see of the far end without asking it: `stopped` from outside (by a debugger), `starved` of
 processor time (it wants to run and does not get round), `running`, or `unknown` where it cannot look there."""
 
 
@@ -24,6 +24,11 @@ class Carrier(Protocol):
     @property
     def origin(self) -> str:
         """For people: which ROS installation the bridge runs in, and why that one; empty where it is not known."""
+        ...
+
+    @property
+    def start_s(self) -> float:
+        """How long the bridge may take to say hello, from when the carrier was made."""
         ...
 
     async def open(self, received: Callable[[bytes], None], ended: Callable[[], None]) -> None:

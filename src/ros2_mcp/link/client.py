@@ -6,28 +6,28 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 from ros2_mcp.link.carrier import Carrier
-from ros2_mcp.link.connection import START_S, Connection, Hello, Reply
+from ros2_mcp.link.connection import Connection, Hello, Reply
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BridgeLost, LinkError, RobotError
-from ros2_mcp_bridge.protocol import Keep, QoS, SubscribeArguments
+from ros2_mcp_bridge.protocol import Keep
 
 __all__ = ["Bridge", "Hello", "Reply", "Subscription"]
 
-# Between lives that do not begin: together 8.5 s, in which what the lost bridge kept moving is to be stopped by one of
-# its successors (decision 12); after the last of them, once for every request that asks and not more often.
+# Between lives that do not begin: together 8.5 s, in which one of the successors is to stop what the lost bridge kept
+# moving (decision 12). After that a life begins only when a request comes, 10 s after the last one at the earliest.
 _PAUSES_S = (0.0, 0.5, 1.0, 2.0, 5.0, 10.0)
 # The bridge gives itself up after 1.0 s (GIVE_UP_AFTER_S there): half a second more, and nobody is there any more.
 _LEAVE_S = 1.5
 # Creating an entity can block for up to 3 s inside Fast DDS after a peer was killed (decision 12).
 _SUBSCRIBE_S = 5.0
-# `Connection.greet` gives up after START_S; a little later its error is here, which says more than a time-out would.
+# `Connection.greet` gives up after `Carrier.start_s`; a little later its error is here, which says more than this one.
 _SETTLED_S = 1.0
-# As much as the other side of the stream lets a message wait at least.
+# As much as the bridge lets a message wait at least (DRAIN_PERIOD_S there).
 _DRAIN_S = 0.005
-# A bridge that is lost again and again must not fill the memory.
+# A bridge that is lost again and again must not fill the memory. Chosen.
 _KEPT_REASONS = 100
 
 
@@ -94,12 +94,13 @@ class Bridge:
     ) -> None:
         await self.close()
 
-    # ── what it is for ─────────────────────────────────────────────────────────────────────────────────────────
+    # ── requests and subscriptions ─────────────────────────────────────────────────────────────────────────────
 
     async def request(self, op: str, body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
         """One request of `docs/reference/stream.md`; cancelling the caller cancels it in the bridge.
 
-        Waits (at most 20 s) for a bridge that is starting. `timeout_s` is also sent to the operations that take it.
+        Waits for a bridge that is starting, as long as its carrier allows. `timeout_s` is also sent to the operations
+        that take it.
 
         Raises:
             BridgeRefused: with the kind of error that the bridge answered.
@@ -128,15 +129,8 @@ class Bridge:
         """
         connection = await self._connected()
         subscription = Subscription(keep, max_samples, max_bytes, connection.unsubscribe)
-        arguments: SubscribeArguments = {
-            "topic": topic,
-            "type": type_name,
-            "qos": cast("QoS", qos),
-            "keep": keep,
-            "max_samples": max_samples,
-            "max_bytes": max_bytes,
-            "drain_s": drain_s,
-        }
+        bounds = {"keep": keep, "max_samples": max_samples, "max_bytes": max_bytes, "drain_s": drain_s}
+        arguments = {"topic": topic, "type": type_name, "qos": qos, **bounds}
         await connection.subscribe(subscription, _SUBSCRIBE_S, arguments)
         return subscription
 
@@ -171,7 +165,7 @@ class Bridge:
             carrier = self._start_carrier()
         except RobotError as error:
             return error
-        self.origin = carrier.origin
+        self._carrier, self.origin = carrier, carrier.origin
         return _Life(carrier, started_at)
 
     async def _connected(self) -> Connection:
@@ -179,21 +173,19 @@ class Bridge:
         await self.attach()
         if self._closed or self._outcome is None:
             raise LinkError("The link to the robot is closed.")
-        if self._outcome.done() and isinstance(self._outcome.result(), RobotError):
-            self._try_again()
+        failed = self._outcome.done() and isinstance(self._outcome.result(), RobotError)
+        if failed and time.monotonic() >= self._retry_at:
+            self._outcome = asyncio.get_running_loop().create_future()
+            self._retry.set()
         if not self._outcome.done():
-            await asyncio.wait({self._outcome}, timeout=START_S + _SETTLED_S)
-        if not self._outcome.done():
-            raise LinkError(f"The bridge was not ready after {START_S:.0f} s.", "Run: ros2-mcp doctor")
+            start_s = self._carrier.start_s if self._carrier else 0.0  # without one, the reason is about to come
+            await asyncio.wait({self._outcome}, timeout=start_s + _SETTLED_S)
+            if not self._outcome.done():
+                raise LinkError(f"The bridge was not ready after {start_s:.0f} s.", "Run: ros2-mcp doctor")
         outcome = self._outcome.result()
         if isinstance(outcome, RobotError):
             raise type(outcome)(outcome.message, outcome.hint)
         return outcome
-
-    def _try_again(self) -> None:
-        if time.monotonic() >= self._retry_at:
-            self._outcome = asyncio.get_running_loop().create_future()
-            self._retry.set()
 
     async def _supervise(self) -> None:
         """Life after life: at once after one that had begun well, on demand and after a pause when none begins.
@@ -222,7 +214,6 @@ class Bridge:
         life, self._launched = self._launched or self._start(), None
         if isinstance(life, RobotError):
             return False, life
-        self._carrier = life.carrier
         connection = Connection(life.carrier, life.started_at)
         try:
             reason = await connection.greet()
@@ -235,13 +226,10 @@ class Bridge:
             self._outcome = asyncio.get_running_loop().create_future()
             return True, reason
         finally:
-            await self._bury(connection)
-
-    async def _bury(self, connection: Connection) -> None:
-        connection.fail(BridgeLost("The link to the robot was closed."))
-        if not self._closed:
-            connection.carrier.kill()
-        await connection.carrier.close(_LEAVE_S)
+            connection.fail(BridgeLost("The link to the robot was closed."))
+            if not self._closed:
+                life.carrier.kill()
+            await life.carrier.close(_LEAVE_S)
 
     def _settle(self, outcome: Connection | RobotError) -> None:
         if self._outcome and not self._outcome.done():

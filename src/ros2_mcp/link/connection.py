@@ -14,11 +14,9 @@ from ros2_mcp.link.heartbeat import Heartbeat
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BadInput, BridgeLost, BridgeRefused, LinkError, TimedOut
 from ros2_mcp_bridge.packets import Packet, PacketError, PacketReader, pack
-from ros2_mcp_bridge.protocol import PROTOCOL, Counts, Failure, Hello, Samples, SubscribeArguments, UnsubscribeArguments
+from ros2_mcp_bridge.protocol import PROTOCOL, Counts, Failure, Hello, Samples
 
-# Wheels say hello after about half a second; sourcing setup files from a slow disk can take many of these seconds.
-START_S = 20.0
-# Beyond the time that the bridge was given for an answer: for the way there and back, and for its late rounds.
+# Beyond the time that the bridge was given for an answer: for the way to it and back, and for its late rounds. Chosen.
 MARGIN_S = 2.0
 _PING = 0
 _SHOWN_LINES = 5
@@ -36,14 +34,14 @@ class Reply:
 
 @dataclass(slots=True)
 class _Open:
-    """A request that is not answered yet; it stays known when its asker has gone, for a late answer to be tidied up."""
+    """A request that is not answered yet. It stays here when its caller gives up: a late answer may need an undoing."""
 
     answer: asyncio.Future[Packet]
     subscription: Subscription | None = None
 
 
 class Connection:
-    """Talks with one bridge; `run` returns why it ended. `started_at` is when that began to start (steady clock)."""
+    """Talks with one bridge; `run` returns why it ended. `started_at` is when its start began (steady clock)."""
 
     def __init__(self, carrier: Carrier, started_at: float) -> None:
         loop = asyncio.get_running_loop()
@@ -64,18 +62,18 @@ class Connection:
     async def greet(self) -> LinkError | None:
         """Opens the carrier and waits for its hello; returns what went wrong instead, if something did."""
         await self.carrier.open(self._received, lambda: self._end(None))
-        remaining_s = self._started_at + START_S - time.monotonic()
+        remaining_s = self._started_at + self.carrier.start_s - time.monotonic()
         await asyncio.wait(
             {self._greeted, self._ended}, timeout=max(0.0, remaining_s), return_when=asyncio.FIRST_COMPLETED
         )
         if self._greeted.done():
             return None
         if not self._ended.done():
-            self._end(LinkError(f"{self._name} was not ready after {START_S:.0f} s.{self._last_words()}"))
+            self._end(LinkError(f"{self._name} was not ready after {self.carrier.start_s:.0f} s.{self._last_words()}"))
         return await self._reason()
 
     async def run(self) -> LinkError:
-        """Watches over a bridge that has said hello; returns why it was lost, after everyone waiting was told."""
+        """Watches over a bridge that has said hello; returns why it was lost, after all who wait got that error."""
         watch = asyncio.ensure_future(self._heartbeat.until_silent())
         try:
             await asyncio.wait({watch, self._ended}, return_when=asyncio.FIRST_COMPLETED)
@@ -139,33 +137,34 @@ class Connection:
     ) -> Reply:
         """Sends one request and waits for its answer; a caller that is cancelled or gives up cancels it."""
         number = next(self._numbers)
-        header = _header(number, op, timeout_s, arguments)
-        limit_s = timeout_s + MARGIN_S + (_number(arguments.get("wait_s")) if op == "call" else 0.0)
+        header = {**arguments, "id": number, "op": op}
+        if op in _BOUNDED_BY_THE_BRIDGE:
+            header["timeout_s"] = timeout_s
+        wait_s = arguments.get("wait_s")  # for the server of a service, before its answer is waited for
+        limit_s = timeout_s + MARGIN_S + (wait_s if op == "call" and isinstance(wait_s, (int, float)) else 0.0)
         request = _Open(asyncio.get_running_loop().create_future(), subscription)
         self._open[number] = request
         try:
             if body:
-                await self._send_body(header, body)
+                # One after the other, each when the carrier has room: what waits to be written stays bounded.
+                async with self._writing:
+                    await self.carrier.writable()
+                    self._send(header, body)
             else:
                 self._send(header)
             await asyncio.wait({request.answer}, timeout=limit_s)
             if not request.answer.done():
                 raise TimedOut(f"The bridge gave no answer to {op} within {limit_s:.1f} s.")
-            return _reply(request.answer.result())
+            answer = request.answer.result()
+            error: Failure | None = answer.header.get("error")
+            if error is not None:
+                raise BridgeRefused(error["kind"], error["message"], error["hint"])
+            return Reply(answer.header["ok"], answer.body)
         finally:
             if not request.answer.done():
-                self._abandon(number, op, request)
-
-    def _abandon(self, number: int, op: str, request: _Open) -> None:
-        request.answer.cancel()
-        if op not in _NEVER_CANCELLED:
-            self._send({"id": next(self._numbers), "op": "cancel", "request": number})
-
-    async def _send_body(self, header: Mapping[str, object], body: bytes) -> None:
-        """Bodies go one after the other, each when the pipe has room: what waits to be written stays bounded."""
-        async with self._writing:
-            await self.carrier.writable()
-            self._send(header, body)
+                request.answer.cancel()
+                if op not in _NEVER_CANCELLED:
+                    self._send({"id": next(self._numbers), "op": "cancel", "request": number})
 
     def _send(self, header: Mapping[str, object], body: bytes = b"") -> None:
         if self._ended.done():
@@ -177,7 +176,7 @@ class Connection:
 
     # ── subscriptions ──────────────────────────────────────────────────────────────────────────────────────────
 
-    async def subscribe(self, subscription: Subscription, timeout_s: float, arguments: SubscribeArguments) -> None:
+    async def subscribe(self, subscription: Subscription, timeout_s: float, arguments: Mapping[str, object]) -> None:
         """Lets the samples of a new subscription flow; if the caller is cancelled meanwhile, none is left behind."""
         try:
             await self.request("subscribe", b"", timeout_s, arguments, subscription)
@@ -190,9 +189,8 @@ class Connection:
         number = subscription.number
         if number is None or number not in self._subscriptions:
             return
-        arguments: UnsubscribeArguments = {"sub": number}
         try:
-            reply = await self.request("unsubscribe", b"", MARGIN_S, arguments)
+            reply = await self.request("unsubscribe", b"", MARGIN_S, {"sub": number})
             subscription.count(cast("Counts", reply.ok))
         except LinkError:
             return  # the bridge is gone, and the subscription with it
@@ -216,25 +214,24 @@ class Connection:
             self._end(self._lost(f"sent what is not part of the protocol ({error})"))
 
     def _take_in(self, packet: Packet) -> None:
-        event = packet.header.get("event")
+        header = packet.header
+        event = header.get("event")
         if event is None:
             self._answered(packet)
         elif event == "samples":
-            subscription = self._subscriptions.get(packet.header["sub"])
+            subscription = self._subscriptions.get(header["sub"])
             if subscription:
-                subscription.arrived(cast("Samples", packet.header), packet.body)
-        elif event == "hello":
-            self._said_hello(packet.header)
-        elif event == "failed":
-            self._end(_failure(packet.header))
-
-    def _said_hello(self, header: dict[str, Any]) -> None:
-        if header["protocol"] != PROTOCOL:
+                subscription.arrived(cast("Samples", header), packet.body)
+        elif event == "hello" and header["protocol"] != PROTOCOL:
             self._end(LinkError(f"The bridge speaks protocol {header['protocol']}, this server {PROTOCOL}."))
-            return
-        self.hello = Hello(**{name: header[name] for name in Hello._fields})
-        if not self._greeted.done():
-            self._greeted.set_result(None)
+        elif event == "hello":
+            self.hello = Hello(**{name: header[name] for name in Hello._fields})
+            if not self._greeted.done():
+                self._greeted.set_result(None)
+        elif event == "failed":
+            no_rclpy = header.get("kind") == "no_rclpy"
+            what = "The Python of ROS cannot import rclpy" if no_rclpy else "ROS 2 did not start"
+            self._end(LinkError(f"{what}: {header['message']}", "Run: ros2-mcp doctor"))
 
     def _answered(self, packet: Packet) -> None:
         number = packet.header["id"]
@@ -245,38 +242,10 @@ class Connection:
         if not request:
             return
         if request.subscription and "ok" in packet.header:
-            self._subscribed(request, packet.header["ok"]["sub"])
+            # Samples may follow in the same piece: the subscription is registered before its caller runs.
+            number = request.subscription.number = packet.header["ok"]["sub"]
+            self._subscriptions[number] = request.subscription
+            if request.answer.done():
+                self._dismiss(request.subscription)
         if not request.answer.done():
             request.answer.set_result(packet)
-
-    def _subscribed(self, request: _Open, number: int) -> None:
-        """Samples may follow in the same breath, so the subscription is known before its asker wakes up."""
-        assert request.subscription
-        request.subscription.number = number
-        self._subscriptions[number] = request.subscription
-        if request.answer.done():
-            self._dismiss(request.subscription)
-
-
-def _header(number: int, op: str, timeout_s: float, arguments: Mapping[str, object]) -> dict[str, object]:
-    header: dict[str, object] = {**arguments, "id": number, "op": op}
-    if op in _BOUNDED_BY_THE_BRIDGE:
-        header["timeout_s"] = timeout_s
-    return header
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, (int, float)) else 0.0
-
-
-def _reply(packet: Packet) -> Reply:
-    error: Failure | None = packet.header.get("error")
-    if error is not None:
-        raise BridgeRefused(error["kind"], error["message"], error["hint"])
-    return Reply(packet.header["ok"], packet.body)
-
-
-def _failure(header: dict[str, Any]) -> LinkError:
-    if header.get("kind") == "no_rclpy":
-        return LinkError(f"The Python of ROS cannot import rclpy: {header['message']}", "Run: ros2-mcp doctor")
-    return LinkError(f"ROS 2 did not start: {header['message']}", "Run: ros2-mcp doctor")

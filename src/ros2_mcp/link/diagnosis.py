@@ -27,7 +27,7 @@ from ros2_mcp.link.installation import RosInstallation
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.settings import MAX_DOMAIN_ID, Settings
 
-# Somebody waits at a terminal; a bridge that takes longer is worth looking into.
+# Somebody waits at a terminal: less than a carrier's `start_s`. Chosen.
 PROBE_S = 15.0
 
 
@@ -49,11 +49,12 @@ def diagnose(settings: Settings, env: Mapping[str, str] = os.environ) -> list[Fi
         choice = Finding(True, "ROS 2", f"{chosen.distro} ({chosen.kind}). {chosen.why}")
     except RobotError as error:
         choice = Finding(False, "ROS 2", error.message, error.hint)
+    ours = f"the server runs under {platform.python_version()} ({sys.executable})"
     return [
         choice,
         *_candidates(settings, env),
         *(_workspace(workspace) for workspace in settings.workspaces),
-        _python(chosen),
+        Finding(None, "Python", f"{ours}, the bridge under {chosen.python}" if chosen else ours),
         *(_inside(chosen, settings, env) if chosen else ()),
         *_network(settings, env),
         *_places(settings, env),
@@ -114,31 +115,23 @@ def _workspace(workspace: Path) -> Finding:
         return Finding(False, "Workspace", error.message, error.hint)
 
 
-def _python(chosen: RosInstallation | None) -> Finding:
-    ours = f"the server runs under {platform.python_version()} ({sys.executable})"
-    return Finding(None, "Python", f"{ours}, the bridge under {chosen.python}" if chosen else ours)
-
-
 def _inside(chosen: RosInstallation, settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
     if chosen.scripts and not shutil.which("bash", path=env.get("PATH")):
         yield Finding(False, "bash", "not on PATH, but setup files must be sourced", "Run: apt-get install bash")
-    yield _middleware(chosen, settings.rmw or env.get("RMW_IMPLEMENTATION", ""))
-
-
-def _middleware(chosen: RosInstallation, requested: str) -> Finding:
-    """Whether the middleware that the environment asks for is installed."""
+    requested = settings.rmw or env.get("RMW_IMPLEMENTATION", "")
     prefixes = [chosen.prefix, *path_entries(chosen.environment, "AMENT_PREFIX_PATH")]
     index = "share/ament_index/resource_index/rmw_typesupport"
     installed = sorted({entry.name for prefix in prefixes for entry in prefix.glob(f"{index}/rmw_*_c*")})
     title, listed = "Middleware", ", ".join(installed) or "none found"
     if not requested:
-        return Finding(None, title, f"ROS's own choice; installed: {listed}")
-    if requested in installed:
-        return Finding(True, title, requested)
-    fix = f"Unset RMW_IMPLEMENTATION, or run: apt-get install ros-{chosen.distro}-{requested.replace('_', '-')}"
-    if chosen.kind == "wheels":
-        fix = "Unset RMW_IMPLEMENTATION: the wheels have Fast DDS only."
-    return Finding(False, title, f"{requested} is asked for and not installed; installed: {listed}", fix)
+        yield Finding(None, title, f"ROS's own choice; installed: {listed}")
+    elif requested in installed:
+        yield Finding(True, title, requested)
+    else:
+        fix = f"Unset RMW_IMPLEMENTATION, or run: apt-get install ros-{chosen.distro}-{requested.replace('_', '-')}"
+        if chosen.kind == "wheels":
+            fix = "Unset RMW_IMPLEMENTATION: the wheels have Fast DDS only."
+        yield Finding(False, title, f"{requested} is asked for and not installed; installed: {listed}", fix)
 
 
 def _network(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
@@ -146,9 +139,9 @@ def _network(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
     valid = domain.isdigit() and int(domain) <= MAX_DOMAIN_ID
     fix = "" if valid else f"Set ROS_DOMAIN_ID to a number from 0 to {MAX_DOMAIN_ID}, the robot's own."
     yield Finding(valid, "Domain", f"ROS_DOMAIN_ID is {domain}", fix)
-    reach = env.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper()
-    if env.get("ROS_LOCALHOST_ONLY") == "1" or reach in ("LOCALHOST", "OFF"):
-        variable = "ROS_AUTOMATIC_DISCOVERY_RANGE" if reach in ("LOCALHOST", "OFF") else "ROS_LOCALHOST_ONLY"
+    by_range = env.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() in ("LOCALHOST", "OFF")
+    if by_range or env.get("ROS_LOCALHOST_ONLY") == "1":
+        variable = "ROS_AUTOMATIC_DISCOVERY_RANGE" if by_range else "ROS_LOCALHOST_ONLY"
         note = f"{variable} is set: robots on other machines are not seen"
         yield Finding(None, "Reach", note, f"Unset {variable} to reach a robot over the network.")
 

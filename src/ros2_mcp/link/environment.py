@@ -12,9 +12,10 @@ import re
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
-from ros2_mcp.link.installation import Kind, RosInstallation, clean_environment, wheel_environment
+from ros2_mcp.link.installation import RosInstallation, clean_environment, wheel_environment
 from ros2_mcp.link.interfaces import InterfaceCache
 from ros2_mcp.model.errors import BadInput, RosNotFound
 from ros2_mcp.settings import Settings
@@ -31,11 +32,17 @@ def find_ros(settings: Settings, env: Mapping[str, str] = os.environ) -> RosInst
         RosNotFound: if there is none, or not the distribution that was asked for; its hint is the way out.
         BadInput: if a `--workspace` has nothing to source or `--bridge-python` is not there.
     """
-    for candidate in (sourced, unsourced, wheels):
-        installation = candidate(settings, env)
-        if installation:
-            return installation
-    raise _not_found(settings)
+    installation = sourced(settings, env) or unsourced(settings, env) or wheels(settings, env)
+    if not installation:
+        raise _not_found(settings)
+    overlays = (workspace_setup(workspace) for workspace in settings.workspaces)
+    is_of_wheels = installation.kind == "wheels"
+    built = InterfaceCache(settings.interface_folder).in_use(installation.prefix) if is_of_wheels else ()
+    return replace(
+        installation,
+        scripts=(*installation.scripts, *overlays),
+        interface_prefixes=tuple(dict.fromkeys((*settings.interface_prefixes, *built))),
+    )
 
 
 # ── a shell that was sourced ───────────────────────────────────────────────────────────────────────────────────
@@ -47,50 +54,46 @@ def sourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | Non
     prefixes = path_entries(env, "AMENT_PREFIX_PATH")
     if not distro or not prefixes or settings.distro not in (None, distro):
         return None
-    package = next(_rclpy_on_path(env, prefixes), None)
+    on_path = (entry / "rclpy" for entry in path_entries(env, "PYTHONPATH"))
+    below_prefixes = (package for prefix in prefixes for package in rclpy_below(prefix))
+    package = next((package for package in (*on_path, *below_prefixes) if package.is_dir()), None)
     if not package:
         return None
-    clean = _environment(settings, env, keep_sourced=True)
+    clean = clean_environment(settings, env, keep_sourced=True)
     python = _override(settings) or _interpreter(package, prefixes, clean)
     if not python:
         return None
-    prefix = next((entry for entry in prefixes if package.is_relative_to(entry)), prefixes[-1])
-    why = f"This shell is sourced: ROS_DISTRO={distro}, rclpy is in {package.parent}."
-    return _installation(settings, "sourced", distro, prefix, why, python, (), clean)
-
-
-def _rclpy_on_path(env: Mapping[str, str], prefixes: Iterable[Path]) -> Iterator[Path]:
-    for entry in path_entries(env, "PYTHONPATH"):
-        if (entry / "rclpy").is_dir():
-            yield entry / "rclpy"
-    for prefix in prefixes:
-        yield from rclpy_below(prefix)
+    return RosInstallation(
+        kind="sourced",
+        distro=distro,
+        prefix=next((entry for entry in prefixes if package.is_relative_to(entry)), prefixes[-1]),
+        why=f"This shell is sourced: ROS_DISTRO={distro}, rclpy is in {package.parent}.",
+        python=python,
+        environment=clean,
+    )
 
 
 def rclpy_below(prefix: Path) -> Iterator[Path]:
-    """The folders `rclpy` of a prefix, one for each Python it was installed for."""
-    for pattern in _PYTHON_FOLDERS:
-        yield from (folder / "rclpy" for folder in sorted(prefix.glob(pattern)) if (folder / "rclpy").is_dir())
+    """The folders `rclpy` of a prefix, one for each Python that it was installed for."""
+    folders = (folder / "rclpy" for pattern in _PYTHON_FOLDERS for folder in sorted(prefix.glob(pattern)))
+    return (folder for folder in folders if folder.is_dir())
 
 
 def _interpreter(package: Path, prefixes: Iterable[Path], env: Mapping[str, str]) -> str | None:
-    """The Python that this rclpy was compiled for, or None if it is not on this machine."""
-    name = _python_name(package)
+    """The Python that this rclpy was compiled for, or None if it is not on this machine.
+
+    `python3.12` follows from the extension module in rclpy, or from the folder that it is in; else it is `python3`.
+    """
+    extensions = (extension.name for extension in package.glob("_rclpy_pybind11.cpython-3*"))
+    versions = (re.match(r"_rclpy_pybind11\.cpython-3(\d+)", extension) for extension in extensions)
+    minor = next((version[1] for version in versions if version), "")
+    folder = package.parent.parent.name
+    name = f"python3.{minor}" if minor else folder if re.fullmatch(r"python3(\.\d+)?", folder) else "python3"
     path = env.get("PATH", os.defpath).split(os.pathsep)
     own = [str(prefix / "bin") for prefix in prefixes]
     # Shims of version switchers are there for every version, and fail for those that are not switched on.
     real = [entry for entry in path if Path(entry).name != "shims"]
     return shutil.which(name, path=os.pathsep.join([*own, *real, "/usr/bin"]))
-
-
-def _python_name(package: Path) -> str:
-    """`python3.12` from the extension module in rclpy, or from the folder it is in; `python3` if neither says."""
-    for extension in package.glob("_rclpy_pybind11.cpython-3*"):
-        version = re.match(r"_rclpy_pybind11\.cpython-3(\d+)", extension.name)
-        if version:
-            return f"python3.{version[1]}"
-    version = re.fullmatch(r"python3(\.\d+)?", package.parent.parent.name)
-    return version[0] if version else "python3"
 
 
 # ── an installation that nobody sourced ────────────────────────────────────────────────────────────────────────
@@ -103,13 +106,20 @@ def unsourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | N
     if distro not in installed:
         return None
     prefix = settings.ros_root / distro
-    clean = _environment(settings, env, keep_sourced=False)
+    clean = clean_environment(settings, env, keep_sourced=False)
     package = next(rclpy_below(prefix), None)
     # The system's own Python first: another one of that version would lack what rclpy needs, such as NumPy.
     python = _override(settings) or (package and _interpreter(package, [prefix, Path("/usr")], clean)) or "python3"
     reason = "asked for" if settings.distro else "the newest of " + ", ".join(installed)
-    why = f"{prefix}/setup.bash is sourced for the bridge ({reason})."
-    return _installation(settings, "unsourced", distro, prefix, why, python, (prefix / "setup.bash",), clean)
+    return RosInstallation(
+        kind="unsourced",
+        distro=distro,
+        prefix=prefix,
+        why=f"{prefix}/setup.bash is sourced for the bridge ({reason}).",
+        python=python,
+        scripts=(prefix / "setup.bash",),
+        environment=clean,
+    )
 
 
 def installed_distros(root: Path) -> list[str]:
@@ -151,10 +161,15 @@ def wheels(settings: Settings, env: Mapping[str, str]) -> RosInstallation | None
     if not spec or not spec.origin or not distro or settings.distro not in (None, distro):
         return None
     prefix = Path(sys.prefix)
-    clean = _environment(settings, env, keep_sourced=False)
-    clean = wheel_environment(clean, prefix, Path(spec.origin).parents[1])
-    why = f"The ROS 2 wheels for {distro} are installed in {prefix}."
-    return _installation(settings, "wheels", distro, prefix, why, _override(settings) or sys.executable, (), clean)
+    clean = clean_environment(settings, env, keep_sourced=False)
+    return RosInstallation(
+        kind="wheels",
+        distro=distro,
+        prefix=prefix,
+        why=f"The ROS 2 wheels for {distro} are installed in {prefix}.",
+        python=_override(settings) or sys.executable,
+        environment=wheel_environment(clean, prefix, Path(spec.origin).parents[1]),
+    )
 
 
 def wheel_distro() -> str | None:
@@ -209,39 +224,6 @@ def wheels_exist_here() -> bool:
 
 
 # ── common to all ──────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def _installation(
-    settings: Settings,
-    kind: Kind,
-    distro: str,
-    prefix: Path,
-    why: str,
-    python: str,
-    scripts: tuple[Path, ...],
-    environment: Mapping[str, str],
-) -> RosInstallation:
-    overlays = tuple(workspace_setup(workspace) for workspace in settings.workspaces)
-    return RosInstallation(
-        kind=kind,
-        distro=distro,
-        prefix=prefix,
-        why=why,
-        python=python,
-        scripts=(*scripts, *overlays),
-        environment=environment,
-        interface_prefixes=_interfaces(settings, kind, prefix),
-    )
-
-
-def _interfaces(settings: Settings, kind: Kind, prefix: Path) -> tuple[Path, ...]:
-    """The given packages first; for wheels also those that were built before."""
-    built = InterfaceCache(settings.interface_folder).in_use(prefix) if kind == "wheels" else ()
-    return tuple(dict.fromkeys((*settings.interface_prefixes, *built)))
-
-
-def _environment(settings: Settings, env: Mapping[str, str], *, keep_sourced: bool) -> dict[str, str]:
-    return clean_environment(env, keep_sourced=keep_sourced, domain_id=settings.domain_id, rmw=settings.rmw)
 
 
 def _override(settings: Settings) -> str | None:

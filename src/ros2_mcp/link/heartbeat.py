@@ -72,6 +72,6 @@ class Heartbeat:
             return ""
         vitality = self._carrier.alive()
         if vitality == "stopped":
-            return f"was stopped (SIGSTOP) and stopped answering for {silent_s:.1f} s"
+            return f"was stopped and has not answered for {silent_s:.1f} s"
         limit_s = STARVED_S if vitality == "starved" else SILENCE_S
         return f"stopped answering for {silent_s:.1f} s" if silent_s >= limit_s else ""

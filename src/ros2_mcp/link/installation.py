@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from ros2_mcp.settings import Settings
+
 Kind = Literal["sourced", "unsourced", "wheels"]
 
 WHEEL_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
@@ -69,36 +71,27 @@ class RosInstallation:
         """How to run one of our packages (`ros2_mcp_bridge`, `ros2_mcp_demo`) as `python -m` would."""
         folder = Path(__file__).resolve().parents[2] / package
         argv = [self.python, "-c", _BOOTSTRAP, str(folder), package, *args]
-        if self.scripts:
-            return Command(["bash", "-c", self._script(argv)], self.environment)
-        return Command(argv, self._with_interfaces())
-
-    def _with_interfaces(self) -> Mapping[str, str]:
-        env = dict(self.environment)
-        for variable, entries in self._added_paths():
-            env[variable] = os.pathsep.join([*entries, *filter(None, [env.get(variable)])])
-        return env
-
-    def _script(self, argv: Sequence[str]) -> str:
-        """Sources every setup file, with the stream kept out of its reach, then becomes the Python process."""
-        lines = [f"source {shlex.quote(str(script))} </dev/null >&2" for script in self.scripts]
-        for variable, entries in self._added_paths():
-            added = shlex.quote(os.pathsep.join(entries))
-            lines.append(f'export {variable}={added}"${{{variable}:+:${variable}}}"')
-        return "\n".join([*lines, f"exec {shlex.join(argv)}"])
-
-    def _added_paths(self) -> list[tuple[str, list[str]]]:
-        """What puts our interface packages in front of those of the installation."""
+        # What puts our interface packages in front of those of the installation.
+        added = {
+            "AMENT_PREFIX_PATH": os.pathsep.join(str(prefix) for prefix in self.interface_prefixes),
+            "PYTHONPATH": os.pathsep.join(str(prefix / "site-packages") for prefix in self.interface_prefixes),
+        }
         if not self.interface_prefixes:
-            return []
-        prefixes = [str(prefix) for prefix in self.interface_prefixes]
-        packages = [str(prefix / "site-packages") for prefix in self.interface_prefixes]
-        return [("AMENT_PREFIX_PATH", prefixes), ("PYTHONPATH", packages)]
+            added = {}
+        if not self.scripts:
+            old = self.environment
+            in_front = {name: os.pathsep.join(filter(None, [paths, old.get(name)])) for name, paths in added.items()}
+            return Command(argv, {**old, **in_front})
+        # Sources every setup file, with the stream kept out of its reach, then becomes the Python process.
+        lines = [
+            *(f"source {shlex.quote(str(script))} </dev/null >&2" for script in self.scripts),
+            *(f'export {name}={shlex.quote(paths)}"${{{name}:+:${name}}}"' for name, paths in added.items()),
+            f"exec {shlex.join(argv)}",
+        ]
+        return Command(["bash", "-c", "\n".join(lines)], self.environment)
 
 
-def clean_environment(
-    env: Mapping[str, str], *, keep_sourced: bool, domain_id: int | None, rmw: str | None
-) -> dict[str, str]:
+def clean_environment(settings: Settings, env: Mapping[str, str], *, keep_sourced: bool) -> dict[str, str]:
     """A copy of an environment for ROS's Python: without what belongs to ours, with what the settings ask for."""
     clean = {name: value for name, value in env.items() if name not in _OF_OUR_PYTHON}
     if WHEEL_GUARD in env:
@@ -110,10 +103,10 @@ def clean_environment(
     if not keep_sourced:
         for name in _OF_A_SOURCED_SHELL:
             clean.pop(name, None)
-    if domain_id is not None:
-        clean["ROS_DOMAIN_ID"] = str(domain_id)
-    if rmw:
-        clean["RMW_IMPLEMENTATION"] = rmw
+    if settings.domain_id is not None:
+        clean["ROS_DOMAIN_ID"] = str(settings.domain_id)
+    if settings.rmw:
+        clean["RMW_IMPLEMENTATION"] = settings.rmw
     if not clean.get("HOME") and not clean.get("ROS_HOME"):
         clean.setdefault("ROS_LOG_DIR", str(Path(tempfile.gettempdir()) / "ros2-mcp-log"))
     return clean

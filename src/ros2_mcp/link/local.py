@@ -50,6 +50,10 @@ def start_local(settings: Settings, env: Mapping[str, str] = os.environ) -> Loca
 class LocalBridge:
     """A bridge in a session of its own, so that a Ctrl-C in our terminal does not reach it. It is a `Carrier`."""
 
+    # Wheels say hello after about half a second; sourcing setup files from a slow disk takes longer. Chosen, with much
+    # room: nothing is lost while a start that will fail is waited for.
+    start_s = 20.0
+
     def __init__(self, installation: RosInstallation, *, pass_stderr: bool = False) -> None:
         """Starts the process without waiting for anything.
 

@@ -166,7 +166,7 @@ def test_the_environment_of_the_bridge_holds_nothing_of_our_own_python() -> None
         "LD_LIBRARY_PATH": f"{sys.prefix}/lib{os.pathsep}/usr/local/lib",
         "HOME": "/home/robot",
     }
-    clean = clean_environment(leaked, keep_sourced=True, domain_id=7, rmw="rmw_cyclonedds_cpp")
+    clean = clean_environment(Settings(domain_id=7, rmw="rmw_cyclonedds_cpp"), leaked, keep_sourced=True)
     assert clean == {
         "LD_LIBRARY_PATH": "/usr/local/lib",
         "HOME": "/home/robot",
@@ -176,7 +176,7 @@ def test_the_environment_of_the_bridge_holds_nothing_of_our_own_python() -> None
 
 
 def test_without_a_home_the_log_of_ros_has_a_place() -> None:
-    assert clean_environment({}, keep_sourced=True, domain_id=None, rmw=None)["ROS_LOG_DIR"]
+    assert clean_environment(Settings(), {}, keep_sourced=True)["ROS_LOG_DIR"]
 
 
 def test_the_doctor_names_the_fix_for_a_middleware_that_is_not_installed(tmp_path: Path) -> None:
