@@ -68,7 +68,7 @@ def build_server(robot: Robot, toolset: Toolset, catalog: Catalog, *, recording:
     events = InMemorySubscriptionBus()
     tools = Tools(robot, toolset)
     prompts = Prompts(catalog, events)
-    resources = Resources(robot, events)
+    resources = Resources(robot, events, partial(_stop_work_of, robot))
     completions = Completions(robot, of_prompt=partial(_of_prompt, catalog), of_template=_of_template)
     # Nothing in a recording changes while it is looked at: its server has no resources, and nobody can subscribe.
     live = not recording
@@ -143,6 +143,13 @@ def principal_of(request: Request | None) -> Principal:
         return Principal(name="http", transport="http")
     # Who knows the id of a session can use it: it is named by a hash of it.
     return Principal(name=f"http_{hashlib.sha256(session.encode()).hexdigest()[:8]}", transport="http")
+
+
+async def _stop_work_of(robot: Robot, context: Context) -> None:
+    """Stops what a client over HTTP left in motion; the one client of stdio ends with the server, which stops all."""
+    principal = principal_of(context.request)
+    if principal != LOCAL:
+        await robot.jobs.stop_owned(principal)
 
 
 async def _no_resources(_: Any, __: Any) -> ListResourcesResult:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from mcp.server.subscriptions import SubscriptionBus
@@ -24,7 +25,7 @@ from ros2_mcp.model.errors import BadInput, NotFound, RobotError
 from ros2_mcp.ops.watch.watchers import Watcher
 from ros2_mcp.resources.catalogue import RESOURCES, matching
 from ros2_mcp.resources.content import fitting
-from ros2_mcp.resources.push import Push
+from ros2_mcp.resources.push import Push, Request
 from ros2_mcp.robot import Robot
 
 _MIME_TYPE = "application/json"
@@ -34,10 +35,12 @@ _logger = logging.getLogger(__name__)
 class Resources:
     """Answers what clients ask of resources; `push` answers their subscriptions."""
 
-    def __init__(self, robot: Robot, bus: SubscriptionBus) -> None:
+    def __init__(
+        self, robot: Robot, bus: SubscriptionBus, client_has_gone: Callable[[Request], Awaitable[object]]
+    ) -> None:
         self._robot = robot
         self._watcher = Watcher(robot)
-        self.push = Push(self._watcher, bus)
+        self.push = Push(self._watcher, bus, client_has_gone)
 
     async def list(self, _: Any, __: PaginatedRequestParams | None) -> ListResourcesResult:
         """The resources without variables."""

@@ -6,10 +6,11 @@ Whoever does not read is told once, later: each client has a mailbox in which an
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import ExitStack
 from typing import Any
 
+import anyio
 from mcp.server.context import ServerRequestContext
 from mcp.server.session import ServerSession
 from mcp.server.subscriptions import SUBSCRIPTION_ID_META_KEY, ResourceUpdated, ServerEvent, SubscriptionBus
@@ -89,9 +90,12 @@ class Subscriber:
 class Push:
     """Answers the subscription methods of both eras."""
 
-    def __init__(self, watcher: Watcher, bus: SubscriptionBus) -> None:
+    def __init__(
+        self, watcher: Watcher, bus: SubscriptionBus, client_has_gone: Callable[[Request], Awaitable[object]]
+    ) -> None:
         self._watcher = watcher
         self._bus = bus
+        self._client_has_gone = client_has_gone
         self._subscribers: dict[int, Subscriber] = {}
         self._listening = 0
 
@@ -111,6 +115,8 @@ class Push:
         finally:
             subscriber.leave()
             del self._subscribers[id(client)]
+            with anyio.CancelScope(shield=True):  # the connection ends only now; nothing else will stop its work
+                await self._client_has_gone(request)
 
     async def subscribe(self, request: Request, params: SubscribeRequestParams) -> EmptyResult:
         """Handshake era; answers when nothing that happens from now on is missed.

@@ -281,8 +281,11 @@ class Jobs:
         return await self._stop(moving)
 
     async def stop_owned(self, owner: Principal) -> list[Job]:
-        """Stops all of one owner, who is gone; returns those that ran."""
-        return await self._end([job for job in self.running(Job) if job.owner == owner])
+        """Stops all that one owner, who is gone, has left in motion, goals too; returns the jobs that ran.
+
+        What moves nothing, such as a recording, goes on: another client can still stop it.
+        """
+        return await self._end([job for job in self.running(Job) if job.owner == owner and job.moves])
 
     async def close(self) -> None:
         """Stops all, and starts no other: the end of the server. Safe to call twice."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 import anyio
@@ -26,7 +27,8 @@ def free_port() -> int:
 def port(start: Any, request: pytest.FixtureRequest) -> Iterator[int]:
     """The port of a running server; the parameter is its transport."""
     port = free_port()
-    start("ros2_mcp", "--transport", getattr(request, "param", "streamable-http"), "--port", str(port))
+    transport = getattr(request, "param", "streamable-http")
+    start("ros2_mcp", "--transport", transport, "--port", str(port), "--tools", "all")
     deadline = time.monotonic() + PATIENCE_S
     while True:
         try:
@@ -72,3 +74,57 @@ async def test_a_client_that_is_gone_leaves_no_subscription_behind(port: int) ->
         with anyio.fail_after(PATIENCE_S):
             while (await status(stays))["subscriptions"] != before:
                 await anyio.sleep(0.1)
+
+
+async def called(client: Client, tool: str, **arguments: Any) -> Any:
+    result = await client.call_tool(tool, arguments)
+    assert not result.is_error, result.content
+    return result.structured_content
+
+
+async def messages_on(client: Client, topic: str) -> int:
+    """How many come within a second."""
+    read = await called(client, "ros2_topic_subscribe", topic_name=topic, msg_type="geometry_msgs/Twist", duration=1.0)
+    return len(read["messages"])
+
+
+async def test_the_end_of_a_client_stops_what_it_left_in_motion_and_nothing_else(port: int) -> None:
+    """A repeat, whose call ends with the session, and a relay, which no call awaits; another client's relay goes on."""
+
+    async def repeat(client: Client) -> None:
+        with suppress(Exception):  # its session ends before it answers
+            await called(
+                client,
+                "ros2_topic_publish",
+                topic_name="/left/in",
+                message_type="geometry_msgs/Twist",
+                data={"linear": {"x": 1.0}},
+                frequency=20,
+                duration=600,
+            )
+
+    def relay(client: Client, to: str) -> Any:
+        return called(
+            client,
+            "ros2_relay_start",
+            source_topic="/left/in",
+            destination_topic=to,
+            message_type="geometry_msgs/Twist",
+            duration_sec=0,
+        )
+
+    url = f"http://127.0.0.1:{port}/mcp"
+    async with Client(url, mode="legacy") as stays, anyio.create_task_group() as calls:
+        own = await relay(stays, "/kept/out")
+        async with Client(url, mode="legacy") as goes:
+            left = await relay(goes, "/left/out")
+            calls.start_soon(repeat, goes)
+            with anyio.fail_after(PATIENCE_S):
+                while not await messages_on(stays, "/left/out"):
+                    pass
+        with anyio.fail_after(PATIENCE_S):
+            states: dict[str, str] = {}
+            while states.get(left["relay_id"]) != "stopped" or await messages_on(stays, "/left/in"):
+                listed = await called(stays, "ros2_relay_list")
+                states = {known["relay_id"]: known["state"] for known in listed["relays"]}
+        assert states[own["relay_id"]] == "running"

@@ -255,14 +255,14 @@ async def test_only_what_moves_is_stopped_with_the_robot() -> None:
         assert (recording.state, relay.state) == ("running", "stopped")
 
 
-async def test_the_end_of_a_client_ends_its_own_jobs() -> None:
+async def test_the_end_of_a_client_ends_what_it_left_in_motion() -> None:
     async with a_server() as jobs:
         gone = Principal(name="session", transport="http")
-        theirs, ours = Watch(owner=gone), Watch()
-        for job in (theirs, ours):
+        relay, recording, ours = Watch(owner=gone, moves=("/a",)), Watch(owner=gone), Watch(moves=("/b",))
+        for job in (relay, recording, ours):
             await jobs.start(job)
-        assert await jobs.stop_owned(gone) == [theirs]
-        assert ours.is_running
+        assert await jobs.stop_owned(gone) == [relay] and relay.state == "stopped"
+        assert recording.is_running and ours.is_running
 
 
 async def test_the_end_of_the_server_ends_all_and_lets_none_begin() -> None:
