@@ -17,7 +17,7 @@ WITHOUT_A_ROBOT = ("src/ros2_mcp/ops/sources/recorded_robot.py",)
 BEGINS_AND_ENDS = {"launch", "attach", "close"}
 STREAM_MODULES = {"client", "connection", "subscription", "carrier", "carriers", "local", "heartbeat"}
 """Modules of `link/` that carry the stream; the others look for installations."""
-EXECUTORS = {"core", "failsafes", "goals", "publishing", "services", "sent_goals", "translation"}
+EXECUTORS = {"core", "failsafes", "goals", "publishing", "services", "translation"}
 SPEAKING = {"ask", "query", "request", "subscribe"}
 OF_MCP = ("_bus", "events", "push", "context")
 """Who is subscribed with, or has made a request, is a client of ours, and no robot."""

@@ -11,9 +11,9 @@ REGISTRY = "src/ros2_mcp/robot/jobs.py"
 
 BEGINS_TASKS = {
     "ops/watch/changes.py:_follow_goals": "ended in the `finally` of the watch that follows them",
-    "ops/actions/goals.py:_ending": "the following of feedback, ended in the same function's `finally`",
-    "ops/actions/goals.py:ask": "the request for a result, cancelled in the `finally` of `_result`",
-    "ops/actions/goals.py:submit": "the sending of a goal, cancelled in the same function's `finally`",
+    "ops/actions/send_goal.py:_ending": "the following of feedback, ended in the same function's `finally`",
+    "ops/actions/result.py:result_of": "the request for a result, cancelled in the same function's `finally`",
+    "ops/actions/send_goal.py:_submit": "the sending of a goal, cancelled in the same function's `finally`",
     "ops/results.py:reporting": "ended in the same function's `finally`",
     "ops/watch/watchers.py:__init__": "a watch ends with the last who listens to it, and moves nothing",
     "ops/watch/watchers.py:begun": "ended in the same function's `finally`",

@@ -60,7 +60,7 @@ class MadeBridge(Bridge):
         if not self.is_ready or name not in self.relays:
             raise BridgeRefused("not_found", "There is no running relay.")
         self.heard += [(self.relays[name], monotonic())] * len(sizes)
-        return {}
+        return {"passed": len(self.heard)}
 
     async def _relays(self) -> Any:
         return {"relays": {name: {"running": True, "matched": 1} for name in self.relays}}

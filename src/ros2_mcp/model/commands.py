@@ -1,13 +1,13 @@
-"""Every act that may change something: frozen, with resolved names and full types, told by the principal who asks.
+"""Every act that may change something: frozen, with resolved names, full types and the principal who asks for it.
 
-A command says what shall happen; `Robot.do` decides about it and carries it out. Each is generic in what comes of it.
+A command says what shall happen; `Robot.do` decides about it and carries it out. Its type parameter is its result.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request, goal_id_bytes
 from ros2_mcp.model.graph import RelayCounts
@@ -36,12 +36,12 @@ LOCAL = Principal(name="local", transport="stdio")
 """The one client of a server over stdio."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Sent:
     """What became of a publication.
 
-    `acked` is None where best effort gives no acknowledgement; `late` counts missed periods of a repetition, which
-    ends with a zero command (`stopped_with_zero`) where the type is one that keeps a robot moving.
+    `acked` is None where it is not known: best effort and repetitions have no acknowledgement. `late` counts missed
+    periods of a repetition, which ends with a zero command (`stopped_with_zero`) where its type is a velocity command.
     """
 
     topic: str
@@ -49,8 +49,8 @@ class Sent:
     choice: Choice
     sent: int
     matched: int
-    acked: bool | None
     elapsed_s: float
+    acked: bool | None = None
     late: int = 0
     stopped_with_zero: bool = False
     ended_early: bool = False
@@ -82,10 +82,13 @@ class Command(Generic[R]):
     duration_s: float | None = None
     risk: Risk = "actuate"
 
+    ACT: ClassVar[str]
+    """What is done, in words that begin a sentence, with the fields of the command: `Publishing on {0.name}`."""
+
     @property
     def act(self) -> str:
-        """What is done, in words that begin a sentence: `Publishing on /cmd_vel`."""
-        raise NotImplementedError
+        """What is done: `Publishing on /cmd_vel`."""
+        return self.ACT.format(self)
 
 
 # ── on topics ──────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -95,29 +98,23 @@ class Command(Generic[R]):
 class Publish(Command[Sent]):
     """One message. The result waits, within bounds, for a subscriber to match and for its acknowledgement."""
 
+    ACT = "Publishing on {0.name}"
+
     choice: Choice
     wait_match_s: float
     wait_ack_s: float = 2.0
-
-    @property
-    def act(self) -> str:
-        """What is done."""
-        return f"Publishing on {self.name}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Repeat(Command[Sent]):
     """One message again and again; the rhythm is kept inside the bridge. The result comes at its end."""
 
+    ACT = "Publishing on {0.name}"
+
     choice: Choice
     rate_hz: float = 1.0
     duration_s: float = 5.0
     wait_match_s: float
-
-    @property
-    def act(self) -> str:
-        """What is done."""
-        return f"Publishing on {self.name}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -127,15 +124,12 @@ class Relay(Command[RelayCounts]):
     Without a source it is fed (`Feed`), and has neither rate nor end of its own. `relay_id` is its name in the bridge.
     """
 
+    ACT = "Relaying to {0.name}"
+
     relay_id: str
     qos: QoS
     source: str = ""
     wait_match_s: float
-
-    @property
-    def act(self) -> str:
-        """What is done."""
-        return f"Relaying to {self.name}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -145,16 +139,13 @@ class Play(Command[RelayCounts]):
     `relay_id` is its name in the bridge, `bag` the recording and `topic` what the topic is called there.
     """
 
+    ACT = "Playing {0.bag} on {0.name}"
+
     relay_id: str
     qos: QoS
     bag: str
     topic: str
     wait_match_s: float
-
-    @property
-    def act(self) -> str:
-        """What is done."""
-        return f"Playing {self.bag} on {self.name}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -164,26 +155,20 @@ class Feed(Command[int]):
     Without messages: whether it runs. Raises `NotFound` where no relay of that id does.
     """
 
+    ACT = "Publishing on {0.name}"
+
     relay_id: str
     messages: Sequence[bytes] = ()
-
-    @property
-    def act(self) -> str:
-        """What is done."""
-        return f"Publishing on {self.name}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Record(Command[None]):
     """Topics are written to the bag `name`; empty `topics` are all. Nothing is sent: it is decided, no more."""
 
+    ACT = "Recording"
+
     topics: Sequence[str]
     risk: Risk = "write"
-
-    @property
-    def act(self) -> str:
-        """What is done."""
-        return "Recording"
 
 
 # ── through services ───────────────────────────────────────────────────────────────────────────────────────────────
@@ -197,6 +182,8 @@ class ServiceBorne(Command[Answer]):
         NotFound: if no server appeared in time, or it left before it answered.
         TimedOut: if it did not answer in time.
     """
+
+    ACT = "Calling {0.service}"
 
     timeout_s: float
     wait_s: float | None = None
@@ -215,11 +202,6 @@ class ServiceBorne(Command[Answer]):
     def request(self) -> object:
         """The request as a JSON value."""
         return self.value
-
-    @property
-    def act(self) -> str:
-        """What is done."""
-        return f"Calling {self.service}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -243,30 +225,26 @@ class _OfNode(ServiceBorne):
 class SetParameters(_OfNode):
     """Parameters of the node `name`; `value` is the request, `parameters` what they become as plain JSON values."""
 
-    parameters: Mapping[str, Any]
+    ACT = "Setting parameters of {0.name}"
 
-    @property
-    def act(self) -> str:
-        """What is done."""
-        return f"Setting parameters of {self.name}"
+    parameters: Mapping[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChangeState(_OfNode):
     """A transition of the lifecycle node `name`, by its label or its id; `value` is the request."""
 
+    ACT = "Changing the state of {0.name}"
+
     transition: str
     transition_id: int = 0
-
-    @property
-    def act(self) -> str:
-        """What is done."""
-        return f"Changing the state of {self.name}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SendGoal(ServiceBorne):
     """A goal for the action `name` of type `type`; `value` is the goal, `goal_id` its 32 hexadecimal digits."""
+
+    ACT = "Sending a goal to {0.name}"
 
     goal_id: str
 
@@ -285,15 +263,12 @@ class SendGoal(ServiceBorne):
         """The request as a JSON value."""
         return {"goal_id": {"uuid": goal_id_bytes(self.goal_id)}, "goal": self.value}
 
-    @property
-    def act(self) -> str:
-        """What is done."""
-        return f"Sending a goal to {self.name}"
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CancelGoals(ServiceBorne):
     """Cancels one goal of the action `name`; without a `goal_id` all that were accepted up to `stamp`, or all."""
+
+    ACT = "Cancelling goals of {0.name}"
 
     goal_id: str = ""
     stamp: Mapping[str, int] | None = None
@@ -308,8 +283,3 @@ class CancelGoals(ServiceBorne):
     def request(self) -> object:
         """The request as a JSON value."""
         return cancel_request(self.goal_id, self.stamp)
-
-    @property
-    def act(self) -> str:
-        """What is done."""
-        return f"Cancelling goals of {self.name}"

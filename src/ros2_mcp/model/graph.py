@@ -1,8 +1,8 @@
-"""The rows in which the graph is told: topics, services, nodes and their endpoints, and how the bridge itself is."""
+"""The rows of the graph: topics, services, nodes and their endpoints; and the state of the bridge itself."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -125,12 +125,3 @@ class BridgeStatus:
     subscriptions: int
     publishers: int
     clients: int
-
-
-def endpoints_from(topic: str, raw: Mapping[str, Sequence[Mapping[str, object]]]) -> TopicEndpoints:
-    """From the bridge's `endpoints` answer."""
-    return TopicEndpoints(
-        topic,
-        [Endpoint.parse(endpoint) for endpoint in raw["publishers"]],
-        [Endpoint.parse(endpoint) for endpoint in raw["subscribers"]],
-    )

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.names import full_node_name
+
+if TYPE_CHECKING:
+    from ros2_mcp_bridge import protocol
 
 _LIVELINESS_RANK = {"automatic": 0, "manual_by_topic": 1}
 
@@ -15,7 +18,7 @@ _LIVELINESS_RANK = {"automatic": 0, "manual_by_topic": 1}
 class QoS:
     """The policies of one endpoint; None is an infinite duration.
 
-    What the middleware does not tell is `"unknown"`, an unknown depth is None.
+    What the middleware does not report is `"unknown"`, an unknown depth is None.
     """
 
     reliability: str = "reliable"
@@ -39,7 +42,7 @@ class QoS:
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """A publisher or subscriber of a topic, as the graph tells it."""
+    """A publisher or subscriber of a topic, as discovery has found it."""
 
     node: str
     type: str
@@ -48,18 +51,13 @@ class Endpoint:
     qos: QoS
 
     @classmethod
-    def parse(cls, raw: Mapping[str, object]) -> Endpoint:
-        """From the bridge's `endpoints` answer."""
-        qos: dict[str, Any] = cast("dict[str, Any]", raw["qos"])
+    def parse(cls, raw: protocol.Endpoint) -> Endpoint:
+        """From the bridge's `endpoints` reply."""
+        qos: dict[str, Any] = {**raw["qos"]}
         if qos["depth"] == "unknown":
-            qos = {**qos, "depth": None}
-        return cls(
-            node=full_node_name(str(raw["node"]), str(raw["namespace"])),
-            type=str(raw["type"]),
-            hash=str(raw["hash"]),
-            gid=str(raw["gid"]),
-            qos=QoS(**qos),
-        )
+            qos["depth"] = None
+        name = full_node_name(raw["node"], raw["namespace"])
+        return cls(node=name, type=raw["type"], hash=raw["hash"], gid=raw["gid"], qos=QoS(**qos))
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,18 +7,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ros2_mcp.model.commands import Publish
-from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.model.errors import NotFound, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, TERMINAL
-from ros2_mcp.ops.actions import goals
+from ros2_mcp.ops.actions.cancel import UNKNOWN_GOAL, cancel_sent
+from ros2_mcp.ops.actions.result import request_result
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.sent_goals import Goal
+from ros2_mcp.robot.goals import Goal
 
 ENDED_S = 3.0
 """An action server that is alive ends a cancelled goal within its control period; who stops must be told soon."""
 _MATCH_S = 0.2
 """The publisher is there already, as it drove: only one whose endpoint had expired needs a moment."""
 _ACKNOWLEDGED_S = 0.5
-"""A reliable subscriber acknowledges within milliseconds; later it is not confirmed."""
+"""A reliable subscriber acknowledges within milliseconds; what comes later is not confirmed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +85,15 @@ async def stop(robot: Robot) -> Stopped:
     Raises:
         LinkError: if the bridge cannot be reached at all.
     """
-    repeats, relays = await robot.end_streams()  # first, and by the bridge itself: nothing it publishes is in between
-    _, topics, ended = await asyncio.gather(
+    ended = await robot.end_streams()  # first, and by the bridge itself: nothing it publishes comes after the zeros
+    _, topics, goals = await asyncio.gather(
         robot.jobs.stop_moving("ros2_stop"),
         asyncio.gather(*(_zero(robot, topic, kind) for topic, kind in robot.failsafes.zeros)),
         asyncio.gather(*(_cancel(robot, goal) for goal in robot.jobs.running(Goal))),
     )
-    confirmed = all(_is_still(topic) for topic in topics) and all(goal.confirmed for goal in ended)
-    return Stopped(repeats, relays, topics, ended, confirmed, _note(repeats + relays, topics, ended))
+    confirmed = all(_is_still(topic) for topic in topics) and all(goal.confirmed for goal in goals)
+    repeats, relays = ended["repeats"], ended["relays"]
+    return Stopped(repeats, relays, topics, goals, confirmed, _note(repeats + relays, topics, goals))
 
 
 def _is_still(topic: StoppedTopic) -> bool:
@@ -100,18 +102,20 @@ def _is_still(topic: StoppedTopic) -> bool:
     return arrived and not topic.others and not topic.error
 
 
-def _note(streams: int, topics: Sequence[StoppedTopic], ended: Sequence[StoppedGoal]) -> str:
-    if not (streams or topics or ended):
+def _note(streams: int, topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal]) -> str:
+    if not (streams or topics or goals):
         return "This server had nothing in motion; what others have set in motion goes on."
-    unheard = [topic.topic_name for topic in topics if not topic.subscribers and not topic.error]
-    errors = [entry.error for entry in (*topics, *ended) if entry.error]
-    running = [f"Goal {goal.goal_id} has not ended yet." for goal in ended if not goal.confirmed and not goal.error]
-    others = [
+    notes = [
         f"{', '.join(topic.others)} also publishes on {topic.topic_name}: the robot may still move."
         for topic in topics
         if topic.others
     ]
-    return " ".join([*others, *(f"Nobody subscribes to {topic} now." for topic in unheard), *errors, *running])
+    for topic in topics:
+        if not topic.subscribers and not topic.error:
+            notes.append(f"Nobody subscribes to {topic.topic_name} now.")
+    notes += [entry.error for entry in (*topics, *goals) if entry.error]
+    notes += [f"Goal {goal.goal_id} has not ended yet." for goal in goals if not goal.confirmed and not goal.error]
+    return " ".join(notes)
 
 
 async def _zero(robot: Robot, topic: str, kind: str) -> StoppedTopic:
@@ -127,26 +131,24 @@ async def _zero(robot: Robot, topic: str, kind: str) -> StoppedTopic:
             wait_ack_s=_ACKNOWLEDGED_S,
         )
         sent = await robot.do(zero)
-        there = await robot.graph.endpoints(topic)
+        publishers = (await robot.graph.endpoints(topic)).publishers
     except RobotError as error:
         return StoppedTopic(topic, 0, False, error=str(error))
-    others = sorted({publisher.node for publisher in there.publishers if publisher.node not in robot.graph.own_nodes})
+    others = sorted({publisher.node for publisher in publishers} - {*robot.graph.own_nodes})
     return StoppedTopic(topic, sent.matched, sent.acked, others)
 
 
 async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal:
     """Cancels a goal and sees it end; one that its server does not know, or no longer, is not running."""
     try:
-        answer = await goals.cancel_sent(robot, goal.action, goal.id, ENDED_S)
-        if answer.return_code == goals.UNKNOWN_GOAL and goal.is_running and not goal.is_accepted:
-            undecided = f"The server of {goal.action} has not said whether it accepts goal {goal.id}: stop again."
-            return StoppedGoal(goal.action, goal.id, "UNKNOWN", False, error=undecided)
-        ended = await goals.request_result(robot, goal.action, goal.action_type, goal.id, timeout_s=ENDED_S)
-    except NotFound as error:
-        robot.goal_ended(goal.id)
-        return StoppedGoal(goal.action, goal.id, "UNKNOWN", False, error=str(error))
+        answer = await cancel_sent(robot, goal.action, goal.id, ENDED_S)
+        if answer.return_code == UNKNOWN_GOAL and goal.is_running and not goal.is_accepted:
+            raise TimedOut(f"The server of {goal.action} has not said whether it accepts goal {goal.id}: stop again.")
+        result = await request_result(robot, goal.action, goal.action_type, goal.id, timeout_s=ENDED_S)
     except RobotError as error:
+        if isinstance(error, NotFound):
+            robot.goal_ended(goal.id)
         return StoppedGoal(goal.action, goal.id, "UNKNOWN", False, error=str(error))
-    is_unknown = answer.return_code == goals.UNKNOWN_GOAL and ended.status == STATUS[0]
-    confirmed = is_unknown or ended.status_code in TERMINAL
-    return StoppedGoal(goal.action, goal.id, ended.status, confirmed, bool(answer.goals_canceling))
+    is_unknown = answer.return_code == UNKNOWN_GOAL and result.status == STATUS[0]
+    confirmed = is_unknown or result.status_code in TERMINAL
+    return StoppedGoal(goal.action, goal.id, result.status, confirmed, bool(answer.goals_canceling))

@@ -9,7 +9,8 @@ from typing import Any, cast
 
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.ops import log as ops_log
-from ros2_mcp.ops.actions import list as actions
+from ros2_mcp.ops.actions.list import list_actions
+from ros2_mcp.ops.actions.status import all_goals
 from ros2_mcp.ops.graph import interfaces
 from ros2_mcp.ops.measure.diagnostics import read_diagnostics
 from ros2_mcp.ops.nodes import list as nodes
@@ -61,7 +62,7 @@ async def all_services(robot: Robot, _: Watcher) -> Content:
 
 async def all_actions(robot: Robot, _: Watcher) -> Content:
     """The actions with their goals."""
-    listed, goals = await asyncio.gather(actions.list_actions(robot), actions.all_goals(robot))
+    listed, goals = await asyncio.gather(list_actions(robot), all_goals(robot))
     return {"actions": as_json(listed.actions), "goals": as_json(goals.goals), "note": goals.note}
 
 

@@ -8,7 +8,6 @@ from ros2_mcp.robot.failsafes import Failsafes
 from ros2_mcp.robot.graph import Graph
 from ros2_mcp.robot.jobs import Jobs
 from ros2_mcp.robot.resolution import Types
-from ros2_mcp.robot.sent_goals import Goal
 from ros2_mcp.robot.values import Values
 
 if TYPE_CHECKING:
@@ -16,7 +15,10 @@ if TYPE_CHECKING:
 
 
 class Core:
-    """One robot without the ways to act on it. A recording in the place of a robot has its own `graph` and `values`."""
+    """One robot without the ways to act on it. A recording in the place of a robot has its own `graph` and `values`.
+
+    A class of its own, so that the modules that carry commands out do not import `Robot`, which imports them.
+    """
 
     def __init__(self, bridge: Bridge, graph: Graph | None = None, values: Values | None = None) -> None:
         self.bridge = bridge
@@ -25,9 +27,3 @@ class Core:
         self.types = Types(self.graph)
         self.failsafes = Failsafes(self.graph, self.values)
         self.jobs = Jobs()
-
-    def goal_ended(self, goal_id: str) -> None:
-        """Notes that a goal has ended or was not accepted, if it is one of ours."""
-        if goal := self.jobs.get(Goal, goal_id):
-            goal.has_been_seen_to_end()
-        self.failsafes.withdraw(goal_id)

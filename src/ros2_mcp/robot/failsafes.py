@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model.errors import BridgeLost, RobotError
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request
 from ros2_mcp.model.qos import QoS
+from ros2_mcp.robot.graph import NO_END_S
 from ros2_mcp_bridge.limits import MAX_FAILSAFES
 
 if TYPE_CHECKING:
@@ -30,8 +31,6 @@ VELOCITY_TYPES = frozenset(
     }
 )
 """Types whose messages keep a robot moving, and whose default value stops it."""
-_FOREVER_S = 1e9
-"""A fail-safe has no end of its own; the stream's protocol wants a number."""
 _DISCOVERED_S = 10.0
 """A new bridge knows the robot after 4 s at most on a quiet network; on a bad one the zero still has to come."""
 _ACKNOWLEDGED_S = 0.5
@@ -113,7 +112,7 @@ class Failsafes:
         """A bridge that was killed could not stop what it kept moving: its successor does it at once."""
         while True:
             try:
-                await self._graph.ask(failsafe.op, failsafe.body, timeout_s=_FOREVER_S, **failsafe.arguments)
+                await self._graph.ask(failsafe.op, failsafe.body, timeout_s=NO_END_S, **failsafe.arguments)
             except BridgeLost:
                 if failsafe.op == "failsafe_publish":
                     self._being_done[key] = asyncio.create_task(self._publish(key, failsafe))

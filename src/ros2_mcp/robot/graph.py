@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import (
@@ -24,8 +24,9 @@ from ros2_mcp.model.graph import (
     ServiceRow,
     TopicEndpoints,
     TopicRow,
-    endpoints_from,
 )
+from ros2_mcp.model.qos import Endpoint
+from ros2_mcp_bridge import protocol
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Reply
@@ -34,14 +35,17 @@ SETTLE_S = 4.0
 """A little longer than the 3.5 s after which the bridge is sure that nobody else is there (its `graph.py`)."""
 REQUEST_S = 10.0
 """For what the bridge answers from memory: only one that hangs takes so long, and it is declared dead before."""
+NO_END_S = 1e9
+"""32 years: of requests that stay open, fail-safes and relays. Every request on the stream has a time-out."""
 _SETTLING = 0.8
-"""The part of a bounded wait that discovery may take; then what is known so far is told."""
+"""The part of a bounded wait that discovery may take; the rest is for the answer with what is found by then."""
 _KINDS: Mapping[str, type[RobotError]] = {
     "unknown_type": UnknownInterface,
     "not_found": NotFound,
     "timeout": TimedOut,
     "server_gone": NotFound,
 }
+_Shape = TypeVar("_Shape")
 
 
 class Graph:
@@ -62,60 +66,67 @@ class Graph:
         except BridgeRefused as refused:
             raise _KINDS.get(refused.kind, LinkError)(refused.message, refused.hint) from refused
 
-    async def query(self, op: str, within_s: float | None = None, **arguments: Any) -> Mapping[str, Any]:
-        """One query of the graph, after discovery has settled; or within a time, with what is known by then."""
+    async def query(
+        self,
+        shape: type[_Shape],  # noqa: ARG002 - for the type checker
+        op: str,
+        body: bytes = b"",
+        *,
+        timeout_s: float = REQUEST_S,
+        **arguments: Any,
+    ) -> _Shape:
+        """The `ok` part of one reply, in the shape that `protocol.OPERATIONS` has for it. Raises as `ask`."""
+        reply = await self.ask(op, body, timeout_s=timeout_s, **arguments)
+        return cast("_Shape", reply.ok)  # the two sides are of one release: its shape is not checked again
+
+    async def _settled(self, shape: type[_Shape], op: str, within_s: float | None = None, **arguments: Any) -> _Shape:
+        """The same after discovery has settled; or within a time, with what is found by then."""
         if within_s is None:
-            return (await self.ask(op, settle_s=SETTLE_S, timeout_s=REQUEST_S + SETTLE_S, **arguments)).ok
-        return (await self.ask(op, settle_s=_SETTLING * within_s, timeout_s=within_s, **arguments)).ok
+            return await self.query(shape, op, timeout_s=REQUEST_S + SETTLE_S, settle_s=SETTLE_S, **arguments)
+        return await self.query(shape, op, timeout_s=within_s, settle_s=_SETTLING * within_s, **arguments)
 
     async def topics(self, within_s: float | None = None) -> Rows[TopicRow]:
         """Every topic."""
-        raw = await self.query("topics", within_s)
-        return Rows([TopicRow(*row) for row in raw["topics"]], raw["settled"])
+        reply = await self._settled(protocol.TopicsReply, "topics", within_s)
+        return Rows([TopicRow(*row) for row in reply["topics"]], reply["settled"])
 
     async def services(self, within_s: float | None = None) -> Rows[ServiceRow]:
         """Every service."""
-        raw = await self.query("services", within_s)
-        return Rows([ServiceRow(*row) for row in raw["services"]], raw["settled"])
+        reply = await self._settled(protocol.ServicesReply, "services", within_s)
+        return Rows([ServiceRow(*row) for row in reply["services"]], reply["settled"])
 
     async def nodes(self, within_s: float | None = None) -> Rows[NodeRow]:
         """Every node, ours among them."""
-        raw = await self.query("nodes", within_s)
-        return Rows([NodeRow(names.full_node_name(*row)) for row in raw["nodes"]], raw["settled"])
+        reply = await self._settled(protocol.NodesReply, "nodes", within_s)
+        return Rows([NodeRow(names.full_node_name(*row)) for row in reply["nodes"]], reply["settled"])
 
     async def node(self, node: str) -> NodeEndpoints:
         """What one node uses and offers; raises `NotFound` if it is not there."""
         name, namespace = names.node_name(node)
-        raw = await self.query("node", name=name, namespace=namespace)
-        kinds = ("publishers", "subscribers", "servers", "clients")
-        return NodeEndpoints(*([NamedTypes(*row) for row in raw[kind]] for kind in kinds))
+        reply = await self._settled(protocol.NodeReply, "node", name=name, namespace=namespace)
+        sides = (reply["publishers"], reply["subscribers"], reply["servers"], reply["clients"])
+        return NodeEndpoints(*([NamedTypes(*row) for row in side] for side in sides))
 
     async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:
         """The full names of every message, service and action that is installed where the bridge runs, sorted."""
-        return sorted((await self.ask("interfaces", timeout_s=within_s)).ok["interfaces"])
+        return sorted((await self.query(protocol.InterfacesReply, "interfaces", timeout_s=within_s))["interfaces"])
 
     async def relays(self) -> Mapping[str, RelayCounts]:
         """What became of the messages of every relay that runs in the bridge, by the names of the relays."""
-        raw = (await self.ask("relays")).ok["relays"]
-        return {name: RelayCounts(**counts) for name, counts in raw.items()}
+        reply = await self.query(protocol.RelaysReply, "relays")
+        return {name: RelayCounts(**counts) for name, counts in reply["relays"].items()}
 
     async def bridge_status(self) -> BridgeStatus:
         """How the bridge is."""
-        stats = (await self.ask("stats")).ok
+        stats = await self.query(protocol.StatsReply, "stats")
         hello = self._bridge.hello
         assert hello is not None  # it has just answered
         return BridgeStatus(
-            python=hello.python,
-            distro=hello.distro,
-            rmw=hello.rmw,
-            domain_id=hello.domain_id,
-            node=hello.node,
-            pid=hello.pid,
-            executor=hello.executor,
+            **hello._asdict(),
             starts=self._bridge.generation,
             restarts=list(self._bridge.restarts),
             found=self._bridge.origin,
-            uptime_s=float(stats["uptime_s"]),
+            uptime_s=stats["uptime_s"],
             memory_bytes=stats["rss_bytes"],
             subscriptions=stats["subscriptions"],
             publishers=stats["publishers"],
@@ -138,7 +149,7 @@ class Graph:
 
     async def endpoints(self, topic: str) -> TopicEndpoints:
         """The publishers and subscribers of a topic; empty where the graph does not know it."""
-        return endpoints_from(topic, await self.query("endpoints", topic=topic))
+        return _endpoints(topic, await self._settled(protocol.EndpointsReply, "endpoints", topic=topic))
 
     async def wait_for(
         self,
@@ -151,13 +162,14 @@ class Graph:
     ) -> TopicEndpoints:
         """The endpoints of a topic as soon as it has that many; what there is when the time is over.
 
-        Whoever has just asked who is `present` need not ask again.
+        A caller that has just asked for them hands them over as `present`, which saves a round trip.
         """
         present = present or await self.endpoints(topic)
         if len(present.publishers) >= publishers and len(present.subscribers) >= subscribers:
             return present
         try:
-            reply = await self.ask(
+            reply = await self.query(
+                protocol.EndpointsReply,
                 "wait_endpoints",
                 topic=topic,
                 publishers=publishers,
@@ -166,15 +178,22 @@ class Graph:
             )
         except TimedOut:
             return await self.endpoints(topic)
-        return endpoints_from(topic, reply.ok)
+        return _endpoints(topic, reply)
 
     async def no_such_topic(self, topic: str) -> NotFound:
         """The error for a topic that is not there, or not seen yet, with the nearest right spelling."""
         found = await self.topics()
         if not found.settled:
             return NotFound(f"{topic} is not seen yet, but discovery is still under way.", "Ask again in a moment.")
-        known = [row.name for row in found]
         return NotFound(
             f"There is no topic {topic}: nobody publishes or subscribes to it.",
-            names.did_you_mean(topic, known, "ros2_topic_list shows what is there."),
+            names.did_you_mean(topic, [row.name for row in found], "ros2_topic_list shows what is there."),
         )
+
+
+def _endpoints(topic: str, reply: protocol.EndpointsReply) -> TopicEndpoints:
+    return TopicEndpoints(
+        topic,
+        [Endpoint.parse(endpoint) for endpoint in reply["publishers"]],
+        [Endpoint.parse(endpoint) for endpoint in reply["subscribers"]],
+    )

@@ -22,8 +22,8 @@ from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import NotFound, Refused, RobotError
 from ros2_mcp.model.names import did_you_mean
 
-Tell = Callable[[], Awaitable[None]]
-"""Tells somebody how a job stands."""
+Report = Callable[[], Awaitable[None]]
+"""Reports how a job proceeds."""
 State = Literal["starting", "running", "ended", "stopped", "failed"]
 _logger = logging.getLogger(__name__)
 
@@ -32,8 +32,9 @@ class Job(ABC):
     """Work that goes on after the call that began it has returned.
 
     `state` is `starting`, `running`, `ended` (by itself), `stopped` (somebody stopped it) or `failed` (`failure` says
-    why). `stop_reason` is what stopped it, where that was not its own tool. `owner` is who began it. `moves` are the
-    topics and actions that it may move something on: `ros2_stop` ends all jobs that have some, and leaves the others.
+    why); `is_stopping` from the time on at which somebody asks it to end. `stop_reason` is what stopped it, where that
+    was not its own tool. `owner` is who began it. `moves` are the topics and actions that it may move something on:
+    `ros2_stop` and the end of its owner stop all jobs that have some, and leave the others.
 
     Started and awaited with `Jobs`; neither the state nor the id survives this process.
     """
@@ -43,7 +44,7 @@ class Job(ABC):
     most_running: ClassVar[int] = 4
     """How many may run at the same time, so that a client that never stops its jobs cannot exhaust the robot."""
     most_kept: ClassVar[int] = 20
-    """How many that have ended are still known, so that their last state can be asked for."""
+    """How many that have ended are kept, so that their last state can be asked for."""
     is_displaced: ClassVar[bool] = False
     """Whether a new one makes the oldest one forgotten when too many run, instead of being refused itself."""
     ends_elsewhere: ClassVar[bool] = False
@@ -56,8 +57,8 @@ class Job(ABC):
     """How long `wind_down` and the end that it asks for may take before the work is cancelled."""
 
     def __init__(self, *, owner: Principal, moves: Sequence[str] = (), job_id: str = "") -> None:
-        # Random, because what another client's job is called must not be guessed, and no id may mean another job
-        # after a restart of the server.
+        # Random: nobody can guess the id of another client's job, and after a restart of the server no id means
+        # another job than before.
         self.id = job_id or f"{self.kind}_{secrets.token_hex(4)}"
         self.owner = owner
         self.moves = tuple(moves)
@@ -71,7 +72,7 @@ class Job(ABC):
         self._scope: anyio.CancelScope | None = None
         self._settled = asyncio.Event()
         self._over = asyncio.Event()
-        self._is_told_to_stop = False
+        self.is_stopping = False
 
     @abstractmethod
     async def run(self) -> None:
@@ -95,13 +96,8 @@ class Job(ABC):
 
     @property
     def is_running(self) -> bool:
-        """Whether it has not ended; true from the moment at which it is known."""
+        """Whether it has not ended; true from the beginning, also while it is starting."""
         return self.state in ("starting", "running")
-
-    @property
-    def is_stopping(self) -> bool:
-        """Whether somebody has asked it to end."""
-        return self._is_told_to_stop
 
     @property
     def elapsed_s(self) -> float:
@@ -116,7 +112,7 @@ class Job(ABC):
         """
         if not self.is_running:
             return
-        is_first, self._is_told_to_stop = not self._is_told_to_stop, True
+        is_first, self.is_stopping = not self.is_stopping, True  # who comes second waits for the first
         try:
             with anyio.move_on_after(self.patience_s):
                 if is_first and self.state == "running":
@@ -130,8 +126,8 @@ class Job(ABC):
                 await self._over.wait()
 
     def cancel(self) -> None:
-        """Tells the work to end at once, without waiting for it."""
-        self._is_told_to_stop = True
+        """Ends the work at once, without waiting for it."""
+        self.is_stopping = True
         if self._scope:
             self._scope.cancel()
 
@@ -148,14 +144,14 @@ class Job(ABC):
             with self._scope:
                 await self.run()
         except asyncio.CancelledError:  # not by its scope: the event loop ends, and this process with it
-            self._is_told_to_stop = True
+            self.is_stopping = True
             raise
         except Exception as error:  # whatever it is, it ends this job and no other
             self.failure = _single(error)
             if self._settled.is_set() and not isinstance(self.failure, RobotError):
                 _logger.exception("%s %s failed", self.kind, self.id)
         finally:
-            ended: State = "stopped" if self._is_told_to_stop else "ended"
+            ended: State = "stopped" if self.is_stopping else "ended"
             self.state = "failed" if self.failure else self.outcome or ended
             self._ended_at = monotonic()
             self._over.set()
@@ -166,10 +162,10 @@ _Job = TypeVar("_Job", bound=Job)
 
 
 class Jobs:
-    """All jobs of a server: those that run, and the last of each kind that ended."""
+    """All jobs of a server: those that run, and of each kind the last ones that ended."""
 
     def __init__(self) -> None:
-        self._known: dict[str, Job] = {}
+        self._by_id: dict[str, Job] = {}
         self._group: TaskGroup | None = None
         self._group_is_open = asyncio.Event()
         self._host_may_end = asyncio.Event()
@@ -188,7 +184,7 @@ class Jobs:
         job.check_beside(self.running(Job))
         self._forget_oldest(type(job))
         job._scope = anyio.CancelScope()  # pyright: ignore[reportPrivateUsage] - the two classes are one subject
-        self._known[job.id] = job
+        self._by_id[job.id] = job
         group.start_soon(job._supervise, name=job.id)  # pyright: ignore[reportPrivateUsage]
         try:
             with anyio.move_on_after(within_s):
@@ -199,20 +195,20 @@ class Jobs:
         if job.failure:
             raise job.failure
 
-    async def wait(self, job: Job, timeout_s: float = math.inf, *, every_second: Tell | None = None) -> None:
-        """Waits for the end of a job, at most that long, and tells of it every second; ends it if that is cancelled."""
+    async def wait(self, job: Job, timeout_s: float = math.inf, *, every_second: Report | None = None) -> None:
+        """Waits for the end of a job, at most that long, reporting every second; ends the job if it is cancelled."""
         deadline = monotonic() + timeout_s
         try:
             while job.is_running and (left_s := deadline - monotonic()) > 0:
                 await job.wait(min(1.0, left_s) if every_second else left_s)
                 if every_second:
                     await every_second()
-        except BaseException:  # cancelled, or nobody hears any more what is told
+        except BaseException:  # cancelled, or the client that is reported to has gone
             await _abandon(job)
             raise
 
-    async def run(self, job: Job, *, every_second: Tell | None = None) -> None:
-        """Starts a job and waits for its end, for those that one call awaits; ends it if that is cancelled.
+    async def run(self, job: Job, *, every_second: Report | None = None) -> None:
+        """Starts a job that the call awaits, and waits for its end; ends the job if the call is cancelled.
 
         Raises:
             Exception: as `start`, and whatever it failed with.
@@ -222,19 +218,19 @@ class Jobs:
         if job.failure:
             raise job.failure
 
-    # ── who is there ───────────────────────────────────────────────────────────────────────────────────────────
+    # ── finding ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def all(self, kind: type[_Job]) -> list[_Job]:
-        """Those of a kind that are known, in the order of their start. Threads may ask, too."""
-        return [job for job in list(self._known.values()) if isinstance(job, kind)]
+        """The jobs of a kind, in the order of their start. Safe to call from threads."""
+        return [job for job in list(self._by_id.values()) if isinstance(job, kind)]
 
     def running(self, kind: type[_Job]) -> list[_Job]:
-        """Those of a kind that have not ended."""
+        """The jobs of a kind that have not ended."""
         return [job for job in self.all(kind) if job.is_running]
 
     def get(self, kind: type[_Job], job_id: str) -> _Job | None:
-        """One by its id, if it is known."""
-        job = self._known.get(job_id)
+        """One by its id; None where there is none."""
+        job = self._by_id.get(job_id)
         return job if isinstance(job, kind) else None
 
     def find(self, kind: type[_Job], job_id: str) -> _Job:
@@ -243,11 +239,11 @@ class Jobs:
         Raises:
             NotFound: with the nearest id.
         """
-        known = {job.id: job for job in self.all(kind)}
-        if job_id not in known:
-            hint = f"{kind.listed_by} shows them." if kind.listed_by else f"Known are: {', '.join(known) or 'none'}."
-            raise NotFound(f"There is no {kind.kind} {job_id!r}.", did_you_mean(job_id, list(known), hint))
-        return known[job_id]
+        if job := self.get(kind, job_id):
+            return job
+        ids = [job.id for job in self.all(kind)]
+        hint = f"{kind.listed_by} shows them." if kind.listed_by else f"Known are: {', '.join(ids) or 'none'}."
+        raise NotFound(f"There is no {kind.kind} {job_id!r}.", did_you_mean(job_id, ids, hint))
 
     def chosen(self, kind: type[_Job], job_id: str) -> list[_Job]:
         """The one of that id, or all of the kind where the id is empty; raises as `find`."""
@@ -267,18 +263,17 @@ class Jobs:
         return job
 
     async def stop_moving(self, reason: str = "") -> list[Job]:
-        """Stops all that this server moves, at the same time, and notes the reason; returns those that ran.
+        """Stops all jobs that move something, at the same time, and notes the reason; returns those that ran.
 
-        Goals, which the robot itself carries out, are left: whoever stops them waits to see them end.
-
-        None of those that were still beginning moves anything from the moment of the call on.
+        Goals, which the robot itself carries out, are left: their caller waits to see them end. A job that is still
+        starting moves nothing from the time of the call on.
         """
         moving = [job for job in self.running(Job) if job.moves and not job.ends_elsewhere]
         for job in moving:
             job.stop_reason = reason
             if job.state == "starting":
                 job.cancel()
-        return await self._stop(moving)
+        return await _stop_all(moving)
 
     async def stop_owned(self, owner: Principal) -> list[Job]:
         """Stops all that one owner, who is gone, has left in motion, goals too; returns the jobs that ran.
@@ -299,17 +294,11 @@ class Jobs:
             await asyncio.wait({self._host})
 
     async def _end(self, jobs: Sequence[Job]) -> list[Job]:
-        """Stops those that move something at once: nobody waits for what they could still tell."""
+        """Stops jobs whose owner has gone. What moves something does not wind down: nobody awaits its result."""
         for job in jobs:
             if job.moves and not job.ends_elsewhere:
                 job.cancel()
-        return await self._stop(jobs)
-
-    async def _stop(self, jobs: Sequence[Job]) -> list[Job]:
-        async with anyio.create_task_group() as group:
-            for job in jobs:
-                group.start_soon(_stop_or_log, job)
-        return list(jobs)
+        return await _stop_all(jobs)
 
     def _forget_oldest(self, kind: type[Job]) -> None:
         running = self.running(kind)
@@ -317,7 +306,7 @@ class Jobs:
             running[0].cancel()
         ended = [job for job in self.all(kind) if not job.is_running]
         for job in ended[: max(0, len(ended) - kind.most_kept)]:
-            del self._known[job.id]
+            del self._by_id[job.id]
 
     async def _task_group(self) -> TaskGroup:
         """The group in which all jobs run; it belongs to no call, so that no call's end is theirs."""
@@ -331,21 +320,26 @@ class Jobs:
         return self._group
 
     async def _host_group(self) -> None:
-        async with anyio.create_task_group() as group:
-            self._group = group
+        async with anyio.create_task_group() as self._group:
             self._group_is_open.set()
             await self._host_may_end.wait()
 
 
-async def _stop_or_log(job: Job) -> None:
-    try:
-        await job.stop()
-    except Exception as error:  # noqa: BLE001 - it has ended; that it was not in good order keeps no other from ending
-        _logger.warning("%s %s did not end in good order: %s", job.kind, job.id, error)
+async def _stop_all(jobs: Sequence[Job]) -> list[Job]:
+    async def stop(job: Job) -> None:
+        try:
+            await job.stop()
+        except Exception as error:  # noqa: BLE001 - it has ended; that it was not in good order keeps no other from ending
+            _logger.warning("%s %s did not end in good order: %s", job.kind, job.id, error)
+
+    async with anyio.create_task_group() as group:
+        for job in jobs:
+            group.start_soon(stop, job)
+    return list(jobs)
 
 
 async def _abandon(job: Job) -> None:
-    """Ends a job that nobody awaits any more at once, without winding down: it may be moving the robot."""
+    """Ends a job whose caller has gone at once, without winding down: it may be moving the robot."""
     job.cancel()
     with anyio.CancelScope(shield=True):
         await job.wait()

@@ -1,10 +1,11 @@
-"""A subscription with what is known about it."""
+"""A subscription as operations use it: what it was made for, its samples, and what became of them."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Awaitable, Coroutine, Sequence
 from dataclasses import dataclass
+from time import monotonic
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ros2_mcp.model.graph import TopicEndpoints
@@ -19,7 +20,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Listening:
-    """A subscription with what is known about it."""
+    """A subscription: its topic and type, the QoS it was made with, and the publishers of that time."""
 
     topic: str
     type: str
@@ -31,9 +32,18 @@ class Listening:
         """The samples that wait; waits for the first one, returns an empty list when none came in time."""
         return await self._subscription.take(timeout_s)
 
+    async def samples(self, duration_s: float) -> AsyncIterator[Sample]:
+        """The samples of that time, one by one as they come."""
+        ends_at = monotonic() + duration_s
+        while (left_s := ends_at - monotonic()) > 0:
+            for sample in await self.take(left_s):
+                yield sample
+
     def still_fits(self, present: TopicEndpoints) -> bool:
         """Whether the topic would be subscribed to in the same way now; also where nobody publishes on it any more."""
-        return still_fits(self.choice.qos, [each for each in present.publishers if each.type == self.type])
+        return still_fits(
+            self.choice.qos, [publisher for publisher in present.publishers if publisher.type == self.type]
+        )
 
     @property
     def counts(self) -> Counts:

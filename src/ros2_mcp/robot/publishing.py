@@ -7,16 +7,15 @@ from typing import Any
 from ros2_mcp.model.commands import Feed, Play, Publish, Relay, Repeat, Sent
 from ros2_mcp.model.graph import RelayCounts
 from ros2_mcp.robot.core import Core
-from ros2_mcp.robot.graph import REQUEST_S
-
-_FOREVER_S = 1e9
-"""A relay ends by its own duration or when it is told to; the stream's protocol wants a number."""
+from ros2_mcp.robot.graph import NO_END_S, REQUEST_S
+from ros2_mcp_bridge import protocol
 
 
 async def publish(core: Core, command: Publish) -> Sent:
     """One message, acknowledged where that is possible."""
     body, destination = await _prepared(core, command)
-    reply = await core.graph.ask(
+    reply = await core.graph.query(
+        protocol.PublishReply,
         "publish",
         body,
         timeout_s=command.wait_match_s + command.wait_ack_s + REQUEST_S,
@@ -24,15 +23,23 @@ async def publish(core: Core, command: Publish) -> Sent:
         wait_ack_s=command.wait_ack_s,
         **destination,
     )
-    ok = reply.ok
-    return Sent(command.name, command.type, command.choice, 1, ok["matched"], ok["acked"], ok["waited_s"])
+    return Sent(
+        topic=command.name,
+        type=command.type,
+        choice=command.choice,
+        sent=1,
+        matched=reply["matched"],
+        acked=reply["acked"],
+        elapsed_s=reply["waited_s"],
+    )
 
 
 async def repeat(core: Core, command: Repeat) -> Sent:
     """One message at a rate for a time, with a zero at the end of what moves."""
     body, destination = await _prepared(core, command)
     zero = core.failsafes.leave_zero(command.name, command.type, command.choice.qos)
-    reply = await core.graph.ask(
+    reply = await core.graph.query(
+        protocol.RepeatReply,
         "repeat",
         body + zero,
         timeout_s=command.duration_s + command.wait_match_s + REQUEST_S,
@@ -42,18 +49,16 @@ async def repeat(core: Core, command: Repeat) -> Sent:
         duration_s=command.duration_s,
         **destination,
     )
-    ok = reply.ok
     return Sent(
-        command.name,
-        command.type,
-        command.choice,
-        ok["sent"],
-        ok["matched"],
-        None,
-        ok["elapsed_s"],
-        ok["late"],
-        ok["final_sent"],
-        ok["cancelled"],
+        topic=command.name,
+        type=command.type,
+        choice=command.choice,
+        sent=reply["sent"],
+        matched=reply["matched"],
+        elapsed_s=reply["elapsed_s"],
+        late=reply["late"],
+        stopped_with_zero=reply["final_sent"],
+        ended_early=reply["cancelled"],
     )
 
 
@@ -65,10 +70,11 @@ async def relay(core: Core, command: Relay | Play) -> RelayCounts:
     if isinstance(command, Relay) and command.source:
         arguments = {"source": command.source, "duration_s": command.duration_s or 0.0}
         arguments |= {"rate_hz": command.rate_hz} if command.rate_hz else {}
-    reply = await core.graph.ask(
+    reply = await core.graph.query(
+        protocol.RelayReply,
         "relay",
         zero,
-        timeout_s=_FOREVER_S,
+        timeout_s=NO_END_S,
         name=command.relay_id,
         topic=command.name,
         type=command.type,
@@ -76,14 +82,14 @@ async def relay(core: Core, command: Relay | Play) -> RelayCounts:
         wait_match_s=command.wait_match_s,
         **arguments,
     )
-    return RelayCounts(**reply.ok)
+    return RelayCounts(**reply)
 
 
 async def feed(core: Core, command: Feed) -> int:
     """Messages for a relay that is open: opening it has left its fail-safe, which ends what these begin."""
-    sizes = [len(message) for message in command.messages]
-    reply = await core.graph.ask("relay_feed", b"".join(command.messages), name=command.relay_id, sizes=sizes)
-    return int(reply.ok.get("passed", 0))
+    body, sizes = b"".join(command.messages), [len(message) for message in command.messages]
+    reply = await core.graph.query(protocol.RelayFeedReply, "relay_feed", body, name=command.relay_id, sizes=sizes)
+    return reply["passed"]
 
 
 async def _prepared(core: Core, command: Publish | Repeat) -> tuple[bytes, dict[str, Any]]:

@@ -17,18 +17,18 @@ from ros2_mcp.robot.listening import Listening, subscribed_while
 from ros2_mcp.robot.log import LogRing
 from ros2_mcp.robot.translation import as_meant
 from ros2_mcp.robot.values import Values
-from ros2_mcp_bridge.protocol import Keep
+from ros2_mcp_bridge.protocol import Keep, StopReply
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Subscription
     from ros2_mcp.model.qos import Choice
 
 _MOST_REMEMBERED = 256
-"""Topics of which it is known how they were subscribed to: more than robots have that are read again and again."""
+"""Topics of which the last subscription is remembered: more than any robot has that are read again and again."""
 
 
 async def _nothing(_core: Core, _command: Command[Any]) -> None:
-    """A recording sends nothing to the robot: it is decided, no more."""
+    """A recording is only decided about: it sends nothing to the robot."""
 
 
 _EXECUTORS: Mapping[type[Command[Any]], Callable[[Core, Any], Awaitable[Any]]] = {
@@ -90,14 +90,17 @@ class Robot(Core):
         self.policy.check(command)
         return await _EXECUTORS[type(command)](self, command)
 
-    async def end_streams(self) -> tuple[int, int]:
+    async def end_streams(self) -> StopReply:
         """Ends all repeated publishing and all relays; how many of each. What stops is never refused."""
-        ended = (await self.graph.ask("stop")).ok
-        return int(ended["repeats"]), int(ended["relays"])
+        return await self.graph.query(StopReply, "stop")
 
     async def end_relay(self, relay_id: str) -> None:
         """Ends one relay or playback in the bridge; without effect where there is none."""
         await self.graph.ask("relay_stop", name=relay_id)
+
+    def goal_ended(self, goal_id: str) -> None:
+        """Notes that a goal has ended or was not accepted, if it is one of ours."""
+        goals.ended(self, goal_id)
 
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -137,7 +140,7 @@ class Robot(Core):
 
         subscription: Subscription | None = None
         former = self._listened.get(key)
-        if former:  # subscribed to as the last time, while it is looked whether that is still right: one round trip
+        if former:  # subscribed as the last time, while the graph is asked whether that is still right: one round trip
             subscription, present = await subscribed_while(subscribed(*former), self.graph.endpoints(topic))
         else:
             present = await self.graph.endpoints(topic)
@@ -157,7 +160,7 @@ class Robot(Core):
                 await subscription.close()
 
     def _remember(self, key: tuple[str, str, str], how: tuple[str, Choice]) -> None:
-        """How a topic was subscribed to, for the next time; of the topics that were read last."""
+        """Notes how a topic was subscribed to, for the next time; the topic that was read longest ago is forgotten."""
         self._listened.pop(key, None)
         self._listened[key] = how
         if len(self._listened) > _MOST_REMEMBERED:
@@ -165,7 +168,7 @@ class Robot(Core):
 
     @asynccontextmanager
     async def listen_again(self, former: Listening, *, max_bytes: int) -> AsyncGenerator[Listening, None]:
-        """The same subscription anew, at once: the bridge that follows a lost one need not look around first."""
+        """The same subscription anew, without asking the graph: a new bridge has not discovered anything yet."""
         request = former.choice.qos.request()
         async with await self.bridge.subscribe(
             former.topic, former.type, request, keep="all", max_samples=20_000, max_bytes=max_bytes
@@ -192,10 +195,8 @@ class Robot(Core):
         """
         if not services.only_tells(service_type):
             raise ValueError(f"{service_type} may change something: calling {service} takes a command.")
-        return await services.exchange(self, service, service_type, request, timeout_s=timeout_s, wait_s=wait_s)
+        return await services.request(self, service, service_type, request, timeout_s=timeout_s, wait_s=wait_s)
 
     def fields_of(self, answer: Answer) -> dict[str, Any]:
         """The answer of a service in full, for this program and not for display."""
-        from ros2_mcp.codec.render import RenderOptions
-
-        return self.values.render(answer.type, answer.body, RenderOptions(exact=True)).value
+        return self.values.in_full(answer.type, answer.body)

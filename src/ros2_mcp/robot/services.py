@@ -30,27 +30,22 @@ def only_tells(service_type: str) -> bool:
 
 async def call(core: Core, command: ServiceBorne) -> Answer:
     """A request to a service, checked against its definition."""
-    return await exchange(
-        core,
-        command.service,
-        command.service_type,
-        command.request,
-        timeout_s=command.timeout_s,
-        wait_s=command.wait_s,
+    return await request(
+        core, command.service, command.service_type, command.request, timeout_s=command.timeout_s, wait_s=command.wait_s
     )
 
 
-async def exchange(
-    core: Core, service: str, service_type: str, request: object, *, timeout_s: float, wait_s: float | None
+async def request(
+    core: Core, service: str, service_type: str, value: object, *, timeout_s: float, wait_s: float | None
 ) -> Answer:
-    """One request and its answer; without `wait_s` the time-out holds for waiting for a server and its answer together.
+    """The answer to one request; without `wait_s` the time-out holds for waiting for a server and its answer together.
 
     Raises:
         NotFound: if no server appeared in time, or it left before it answered.
         TimedOut: if it did not answer in time.
         BadValue: naming the path of a value that does not fit; nothing is sent.
     """
-    body = await core.values.encode(f"{service_type}_Request", request)
+    body = await core.values.encode(f"{service_type}_Request", value)
     reply = await core.graph.ask(
         "call",
         body,

@@ -44,7 +44,8 @@ async def _meaning(core: Core, command: ServiceCall) -> ServiceBorne:
     is_goal = "/action/" in kind and kind.endswith(_SEND_GOAL)
     if not (is_goal or kind in (SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY, CHANGE_STATE, CANCEL_TYPE)):
         return command
-    request = await _request(core, command)
+    body = await core.values.encode(f"{kind}_Request", command.value)
+    request = core.values.in_full(f"{kind}_Request", body)
     common: dict[str, Any] = {
         "principal": command.principal,
         "risk": command.risk,
@@ -73,12 +74,3 @@ async def _meaning(core: Core, command: ServiceCall) -> ServiceBorne:
     goal_id = goal_id_hex(request["goal_info"]["goal_id"]["uuid"])
     one = goal_id if int(goal_id, 16) else ""
     return CancelGoals(**common, name=action, goal_id=one, stamp=request["goal_info"]["stamp"], value=command.value)
-
-
-async def _request(core: Core, command: ServiceCall) -> dict[str, Any]:
-    """The request in full, with every field in one form."""
-    from ros2_mcp.codec.render import RenderOptions
-
-    kind = f"{command.type}_Request"
-    body = await core.values.encode(kind, command.value)
-    return core.values.render(kind, body, RenderOptions(exact=True)).value

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import UnknownInterface
 from ros2_mcp.model.samples import Sample
+from ros2_mcp_bridge.protocol import DefinitionsReply
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.cdr import Codec, Message
@@ -27,7 +28,7 @@ class Values:
 
     @property
     def codec(self) -> Codec:
-        """Bytes to values and back. Loaded at first use: NumPy and the type system take a moment."""
+        """Bytes to values and back. Loaded at first use: the server answers tools/list before it imports NumPy."""
         if self._codec is None:
             from ros2_mcp.codec.cdr import Codec
             from ros2_mcp.codec.definitions import Definitions
@@ -50,11 +51,11 @@ class Values:
             unknown = sorted({names.defining_type(name) for name in types if not self.definitions.knows(name)})
             if not unknown:
                 return
-            answer = (await self._graph.ask("definitions", types=unknown)).ok
+            answer = await self._graph.query(DefinitionsReply, "definitions", types=unknown)
             if answer["missing"]:
                 raise UnknownInterface(
                     f"No definition of {', '.join(answer['missing'])} is installed where the bridge runs.",
-                    await self._suggest_type(str(answer["missing"][0])),
+                    await self._suggest_type(answer["missing"][0]),
                 )
             from ros2_mcp.codec.definitions import DefinitionText
 
@@ -63,11 +64,11 @@ class Values:
             )
 
     async def _suggest_type(self, name: str) -> str:
-        known: list[str] = (await self._graph.ask("interfaces")).ok["interfaces"]
+        installed = await self._graph.interfaces()
         package = name.partition("/")[0]
-        if not any(other.startswith(package + "/") for other in known):
+        if not any(other.startswith(package + "/") for other in installed):
             return f"The package {package} is not there: source its workspace (--workspace DIR) or install it."
-        return names.did_you_mean(name, known, "ros2_interface_list shows what is there.")
+        return names.did_you_mean(name, installed, "ros2_interface_list shows what is there.")
 
     def decode(self, type_name: str, sample: Sample) -> Message:
         """The values of a sample whose type has been learnt."""
@@ -95,6 +96,12 @@ class Values:
         return render(
             self.definitions, type_name, self.codec.decode(type_name, body), options=options or RenderOptions()
         )
+
+    def in_full(self, type_name: str, body: bytes) -> dict[str, Any]:
+        """Bytes as JSON values with nothing left out, for this program and not for display."""
+        from ros2_mcp.codec.render import RenderOptions
+
+        return self.render(type_name, body, RenderOptions(exact=True)).value
 
     def example(self, type_name: str) -> dict[str, Any]:
         """A value of a learnt type with every field at its default, ready to fill in."""

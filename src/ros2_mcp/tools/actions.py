@@ -6,9 +6,14 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ros2_mcp.ops.actions import goals
-from ros2_mcp.ops.actions import list as actions
+from ros2_mcp.ops.actions.cancel import Cancellation, cancel
+from ros2_mcp.ops.actions.feedback import FeedbackMessages, follow_feedback
+from ros2_mcp.ops.actions.list import ActionList, list_actions
+from ros2_mcp.ops.actions.result import GoalResult, request_result
+from ros2_mcp.ops.actions.send_goal import GoalOutcome, send_goal
+from ros2_mcp.ops.actions.status import MAX_MESSAGES, KnownGoals, StatusFrames, all_goals, follow_status
 from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Number, Pattern, Whole
 from ros2_mcp.tools.declare import tool
@@ -22,16 +27,16 @@ ActionType = Annotated[
 ]
 GoalId = Annotated[str, Field(description="The goal's id: 32 hexadecimal digits.")]
 Duration = Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Listen for this long, in seconds.")]
-MaxMessages = Annotated[Whole, Field(ge=1, le=1000, description="Stop after this many messages.")]
+MaxMessages = Annotated[Whole, Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages.")]
 ResultTimeout = Annotated[
     Number | None, Field(ge=0, le=MAX_DURATION_S, description="Wait at most this long for the result, in seconds.")
 ]
 
 
 @tool(title="List actions", risk="read", group="actions")
-async def ros2_list_actions(robot: Robot, pattern: Pattern = "") -> actions.ActionList:
+async def ros2_list_actions(robot: Robot, pattern: Pattern = "") -> ActionList:
     """List the actions of the robot with their types and the fields of their goals."""
-    return await actions.list_actions(robot, pattern)
+    return await list_actions(robot, pattern)
 
 
 @tool(title="Send a goal", risk="actuate", group="actions")
@@ -43,13 +48,13 @@ async def ros2_send_action_goal(
     action_type: ActionType = "",
     wait_for_result: Annotated[Flag, Field(description="Wait until the goal has ended.")] = False,
     timeout_sec: ResultTimeout = 60.0,
-) -> goals.GoalOutcome:
+) -> GoalOutcome:
     """Send a goal to an action server. Can move the robot.
 
     With wait_for_result the result is waited for, with feedback as progress; if the time ends first the goal goes on
     (status TIMEOUT). Without it, use ros2_action_request_result with the goal_id later.
     """
-    return await goals.send_goal(
+    return await send_goal(
         robot,
         action_name,
         action_type,
@@ -71,9 +76,9 @@ async def ros2_cancel_action_goal(
     ] = 0,
     stamp_nanosec: Annotated[Whole, Field(ge=0, lt=1_000_000_000, description="Nanoseconds of that time.")] = 0,
     wait_timeout_sec: Annotated[Number, Field(gt=0, le=60, description="Wait at most this long for the answer.")] = 3.0,
-) -> goals.Cancellation:
+) -> Cancellation:
     """Ask an action server to cancel a goal, or all goals."""
-    return await goals.cancel(
+    return await cancel(
         robot,
         action_name,
         goal_id_hex,
@@ -92,9 +97,9 @@ async def ros2_action_request_result(
     action_type: ActionType = "",
     timeout_sec: ResultTimeout = 60.0,
     wait_for_service_sec: Annotated[Number, Field(ge=0, le=60, description="Wait this long for the server.")] = 3.0,
-) -> goals.GoalResult:
+) -> GoalResult:
     """Wait for the result of a goal, whoever sent it. A time-out does not cancel it."""
-    return await goals.request_result(
+    return await request_result(
         robot,
         action_name,
         action_type,
@@ -114,15 +119,18 @@ async def ros2_action_subscribe_feedback(
     goal_id_hex: Annotated[str | None, Field(description="Only this goal; default: every goal.")] = None,
     duration_sec: Duration = 5.0,
     max_messages: MaxMessages = 100,
-) -> actions.FeedbackMessages:
+    *,
+    selection: Selection,
+) -> FeedbackMessages:
     """Follow the feedback of an action's goals for a while, whoever sent them."""
-    return await actions.follow_feedback(
+    return await follow_feedback(
         robot,
         action_name,
         action_type,
         goal_id=goal_id_hex,
         duration_s=duration_sec,
         max_messages=max_messages,
+        max_bytes=selection.max_bytes,
         report=report,
     )
 
@@ -134,14 +142,12 @@ async def ros2_action_subscribe_status(
     action_name: ActionName,
     duration_sec: Duration = 5.0,
     max_messages: MaxMessages = 100,
-) -> actions.StatusFrames:
+) -> StatusFrames:
     """Follow how the states of an action's goals change for a while; the last known states come first."""
-    return await actions.follow_status(
-        robot, action_name, duration_s=duration_sec, max_messages=max_messages, report=report
-    )
+    return await follow_status(robot, action_name, duration_s=duration_sec, max_messages=max_messages, report=report)
 
 
 @tool(title="All goals", risk="read", group="actions", by_default=False)
-async def ros2_action_status(robot: Robot) -> actions.KnownGoals:
+async def ros2_action_status(robot: Robot) -> KnownGoals:
     """Show every goal of every action with its state and age, in one look."""
-    return await actions.all_goals(robot)
+    return await all_goals(robot)

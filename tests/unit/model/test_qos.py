@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from itertools import product
+from typing import Any
 
 import pytest
 
@@ -120,5 +121,5 @@ def test_an_endpoint_is_read_from_what_the_bridge_says() -> None:
         "liveliness": "automatic",
         "liveliness_lease_ns": None,
     }
-    raw = {"node": "driver", "namespace": "/arm", "type": "a/msg/B", "hash": "", "gid": "00", "qos": qos}
+    raw: Any = {"node": "driver", "namespace": "/arm", "type": "a/msg/B", "hash": "", "gid": "00", "qos": qos}
     assert Endpoint.parse(raw) == Endpoint("/arm/driver", "a/msg/B", "", "00", QoS(history="unknown", depth=0))

@@ -29,7 +29,7 @@ from ros2_mcp.model.commands import (
 from ros2_mcp.model.errors import BadValue, Refused
 from ros2_mcp.model.qos import Choice, QoS
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.sent_goals import Goal
+from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.translation import as_meant
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -78,7 +78,7 @@ class Noting:
             await asyncio.Event().wait()
         if op == "relay":
             return Reply({"passed": 1, "final_sent": bool(_body)}, b"")
-        told = {"matched": 1, "acked": True, "waited_s": 0.0, "sent": 1, "elapsed_s": 0.1, "late": 0}
+        told = {"passed": 0, "matched": 1, "acked": True, "waited_s": 0.0, "sent": 1, "elapsed_s": 0.1, "late": 0}
         return Reply({**told, "final_sent": True, "cancelled": False, **arguments}, self.answer)
 
 

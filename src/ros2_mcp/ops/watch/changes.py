@@ -13,7 +13,7 @@ from ros2_mcp.model.goals import TERMINAL, goal_id_hex
 from ros2_mcp.model.names import is_hidden
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import log
-from ros2_mcp.ops.actions.list import STATUS_TYPE
+from ros2_mcp.ops.actions.status import STATUS_TYPE
 from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, DiagnosticTable
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.protocol import Keep

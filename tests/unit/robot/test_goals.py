@@ -7,8 +7,8 @@ from collections.abc import AsyncGenerator
 import pytest
 
 from ros2_mcp.model.commands import LOCAL, Principal
+from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.jobs import Jobs
-from ros2_mcp.robot.sent_goals import Goal
 
 pytestmark = pytest.mark.anyio
 OTHER = Principal(name="session 2", transport="http")

@@ -1,0 +1,89 @@
+"""`ros2_action_subscribe_feedback`: what the servers of an action publish on how its goals proceed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from time import monotonic
+from typing import Any
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.goals import goal_id_bytes, goal_id_hex
+from ros2_mcp.ops.actions.status import MAX_MESSAGES, SERVER_S
+from ros2_mcp.ops.results import Report, iso_time, reporting, silent
+from ros2_mcp.robot import Robot
+from ros2_mcp_bridge.limits import MAX_DURATION_S
+
+
+@dataclass(frozen=True, slots=True)
+class FeedbackMessage:
+    """One feedback message of one goal; `recv_stamp` is ISO 8601."""
+
+    goal_id: str
+    feedback: dict[str, Any]
+    recv_stamp: str
+
+
+@dataclass(frozen=True, slots=True)
+class FeedbackMessages:
+    """The feedback of an action during a call, of one goal or of all."""
+
+    topic: str
+    action_type: str
+    goal_id_filter: str | None
+    duration_sec: float
+    messages: Sequence[FeedbackMessage]
+    omitted: int
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{len(self.messages)} feedback message(s) in {self.duration_sec:.2f} s. {self.note}".rstrip()
+
+
+async def follow_feedback(
+    robot: Robot,
+    action: str,
+    action_type: str = "",
+    *,
+    goal_id: str | None = None,
+    duration_s: float = 5.0,
+    max_messages: int = 100,
+    max_bytes: int,
+    report: Report = silent,
+) -> FeedbackMessages:
+    """The feedback of an action's goals for some seconds, as JSON of at most `max_bytes` (but at least one message).
+
+    Raises:
+        NotFound: if no such action is there.
+        BadValue: if the goal id is not one.
+    """
+    only_goal = goal_id_hex(goal_id_bytes(goal_id)) if goal_id else None
+    bounded("duration_sec", duration_s, 0.0, MAX_DURATION_S, "s")
+    bounded("max_messages", max_messages, 1, MAX_MESSAGES, "messages")
+    action = names.absolute(action, "action")
+    action_type = await robot.types.action(action, action_type)
+    topic, started = f"{action}/_action/feedback", monotonic()
+    messages: list[FeedbackMessage] = []
+    omitted, size = 0, 0
+    async with (
+        reporting(report, duration_s, f"{topic}: listening"),
+        robot.listen(topic, f"{action_type}_FeedbackMessage", wait_s=SERVER_S) as listening,
+    ):
+        async for sample in listening.samples(duration_s):
+            rendered = robot.values.render(listening.type, sample.data)
+            sender = goal_id_hex(rendered.value["goal_id"]["uuid"])
+            if only_goal not in (None, sender):
+                continue
+            size += rendered.bytes
+            if size > max_bytes and messages:
+                omitted += 1
+                continue
+            messages.append(FeedbackMessage(sender, rendered.value["feedback"], iso_time(sample.received_ns)))
+            if len(messages) >= max_messages:
+                break
+    note = "" if messages else "No feedback came: no goal is running, or its server sends none."
+    if omitted:
+        note = f"The {omitted} last message(s) are left out: the answer would be too long."
+    return FeedbackMessages(topic, action_type, only_goal, monotonic() - started, messages, omitted, note)

@@ -1,0 +1,121 @@
+"""`ros2_action_request_result`: the result of a goal, whoever sent it."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from time import monotonic
+from typing import Any
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import NotFound, TimedOut
+from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_bytes, goal_id_hex
+from ros2_mcp.ops.actions.status import SERVER_S, states_now
+from ros2_mcp.ops.results import Report, reporting, silent
+from ros2_mcp.robot import Answer, Robot
+from ros2_mcp_bridge.limits import MAX_DURATION_S
+
+STATUS_AFTER_S = 1.0
+"""Answers come within milliseconds; after this the action's status is read, in case the answer was lost."""
+_STATUS_EVERY_S = 3.0
+"""Reading it costs a subscription each time; a result whose answer was lost comes that much later."""
+_AT_LEAST_S = 0.1
+"""A service call needs some time even if none is left, so that a result that is there comes."""
+
+
+@dataclass(frozen=True, slots=True)
+class GoalResult:
+    """The result of a goal, whoever sent it; `TIMEOUT` (code 0) if it had not ended in time."""
+
+    service: str
+    goal_id: str
+    waited: bool
+    result_timeout_sec: float | None
+    status_code: int
+    status: str
+    result: dict[str, Any] | None = None
+    note: str = ""
+
+    def summary(self) -> str:
+        """One line."""
+        return f"goal {self.goal_id}: {self.status}. {self.note}".rstrip()
+
+
+async def request_result(
+    robot: Robot,
+    action: str,
+    action_type: str,
+    goal_id: str,
+    *,
+    timeout_s: float | None = 60.0,
+    wait_for_service_s: float = SERVER_S,
+    report: Report = silent,
+) -> GoalResult:
+    """Waits for the result of a goal, whoever sent it. A time-out does not cancel it.
+
+    Raises:
+        NotFound: if no such action is there, or its server left before the goal ended.
+        BadValue: if the goal id is not one.
+    """
+    action = names.absolute(action, "action")
+    wait_s = MAX_DURATION_S if timeout_s is None else bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
+    goal_id = goal_id_hex(goal_id_bytes(goal_id))
+    if action_type and action not in await robot.types.actions():
+        action_type = names.interface_type(action_type, "action")  # its server may still have to appear
+    else:
+        action_type = await robot.types.action(action, action_type)
+    async with reporting(report, wait_s, f"waiting for the result of {action}"):
+        return await result_of(robot, action, action_type, goal_id, timeout_s, wait_for_service_s)
+
+
+async def result_of(
+    robot: Robot,
+    action: str,
+    action_type: str,
+    goal_id: str,
+    timeout_s: float | None,
+    wait_for_service_s: float = SERVER_S,
+) -> GoalResult:
+    """The same for resolved names. Raises `NotFound` if the server left before the goal ended.
+
+    The server answers `get_result` when the goal ends. An answer that is lost on its way (the server had not discovered
+    our client yet) never comes again, so the action's status is read meanwhile, and a lost answer is requested anew.
+    """
+    service, service_type = f"{action}/_action/get_result", f"{action_type}_GetResult"
+    request = {"goal_id": {"uuid": goal_id_bytes(goal_id)}}
+    wait_s = MAX_DURATION_S if timeout_s is None else timeout_s
+    deadline = monotonic() + wait_s
+    while True:
+        left_s = max(deadline - monotonic(), _AT_LEAST_S)
+        asking = asyncio.ensure_future(
+            robot.ask_service(service, service_type, request, timeout_s=left_s, wait_s=wait_for_service_s)
+        )
+        try:
+            if await _is_lost(robot, action, goal_id, asking):
+                continue
+            answer = await asking
+            break
+        except NotFound as error:
+            raise NotFound(f"The server of {action} is not there, or left before the goal ended.") from error
+        except TimedOut:
+            note = f"No result within {wait_s:g} s. The goal was not cancelled: ask again with this goal id."
+            return GoalResult(service, goal_id, True, timeout_s, 0, "TIMEOUT", note=note)
+        finally:
+            asking.cancel()
+    response = robot.values.render(answer.type, answer.body).value
+    code = int(response["status"])
+    if code in TERMINAL or code == 0:
+        robot.goal_ended(goal_id)
+    note = "The server does not know this goal: it never was, or it has been forgotten." if code == 0 else ""
+    result = response["result"] if code in TERMINAL else None
+    return GoalResult(service, goal_id, True, timeout_s, code, STATUS.get(code, str(code)), result, note)
+
+
+async def _is_lost(robot: Robot, action: str, goal_id: str, asking: asyncio.Future[Answer]) -> bool:
+    """Waits for the answer; true where it does not come although the action's status says that the goal has ended."""
+    while not (await asyncio.wait({asking}, timeout=_STATUS_EVERY_S))[0]:
+        ended = {state.goal_id for state in await states_now(robot, action) if state.status_code in TERMINAL}
+        if goal_id in ended:
+            return not (await asyncio.wait({asking}, timeout=STATUS_AFTER_S))[0]
+    return False

@@ -1,0 +1,192 @@
+"""`ros2_send_action_goal`: sends a goal, and waits for its result if that is asked for."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.commands import SendGoal
+from ros2_mcp.model.errors import LinkError, NotFound, RobotError, TimedOut
+from ros2_mcp.model.goals import STATUS, goal_id_hex, new_goal_id
+from ros2_mcp.ops.actions.cancel import cancel_sent
+from ros2_mcp.ops.actions.result import STATUS_AFTER_S, result_of
+from ros2_mcp.ops.actions.status import SERVER_S, states_now
+from ros2_mcp.ops.results import Report, in_words, reporting, silent
+from ros2_mcp.robot import Answer, Listening, Robot
+from ros2_mcp.robot.goals import Goal
+from ros2_mcp_bridge.limits import MAX_DURATION_S
+
+ACCEPT_S = 10.0
+"""A server that is alive says at once whether it takes a goal; of one that thinks longer the caller is told."""
+_LAST_FEEDBACK_S = 0.02
+"""Feedback and result come on different ways: what was sent before the result may arrive a little after it."""
+
+
+@dataclass(frozen=True, slots=True)
+class GoalOutcome:
+    """What became of a goal.
+
+    `status` is `TIMEOUT` (code 0) if the waiting ended first; the goal then goes on. `result` is null until it ended.
+    """
+
+    action_name: str
+    action_type: str
+    accepted: bool
+    goal_id: str
+    send_goal_stamp: dict[str, Any] | None
+    waited: bool = False
+    result_timeout_sec: float | None = None
+    status_code: int = 1
+    status: str = STATUS[1]
+    result: dict[str, Any] | None = None
+    feedback_count: int = 0
+    last_feedback: dict[str, Any] | None = None
+    note: str = ""
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{self.action_name} goal {self.goal_id}: {self.status}. {self.note}".rstrip()
+
+
+async def send_goal(
+    robot: Robot,
+    action: str,
+    action_type: str,
+    goal: Mapping[str, Any],
+    *,
+    wait_for_result: bool = False,
+    timeout_s: float = 60.0,
+    report: Report = silent,
+) -> GoalOutcome:
+    """Sends a goal, and waits for its result if asked to, reporting its feedback as progress.
+
+    A waiting that times out leaves the goal running; a waiting that is cancelled cancels the goal.
+
+    Raises:
+        NotFound: if no such action is there, or its server left.
+        BadValue: naming the path of a value that does not fit; nothing is sent.
+        TimedOut: if the server did not say whether it accepts.
+    """
+    bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
+    action = names.absolute(action, "action")
+    action_type = await robot.types.action(action, action_type)
+    await robot.values.learn(action_type)
+    command = SendGoal(
+        principal=robot.principal,
+        name=action,
+        type=action_type,
+        value=goal,
+        goal_id=new_goal_id(),
+        timeout_s=ACCEPT_S,
+        wait_s=SERVER_S,
+    )
+    try:
+        if not wait_for_result:
+            return await _submit(robot, command, goal)
+        # Subscribed before the goal is sent: its first feedback may come before it is accepted.
+        async with robot.listen(
+            f"{action}/_action/feedback", f"{action_type}_FeedbackMessage", wait_s=SERVER_S
+        ) as listening:
+            sent = await _submit(robot, command, goal)
+            return await _ending(robot, sent, listening, timeout_s, report) if sent.accepted else sent
+    except asyncio.CancelledError:
+        await asyncio.shield(_give_up(robot, command))
+        raise
+
+
+async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
+    """Sends the goal; returns when its server has said whether it accepts it."""
+    calling = asyncio.ensure_future(robot.do(command))
+    try:
+        accepted, stamp = True, await _accepted_meanwhile(robot, command, calling)
+        if stamp is None:
+            response = robot.fields_of(await calling)
+            accepted, stamp = bool(response["accepted"]), response["stamp"]
+        elif sent := robot.jobs.get(Goal, command.goal_id):
+            sent.is_accepted = True
+    except NotFound as error:
+        gone = f"The server of {command.name} is not there, or left before it said that it accepts the goal."
+        raise NotFound(gone) from error
+    except TimedOut as error:
+        raise TimedOut(
+            f"The server of {command.name} did not say within {ACCEPT_S:g} s whether it accepts goal "
+            f"{command.goal_id}.",
+            "It may still accept it: ros2_cancel_action_goal cancels it.",
+        ) from error
+    finally:
+        calling.cancel()
+    sent = GoalOutcome(command.name, command.type, accepted, command.goal_id, stamp if accepted else None)
+    if not accepted:
+        rejected = "The action server rejected the goal; ros2_log_read may tell why."
+        return replace(sent, status_code=-1, status=STATUS[-1], note=rejected)
+    missing = robot.values.missing_fields(f"{command.type}_Goal", goal)
+    return replace(sent, note=f"Sent with their default values: {', '.join(missing)}." if missing else "")
+
+
+async def _accepted_meanwhile(
+    robot: Robot, command: SendGoal, calling: asyncio.Future[Answer]
+) -> dict[str, Any] | None:
+    """When the goal was accepted, if the action's status says so while there is no answer; None when there is one.
+
+    A server that has not discovered its client yet throws its answer away, and goes on with the goal.
+    """
+    while not (await asyncio.wait({calling}, timeout=STATUS_AFTER_S))[0]:
+        for state in await states_now(robot, command.name):
+            if state.goal_id == command.goal_id and not calling.done():
+                return state.accept_stamp
+    return None
+
+
+async def _ending(
+    robot: Robot, sent: GoalOutcome, listening: Listening, timeout_s: float, report: Report
+) -> GoalOutcome:
+    """Waits for the result of an accepted goal; takes its feedback meanwhile, and reports the newest once a second."""
+    count, last = 0, None
+
+    async def take_feedback(first_within_s: float) -> bool:
+        nonlocal count, last
+        samples = await listening.take(first_within_s)
+        for sample in samples:
+            message = robot.values.render(listening.type, sample.data).value
+            if goal_id_hex(message["goal_id"]["uuid"]) == sent.goal_id:
+                count, last = count + 1, message["feedback"]
+        return bool(samples)
+
+    async def follow() -> None:
+        while True:
+            await take_feedback(1.0)
+
+    following = asyncio.create_task(follow())
+    try:
+        async with reporting(report, timeout_s, lambda: "no feedback yet" if last is None else in_words(last)):
+            ended = await result_of(robot, sent.action_name, sent.action_type, sent.goal_id, timeout_s)
+    except (NotFound, LinkError) as error:
+        raise type(error)(f"{error.message} Goal {sent.goal_id} had been accepted.", error.hint) from error
+    finally:
+        following.cancel()
+    while await take_feedback(_LAST_FEEDBACK_S):
+        pass
+    return replace(
+        sent,
+        waited=True,
+        result_timeout_sec=timeout_s,
+        status_code=ended.status_code,
+        status=ended.status,
+        result=ended.result,
+        feedback_count=count,
+        last_feedback=last,
+        note=f"{sent.note} {ended.note}".strip(),
+    )
+
+
+async def _give_up(robot: Robot, command: SendGoal) -> None:
+    """Cancels the goal, if it was sent and has not ended."""
+    goal = robot.jobs.get(Goal, command.goal_id)
+    if goal and goal.is_running:
+        with suppress(RobotError):
+            await cancel_sent(robot, command.name, command.goal_id, ACCEPT_S)

@@ -1,0 +1,157 @@
+"""`ros2_action_status` and `ros2_action_subscribe_status`: the states of goals, as the action servers publish them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from time import monotonic
+from typing import Any
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import NotFound
+from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_hex, stamp_seconds
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.results import Report, iso_time, reporting, silent
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.goals import Goal
+from ros2_mcp_bridge.limits import MAX_DURATION_S
+
+STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
+"""Of the latched topic `<action>/_action/status`, on which a server publishes the states of its goals."""
+SERVER_S = 3.0
+"""For an action server that is coming up: its services are discovered one after the other, within 3 s of each other."""
+MAX_MESSAGES = 1000
+"""Of one call that follows states or feedback. Chosen: more than a model reads, and a bound on what is collected."""
+_LATCHED_S = 0.5
+"""The latched message comes with the matching, within milliseconds; a server that has had no goal has none."""
+_OTHER_CLOCK_S = 1e8
+"""Three years: a stamp so far from now is of a clock that began at zero, as in a simulation."""
+
+
+@dataclass(frozen=True, slots=True)
+class GoalState:
+    """A goal and its state as its server publishes it; `accept_stamp` is {sec, nanosec}."""
+
+    goal_id: str
+    accept_stamp: dict[str, Any]
+    status_code: int
+    status: str
+
+
+@dataclass(frozen=True, slots=True)
+class StatusFrame:
+    """All goals of one action at one time; `stamp` is the time of receipt, ISO 8601."""
+
+    stamp: str
+    statuses: Sequence[GoalState]
+
+
+@dataclass(frozen=True, slots=True)
+class StatusFrames:
+    """How the goals of an action changed during a call."""
+
+    topic: str
+    duration_sec: float
+    frames: Sequence[StatusFrame]
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{len(self.frames)} status message(s) in {self.duration_sec:.2f} s. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True)
+class KnownGoal:
+    """A goal of any action; `ours` if this server sent it. `age_sec` since it was accepted is null where the action
+    server keeps another time than this machine, as in a simulation.
+    """
+
+    action_name: str
+    goal_id: str
+    status_code: int
+    status: str
+    age_sec: float | None
+    ours: bool
+
+
+@dataclass(frozen=True, slots=True)
+class KnownGoals:
+    """Every goal whose state an action server publishes, the newest first."""
+
+    goals: Sequence[KnownGoal]
+    actions: Sequence[str]
+    note: str
+
+    def summary(self) -> str:
+        """One line."""
+        return f"{len(self.goals)} goal(s) of {len(self.actions)} action(s). {self.note}".rstrip()
+
+
+async def states_now(robot: Robot, action: str) -> list[GoalState]:
+    """The newest states; none where the server has not published any."""
+    try:
+        async with robot.listen(f"{action}/_action/status", STATUS_TYPE, keep="latest") as listening:
+            samples = await listening.take(_LATCHED_S)
+    except NotFound:
+        return []
+    return states_in(robot, samples[-1]) if samples else []
+
+
+def states_in(robot: Robot, sample: Sample) -> list[GoalState]:
+    """The states in one message of the topic."""
+    message: Mapping[str, Any] = robot.values.in_full(STATUS_TYPE, sample.data)
+    return [
+        GoalState(
+            goal_id_hex(entry["goal_info"]["goal_id"]["uuid"]),
+            entry["goal_info"]["stamp"],
+            int(entry["status"]),
+            STATUS.get(int(entry["status"]), str(entry["status"])),
+        )
+        for entry in message["status_list"]
+    ]
+
+
+async def follow_status(
+    robot: Robot, action: str, *, duration_s: float = 5.0, max_messages: int = 100, report: Report = silent
+) -> StatusFrames:
+    """The states of an action's goals for some seconds; the last known states come first.
+
+    Raises:
+        NotFound: if no such action is there.
+    """
+    bounded("duration_sec", duration_s, 0.0, MAX_DURATION_S, "s")
+    bounded("max_messages", max_messages, 1, MAX_MESSAGES, "messages")
+    action = names.absolute(action, "action")
+    await robot.types.action(action)
+    topic, started = f"{action}/_action/status", monotonic()
+    frames: list[StatusFrame] = []
+    async with (
+        reporting(report, duration_s, f"{topic}: listening"),
+        robot.listen(topic, STATUS_TYPE, wait_s=SERVER_S) as listening,
+    ):
+        async for sample in listening.samples(duration_s):
+            frames.append(StatusFrame(iso_time(sample.received_ns), states_in(robot, sample)))
+            if len(frames) >= max_messages:
+                break
+    note = "" if frames else "Its server has not told of any goal yet."
+    return StatusFrames(topic, monotonic() - started, frames, note)
+
+
+async def all_goals(robot: Robot) -> KnownGoals:
+    """Every goal whose state an action server publishes, with state and age."""
+    actions = sorted(await robot.types.actions())
+    goals: list[KnownGoal] = []
+    states_by_action = await asyncio.gather(*(states_now(robot, action) for action in actions))
+    for action, states in zip(actions, states_by_action, strict=True):
+        for state in states:
+            is_ours = robot.jobs.get(Goal, state.goal_id) is not None
+            if state.status_code in TERMINAL:
+                robot.goal_ended(state.goal_id)
+            age_s = time.time() - stamp_seconds(state.accept_stamp)
+            shown_age = round(age_s, 3) if abs(age_s) < _OTHER_CLOCK_S else None
+            goals.append(KnownGoal(action, state.goal_id, state.status_code, state.status, shown_age, is_ours))
+    note = "" if goals else "No goal has been sent yet, or the servers have forgotten them."
+    return KnownGoals(sorted(goals, key=lambda goal: goal.age_sec or 0.0), actions, note)
