@@ -10,18 +10,21 @@ from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 
 def _no_bool(value: Any) -> Any:
+    """Python's `True` is the integer 1: as a number it can only be a mistake."""
     if isinstance(value, bool):
         raise ValueError("a number is meant")
     return value
 
 
 def _strictly_bool(value: Any) -> Any:
+    """Pydantic would take 1 and "yes" as well, and a flag may decide whether something is sent to the robot."""
     if not isinstance(value, bool):
         raise ValueError("give true or false")
     return value
 
 
 def _as_text(value: Any) -> Any:
+    """Models write seconds as a number, although the argument is a text."""
     return str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
 
 

@@ -1,8 +1,9 @@
-"""What tools ask for and the model does not see: made here from a call's arguments and from what the server has.
+"""Dependency injection: parameters of a tool's function whose values are made here, such as the robot or a source.
 
-A parameter `source: Source` gives a tool the arguments `bag`, `start` and `end`, and itself the source that they mean.
-Parameters with a `MadeBy` get their values, and their tool its arguments, from another function. A maker takes the
-`Call`; its other parameters are arguments of the tool, or are shared with it where the tool has one of that name.
+The model sees the arguments that a value is made from: for a parameter `source: Source` these are `bag`, `start` and
+`end`. What makes a value is a function, the maker. It is found by the parameter's type (`_MAKERS`), or the annotation
+names it (`MadeBy`). A maker takes the `Call`; each of its other parameters becomes an argument of the tool. Where the
+tool has a parameter of the same name, both get the same value.
 """
 
 from __future__ import annotations
@@ -121,7 +122,7 @@ _MAKERS: Mapping[Any, Maker] = {
     BagStore: attrgetter("store"),
     Report: attrgetter("report"),
 }
-"""Of parameters whose type alone says what they are."""
+"""Type of a parameter → its maker, where the type alone says what is meant."""
 
 
 # ── their use ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -129,20 +130,20 @@ _MAKERS: Mapping[Any, Maker] = {
 
 def maker_of(parameter: inspect.Parameter) -> Maker | None:
     """What makes the value of a parameter; None if it is an argument of the tool."""
-    for each in getattr(parameter.annotation, "__metadata__", ()):
-        if isinstance(each, MadeBy):
-            return each.maker
+    for metadata in getattr(parameter.annotation, "__metadata__", ()):
+        if isinstance(metadata, MadeBy):
+            return metadata.maker
     return next((maker for kind, maker in _MAKERS.items() if parameter.annotation == kind), None)
 
 
 def arguments_of(whole: inspect.Signature) -> inspect.Signature:
-    """The signature that the model sees: in the place of what is made stand the arguments that it is made from."""
+    """The signature that the model sees: injected parameters are replaced by the arguments that they are made from."""
     arguments: dict[str, inspect.Parameter] = {}
     for parameter in whole.parameters.values():
         maker = maker_of(parameter)
-        for each in [parameter] if maker is None else _parameters_of(maker).values():
-            if each is parameter or each.name not in whole.parameters:
-                arguments[each.name] = each.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for argument in [parameter] if maker is None else _parameters_of(maker).values():
+            if argument is parameter or argument.name not in whole.parameters:
+                arguments[argument.name] = argument.replace(kind=inspect.Parameter.KEYWORD_ONLY)
     return whole.replace(parameters=list(arguments.values()))
 
 
@@ -158,7 +159,7 @@ async def values_for(whole: inspect.Signature, call: Call, arguments: Mapping[st
         if maker is None:
             values[name] = arguments[name]
             continue
-        made: Any = maker(call, **{each: arguments[each] for each in _parameters_of(maker)})
+        made: Any = maker(call, **{argument: arguments[argument] for argument in _parameters_of(maker)})
         values[name] = await made if isinstance(made, Awaitable) else made
     return values
 

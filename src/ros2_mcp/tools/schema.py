@@ -8,8 +8,11 @@ from typing import Any, cast, get_args, get_origin, get_type_hints
 
 Schema = dict[str, Any]
 _REFERENCE = "#/$defs/"
+# pydantic's names of the bounds of a number → those of JSON schema.
 _BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
 _SCALARS: Mapping[Any, str] = {str: "string", bool: "boolean", int: "integer", float: "number"}
+# Of a value whose type is known only at run time, such as that of a parameter. A schema without a type is refused by
+# some clients.
 _ANY_VALUE: Schema = {
     "type": ["boolean", "number", "string", "array", "null"],
     "items": {"type": ["boolean", "number", "string"]},
@@ -32,7 +35,9 @@ def result_schema(kind: Any) -> Schema:
         inner = result_schema(present)
         return {**inner, "type": [inner["type"], "null"]}
     if is_dataclass(kind):
-        return _dataclass_schema(kind)
+        hints = get_type_hints(kind)
+        shown = [field.name for field in fields(kind) if not field.metadata.get("hidden")]
+        return {"type": "object", "properties": {name: result_schema(hints[name]) for name in shown}, "required": shown}
     origin = get_origin(kind) or kind
     if origin in (list, tuple, Sequence):
         return {"type": "array", "items": result_schema(options[0])}
@@ -41,17 +46,8 @@ def result_schema(kind: Any) -> Schema:
     return {"type": _SCALARS[origin]} if origin in _SCALARS else dict(_ANY_VALUE)
 
 
-def _dataclass_schema(kind: Any) -> Schema:
-    hints = get_type_hints(kind)
-    shown = [field.name for field in fields(kind) if not field.metadata.get("hidden")]
-    return {
-        "type": "object",
-        "properties": {name: result_schema(hints[name]) for name in shown},
-        "required": shown,
-    }
-
-
 def _plain(node: Mapping[str, Any], definitions: Mapping[str, Any]) -> Schema:
+    """The same schema with references resolved, and without titles and null defaults, which cost the model tokens."""
     if "$ref" in node:
         target = definitions[str(node["$ref"]).removeprefix(_REFERENCE)]
         return _plain({**target, **_without(node, "$ref")}, definitions)
@@ -63,16 +59,11 @@ def _plain(node: Mapping[str, Any], definitions: Mapping[str, Any]) -> Schema:
             result[key] = {name: _plain(part, definitions) for name, part in value.items()}
         elif key == "items":
             result[key] = _plain(value, definitions)
-        elif not _is_noise(key, value):
+        elif key not in ("$defs", "title") and (key != "default" or value is not None):
             result[_BOUNDS.get(key, key)] = value
     if result.get("type") == "object" and "properties" not in result:
         result.setdefault("additionalProperties", True)
     return result
-
-
-def _is_noise(key: str, value: Any) -> bool:
-    """What clients do not need: titles and null defaults."""
-    return key in ("$defs", "title") or (key == "default" and value is None)
 
 
 def _optional(node: Mapping[str, Any], definitions: Mapping[str, Any]) -> Schema:

@@ -91,27 +91,18 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
         bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
     to = await robot.types.destination(request.topic_name, request.message_type)
     if rate_hz is None or duration_s is None:
-        command = Publish(
-            principal=robot.principal,
-            name=to.topic,
-            type=to.type,
-            value=request.data,
-            choice=to.choice,
-            wait_match_s=MATCH_S,
-        )
-        sent = await robot.do(command)
+        make_command = Publish
     else:
-        command = Repeat(
-            principal=robot.principal,
-            name=to.topic,
-            type=to.type,
-            value=request.data,
-            choice=to.choice,
-            rate_hz=rate_hz,
-            duration_s=duration_s,
-            wait_match_s=MATCH_S,
-        )
-        sent = await _repeat(robot, command, report)
+        make_command = partial(Repeat, rate_hz=rate_hz, duration_s=duration_s)
+    command = make_command(
+        principal=robot.principal,
+        name=to.topic,
+        type=to.type,
+        value=request.data,
+        choice=to.choice,
+        wait_match_s=MATCH_S,
+    )
+    sent = await (_repeat(robot, command, report) if isinstance(command, Repeat) else robot.do(command))
     return Published(
         status="published" if sent.matched else "nobody_listening",
         topic_name=sent.topic,

@@ -144,13 +144,13 @@ async def collect(
                 if is_full := collector.add(batch):
                     break
         samples = list(collector.samples)
-        counts, beyond = stream.counts, stream.further
-        ended_early = not samples or (limit is not None and not is_full and beyond is None)
+        counts, further = stream.counts, stream.further
+        ended_early = not samples or (limit is not None and not is_full and further is None)
         more = ""
-        if beyond and stream.from_end:
+        if further and stream.from_end:
             more = f"There are earlier ones too: for those, give {names[1]} {exact_time(samples[0].received_ns - 1)}."
-        elif beyond:
-            more = f"There are later ones too: for those, give {names[0]} {exact_time(beyond.received_ns)}."
+        elif further:
+            more = f"There are later ones too: for those, give {names[0]} {exact_time(further.received_ns)}."
         return Collected(
             stream=stream,
             samples=samples,
