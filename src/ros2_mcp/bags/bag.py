@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import heapq
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from types import TracebackType
 
 from ros2_mcp.bags.mcap_file import McapFile
-from ros2_mcp.bags.rosbag2 import METADATA, FolderFacts, read_metadata
+from ros2_mcp.bags.rosbag2 import METADATA, read_metadata
 from ros2_mcp.bags.schema import bare
 from ros2_mcp.bags.sqlite_file import SqliteFile
 from ros2_mcp.bags.stored import Span, StoredFile, StoredTopic
@@ -36,8 +35,7 @@ class Bag:
     def __init__(self, path: Path, former: Bag | None = None) -> None:
         self.path = path
         self._problems: list[str] = []
-        self.distro = ""
-        self._files = self._open(_files_of(path), self._facts(), former.known_files() if former else {})
+        self._files = self._open(former)
         self.topics = self._merged_topics()
         self._left_out = self._misfits()
 
@@ -66,16 +64,15 @@ class Bag:
     def messages(self, span: Span | None = None, newest_first: bool = False) -> Iterator[tuple[str, Sample]]:
         """Topic and message, in the order of time or in its reverse; what several files of a ring have comes once."""
         span = span or Span()
-        sources = [
-            file.messages(_without(left_out, span, file), newest_first)
-            for file, left_out in zip(self._files, self._left_out, strict=True)
-        ]
+        sources: list[Iterator[tuple[str, Sample]]] = []
+        for file, left_out in zip(self._files, self._left_out, strict=True):
+            topics = frozenset(file.topics if span.topics is None else span.topics) - left_out
+            sources.append(file.messages(replace(span, topics=topics) if left_out else span, newest_first))
         if len(sources) == 1:
             return sources[0]
         if newest_first:
             sources.reverse()
-        numbered = [_numbered(number, messages) for number, messages in enumerate(sources)]
-        return _once(heapq.merge(*numbered, key=lambda each: each[2].received_ns, reverse=newest_first))
+        return _merged(sources, newest_first)
 
     def last(self, topic: str, most: int, span: Span | None = None) -> list[Sample]:
         """The last messages of a topic (before the span's end), the oldest first; read from the end of the bag."""
@@ -93,7 +90,7 @@ class Bag:
         return total
 
     def known_files(self) -> dict[Path, McapFile]:
-        """The MCAP files that were looked through. (What SQLite files say may change although they do not.)"""
+        """The MCAP files that were looked through. What SQLite files say may change while they stay the same."""
         return {file.path: file for file in self._files if isinstance(file, McapFile)}
 
     def close(self) -> None:
@@ -104,26 +101,21 @@ class Bag:
     def __enter__(self) -> Bag:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _facts(self) -> FolderFacts | None:
-        if not self.path.is_dir():
-            return None
-        facts = read_metadata(self.path)
+    def _open(self, former: Bag | None) -> list[StoredFile]:
+        """Every file that can be read, and notes the others, and what the folder's metadata counts and is not there."""
+        paths = _files_of(self.path)
+        facts = read_metadata(self.path) if self.path.is_dir() else None
         if isinstance(facts, str):
             self._problems.append(facts)
-            return None
-        self.distro = facts.distro
-        return facts
-
-    def _open(self, paths: list[Path], facts: FolderFacts | None, known: Mapping[Path, McapFile]) -> list[StoredFile]:
+            facts = None
+        former_files = former.known_files() if former else {}
         opened: list[StoredFile] = []
         for path in paths:
             try:
-                same = known.get(path)
+                same = former_files.get(path)
                 compression = facts.compression_mode if facts else ""
                 opened.append(same if same and same.is_current else _open_file(path, compression))
             except (BadData, OSError) as error:
@@ -131,30 +123,28 @@ class Bag:
         if not opened:
             raise BadData(f"{self.path.name} cannot be read: {' '.join(self._problems)}")
         if facts:
-            self._compare(facts, paths, opened)
+            missing = {Path(name).name for name in facts.files} - {path.name for path in paths}
+            self._problems += [f"{name} is listed in {METADATA}, but missing." for name in sorted(missing)]
+            counts = [file.count for file in opened]
+            count = sum(count or 0 for count in counts)
+            if None not in counts and count < facts.count:
+                self._problems.append(f"{METADATA} counts {facts.count} messages, {count} are there.")
         return opened
-
-    def _compare(self, facts: FolderFacts, paths: list[Path], opened: list[StoredFile]) -> None:
-        missing = {Path(name).name for name in facts.files} - {path.name for path in paths}
-        self._problems += [f"{name} is listed in {METADATA}, but missing." for name in sorted(missing)]
-        there = [file.count for file in opened]
-        if facts.count is not None and None not in there and sum(count or 0 for count in there) < facts.count:
-            self._problems.append(f"{METADATA} counts {facts.count} messages, {sum(c or 0 for c in there)} are there.")
 
     def _merged_topics(self) -> Mapping[str, StoredTopic]:
         """Each topic as the newest file with messages of it has it; where that has no definition, with an older one."""
         found: dict[str, StoredTopic] = {}
         newest_first = [topic for file in reversed(self._files) for topic in file.topics.values()]
         for topic in sorted(newest_first, key=lambda topic: topic.count == 0):
-            known = found.setdefault(topic.name, topic)
-            if known.type == topic.type and topic.definition and not known.definition:
-                found[topic.name] = replace(known, encoding=topic.encoding, definition=topic.definition)
+            newest = found.setdefault(topic.name, topic)
+            if newest.type == topic.type and topic.definition and not newest.definition:
+                found[topic.name] = replace(newest, encoding=topic.encoding, definition=topic.definition)
         return found
 
     def _misfits(self) -> list[frozenset[str]]:
-        """Of each file the topics whose bytes mean something else there than in the newest one; told as problems."""
+        """Of each file the topics whose bytes mean something else there than in the newest one; noted as problems."""
         misfits = [[topic for topic in file.topics.values() if not self._fits(topic)] for file in self._files]
-        conflicts = [topic for group in misfits for topic in group if topic.count != 0]
+        conflicts = [topic for topics in misfits for topic in topics if topic.count != 0]
         for name in sorted({topic.name for topic in conflicts}):
             now, types = self.topics[name].type, [topic.type for topic in conflicts if topic.name == name]
             others = sorted({kind if kind != now else f"another definition of {kind}" for kind in types})
@@ -162,21 +152,14 @@ class Bag:
                 f"{name}: its messages in {len(types)} of {len(misfits)} files are left out: they are of "
                 f"{' and '.join(others)}, the newest of {now}."
             )
-        return [frozenset(topic.name for topic in group) for group in misfits]
+        return [frozenset(topic.name for topic in topics) for topics in misfits]
 
     def _fits(self, topic: StoredTopic) -> bool:
-        known = self.topics[topic.name]
-        if known.type != topic.type or not topic.definition or not known.definition:
-            return known.type == topic.type
-        return known.definition == topic.definition or bare(known.definition) == bare(topic.definition)
-
-
-def _without(left_out: frozenset[str], span: Span, file: StoredFile) -> Span:
-    """The span without these topics of the file."""
-    if not left_out:
-        return span
-    topics = file.topics if span.topics is None else span.topics
-    return replace(span, topics=frozenset(topics) - left_out)
+        """Whether its bytes mean the same as in the newest file; comments and spacing make no other definition."""
+        newest = self.topics[topic.name]
+        if newest.type != topic.type or not topic.definition or not newest.definition:
+            return newest.type == topic.type
+        return newest.definition == topic.definition or bare(newest.definition) == bare(topic.definition)
 
 
 def _open_file(path: Path, compression: str) -> StoredFile:
@@ -216,14 +199,19 @@ def _order(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
 
-def _numbered(number: int, messages: Iterable[tuple[str, Sample]]) -> Iterator[tuple[int, str, Sample]]:
-    return ((number, topic, sample) for topic, sample in messages)
+def _merged(sources: list[Iterator[tuple[str, Sample]]], newest_first: bool) -> Iterator[tuple[str, Sample]]:
+    """The messages of several files in the order of time.
 
+    Without the copies of latched messages with which the files of a ring begin: the same message of a topic again, and
+    of another file than the one before.
+    """
 
-def _once(messages: Iterable[tuple[int, str, Sample]]) -> Iterator[tuple[str, Sample]]:
-    """Without the copies of latched messages with which the files of a ring begin."""
+    def numbered(number: int, messages: Iterator[tuple[str, Sample]]) -> Iterator[tuple[int, str, Sample]]:
+        return ((number, topic, sample) for topic, sample in messages)
+
+    files = [numbered(number, messages) for number, messages in enumerate(sources)]
     last: dict[str, tuple[int, Sample]] = {}
-    for file, topic, sample in messages:
+    for file, topic, sample in heapq.merge(*files, key=lambda entry: entry[2].received_ns, reverse=newest_first):
         before = last.get(topic)
         last[topic] = file, sample
         if before is None or before[0] == file or before[1] != sample:

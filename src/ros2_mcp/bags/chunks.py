@@ -15,17 +15,21 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 
+from ros2_mcp.model.samples import Sample
+
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = 9
 """Bytes before each record's content: its kind and its length."""
 MAX_CHUNK = 1 << 30
 """No writer makes chunks of a gigabyte; a length beyond it is damage, and no memory is taken for it."""
 _UNDECLARED = -1
+"""What zstd says of data whose size it did not know when it began to compress."""
 _HEAD = struct.Struct("<BQ")
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")
-_PLACE_HEAD = struct.Struct("<QQQQI")
-_PLACE_CHANNEL_BYTES = 10  # its number, and where its index is
+_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+MESSAGE_HEAD_BYTES = _MESSAGE_HEAD.size
+_CHUNK_HEAD = struct.Struct("<QQQII")  # start and end time, size, checksum, length of the compression's name
+_PLACE_HEAD = struct.Struct("<QQQQI")  # start and end time, offset, length, bytes of the channels
+_PLACE_CHANNEL_BYTES = 10  # of each channel its number, and where its index is
 _Record = TypeVar("_Record", bound=records.McapRecord)
 
 
@@ -42,15 +46,8 @@ class Schema:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class MessageRecord:
-    """A message in a chunk (or outside of any)."""
-
-    channel: int
-    sequence: int
-    log_ns: int
-    publish_ns: int
-    data: bytes
+UNKNOWN = Schema("", "", "")
+"""Of channels that name none."""
 
 
 @dataclass(slots=True)
@@ -88,12 +85,12 @@ def head(data: bytes) -> tuple[int, int]:
     return kind, length
 
 
-def message(data: bytes, start: int, end: int) -> MessageRecord:
-    """The message at that place."""
-    if end - start < _MESSAGE_HEAD.size:
+def message(data: bytes, start: int, end: int) -> tuple[int, Sample]:
+    """Channel and content of the message at that place; its log time is the time of receipt."""
+    if end - start < MESSAGE_HEAD_BYTES:
         raise Damaged("a message is too short")
     number, sequence, log_ns, publish_ns = _MESSAGE_HEAD.unpack_from(data, start)
-    return MessageRecord(number, sequence, log_ns, publish_ns, data[start + _MESSAGE_HEAD.size : end])
+    return number, Sample(log_ns, publish_ns, sequence or None, data[start + MESSAGE_HEAD_BYTES : end])
 
 
 def message_key(data: bytes, start: int) -> tuple[int, int]:
@@ -102,8 +99,8 @@ def message_key(data: bytes, start: int) -> tuple[int, int]:
     return channel, log_ns
 
 
-def unpacked(content: bytes) -> tuple[bytes, bool]:
-    """The records inside a chunk, and whether a checksum vouches for them.
+def unpacked(content: bytes) -> bytes:
+    """The records inside a chunk, checked against its checksum where it has one.
 
     Raises:
         Damaged: if they are not what was written.
@@ -118,7 +115,7 @@ def unpacked(content: bytes) -> tuple[bytes, bool]:
     inside = _decompressed(compression, content[place + 8 :], size)
     if len(inside) != size or (crc and zlib.crc32(inside) != crc):
         raise Damaged("a chunk's checksum is wrong" if len(inside) == size else "a chunk's size is wrong")
-    return inside, bool(crc)
+    return inside
 
 
 def _decompressed(compression: bytes, data: bytes, size: int) -> bytes:
@@ -128,9 +125,16 @@ def _decompressed(compression: bytes, data: bytes, size: int) -> bytes:
         raise Damaged("a chunk's size is wrong")
     if compression == b"zstd":
         return unzstd(data, size)
-    if compression == b"lz4":
-        return _unlz4(data, size)
-    raise Damaged(f"a chunk is compressed in a way that is not known: {compression[:20]!r}")
+    if compression != b"lz4":
+        raise Damaged(f"a chunk is compressed in a way that is not known: {compression[:20]!r}")
+    frame = lz4.frame.LZ4FrameDecompressor()
+    try:
+        inside = bytes(frame.decompress(data, max_length=size + 1))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+    except (RuntimeError, ValueError, MemoryError) as error:
+        raise _not_decompressed(error) from error
+    if not frame.eof:  # pyright: ignore[reportUnknownMemberType]
+        raise Damaged("compressed data is of another size than its chunk says")
+    return inside
 
 
 def unzstd(data: bytes, size: int | None = None) -> bytes:
@@ -146,17 +150,6 @@ def unzstd(data: bytes, size: int | None = None) -> bytes:
         return zstandard.ZstdDecompressor().decompress(data, max_output_size=size or 0)
     except (zstandard.ZstdError, ValueError, MemoryError) as error:
         raise _not_decompressed(error) from error
-
-
-def _unlz4(data: bytes, size: int) -> bytes:
-    frame = lz4.frame.LZ4FrameDecompressor()
-    try:
-        inside = bytes(frame.decompress(data, max_length=size + 1))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
-    except (RuntimeError, ValueError, MemoryError) as error:
-        raise _not_decompressed(error) from error
-    if not frame.eof:  # pyright: ignore[reportUnknownMemberType]
-        raise Damaged("compressed data is of another size than its chunk says")
-    return inside
 
 
 def _most_of(data: bytes) -> int:
@@ -185,7 +178,10 @@ def counts(data: bytes) -> dict[int, int]:
 
 
 def chunk_place(data: bytes) -> ChunkPlace:
-    """A chunk's entry in the index. (The library's reader takes ten times as long, and large bags have many.)"""
+    """A chunk's entry in the index, of which a bag of 100 GB has 100,000.
+
+    Not with the library's reader: that takes 10 µs for a chunk of five topics and 43 µs for 50, this one 3 and 25.
+    """
     if len(data) < _PLACE_HEAD.size:
         raise Damaged("a record is too short")
     start_ns, end_ns, offset, length, size = _PLACE_HEAD.unpack_from(data)

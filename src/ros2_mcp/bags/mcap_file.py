@@ -10,20 +10,18 @@ from pathlib import Path
 from typing import TypeAlias
 
 from mcap.opcode import Opcode
-from mcap.records import Channel
 
 from ros2_mcp.bags import chunks
-from ros2_mcp.bags.chunks import HEAD, ChunkPlace, Damaged, MessageRecord
+from ros2_mcp.bags.chunks import HEAD, UNKNOWN, ChunkPlace, Damaged, Schema
 from ros2_mcp.bags.mcap_index import learn_channels, read_index
 from ros2_mcp.bags.stored import Span, StoredTopic
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.samples import Sample
 
 _MOST_PROBLEMS = 50
-"""Told of one file. A disk that fails damages thousands of chunks, and nobody reads further."""
+"""Of one file. A disk that fails damages thousands of chunks, and nobody reads more than these."""
 _Key: TypeAlias = tuple[int, int, int, int]
 _Item: TypeAlias = "tuple[_Key, ChunkPlace, str, Sample | None]"
-_UNKNOWN = chunks.Schema("", "", "")
 
 
 class McapFile:
@@ -40,33 +38,23 @@ class McapFile:
         self._file = path.open("rb")
         weakref.finalize(self, self._file.close)  # as soon as nobody reads this state of the file any more
         self._version = _version(os.fstat(self._file.fileno()))
-        self._size = self._file.seek(0, 2)
         try:
-            self._index = read_index(self._file, self._size)
+            self._index = read_index(self._file, self._file.seek(0, 2))
         except Damaged as damage:
             self._file.close()
             raise BadData(f"{path.name} cannot be read: {damage}.") from damage
         for problem in self._index.problems:
             self._note(problem)
-        self._topics = self._read_topics()
+        self._places = [*self._index.chunks, *self._index.loose]
+        first_ns = min((place.start_ns for place in self._places), default=0)
+        last_ns = max((place.end_ns for place in self._places), default=0)
+        self.times: tuple[int, int] | None = (first_ns, last_ns) if self._places else None
+        self.topics: Mapping[str, StoredTopic] = self._read_topics()
 
     @property
     def is_current(self) -> bool:
         """Whether the file is still as it was when its index was read."""
         return _version(self.path.stat()) == self._version
-
-    @property
-    def topics(self) -> Mapping[str, StoredTopic]:
-        """The topics by name."""
-        return self._topics
-
-    @property
-    def times(self) -> tuple[int, int] | None:
-        """Unix times of the first and the last message."""
-        places = [*self._index.chunks, *self._index.loose]
-        if not places:
-            return None
-        return min(place.start_ns for place in places), max(place.end_ns for place in places)
 
     @property
     def count(self) -> int | None:
@@ -75,17 +63,26 @@ class McapFile:
 
     def counts(self) -> Mapping[str, int]:
         """Messages of each topic."""
-        return {topic.name: topic.count or 0 for topic in self._topics.values()}
+        return {topic.name: topic.count or 0 for topic in self.topics.values()}
 
     def messages(self, span: Span, newest_first: bool = False) -> Iterator[tuple[str, Sample]]:
-        """Topic and message in the order of time; only the chunks that are needed are read, a few at a time."""
-        channels = self._channels_of(span)
-        places = [place for place in (*self._index.chunks, *self._index.loose) if _is_near(place, channels, span)]
+        """Topic and message in the order of time; only the chunks that are needed are read, a few at a time.
+
+        Chunks may overlap in time. So a heap holds both chunks that are not read yet, at the earliest time that they
+        can have a message of, and the messages of those that are: what comes out of it first is next.
+        """
+        channels_of_span = frozenset(
+            number
+            for number, channel in self._index.channels.items()
+            if span.topics is None or channel.topic in span.topics
+        )
         sign = -1 if newest_first else 1
         heap: list[_Item] = []
-        for place in places:
-            first_ns = place.end_ns if newest_first else place.start_ns
-            heap.append(((sign * first_ns, 0, place.offset, 0), place, "", None))
+        for place in self._places:
+            is_in_time = place.end_ns >= span.start_ns and place.start_ns < span.end_ns
+            if is_in_time and (not place.channels or place.channels & channels_of_span):
+                first_ns = place.end_ns if newest_first else place.start_ns
+                heap.append(((sign * first_ns, 0, place.offset, 0), place, "", None))
         heapq.heapify(heap)
         while heap:
             _, place, topic, sample = heapq.heappop(heap)
@@ -103,41 +100,43 @@ class McapFile:
     def _read_topics(self) -> dict[str, StoredTopic]:
         found: dict[str, StoredTopic] = {}
         for number, channel in self._index.channels.items():
-            schema = self._index.schemas.get(channel.schema_id, _UNKNOWN)
+            schema = self._index.schemas.get(channel.schema_id, UNKNOWN)
             count = (self._index.counts or {}).get(number, 0)
-            known = found.get(channel.topic)
-            if known and (known.type, known.definition) != (schema.name, schema.text):
+            same = found.get(channel.topic)
+            if same and not _has_type(same, schema):
                 self._note(f"{channel.topic}: {count} messages are left out: they are of another {schema.name}.")
                 continue
             found[channel.topic] = StoredTopic(
                 channel.topic,
                 schema.name,
-                count + (known.count or 0 if known else 0),
-                schema.encoding,
-                schema.text,
-                channel.metadata.get("offered_qos_profiles", ""),
-                channel.message_encoding,
+                count + (same.count or 0 if same else 0),
+                encoding=schema.encoding,
+                definition=schema.text,
+                qos=channel.metadata.get("offered_qos_profiles", ""),
+                serialization=channel.message_encoding,
             )
         return found
-
-    def _channels_of(self, span: Span) -> frozenset[int]:
-        return frozenset(
-            number
-            for number, channel in self._index.channels.items()
-            if span.topics is None or channel.topic in span.topics
-        )
 
     def _messages_at(self, place: ChunkPlace, span: Span) -> list[tuple[str, Sample]]:
         """The messages of a chunk that are asked for, in the order they were written; none if it is damaged."""
         try:
-            content = self._content(place)
-            records = [content] if isinstance(content, MessageRecord) else self._records_in(content)
-            return [message for record in records if (message := self._in_span(record, span))]
+            records = self._records_at(place)
         except Damaged as damage:
             self._note(f"Damage at byte {place.offset}: {damage}; its messages are lost.")
             return []
+        found: list[tuple[str, Sample]] = []
+        for number, sample in records:
+            channel = self._index.channels.get(number)
+            if channel is None:
+                self._note(f"Messages of channel {number} are lost: the record that names its topic is damaged.")
+            elif span.wants(channel.topic, sample.received_ns):
+                topic = self.topics.get(channel.topic)
+                if topic and _has_type(topic, self._index.schemas.get(channel.schema_id, UNKNOWN)):
+                    found.append((channel.topic, sample))
+        return found
 
-    def _content(self, place: ChunkPlace) -> bytes | MessageRecord:
+    def _records_at(self, place: ChunkPlace) -> list[tuple[int, Sample]]:
+        """Channel and message of each message record at that place; raises `Damaged`."""
         self._file.seek(place.offset)
         data = self._file.read(place.length)
         if len(data) < HEAD or len(data) != place.length:
@@ -145,30 +144,14 @@ class McapFile:
         kind, length = chunks.head(data)
         if kind not in (Opcode.CHUNK, Opcode.MESSAGE) or length != place.length - HEAD:
             raise Damaged("a chunk's head is wrong")
-        if kind == Opcode.MESSAGE:
-            return chunks.message(data, HEAD, len(data))
-        return chunks.unpacked(data[HEAD:])[0]
-
-    def _records_in(self, inside: bytes) -> list[MessageRecord]:
-        message = Opcode.MESSAGE  # looked up once: this runs for every message
-        found = [chunks.message(inside, a, b) for kind, a, b in chunks.records_in(inside) if kind == message]
-        if any(record.channel not in self._index.channels for record in found):
+        message_kind = Opcode.MESSAGE  # looked up once: the loop below runs for every message
+        if kind == message_kind:
+            return [chunks.message(data, HEAD, len(data))]
+        inside = chunks.unpacked(data[HEAD:])
+        found = [chunks.message(inside, a, b) for kind, a, b in chunks.records_in(inside) if kind == message_kind]
+        if any(channel not in self._index.channels for channel, _ in found):
             learn_channels(self._index, inside)
         return found
-
-    def _in_span(self, record: MessageRecord, span: Span) -> tuple[str, Sample] | None:
-        channel = self._index.channels.get(record.channel)
-        if channel is None:
-            self._note(f"Messages of channel {record.channel} are lost: the record that names its topic is damaged.")
-            return None
-        if not span.wants(channel.topic, record.log_ns) or not self._fits_topic(channel):
-            return None
-        return channel.topic, Sample(record.log_ns, record.publish_ns, record.sequence or None, record.data)
-
-    def _fits_topic(self, channel: Channel) -> bool:
-        topic = self._topics.get(channel.topic)
-        schema = self._index.schemas.get(channel.schema_id, _UNKNOWN)
-        return topic is not None and (topic.type, topic.definition) == (schema.name, schema.text)
 
     def _note(self, problem: str) -> None:
         text = f"{self.path.name}: {problem}"
@@ -180,6 +163,5 @@ def _version(facts: os.stat_result) -> tuple[int, int, int]:
     return facts.st_ino, facts.st_size, facts.st_mtime_ns
 
 
-def _is_near(place: ChunkPlace, channels: frozenset[int], span: Span) -> bool:
-    is_in_time = place.end_ns >= span.start_ns and place.start_ns < span.end_ns
-    return is_in_time and (not place.channels or bool(place.channels & channels))
+def _has_type(topic: StoredTopic, schema: Schema) -> bool:
+    return (topic.type, topic.definition) == (schema.name, schema.text)

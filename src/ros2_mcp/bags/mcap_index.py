@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
+import struct
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -12,16 +12,20 @@ from mcap.opcode import Opcode
 from mcap.records import Channel
 
 from ros2_mcp.bags import chunks
-from ros2_mcp.bags.chunks import HEAD, MAGIC, ChunkPlace, Damaged, Schema
+from ros2_mcp.bags.chunks import HEAD, MAGIC, MESSAGE_HEAD_BYTES, ChunkPlace, Damaged, Schema
 
-_FOOTER_BYTES = HEAD + 20 + len(MAGIC)
+_FOOTER = struct.Struct("<QQI")  # where the summary and its offsets are, checksum
+_FOOTER_LENGTH = 20
+_FOOTER_BYTES = HEAD + _FOOTER_LENGTH + len(MAGIC)
+_END_LENGTHS: dict[int, int] = {Opcode.DATA_END: 4, Opcode.FOOTER: _FOOTER_LENGTH}
 _MAX_SUMMARY = 1 << 29
 """Bytes. A larger index is damage: 512 MB would be one of five million chunks."""
-_WINDOW = 4 << 20
-"""Bytes that are searched at a time for the next chunk after damage."""
-_CANDIDATE = re.compile(rb"\x06(?=.{5}\0\0\0.{28}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4))", re.DOTALL)
-_CANDIDATE_BYTES = 64
-"""By how much windows overlap: more than the head of a chunk, which the pattern must see as a whole."""
+_WINDOW_BYTES = 4 << 20
+"""What is searched at a time for the next chunk after damage: four of this server's chunks."""
+_CHUNK_HEAD = re.compile(rb"\x06(?=.{5}\0\0\0.{28}(?:\0\0\0\0|\x04\0\0\0zstd|\x03\0\0\0lz4))", re.DOTALL)
+"""A chunk's opcode; its length, below 1 TB; times, size and checksum; and one of the three compressions there are."""
+_OVERLAP_BYTES = 64
+"""By how much windows overlap: more than the head of a chunk (49 bytes), which the pattern must see as a whole."""
 
 
 @dataclass(slots=True)
@@ -55,23 +59,24 @@ def read_index(file: BinaryIO, size: int) -> Index:
 
 
 def _from_summary(file: BinaryIO, size: int) -> Index:
-    tail = _at(file, max(size - _FOOTER_BYTES, 0), _FOOTER_BYTES)
-    if len(tail) < _FOOTER_BYTES or tail[-len(MAGIC) :] != MAGIC or chunks.head(tail) != (Opcode.FOOTER, 20):
-        raise Damaged("the end of the file is missing")
-    start, _, crc = (int.from_bytes(tail[HEAD + a : HEAD + b], "little") for a, b in ((0, 8), (8, 16), (16, 20)))
+    """The index at the end of the file; raises `Damaged` unless it is whole and fits the rest of the file."""
     end = size - _FOOTER_BYTES
-    if not start <= end or not len(MAGIC) <= start or end - start > _MAX_SUMMARY:
+    tail = _at(file, max(end, 0), _FOOTER_BYTES)
+    if (
+        len(tail) < _FOOTER_BYTES
+        or tail[-len(MAGIC) :] != MAGIC
+        or chunks.head(tail) != (Opcode.FOOTER, _FOOTER_LENGTH)
+    ):
+        raise Damaged("the end of the file is missing")
+    start, _, crc = _FOOTER.unpack_from(tail, HEAD)
+    if not len(MAGIC) <= start <= end or end - start > _MAX_SUMMARY:
         raise Damaged("the file was written without one" if start == 0 else "its place is wrong")
     summary = _at(file, start, end - start)
     if crc and zlib.crc32(tail[: HEAD + 16], zlib.crc32(summary)) != crc:
         raise Damaged("its checksum is wrong")
-    return _read_summary(summary, start)
-
-
-def _read_summary(summary: bytes, size: int) -> Index:
     found = Index()
-    for kind, start, end in chunks.records_in(summary):
-        content = summary[start:end]
+    for kind, begin, stop in chunks.records_in(summary):
+        content = summary[begin:stop]
         if kind == Opcode.CHUNK_INDEX:
             found.chunks.append(chunks.chunk_place(content))
         elif kind == Opcode.STATISTICS:
@@ -80,7 +85,7 @@ def _read_summary(summary: bytes, size: int) -> Index:
             _learn(found, kind, content)
     if found.counts is None or (sum(found.counts.values()) and not found.chunks):
         raise Damaged("it does not say where the messages are")
-    if any(place.offset + place.length > size for place in found.chunks):
+    if any(place.offset + place.length > start for place in found.chunks):
         raise Damaged("it speaks of places beyond the messages")
     if any(channel.schema_id not in (0, *found.schemas) for channel in found.channels.values()):
         raise Damaged("it has no definitions")
@@ -90,6 +95,7 @@ def _read_summary(summary: bytes, size: int) -> Index:
 
 
 def _learn(index: Index, kind: int, content: bytes) -> None:
+    """Takes in a record, if it is a schema or a channel."""
     if kind == Opcode.SCHEMA:
         number, schema = chunks.schema(content)
         index.schemas[number] = schema
@@ -111,39 +117,48 @@ class _Search:
     def __init__(self, file: BinaryIO, size: int, reason: str) -> None:
         self._file = file
         self._size = size
-        self.index = Index(counts={}, problems=[reason])
+        self._counts: dict[int, int] = {}
+        self.index = Index(counts=self._counts, problems=[reason])
         self._ended = False
-        place = len(MAGIC)
         if _at(file, 0, len(MAGIC)) != MAGIC:
-            self._damaged(0, "the file does not begin like an MCAP file")
+            self._note_damage(0, "the file does not begin like an MCAP file")
+        place = len(MAGIC)
         while place < size and not self._ended:
-            place = self._record(place)
+            try:
+                place = self._take_record(place)
+            except Damaged as damage:
+                following = self._next_chunk(place + 1)
+                self._note_damage(place, f"{damage}; {following - place} bytes are lost")
+                place = following
 
-    def _record(self, place: int) -> int:
-        """Takes in the record at that place; the place of the next one."""
-        try:
-            start = _at(self._file, place, HEAD)
-            if len(start) < HEAD:
-                raise Damaged("the file ends inside a record")
-            kind, length = chunks.head(start)
-            if place + HEAD + length > self._size:
-                raise Damaged("a record goes beyond the end of the file")
-            self._take(kind, place, length)
-            return place + HEAD + length
-        except Damaged as damage:
-            following = self._next_chunk(place + 1)
-            self._damaged(place, f"{damage}; {following - place} bytes are lost")
-            return following
-
-    def _take(self, kind: int, place: int, length: int) -> None:
+    def _take_record(self, place: int) -> int:
+        """Takes in the record at that place; the place of the next one. Raises `Damaged`."""
+        start = _at(self._file, place, HEAD)
+        if len(start) < HEAD:
+            raise Damaged("the file ends inside a record")
+        kind, length = chunks.head(start)
+        if place + HEAD + length > self._size:
+            raise Damaged("a record goes beyond the end of the file")
         if kind == Opcode.CHUNK:
-            self._take_chunk(place, length)
+            inside = chunks.unpacked(_at(self._file, place + HEAD, length))
+            records = chunks.records_in(inside)
+            keys = [
+                chunks.message_key(inside, begin)
+                for kind, begin, end in records
+                if kind == Opcode.MESSAGE and end - begin >= MESSAGE_HEAD_BYTES
+            ]
+            learn_channels(self.index, inside)
+            self._take_messages(self.index.chunks, place, length, keys)
+        elif kind == Opcode.MESSAGE:
+            if length < MESSAGE_HEAD_BYTES or self.index.chunks:
+                is_short = length < MESSAGE_HEAD_BYTES
+                raise Damaged("a message is too short" if is_short else "a message is outside of the chunks")
+            key = chunks.message_key(_at(self._file, place + HEAD, MESSAGE_HEAD_BYTES), 0)
+            self._take_messages(self.index.loose, place, length, [key])
         elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
             _learn(self.index, kind, _at(self._file, place + HEAD, length))
-        elif kind == Opcode.MESSAGE:
-            self._take_loose(place, length)
-        elif kind in (Opcode.DATA_END, Opcode.FOOTER):
-            if length != (4 if kind == Opcode.DATA_END else 20):
+        elif kind in _END_LENGTHS:
+            if length != _END_LENGTHS[kind]:
                 raise Damaged("the end of the messages has a wrong length")
             self._ended = True
         elif kind == Opcode.MESSAGE_INDEX:
@@ -151,54 +166,42 @@ class _Search:
                 raise Damaged("an index record has a wrong length")
         elif kind not in (Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA):
             raise Damaged(f"a record is of an unknown kind ({kind})")
+        return place + HEAD + length
 
-    def _take_chunk(self, place: int, length: int) -> None:
-        inside, _ = chunks.unpacked(_at(self._file, place + HEAD, length))
-        keys: list[tuple[int, int]] = []
-        for kind, start, end in chunks.records_in(inside):
-            if kind == Opcode.MESSAGE and end - start >= 22:
-                keys.append(chunks.message_key(inside, start))
-        learn_channels(self.index, inside)
-        self._count(keys)
+    def _take_messages(self, places: list[ChunkPlace], place: int, length: int, keys: list[tuple[int, int]]) -> None:
+        """Notes the place of a record with messages of these channels and times, and counts them."""
+        for channel, _ in keys:
+            self._counts[channel] = self._counts.get(channel, 0) + 1
         if keys:
             times = [at_ns for _, at_ns in keys]
             channels = frozenset(channel for channel, _ in keys)
-            self.index.chunks.append(ChunkPlace(place, HEAD + length, min(times), max(times), channels))
-
-    def _take_loose(self, place: int, length: int) -> None:
-        if length < 22 or self.index.chunks:
-            raise Damaged("a message is too short" if length < 22 else "a message is outside of the chunks")
-        channel, at_ns = chunks.message_key(_at(self._file, place + HEAD, 22), 0)
-        self._count([(channel, at_ns)])
-        self.index.loose.append(ChunkPlace(place, HEAD + length, at_ns, at_ns, frozenset({channel})))
-
-    def _count(self, keys: list[tuple[int, int]]) -> None:
-        assert self.index.counts is not None
-        for channel, _ in keys:
-            self.index.counts[channel] = self.index.counts.get(channel, 0) + 1
+            places.append(ChunkPlace(place, HEAD + length, min(times), max(times), channels))
 
     def _next_chunk(self, place: int) -> int:
-        """The place of the next whole chunk, or the end of the file."""
-        for candidate in self._candidates(place):
-            _, length = chunks.head(_at(self._file, candidate, HEAD))
-            if candidate + HEAD + length > self._size or length > chunks.MAX_CHUNK:
-                continue
-            try:
-                chunks.unpacked(_at(self._file, candidate + HEAD, length))
-                return candidate
-            except Damaged:
-                continue
+        """The place of the next whole chunk, or the end of the file.
+
+        What looks like the head of a chunk may be a part of a message, so each is unpacked, and its checksum decides.
+        """
+        while place < self._size:
+            window = _at(self._file, place, _WINDOW_BYTES + _OVERLAP_BYTES)
+            for match in _CHUNK_HEAD.finditer(window):
+                candidate = place + match.start()
+                _, length = chunks.head(window[match.start() : match.start() + HEAD])
+                if (
+                    match.start() >= _WINDOW_BYTES
+                    or candidate + HEAD + length > self._size
+                    or length > chunks.MAX_CHUNK
+                ):
+                    continue
+                try:
+                    chunks.unpacked(_at(self._file, candidate + HEAD, length))
+                    return candidate
+                except Damaged:
+                    continue
+            place += _WINDOW_BYTES
         return self._size
 
-    def _candidates(self, place: int) -> Iterator[int]:
-        while place < self._size:
-            window = _at(self._file, place, _WINDOW + _CANDIDATE_BYTES)
-            for match in _CANDIDATE.finditer(window, 0):
-                if match.start() < _WINDOW:
-                    yield place + match.start()
-            place += _WINDOW
-
-    def _damaged(self, place: int, what: str) -> None:
+    def _note_damage(self, place: int, what: str) -> None:
         self.index.problems.append(f"Damage at byte {place}: {what}.")
 
 

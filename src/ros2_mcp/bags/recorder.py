@@ -1,6 +1,6 @@
 """A recording in progress: samples go in from the event loop, a thread writes them, and it ends by itself at limits.
 
-What has been given in is on its way to the disk within `FLUSH_S`, however slow the disk's own syncing is.
+What has been put in is on its way to the disk within `FLUSH_S`, however slow the disk's own syncing is.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic
-from typing import Protocol
 
 from ros2_mcp.bags.stored import StoredTopic
-from ros2_mcp.bags.writer import free_bytes
+from ros2_mcp.bags.writer import BagWriter, free_bytes
 from ros2_mcp.model.samples import Sample
 
 FLUSH_S = 0.3
@@ -25,50 +24,6 @@ QUEUE_BYTES = 64_000_000
 """Two seconds of a camera at 30 MB/s: what a disk may stall for before messages are dropped."""
 FREE_FLOOR_BYTES = 500_000_000
 """Left free, because a robot whose disk is full loses its logs and often its software too."""
-
-
-class Sink(Protocol):
-    """Where messages are written: one recording, or a ring of files."""
-
-    @property
-    def size(self) -> int:
-        """Bytes on disk."""
-        ...
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Messages of each topic that were written."""
-        ...
-
-    @property
-    def descriptor(self) -> int:
-        """The open file, to sync it."""
-        ...
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """What is not as one would expect it, in words."""
-        ...
-
-    def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
-        """A topic that messages may follow for."""
-        ...
-
-    def write(self, topic_name: str, sample: Sample) -> None:
-        """One message."""
-        ...
-
-    def flush(self) -> None:
-        """Gives everything to the system."""
-        ...
-
-    def close(self) -> None:
-        """Ends in good order."""
-        ...
-
-    def abandon(self) -> None:
-        """Ends with what is whole."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +39,11 @@ class Recorder:
     """Writes in a thread of its own. `ended` says in words why it ended, and is empty while it runs.
 
     `failed` is true if that was an error of the disk. `dropped` counts, by topic, samples that the disk was too slow
-    for. All methods may be called from any thread.
+    for. All methods may be called from any thread. The disk is asked to keep what the system has (`fsync`) in a second
+    thread, so that a slow disk never holds back what the system could already have.
     """
 
-    def __init__(self, sink: Sink, folder: str | os.PathLike[str], limits: Limits | None = None) -> None:
+    def __init__(self, sink: BagWriter, folder: str | os.PathLike[str], limits: Limits | None = None) -> None:
         self.sink = sink
         self.ended = ""
         self.failed = False
@@ -108,7 +64,7 @@ class Recorder:
 
     @property
     def notes(self) -> Sequence[str]:
-        """What the sink has to say, in words."""
+        """What the reader of the recording should know, in words."""
         return self.sink.notes
 
     def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
@@ -157,6 +113,7 @@ class Recorder:
                 self.ended = reason
 
     def _write_until_the_end(self) -> str:
+        """Writes every `FLUSH_S` what waits, until there is a reason to end; returns that."""
         while True:
             with self._news:
                 if not self._stop:
@@ -164,13 +121,15 @@ class Recorder:
                 stop = self._stop
             self.elapsed_s = monotonic() - self._started
             reason = stop or self._limit_reached()
-            reason = self._write_waiting() or reason
+            self._write_waiting()
+            if self._is_full():
+                reason = f"The limit of {self._limits.max_bytes} bytes is reached."
             self.sink.flush()
             if reason:
                 return reason
             self._sync()
 
-    def _write_waiting(self) -> str:
+    def _write_waiting(self) -> None:
         with self._news:
             batches, self._waiting = self._waiting, deque()
             self._waiting_bytes = 0
@@ -183,13 +142,9 @@ class Recorder:
                     self._drop(topic_name, len(samples) - index)
                     break
                 self.sink.write(topic_name, sample)
-        return self._full_reason() if self._is_full() else ""
 
     def _drop(self, topic_name: str, count: int) -> None:
         self.dropped[topic_name] = self.dropped.get(topic_name, 0) + count
-
-    def _full_reason(self) -> str:
-        return f"The limit of {self._limits.max_bytes} bytes is reached."
 
     def _is_full(self) -> bool:
         return bool(self._limits.max_bytes) and self.sink.size >= self._limits.max_bytes
@@ -198,9 +153,7 @@ class Recorder:
         limits = self._limits
         if limits.duration_s and self.elapsed_s >= limits.duration_s:
             return f"The time of {limits.duration_s:g} s is over."
-        if self._is_full():
-            return self._full_reason()
-        if (free := free_bytes(self._folder)) < limits.free_floor_bytes:
+        if not self._is_full() and (free := free_bytes(self._folder)) < limits.free_floor_bytes:
             self.failed = True
             return f"The disk is nearly full: {free} bytes are free, {limits.free_floor_bytes} must stay free."
         return ""

@@ -19,25 +19,27 @@ VERSION = 8
 """Of the metadata: the one of Iron, whose integers for QoS every later distribution reads too."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class FilePart:
-    """One finished file of a recording: name, Unix times of its first and last message (0: none), messages."""
+    """One file of a recording: Unix times of its first and last message (0: none), how many messages of how many bytes.
+
+    The bytes are those of the messages only, without the file's index.
+    """
 
     name: str
-    start_ns: int
-    end_ns: int
-    count: int
+    start_ns: int = 0
+    end_ns: int = 0
+    count: int = 0
+    bytes: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class FolderFacts:
-    """What a `metadata.yaml` says: files in their order, messages in all, how the files are compressed."""
+    """What a `metadata.yaml` says: files in their order, number of messages, `file` or `message` if compressed."""
 
     files: Sequence[str]
-    count: int | None
+    count: int
     compression_mode: str
-    compression_format: str
-    distro: str
 
 
 def write_metadata(folder: Path, topics: Sequence[tuple[StoredTopic, str]], files: Sequence[FilePart]) -> None:
@@ -46,10 +48,13 @@ def write_metadata(folder: Path, topics: Sequence[tuple[StoredTopic, str]], file
     Raises:
         OSError: if the folder cannot be written.
     """
-    text = _dumped({"rosbag2_bagfile_information": _information(topics, files)})
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = False
+    text = io.StringIO()
+    yaml.dump({"rosbag2_bagfile_information": _information(topics, files)}, text)  # pyright: ignore[reportUnknownMemberType]
     draft = folder / f".{METADATA}"
     with draft.open("w", encoding="utf-8") as file:
-        file.write(text + "\n")
+        file.write(text.getvalue().strip() + "\n")
         file.flush()
         os.fsync(file.fileno())
     draft.replace(folder / METADATA)
@@ -59,21 +64,13 @@ def read_metadata(folder: Path) -> FolderFacts | str:
     """What `metadata.yaml` says, or in words why it says nothing."""
     try:
         loaded = YAML(typ="safe", pure=True).load((folder / METADATA).read_text(encoding="utf-8"))  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-        return _facts(cast("dict[str, Any]", loaded)["rosbag2_bagfile_information"])
+        raw = cast("dict[str, Any]", loaded)["rosbag2_bagfile_information"]
+        files = [str(path) for path in raw["relative_file_paths"]]
+        return FolderFacts(files, int(raw["message_count"]), str(raw.get("compression_mode") or "").lower())
     except FileNotFoundError:
         return f"{METADATA} is missing: the recording was not closed."
     except (OSError, YAMLError, UnicodeDecodeError, ValueError, TypeError, KeyError, AttributeError) as error:
         return f"{METADATA} cannot be read: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
-
-
-def _facts(raw: dict[str, Any]) -> FolderFacts:
-    return FolderFacts(
-        [str(path) for path in raw["relative_file_paths"]],
-        int(raw["message_count"]),
-        str(raw.get("compression_mode") or "").lower(),
-        str(raw.get("compression_format") or "").lower(),
-        str(raw.get("ros_distro") or ""),
-    )
 
 
 def _information(topics: Sequence[tuple[StoredTopic, str]], files: Sequence[FilePart]) -> dict[str, Any]:
@@ -86,7 +83,19 @@ def _information(topics: Sequence[tuple[StoredTopic, str]], files: Sequence[File
         "duration": {"nanoseconds": end - start},
         "starting_time": {"nanoseconds_since_epoch": start},
         "message_count": sum(part.count for part in files),
-        "topics_with_message_count": [_topic(topic, type_hash) for topic, type_hash in topics],
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type,
+                    "serialization_format": topic.serialization,
+                    "offered_qos_profiles": topic.qos,
+                    "type_description_hash": type_hash,
+                },
+                "message_count": topic.count or 0,
+            }
+            for topic, type_hash in topics
+        ],
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [part.name for part in files],
@@ -102,24 +111,3 @@ def _information(topics: Sequence[tuple[StoredTopic, str]], files: Sequence[File
         "custom_data": None,
         "ros_distro": "unknown",
     }
-
-
-def _topic(topic: StoredTopic, type_hash: str) -> dict[str, Any]:
-    return {
-        "topic_metadata": {
-            "name": topic.name,
-            "type": topic.type,
-            "serialization_format": topic.serialization,
-            "offered_qos_profiles": topic.qos,
-            "type_description_hash": type_hash,
-        },
-        "message_count": topic.count or 0,
-    }
-
-
-def _dumped(value: object) -> str:
-    yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = False
-    stream = io.StringIO()
-    yaml.dump(value, stream)  # pyright: ignore[reportUnknownMemberType]
-    return stream.getvalue().strip()

@@ -23,7 +23,8 @@ _BUSY_S = 1.0
 class SqliteFile:
     """One `.db3` file, open for reading; as a `StoredFile`. SQLite has no checksums: only broken structure is noticed.
 
-    `compression` is `""`, `message` or `file` (zstd, the only one rosbag2 has).
+    `compression` is `""`, `message` or `file` (zstd, the only one rosbag2 has). The `topics` have no counts, for which
+    everything would have to be read.
 
     Raises:
         BadData: if it is no rosbag2 database that can be read.
@@ -36,21 +37,11 @@ class SqliteFile:
         self._whole = _decompressed(path) if compression == "file" else None
         try:
             self._database = _connect(Path(self._whole.name) if self._whole else path)
-            self._names, self._topics = self._read_topics()
+            self._names, self.topics = self._read_topics()
             row = self._database.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
         except sqlite3.Error as error:
             raise BadData(f"{path.name} cannot be read: {error}.") from error
-        self._times = None if row[0] is None else (int(row[0]), int(row[1]))
-
-    @property
-    def topics(self) -> Mapping[str, StoredTopic]:
-        """The topics by name; without counts, which would need everything to be read."""
-        return self._topics
-
-    @property
-    def times(self) -> tuple[int, int] | None:
-        """Unix times of the first and the last message."""
-        return self._times
+        self.times: tuple[int, int] | None = None if row[0] is None else (int(row[0]), int(row[1]))
 
     @property
     def count(self) -> int | None:
@@ -83,9 +74,12 @@ class SqliteFile:
         try:
             with closing(self._database.cursor()) as cursor:
                 for number, at_ns, data in cursor.execute(statement, (span.start_ns, min(span.end_ns, FOREVER), *ids)):
-                    body = self._body(data, at_ns)
-                    if body is not None:
-                        yield self._names[number], Sample(int(at_ns), 0, None, body)
+                    try:
+                        body = unzstd(data) if self._compressed else bytes(data)
+                    except (Damaged, TypeError) as error:
+                        self.problems.append(f"{self.path.name}: a message at {at_ns} cannot be read: {error}.")
+                        continue
+                    yield self._names[number], Sample(int(at_ns), 0, None, body)
         except sqlite3.Error as error:
             self._note(error)
 
@@ -95,20 +89,22 @@ class SqliteFile:
         if self._whole:
             self._whole.close()
 
-    def _body(self, data: Any, at_ns: int) -> bytes | None:
-        try:
-            return unzstd(data) if self._compressed else bytes(data)
-        except (Damaged, TypeError) as error:
-            self.problems.append(f"{self.path.name}: a message at {at_ns} cannot be read: {error}.")
-            return None
+    def _read_topics(self) -> tuple[dict[int, str], Mapping[str, StoredTopic]]:
+        """Names by the file's numbers, and topics by name.
 
-    def _read_topics(self) -> tuple[dict[int, str], dict[str, StoredTopic]]:
-        columns = {row[1] for row in self._database.execute("PRAGMA table_info(topics)")}
-        qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
-        definitions = self._read_definitions()
+        The first distributions kept no QoS, and only Iron and later keep definitions.
+        """
+        execute = self._database.execute
+        qos = "offered_qos_profiles" if "offered_qos_profiles" in self._columns("topics") else "''"
+        definitions: dict[str, tuple[str, str]] = {}
+        if self._columns("message_definitions"):
+            for kind, *definition in execute(
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+            ):
+                definitions[kind] = definition[0], definition[1]
         names: dict[int, str] = {}
         topics: dict[str, StoredTopic] = {}
-        for number, name, kind, serialization, profiles in self._database.execute(
+        for number, name, kind, serialization, profiles in execute(
             f"SELECT id, name, type, serialization_format, {qos} FROM topics"
         ):
             if name in topics and topics[name].type != kind:
@@ -116,17 +112,14 @@ class SqliteFile:
                 continue
             encoding, text = definitions.get(kind, ("", ""))
             names[number] = name
-            topics[name] = StoredTopic(name, kind, None, encoding, text, profiles or "", serialization)
+            topics[name] = StoredTopic(
+                name, kind, encoding=encoding, definition=text, qos=profiles or "", serialization=serialization
+            )
         return names, topics
 
-    def _read_definitions(self) -> dict[str, tuple[str, str]]:
-        """The definitions by type; Iron and later have them."""
-        if not self._database.execute("PRAGMA table_info(message_definitions)").fetchall():
-            return {}
-        rows = self._database.execute(
-            "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-        )
-        return {kind: (encoding, text) for kind, encoding, text in rows}
+    def _columns(self, table: str) -> set[str]:
+        """The names of the table's columns; empty where there is no such table."""
+        return {row[1] for row in self._database.execute(f"PRAGMA table_info({table})")}
 
     def _note(self, error: sqlite3.Error) -> None:
         text = f"{self.path.name}: what follows is lost: {error}."
@@ -136,11 +129,13 @@ class SqliteFile:
 
 def _connect(path: Path) -> sqlite3.Connection:
     """A connection that writes nothing, also where the folder is read-only."""
+    uri = path.resolve().as_uri()
     try:
-        database = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", _BUSY_S, uri=True, check_same_thread=False)
+        database = sqlite3.connect(f"{uri}?mode=ro", _BUSY_S, uri=True, check_same_thread=False)
         database.execute("SELECT 1 FROM topics LIMIT 1").fetchone()
     except sqlite3.OperationalError:
-        database = sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", _BUSY_S, uri=True, check_same_thread=False)
+        # SQLite wants to write to a journal (WAL) beside the file even to read it; `immutable` does without.
+        database = sqlite3.connect(f"{uri}?immutable=1", _BUSY_S, uri=True, check_same_thread=False)
     database.text_factory = _text
     return database
 

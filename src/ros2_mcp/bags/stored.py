@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from ros2_mcp.model.samples import Sample
@@ -43,19 +44,16 @@ class Span:
 
 
 class StoredFile(Protocol):
-    """One file of a bag. `problems` grows while damage is found; what is read is never wrong for it."""
+    """One file of a bag. Damage never makes what is read wrong; `problems` tells of it, and grows while more is found.
 
+    `topics` goes by name. `times` are the Unix times in nanoseconds of the first and the last message; None if there
+    is none.
+    """
+
+    path: Path
     problems: list[str]
-
-    @property
-    def topics(self) -> Mapping[str, StoredTopic]:
-        """The topics by name."""
-        ...
-
-    @property
-    def times(self) -> tuple[int, int] | None:
-        """Unix times in nanoseconds of the first and the last message; None if there is none."""
-        ...
+    topics: Mapping[str, StoredTopic]
+    times: tuple[int, int] | None
 
     @property
     def count(self) -> int | None:

@@ -6,7 +6,7 @@ import os
 import re
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
@@ -17,26 +17,11 @@ from ros2_mcp.model.samples import Sample
 
 CHUNK_BYTES = 1 << 20
 """As the mcap library has it. It is what a damaged byte costs, and what is read for a single message."""
-_SEQUENCE = 0xFFFFFFFF  # MCAP has 32 bits for the number of a message, ROS 64
+_SEQUENCE_MASK = 0xFFFFFFFF
+"""MCAP has 32 bits for the number of a message, ROS 64."""
 MESSAGE_BYTES = 31 + 16
 """What a message needs beside its data: its record's head, and its place in the chunk's index."""
 _LIBRARY = "ros2-mcp"
-
-
-@dataclass(slots=True)
-class _Count:
-    """What the file that is being written holds so far."""
-
-    messages: int = 0
-    start_ns: int = 0
-    end_ns: int = 0
-    bytes: int = 0
-
-    def add(self, at_ns: int, size: int) -> None:
-        self.start_ns = min(self.start_ns, at_ns) if self.messages else at_ns
-        self.end_ns = max(self.end_ns, at_ns)
-        self.messages += 1
-        self.bytes += size
 
 
 class _Output:
@@ -66,25 +51,26 @@ class _Output:
 class BagWriter:
     """One recording on disk. Every method that writes raises `OSError` as the system does; use it from one thread.
 
-    `counts` has the messages of each topic, `files` what is finished, `bytes_before` the size of those.
+    `counts` has the messages of each topic, `files` the finished files, `bytes_before` their size in all. `notes` say
+    in words what the reader of the recording should know.
     """
 
     def __init__(self, folder: Path, name: str, split_bytes: int = 0) -> None:
         self.folder = folder
-        self._name = name
-        self._split_bytes = split_bytes
         self.topics: dict[str, StoredTopic] = {}
         self.counts: dict[str, int] = {}
-        self._hashes: dict[str, str] = {}
         self.files: list[FilePart] = []
         self.notes: Sequence[str] = ()
         self.bytes_before = 0
+        self._name = name
+        self._split_bytes = split_bytes
+        self._hashes: dict[str, str] = {}
         self._open_file()
 
     @property
     def size(self) -> int:
         """Bytes of all files, with the messages that are not on the disk yet."""
-        return self.bytes_before + max(self._output.size, self._count.bytes)
+        return self.bytes_before + max(self._output.size, self._part.bytes)
 
     @property
     def path(self) -> Path:
@@ -93,7 +79,7 @@ class BagWriter:
 
     @property
     def descriptor(self) -> int:
-        """The descriptor of that file, to sync it."""
+        """The descriptor of the file that is being written, to sync it."""
         return self._output.file.fileno()
 
     def add_topic(self, topic: StoredTopic, type_hash: str = "") -> None:
@@ -104,54 +90,51 @@ class BagWriter:
 
     def write(self, topic_name: str, sample: Sample) -> None:
         """One message, with the time of receipt as its time."""
-        channel = self._channels.get(topic_name) or self._register(topic_name)
-        self._writer.add_message(
-            channel,
-            sample.received_ns,
-            sample.data,
-            sample.source_ns or sample.received_ns,
-            (sample.sequence or 0) & _SEQUENCE,
-        )
-        self._count.add(sample.received_ns, MESSAGE_BYTES + len(sample.data))
+        self._put(topic_name, sample)
         self.counts[topic_name] += 1
 
     def flush(self) -> None:
         """Closes the chunk and gives everything to the system; begins the next file where this one is full."""
         self._writer.flush()
         if self._split_bytes and self._output.size >= self._split_bytes:
-            self.split()
-
-    def split(self) -> None:
-        """Ends this file and begins the next one."""
-        self.end()
-        self._open_file()
+            self.end()
+            self._open_file()
 
     def close(self) -> None:
         """Ends the file with its index and writes `metadata.yaml`."""
         self.end()
-        write_metadata(self.folder, [self._described(name) for name in self.topics], self.files)
+        topics = [(replace(topic, count=self.counts[name]), self._hashes[name]) for name, topic in self.topics.items()]
+        write_metadata(self.folder, topics, self.files)
 
     def end(self) -> None:
-        """Ends the file with its index, without `metadata.yaml`."""
-        self._writer.flush()
+        """Ends the file with its index, on the disk, without `metadata.yaml`."""
+        self._writer.flush()  # before the index: where the disk has no room for that, `abandon` keeps the messages
         self._writer.finish()
         self._output.flush()
         os.fsync(self.descriptor)
         self._output.file.close()
         self.bytes_before += self._output.size
-        count = self._count
-        self.files.append(FilePart(self._output.path.name, count.start_ns, count.end_ns, count.messages))
-        self._output.size, self._count = 0, _Count()
+        self.files.append(self._part)
+        self._output.size, self._part = 0, FilePart("")
 
     def abandon(self) -> None:
         """Ends without writing more than was whole: for a disk that takes no more."""
+        if self._output.file.closed:  # the disk refused the next file, after this one was finished
+            return
         try:
             os.ftruncate(self.descriptor, self._output.whole)
         finally:
             self._output.file.close()
 
-    def _described(self, name: str) -> tuple[StoredTopic, str]:
-        return replace(self.topics[name], count=self.counts[name]), self._hashes[name]
+    def _put(self, topic_name: str, sample: Sample) -> None:
+        channel = self._channels.get(topic_name) or self._register(topic_name)
+        at_ns, part = sample.received_ns, self._part
+        sequence = (sample.sequence or 0) & _SEQUENCE_MASK
+        self._writer.add_message(channel, at_ns, sample.data, sample.source_ns or at_ns, sequence)
+        part.start_ns = min(part.start_ns, at_ns) if part.count else at_ns
+        part.end_ns = max(part.end_ns, at_ns)
+        part.count += 1
+        part.bytes += MESSAGE_BYTES + len(sample.data)
 
     def _register(self, topic_name: str) -> int:
         topic = self.topics[topic_name]
@@ -165,12 +148,13 @@ class BagWriter:
 
     def _open_file(self) -> None:
         self._output = _Output(self.folder / f"{self._name}_{len(self.files)}.mcap")
+        self._part = FilePart(self._output.path.name)
+        # Not compressed: bytes are copied, as rosbag2 does (docs/decisions/0011-memory.md).
         self._writer = Writer(self._output, CHUNK_BYTES, CompressionType.NONE)  # pyright: ignore[reportArgumentType]
         self._writer.start("ros2", _LIBRARY)
         self._writer.flush()
         self._channels: dict[str, int] = {}
         self._schemas: dict[tuple[str, str], int] = {}
-        self._count = _Count()
 
 
 def fresh_folder(parent: Path, name: str) -> Path:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ros2_mcp.bags.bag import Bag
-from ros2_mcp.bags.latched import MOST_MESSAGES, LatchedTopic
+from ros2_mcp.bags.ring import MOST_MESSAGES, LatchedTopic
 from ros2_mcp.bags.qos import qos_text
 from ros2_mcp.bags.recorder import Limits, Recorder
 from ros2_mcp.bags.ring import RingWriter
