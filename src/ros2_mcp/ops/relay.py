@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from time import monotonic
@@ -33,21 +33,23 @@ TRANSFORMS = {"identity": "identity", "rate_limit": "rate_limit", "on_change": "
 MAX_RELAY_S = 86_400.0
 """A day: longer than any task of a robot, and short enough that a forgotten relay ends."""
 _STARTED_S = 5.0
-"""A relay that has not begun by then (the bridge is busy) is told as `starting`, and goes on."""
+"""A relay that has not begun by then (the bridge is busy) is reported as `starting`, and goes on."""
 _MATCH_S = 1.0
 """How long the bridge waits for the destination's subscribers, which discovery may still be matching."""
 _APPEARS_S = 1.0
 """How long a source without a publisher is waited for where no type is given: it may just be coming up."""
 _LOOK_EVERY_S = 0.02
-"""A relay begins within a few milliseconds; this is how exactly that moment is seen."""
+"""A relay begins within a few milliseconds; this is by how much a start is longer than it needs to be."""
 _SILENT_S = 1.0
-"""After so long without a message it is looked whether a new publisher needs another QoS."""
+"""After this long without a message, the publishers are looked at again: a new one may need another QoS."""
 _LATCHED_DEPTH = 10
 """Assumed of a publisher whose depth is unknown; `/tf_static` with ten broadcasters fits."""
 _DEPTH = 100
+"""Messages that wait for a slow listener of the destination: a second of a topic at 100 Hz."""
 _BATCH = 100
 _BATCH_BYTES = 1_000_000
-"""What is fed at once: large enough that a request's overhead does not count, small enough that none lasts long."""
+"""What is fed at once, in messages and bytes: large enough that a request's overhead does not count, small enough that
+none lasts long."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -106,7 +108,7 @@ class RelayState:
 
 @dataclass(frozen=True, slots=True)
 class RelayList:
-    """Every relay that runs, and the last that ended."""
+    """Every relay that runs, and the last ones that ended."""
 
     relays: Sequence[RelayState]
     running: int
@@ -145,13 +147,13 @@ class Relay(Job):
         self._transform = TRANSFORMS[request.transform]
         self._rate_hz = request.target_rate_hz if self._transform == "rate_limit" else None
         self._in_server = self._transform == "on_change" or bool(request.mapping)
-        self._pass = _transform(robot, self._types, request, self._rate_hz)
+        self._pass = self._make_transform()
         self._choose_qos(source, destination)
         self.counts = RelayCounts()
         """The bridge's last counts; what the server itself did is counted below."""
         self._held_back = 0
         self._failed = 0
-        self._last_trouble = ""
+        self._last_error = ""
         self._late = 0
         self._lost: int | None = 0
         self._time_is_over = False
@@ -171,20 +173,42 @@ class Relay(Job):
 
     async def run(self) -> None:
         """Keeps the bridge's part open until that ends, and feeds it where values count."""
+        # Where the server feeds the bridge, the bridge's part has neither source, rate nor end.
+        relay = commands.Relay(
+            principal=self.owner,
+            name=self.destination,
+            type=self._types[1],
+            relay_id=self.id,
+            qos=self._qos,
+            source="" if self._in_server else self.source,
+            rate_hz=None if self._in_server else self._rate_hz,
+            duration_s=None if self._in_server else self._request.duration_s,
+            wait_match_s=self._wait_match_s,
+        )
         async with anyio.create_task_group() as group:
             group.start_soon(self._feed_until_over if self._in_server else self._until_open)
-            self.counts = await self._robot.do(self._command())
+            self.counts = await self._robot.do(relay)
             group.cancel_scope.cancel()
         self.outcome = "stopped" if self.counts.cancelled and not self._time_is_over else "ended"
 
     async def wind_down(self) -> None:
-        """Lets the bridge send the zero command, if there is one, and tell its last counts."""
+        """Lets the bridge send the zero, if there is one, and answer with its last counts."""
         await self._robot.end_relay(self.id)
 
     def report(self) -> RelayState:
         """How it stands."""
         counts = self.counts
         lost = None if counts.lost is None or self._lost is None else counts.lost + self._lost + self._late
+        publishers = None if self._in_server else counts.publishers
+        notes: list[str] = [str(self.failure)] if self.failure else []
+        if self._failed:
+            notes.append(f"{self._failed} message(s) could not be passed on, the last because: {self._last_error}")
+        if self._late:
+            notes.append(f"{self._late} message(s) came faster than they could be compared.")
+        if self.is_running and not counts.matched:
+            notes.append("Nobody subscribes to the destination.")
+        if self.is_running and publishers == 0:
+            notes.append("Nobody publishes on the source now; the relay waits.")
         return RelayState(
             relay_id=self.id,
             state=self.state,
@@ -200,25 +224,13 @@ class Relay(Job):
             dropped=counts.dropped + self._held_back,
             lost=lost,
             failed=self._failed,
-            publishers=None if self._in_server else counts.publishers,
+            publishers=publishers,
             subscribers=counts.matched,
             stopped_with_zero=counts.final_sent,
             runs_in="server" if self._in_server else "bridge",
             qos=self._qos_words,
-            note=" ".join(self._notes()),
+            note=" ".join(notes),
         )
-
-    def _notes(self) -> Iterator[str]:
-        if self.failure:
-            yield str(self.failure)
-        if self._failed:
-            yield f"{self._failed} message(s) could not be passed on, the last because: {self._last_trouble}"
-        if self._late:
-            yield f"{self._late} message(s) came faster than they could be compared."
-        if self.is_running and not self.counts.matched:
-            yield "Nobody subscribes to the destination."
-        if self.is_running and not self._in_server and not self.counts.publishers:
-            yield "Nobody publishes on the source now; the relay waits."
 
     # ── the bridge's part ──────────────────────────────────────────────────────────────────────────────────────
 
@@ -239,20 +251,6 @@ class Relay(Job):
             f"source: {reading.qos.reliability}, {reading.qos.durability} ({reading.reason})",
             f"destination: {self._qos.reliability}, {self._qos.durability}",
         ]
-
-    def _command(self) -> commands.Relay:
-        """The bridge's part: where the server feeds it, it has neither source, rate nor end."""
-        return commands.Relay(
-            principal=self.owner,
-            name=self.destination,
-            type=self._types[1],
-            relay_id=self.id,
-            qos=self._qos,
-            source="" if self._in_server else self.source,
-            rate_hz=None if self._in_server else self._rate_hz,
-            duration_s=None if self._in_server else self._request.duration_s,
-            wait_match_s=self._wait_match_s,
-        )
 
     async def _until_open(self) -> None:
         while not (counts := await self._robot.graph.relays()).get(self.id, RelayCounts()).running:
@@ -291,26 +289,55 @@ class Relay(Job):
                     return
 
     async def _feed(self, samples: Sequence[Sample]) -> None:
-        messages: list[bytes] = []
+        """Passes on what the transform lets through, several messages in a request as long as they are small."""
+        batch: list[bytes] = []
+        size = 0
         for sample in samples:
             try:
                 message = self._pass(sample)
             except (BadValue, BadData) as error:
                 self._failed += 1
-                self._last_trouble = str(error)
+                self._last_error = str(error)
                 continue
             if message is None:
                 self._held_back += 1
-            else:
-                messages.append(message)
-        for batch in _batches(messages):
-            feed = commands.Feed(
-                principal=self.owner, name=self.destination, type=self._types[1], relay_id=self.id, messages=batch
-            )
-            try:
-                await self._robot.do(feed)
-            except NotFound:
-                await anyio.sleep_forever()  # the bridge has ended the relay, and its answer to that is under way
+                continue
+            if batch and size + len(message) > _BATCH_BYTES:
+                await self._send(batch)
+                batch, size = [], 0
+            batch.append(message)
+            size += len(message)
+        if batch:
+            await self._send(batch)
+
+    async def _send(self, messages: Sequence[bytes]) -> None:
+        feed = commands.Feed(
+            principal=self.owner, name=self.destination, type=self._types[1], relay_id=self.id, messages=messages
+        )
+        try:
+            await self._robot.do(feed)
+        except NotFound:
+            await anyio.sleep_forever()  # the bridge has ended the relay, and its answer to that is under way
+
+    def _make_transform(self) -> Transform:
+        """What becomes of a message; raises `BadInput` if an option does not fit the types."""
+        # Imported with the first relay: numpy, which these need, would double the time until tools/list is answered.
+        from ros2_mcp.codec.change import ChangeDetector
+        from ros2_mcp.codec.mapping import FieldMapping
+
+        codec, request = self._robot.values.codec, self._request
+        change = ChangeDetector(codec, self._types[0], request.tolerances) if self._transform == "on_change" else None
+        rhythm = Rhythm(self._rate_hz) if self._rate_hz else None
+        mapping = FieldMapping(codec, *self._types, request.mapping) if request.mapping else None
+
+        def transform(sample: Sample) -> bytes | None:
+            if change is not None and not change.is_change(sample.data):
+                return None
+            if rhythm is not None and not rhythm.passes(sample.received_ns):
+                return None
+            return mapping.apply(sample.data) if mapping is not None else sample.data
+
+        return transform
 
 
 async def start(robot: Robot, request: RelayRequest) -> RelayState:
@@ -322,7 +349,14 @@ async def start(robot: Robot, request: RelayRequest) -> RelayState:
         NotFound, TypeConflict: if there is no source topic and no type is given, or the types differ.
     """
     source, destination = names.absolute(request.source_topic), names.absolute(request.destination_topic)
-    _check(request, source, destination)
+    if request.transform not in TRANSFORMS:
+        raise BadInput(f"There is no transform {request.transform!r}.", f"Choose from {', '.join(TRANSFORMS)}.")
+    if TRANSFORMS[request.transform] != "on_change" and request.tolerances:
+        raise BadInput(f"tolerances mean nothing with {request.transform}.", "They belong to transform on_change.")
+    bounded("target_rate_hz", request.target_rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
+    bounded("duration_sec", request.duration_s, 0.0, MAX_RELAY_S, "s")
+    if source == destination:
+        raise BadInput(f"A relay from {source} to itself would feed itself.", "Choose another destination.")
     robot.jobs.require_room(Relay)
     sending = await robot.graph.wait_for(source, publishers=0 if request.message_type else 1, timeout_s=_APPEARS_S)
     receiving = await robot.graph.endpoints(destination)
@@ -364,29 +398,17 @@ async def stop(robot: Robot, relay_id: str) -> RelayState:
 
 def way(relays: Iterable[tuple[str, str]], start: str, end: str) -> list[str]:
     """The topics along relays (source, destination) from one topic to another; empty if no way leads there."""
-    known = list(relays)
+    pairs = list(relays)
     ways = deque([[start]])
     seen = {start}
     while ways:
         topics = ways.popleft()
         if topics[-1] == end:
             return topics
-        for source, destination in known:
-            if source == topics[-1] and destination not in seen:
-                seen.add(destination)
-                ways.append([*topics, destination])
+        following = dict.fromkeys(to for source, to in pairs if source == topics[-1] and to not in seen)
+        seen.update(following)
+        ways.extend([*topics, topic] for topic in following)
     return []
-
-
-def _check(request: RelayRequest, source: str, destination: str) -> None:
-    if request.transform not in TRANSFORMS:
-        raise BadInput(f"There is no transform {request.transform!r}.", f"Choose from {', '.join(TRANSFORMS)}.")
-    if TRANSFORMS[request.transform] != "on_change" and request.tolerances:
-        raise BadInput(f"tolerances mean nothing with {request.transform}.", "They belong to transform on_change.")
-    bounded("target_rate_hz", request.target_rate_hz, MIN_RATE_HZ, MAX_RATE_HZ, "Hz")
-    bounded("duration_sec", request.duration_s, 0.0, MAX_RELAY_S, "s")
-    if source == destination:
-        raise BadInput(f"A relay from {source} to itself would feed itself.", "Choose another destination.")
 
 
 async def _destination_type(robot: Robot, request: RelayRequest, source_type: str, receiving: TopicEndpoints) -> str:
@@ -401,39 +423,3 @@ async def _destination_type(robot: Robot, request: RelayRequest, source_type: st
         return await robot.types.topic(receiving, source_type)
     except TypeConflict as error:
         raise TypeConflict(error.message, "Give a mapping of its fields, or another destination.") from error
-
-
-def _transform(robot: Robot, types: tuple[str, str], request: RelayRequest, rate_hz: float | None) -> Transform:
-    """What becomes of a message, for types that have been learnt; raises `BadInput` if an option does not fit them."""
-    # Imported with the first relay: numpy, which these need, would double the time until tools/list is answered.
-    from ros2_mcp.codec.change import ChangeDetector
-    from ros2_mcp.codec.mapping import FieldMapping
-
-    codec = robot.values.codec
-    is_on_change = TRANSFORMS[request.transform] == "on_change"
-    change = ChangeDetector(codec, types[0], request.tolerances) if is_on_change else None
-    rhythm = Rhythm(rate_hz) if rate_hz else None
-    mapping = FieldMapping(codec, *types, request.mapping) if request.mapping else None
-
-    def transform(sample: Sample) -> bytes | None:
-        if change is not None and not change.is_change(sample.data):
-            return None
-        if rhythm is not None and not rhythm.passes(sample.received_ns):
-            return None
-        return mapping.apply(sample.data) if mapping is not None else sample.data
-
-    return transform
-
-
-def _batches(messages: Sequence[bytes]) -> Iterator[list[bytes]]:
-    """The messages in their order, several together as long as they are small."""
-    batch: list[bytes] = []
-    size = 0
-    for message in messages:
-        if batch and size + len(message) > _BATCH_BYTES:
-            yield batch
-            batch, size = [], 0
-        batch.append(message)
-        size += len(message)
-    if batch:
-        yield batch

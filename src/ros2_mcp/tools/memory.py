@@ -1,4 +1,4 @@
-"""Tools that record topics, and read and play bags."""
+"""Tools for the past: they record topics, read and play bags, and find messages that were kept."""
 
 from __future__ import annotations
 
@@ -7,23 +7,39 @@ from typing import Annotated
 
 from pydantic import Field
 
-from ros2_mcp.ops.memory import bags
-from ros2_mcp.ops.memory import play as playing
-from ros2_mcp.ops.memory import record as recording
+from ros2_mcp.ops.memory import bags, messages, play, record
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.sources.kinds import Sources
+from ros2_mcp.ops.sources.source import SourceRequest
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import BagEnd, BagName, BagStart, Flag, Limit, Number, Pattern, TopicName, Whole
+from ros2_mcp.tools.arguments import (
+    BagEnd,
+    BagName,
+    BagStart,
+    Flag,
+    Limit,
+    MessageType,
+    Number,
+    Pattern,
+    TopicName,
+    Whole,
+)
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import Messages
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 PLACE = 130
+HISTORY_PLACE = 120
+"""Of `ros2_get_messages`: it is offered by default, the others of this module only with their group."""
 
-Bytes = Annotated[Whole, Field(ge=0, le=10**13)]
+Bytes = Annotated[Whole, Field(ge=0, le=record.MAX_BYTES)]
 Topics = Annotated[list[str] | None, Field(description="Only these topics.")]
 RecordingId = Annotated[str, Field(description="The recording's id.")]
 PlaybackId = Annotated[str, Field(description="The playback's id.")]
+PastTime = Annotated[
+    str, Field(description='ISO 8601 with zone, such as 2026-11-21T03:00:00.5Z, or relative: "last 30 s", "5 min ago".')
+]
 
 
 @tool(title="Record topics", risk="write", group="memory", by_default=False)
@@ -38,12 +54,12 @@ async def ros2_record_start(
     max_bytes: Annotated[Bytes, Field(description="End at this size; 0: never.")] = 0,
     split_bytes: Annotated[Bytes, Field(description="Begin a new file at this size; 0: never.")] = 0,
     name: Annotated[str, Field(max_length=200, description="Name of the recording. Default: the time.")] = "",
-) -> recording.RecordingState:
+) -> record.RecordingState:
     """Begin to record topics to disk (MCAP in a rosbag2 folder). It goes on until a limit or ros2_record_stop.
 
     Latched messages are included; topics that appear later join within a second.
     """
-    request = recording.RecordRequest(
+    request = record.RecordRequest(
         topics=topics or (),
         patterns=patterns or (),
         max_duration_s=max_duration_sec,
@@ -51,19 +67,19 @@ async def ros2_record_start(
         split_bytes=split_bytes,
         name=name,
     )
-    return await recording.start(robot, store, request)
+    return await record.start(robot, store, request)
 
 
 @tool(title="Recordings", risk="read", group="memory", by_default=False)
-async def ros2_record_status(robot: Robot, recording_id: RecordingId = "") -> recording.RecordingStates:
+async def ros2_record_status(robot: Robot, recording_id: RecordingId = "") -> record.RecordingStates:
     """Show how recordings stand: messages, bytes and losses of each topic, and why one ended."""
-    return await recording.status(robot, recording_id)
+    return await record.status(robot, recording_id)
 
 
 @tool(title="Stop recording", risk="write", group="memory", by_default=False)
-async def ros2_record_stop(robot: Robot, recording_id: RecordingId) -> recording.RecordingState:
+async def ros2_record_stop(robot: Robot, recording_id: RecordingId) -> record.RecordingState:
     """End a recording and close its files."""
-    return await recording.stop(robot, recording_id)
+    return await record.stop(robot, recording_id)
 
 
 @tool(title="List bags", risk="read", group="memory", by_default=False, recorded=True)
@@ -113,21 +129,48 @@ async def ros2_bag_play(
     wait_sec: Annotated[
         Number, Field(ge=0, le=MAX_DURATION_S, description="Wait this long for its end; it goes on.")
     ] = 40.0,
-) -> playing.PlaybackState:
+) -> play.PlaybackState:
     """Publish a bag's messages again in their rhythm. Can move the robot if it holds commands: choose topics."""
-    request = playing.PlayRequest(
+    request = play.PlayRequest(
         bag=bag, rate=rate, start=start, end=end, topics=topics or (), remaps=remaps or {}, loop=loop, force=force
     )
-    return await playing.play(robot, store, request, wait_sec, report)
+    return await play.play(robot, store, request, wait_sec, report)
 
 
 @tool(title="Playbacks", risk="read", group="memory", by_default=False)
-async def ros2_bag_play_status(robot: Robot, playback_id: PlaybackId = "") -> playing.PlaybackStates:
+async def ros2_bag_play_status(robot: Robot, playback_id: PlaybackId = "") -> play.PlaybackStates:
     """Show how playbacks of bags stand."""
-    return await playing.status(robot, playback_id)
+    return await play.status(robot, playback_id)
 
 
 @tool(title="Stop playing", risk="write", group="memory", by_default=False)
-async def ros2_bag_play_stop(robot: Robot, playback_id: PlaybackId) -> playing.PlaybackState:
+async def ros2_bag_play_stop(robot: Robot, playback_id: PlaybackId) -> play.PlaybackState:
     """Stop playing a bag."""
-    return await playing.stop(robot, playback_id)
+    return await play.stop(robot, playback_id)
+
+
+@tool(
+    title="Messages of the past",
+    risk="read",
+    group="memory",
+    aliases={"number_of_msg": "number_of_messages", "limit": "number_of_messages", "msg_type": "message_type"},
+    recorded=True,
+    place=HISTORY_PLACE,
+    also_named="ros2_get_messages_stored_in_influx_data_base",
+)
+async def ros2_get_messages(
+    sources: Sources,
+    report: Report,
+    topic_name: TopicName,
+    message_type: MessageType = "",
+    number_of_messages: Annotated[Whole, Field(ge=0, le=100_000, description="Only the last N; 0: all.")] = 0,
+    time_start: PastTime = "",
+    time_end: PastTime = "",
+    *,
+    selection: Messages,
+    bucket_name: Annotated[str, Field(description="Bucket of a Data Black Box that has several.")] = "",
+) -> messages.StoredMessages:
+    """Get messages that were sent earlier, and say from where: a WiseVision Data Black Box, recordings, opened bags."""
+    request = SourceRequest(start=time_start.strip(), end=time_end.strip(), bucket=bucket_name)
+    chosen = replace(selection, message_limit=number_of_messages or None)
+    return await messages.get_messages(sources, topic_name, message_type, request, chosen, report)

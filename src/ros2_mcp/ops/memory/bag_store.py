@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 RECORDINGS = Path("~/ros2-mcp/recordings")
 _MOST_OPEN = 4
-"""Bags that stay open with their index and types, some MB each: enough to compare two, and two that are recorded."""
+"""Bags that stay open with their index and types, some MB each: enough to compare two while two are recorded."""
 _DEEPEST = 4
-"""Folders below the folder of bags that are looked through: robot/day/run and one more; a home folder has thousands."""
+"""How many levels of folders are searched for bags: robot/day/run and one more; a home folder has thousands."""
 BLACK_BOX = "black-box"
 """The name of the server's own black box among the bags."""
 _BLACK_BOX_WORDS = ("black box", "black_box", "blackbox")
@@ -36,7 +36,7 @@ class OwnBag:
 
 
 class OpenedBag:
-    """A bag that stays open, with the name by which it was asked for; only who has the lock may read it."""
+    """A bag that stays open, with the name by which it was asked for; only the thread that has the lock may read it."""
 
     def __init__(self, name: str, path: Path) -> None:
         self.name = name
@@ -48,7 +48,7 @@ class OpenedBag:
 
     @property
     def codec(self) -> Codec:
-        """Reads its messages; what has been learnt and compiled is kept as long as the bag means the same by it."""
+        """Reads its messages. Types are compiled once and kept until the bag has another definition of one of them."""
         if self._codec is None:
             from ros2_mcp.codec.cdr import Codec
             from ros2_mcp.codec.definitions import Definitions
@@ -58,7 +58,10 @@ class OpenedBag:
 
     @contextmanager
     def reading(self) -> Generator[Bag, None, None]:
-        """The bag as it is now, for one thread to read; raises as `Bag`."""
+        """The bag as it is now, for one thread to read; raises as `Bag`.
+
+        It is opened anew when its files have changed; those files that have not are then not read again.
+        """
         from ros2_mcp.bags.bag import Bag
 
         with self.lock:
@@ -92,7 +95,7 @@ class BagStore:
         return self.subject.name if self.subject else ""
 
     def writes(self, folder: Path, is_growing: Callable[[], bool]) -> None:
-        """Notes a bag that this server begins to write, and how to know whether it still does."""
+        """Notes a bag that this server begins to write, and what tells whether it still does."""
         self.own[folder.name] = OwnBag(folder, is_growing)
 
     async def close(self) -> None:
@@ -102,8 +105,6 @@ class BagStore:
                 opened.bag.close()
         self._opened.clear()
 
-    # ── bags ───────────────────────────────────────────────────────────────────────────────────────────────────
-
     def bag_names(self) -> dict[str, Path]:
         """Every bag that may be read, by its name: its path below the folder."""
         from ros2_mcp.bags.bag import is_bag
@@ -111,7 +112,7 @@ class BagStore:
         found: dict[str, Path] = {self.subject.name: self.subject} if self.subject else {}
         for root in self._roots:
             for path in _below(root):
-                if is_bag(path) and _is_inside(path.resolve(), root):
+                if is_bag(path) and path.resolve().is_relative_to(root.resolve()):
                     found.setdefault(str(path.relative_to(root)), path)
         return found
 
@@ -119,14 +120,14 @@ class BagStore:
         """The path of a bag that may be read.
 
         Raises:
-            NotFound: if there is none of that name below the folders.
-            BadInput: if the name leads elsewhere.
+            NotFound: if there is no bag of that name below the folders.
+            BadInput: if the name leads out of the folders.
         """
         if self.subject and name == self.subject.name:
             return self.subject
         name = BLACK_BOX if name.strip().lower() in _BLACK_BOX_WORDS else name
-        paths = [path for root in self._roots if _is_inside(path := (root / name).resolve(), root)]
-        if not paths:
+        paths = [path for root in self._roots if (path := (root / name).resolve()).is_relative_to(root.resolve())]
+        if not paths:  # such as `../secrets`, or a link out of the folder
             raise BadInput(f"{name!r} is not below the folder of bags.", "ros2_bag_list shows what can be read.")
         for path in paths if name.strip("./") else ():
             if os.path.lexists(path):
@@ -164,23 +165,19 @@ class BagStore:
         return list(dict.fromkeys((self.record_dir, self.bag_dir)))
 
 
-def _is_inside(path: Path, root: Path) -> bool:
-    return path.is_relative_to(root.resolve())
-
-
 def _below(root: Path) -> Iterator[Path]:
-    """The files of the folder itself and the folders below it, those left out that are hidden or cannot be looked into.
+    """The files of the folder itself, and the folders below it; none that is hidden or cannot be read.
 
-    The files of a folder below are parts of one bag.
+    Files further below are no bags by themselves but parts of their folder's bag.
     """
-    for name, folders, files in os.walk(root):
-        folder = Path(name)
-        folders[:] = sorted(each for each in folders if not each.startswith("."))
-        yield from (folder / each for each in folders)
-        if folder == root:
-            yield from (folder / each for each in sorted(files) if not each.startswith("."))
-        if len(folder.relative_to(root).parts) + 1 == _DEEPEST:
-            folders.clear()
+    for parent, folders, files in os.walk(root):
+        path = Path(parent)
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        yield from (path / name for name in folders)
+        if path == root:
+            yield from (path / name for name in sorted(files) if not name.startswith("."))
+        if len(path.relative_to(root).parts) + 1 == _DEEPEST:
+            folders.clear()  # `os.walk` goes no deeper then
 
 
 def _schemas(bag: Bag) -> dict[str, tuple[str, str]]:
@@ -188,11 +185,11 @@ def _schemas(bag: Bag) -> dict[str, tuple[str, str]]:
 
 
 def _mark(path: Path) -> tuple[int, int]:
-    """Changes whenever the files do."""
+    """Size and newest time of the files, which differ whenever the files do."""
     size = newest_ns = 0
-    for each in [path] if path.is_file() else path.glob("*"):
-        with suppress(OSError):  # a ring drops its oldest file at any moment; what cannot be read, the bag tells
-            if each.is_file():
-                facts = each.stat()
+    for file in [path] if path.is_file() else path.glob("*"):
+        with suppress(OSError):  # a ring drops its oldest file at any time; reading the bag tells what cannot be read
+            if file.is_file():
+                facts = file.stat()
                 size, newest_ns = size + facts.st_size, max(newest_ns, facts.st_mtime_ns)
     return size, newest_ns

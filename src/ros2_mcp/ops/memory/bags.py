@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import bounded
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
 MAX_MESSAGES = 10_000
 """Of one call: more than that cannot be shown in any result."""
 _UNFINISHED = ("the recording was not closed.", "the end of the file is missing.")
+"""How the problems of a bag end that is still being recorded: not damage then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class BagList:
 class BagTopic:
     """A topic of a bag; `has_definition` tells whether the bag itself says what its bytes mean.
 
-    `messages` counts those in all files; a black box has the last latched message of a topic in each of them.
+    `messages` is the number in all files; a black box has the last latched messages of a topic in each of its files.
     """
 
     topic_name: str
@@ -62,7 +62,7 @@ class BagTopic:
 
 @dataclass(frozen=True, slots=True)
 class BagInfo:
-    """What is in a bag; `problems` say what is damaged or missing."""
+    """What is in a bag; `problems` say what is damaged or missing. `start` and `end` may be empty."""
 
     bag: str
     start: str
@@ -81,7 +81,10 @@ class BagInfo:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagMessages:
-    """Messages of one topic of a bag. `received_at` are the recorder's times; `truncated` names summarised paths."""
+    """Messages of one topic of a bag, received by the recorder at the times `received_at`.
+
+    `truncated` names paths whose values are summaries; `problems` say what of the bag is damaged or missing.
+    """
 
     bag: str
     topic_name: str
@@ -95,14 +98,26 @@ class BagMessages:
 
     def summary(self) -> str:
         """One line, and one for each problem."""
-        return "\n".join(
-            [f"{self.bag} {self.topic_name}: {self.count} message(s). {self.note}".rstrip(), *self.problems]
-        )
+        line = f"{self.bag} {self.topic_name}: {self.count} message(s). {self.note}".rstrip()
+        return "\n".join([line, *self.problems])
 
 
 async def list_bags(store: BagStore, pattern: str = "", limit: int = 200) -> BagList:
     """The bags whose names match the pattern, the newest first."""
-    return await asyncio.to_thread(_list, store, pattern, limit)
+
+    def listed() -> BagList:
+        found = store.bag_names()
+        bags: list[BagEntry] = []
+        for name in names.matching(found, pattern):
+            path = found[name]
+            files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
+            facts = [file.stat() for file in files]
+            newest_ns = max(fact.st_mtime_ns for fact in facts)
+            bags.append(BagEntry(name, sum(fact.st_size for fact in facts), iso_time(newest_ns)))
+        bags.sort(key=lambda entry: entry.modified_at, reverse=True)
+        return BagList(bags[:limit], len(found), str(store.bag_dir))
+
+    return await asyncio.to_thread(listed)
 
 
 async def info(store: BagStore, bag: str) -> BagInfo:
@@ -112,19 +127,43 @@ async def info(store: BagStore, bag: str) -> BagInfo:
         NotFound: if there is no such bag.
         BadData: if nothing of it can be read.
     """
-    return await asyncio.to_thread(_info, store, bag)
+
+    def read_info() -> BagInfo:
+        with store.reading(bag) as found:
+            counts = found.counts()
+            first_ns, last_ns = found.times or (0, 0)
+            return BagInfo(
+                bag=bag,
+                start=iso_time(first_ns) if found.times else "",
+                end=iso_time(last_ns) if found.times else "",
+                duration_s=(last_ns - first_ns) / 1e9,
+                messages=sum(counts.values()),
+                bytes=found.size,
+                topics=[
+                    BagTopic(name, topic.type, counts.get(name, 0), bool(topic.definition))
+                    for name, topic in sorted(found.topics.items())
+                ],
+                problems=_problems(store, found),
+            )
+
+    return await asyncio.to_thread(read_info)
 
 
 async def read(
     robot: Robot, store: BagStore, bag: str, topic: str, selection: Selection, start: str = "", end: str = ""
 ) -> BagMessages:
-    """Messages of one topic of a bag: the first ones from `start` on where that is given, else the last ones.
+    """Messages of one topic of a bag: with a `start` the first ones from there on, else the last ones.
 
     Raises:
         NotFound: if there is no such bag or topic.
         UnknownInterface: if nobody knows the type's definition.
-        BadValue: if a limit or a moment is out of range, or a field is not in the type.
+        BadValue: if a limit or a time is out of range, or a field is not in the type.
     """
+
+    def read_problems() -> Sequence[str]:
+        with store.reading(bag) as found:
+            return _problems(store, found)
+
     bounded("limit", selection.message_limit or 1, 1, MAX_MESSAGES, "messages")
     source = await open_bag(store, bag, start, end, robot, may_be_empty=True)
     collected = await collect(source, topic, "", selection, latched=False)
@@ -142,51 +181,13 @@ async def read(
         received_at=[iso_time(sample.received_ns) for sample in fitted.samples],
         count=len(fitted.values),
         truncated=fitted.truncated,
-        problems=await asyncio.to_thread(_problems_of, store, bag),
+        problems=await asyncio.to_thread(read_problems),
         note=" ".join(filter(None, notes)),
     )
-
-
-def _problems_of(store: BagStore, name: str) -> Sequence[str]:
-    with store.reading(name) as bag:
-        return _problems(store, bag)
 
 
 def _problems(store: BagStore, bag: Bag) -> Sequence[str]:
     """What is damaged or missing; that the end is not written yet is no damage."""
     if not is_growing(store, bag):
         return bag.problems
-    return ["It is still being recorded.", *(each for each in bag.problems if not each.endswith(_UNFINISHED))]
-
-
-def _list(store: BagStore, pattern: str, limit: int) -> BagList:
-    found = store.bag_names()
-    chosen = [_entry(name, found[name]) for name in names.matching(found, pattern)]
-    chosen.sort(key=lambda entry: entry.modified_at, reverse=True)
-    return BagList(chosen[:limit], len(found), str(store.bag_dir))
-
-
-def _entry(name: str, path: Path) -> BagEntry:
-    files = [path] if path.is_file() else [each for each in path.iterdir() if each.is_file()]
-    facts = [each.stat() for each in files]
-    return BagEntry(name, sum(f.st_size for f in facts), iso_time(max(f.st_mtime_ns for f in facts)))
-
-
-def _info(store: BagStore, name: str) -> BagInfo:
-    with store.reading(name) as bag:
-        counts = bag.counts()
-        first_ns, last_ns = bag.times or (0, 0)
-        topics = [
-            BagTopic(topic.name, topic.type, counts.get(topic.name, 0), bool(topic.definition))
-            for topic in sorted(bag.topics.values(), key=lambda topic: topic.name)
-        ]
-        return BagInfo(
-            name,
-            iso_time(first_ns) if bag.times else "",
-            iso_time(last_ns) if bag.times else "",
-            (last_ns - first_ns) / 1e9,
-            sum(counts.values()),
-            bag.size,
-            topics,
-            _problems(store, bag),
-        )
+    return ["It is still being recorded.", *(text for text in bag.problems if not text.endswith(_UNFINISHED))]

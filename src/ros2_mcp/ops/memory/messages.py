@@ -1,4 +1,4 @@
-"""What was said earlier: messages of a topic from whichever source has them."""
+"""Messages of the past: those of a topic from the first source that has kept some."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ANY = "any"
 class StoredMessages:
     """Messages of the past with the times at which they were stored (empty where the source does not say).
 
-    `count` are shown of `found` ones; `note` tells if there are earlier ones that were not read. `truncated` names
+    Of `found` messages `count` are shown; `note` tells if there are earlier ones that were not read. `truncated` names
     paths whose values are summaries.
     """
 
@@ -47,6 +47,8 @@ class StoredMessages:
 
 @dataclass(frozen=True, slots=True)
 class _Found:
+    """What a source has, and the errors of those that were asked before it."""
+
     source: Source
     collected: Collected
     failed: Sequence[RobotError]
@@ -60,13 +62,13 @@ async def get_messages(
     selection: Selection,
     report: Report = silent,
 ) -> StoredMessages:
-    """The last messages of the past between two moments, from the first source that has some.
+    """The last messages of the past in a span of time, from the first source that has some.
 
     The selection's `message_limit` is how many (None: all). If they do not fit, they are evenly thinned.
 
     Raises:
         NotFound: if no source knows the topic.
-        BadValue: if a limit or a moment is out of range, or a field is not in the type.
+        BadValue: if a limit or a time is out of range, or a field is not in the type.
         BadData: if no message is what the type says.
         RobotError: with the words of a source that failed, where no other has the messages.
     """
@@ -80,7 +82,7 @@ async def get_messages(
 
 
 async def _find(sources: Sources, topic: str, type_name: str, request: SourceRequest, selection: Selection) -> _Found:
-    """What the first source has that has messages, else what one without any says; and which sources failed."""
+    """What the first source has that has messages; else, where none has failed, what the first says that has none."""
     all_of_them = replace(selection, fields=(), every_n=1, message_limit=selection.message_limit or MAX_MESSAGES)
     empty: _Found | None = None
     failed: list[RobotError] = []
@@ -104,15 +106,13 @@ async def _find(sources: Sources, topic: str, type_name: str, request: SourceReq
             if collected.samples:
                 return found
             empty = empty or found
-    if empty and not failed:
+    if failed:  # whoever has failed may have the messages
+        raise failed[0]
+    if empty:
         return empty
-    raise (
-        failed[0]
-        if failed
-        else NotFound(
-            f"Nobody has kept messages of {topic}: no Data Black Box, no recording and no opened bag has it.",
-            "Start the server with --black-box, record with ros2_record_start, or open a bag with ros2_bag_info.",
-        )
+    raise NotFound(
+        f"Nobody has kept messages of {topic}: no Data Black Box, no recording and no opened bag has it.",
+        "Start the server with --black-box, record with ros2_record_start, or open a bag with ros2_bag_info.",
     )
 
 
@@ -127,7 +127,7 @@ def _show(found: _Found, type_name: str, request: SourceRequest, selection: Sele
         )
     notes = [f"Another source failed: {error.message}" for error in found.failed]
     notes += [stream.note, end_note(found.source, request.start, request.end)]
-    if len(whole) != selection.message_limit:  # whoever asks for the last two knows that there are others
+    if len(whole) != selection.message_limit:  # who asks for the last two need not be told that there are others
         notes.append(found.collected.more)
     if type_name not in ("", stream.type):
         notes.append(f"They are {stream.type}, not {type_name}.")
@@ -138,7 +138,7 @@ def _show(found: _Found, type_name: str, request: SourceRequest, selection: Sele
         source=source,
         topic_name=stream.topic,
         topic_type=stream.type,
-        timestamps=[iso_time(each.received_ns) if each.received_ns else "" for each in fitted.samples],
+        timestamps=[iso_time(sample.received_ns) if sample.received_ns else "" for sample in fitted.samples],
         messages=fitted.values,
         count=len(fitted.values),
         found=len(whole),

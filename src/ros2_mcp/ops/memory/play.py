@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import TYPE_CHECKING
@@ -28,20 +28,24 @@ if TYPE_CHECKING:
     from ros2_mcp.bags.stored import Span, StoredTopic
 
 _SHORTEST_LOOP_S = 0.1
-"""A bag of one moment, looped, would otherwise be published as fast as the processor can."""
+"""A bag of a single message, looped, would otherwise be published as fast as the processor can."""
 _MATCH_S = 1.0
 """How long the bridge waits for subscribers that discovery may still be matching with our new publishers."""
 _READY_S = 5.0
 """A bridge makes a hundred publishers within a second; one that has not by then will not."""
+_DEPTH = 100
+"""Messages that wait for a slow listener: a second of a topic at 100 Hz."""
 _POLL_S = 0.02
-_KNOWN_S = 0.3
-"""Subscribers get to know our publishers a moment later than these them; what comes before arrives late."""
-_NAMED = 8
+"""A publisher is made within milliseconds; this is by how much a start is longer than it needs to be."""
+_DISCOVERED_S = 0.3
+"""Subscribers discover our publishers a little later than these discover them; what comes before arrives late."""
+_MOST_NAMED = 8
+"""Topics that a note names; a bag may have a hundred that nobody listens to."""
 _BATCH = 64
 _BATCH_BYTES = 4_000_000
 """What is read ahead of its time: enough that no message waits for the disk, and little memory with pictures."""
 _TOGETHER_S = 0.002
-"""Messages that are due within this time go out in one request: no listener can tell, and it saves round trips."""
+"""Messages that are due within this time are sent in one request: no listener can tell, and it saves round trips."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -80,13 +84,13 @@ class PlaybackState:
 
 @dataclass(frozen=True, slots=True)
 class PlaybackStates:
-    """The playbacks that run, and the last that ended."""
+    """The playbacks that run, and the last ones that ended."""
 
     playbacks: Sequence[PlaybackState]
 
     def summary(self) -> str:
         """A line for each."""
-        return "\n".join(each.summary() for each in self.playbacks) or "Nothing has been played."
+        return "\n".join(playback.summary() for playback in self.playbacks) or "Nothing has been played."
 
 
 class Playback(Job):
@@ -99,14 +103,15 @@ class Playback(Job):
     def __init__(
         self, robot: Robot, bag: Bag, request: PlayRequest, span: Span, topics: Mapping[str, StoredTopic]
     ) -> None:
-        super().__init__(owner=robot.principal, moves=[request.remaps.get(name, name) for name in topics])
+        self._destinations = {name: request.remaps.get(name, name) for name in topics}
+        super().__init__(owner=robot.principal, moves=list(self._destinations.values()))
         self._robot = robot
         self._bag = bag
         self._request = request
         self._span = span
         first_ns, last_ns = bag.times or (0, 1)
-        self._first_ns = max(first_ns, span.start_ns)
-        self._length_ns = max(min(last_ns, span.end_ns) - self._first_ns, 1)
+        self._start_ns = max(first_ns, span.start_ns)
+        self._length_ns = max(min(last_ns, span.end_ns) - self._start_ns, 1)
         self._topics = topics
         self._published = dict.fromkeys(topics, 0)
         self._note = ""
@@ -123,8 +128,13 @@ class Playback(Job):
                     publishers.start_soon(self._open, name, topic)
                 for name in self._topics:
                     await self._until_ready(name)
-                await anyio.sleep(_KNOWN_S)
-                await self._note_who_listens()
+                await anyio.sleep(_DISCOVERED_S)
+                relays = await self._robot.graph.relays()
+                feeds = {self._destinations[name]: relays.get(self._relay_id(name)) for name in self._topics}
+                unheard = [topic for topic, relay in feeds.items() if relay and not relay.matched]
+                if unheard:
+                    more = f" and {len(unheard) - _MOST_NAMED} more" if len(unheard) > _MOST_NAMED else ""
+                    self._note = f"Nobody listened to {', '.join(unheard[:_MOST_NAMED])}{more} when it began."
                 self.begun()
                 await self._play()
                 publishers.cancel_scope.cancel()
@@ -145,7 +155,7 @@ class Playback(Job):
             playback_id=self.id,
             bag=self._request.bag,
             state="playing" if self.is_running else self.state,
-            published={self._destination(name): count for name, count in self._published.items()},
+            published={self._destinations[name]: count for name, count in self._published.items()},
             progress=round(self._progress, 4),
             loops=self._loops,
             elapsed_s=round(self.elapsed_s, 3),
@@ -153,19 +163,19 @@ class Playback(Job):
             note=" ".join(filter(None, (note, *self._problems))),
         )
 
-    def _destination(self, topic: str) -> str:
-        return self._request.remaps.get(topic, topic)
-
-    def _relay(self, topic: str) -> str:
+    def _relay_id(self, topic: str) -> str:
+        """The id of the bridge's part that publishes a topic of the bag."""
         return f"{self.id}{topic}"
 
     async def _open(self, name: str, topic: StoredTopic) -> None:
+        from ros2_mcp.bags.qos import is_latched
+
         play = Play(
             principal=self.owner,
-            name=self._destination(name),
+            name=self._destinations[name],
             type=topic.type,
-            relay_id=self._relay(name),
-            qos=_qos(topic),
+            relay_id=self._relay_id(name),
+            qos=QoS("reliable", "transient_local" if is_latched(topic.qos) else "volatile", depth=_DEPTH),
             bag=self._request.bag,
             topic=name,
             wait_match_s=_MATCH_S,
@@ -173,23 +183,16 @@ class Playback(Job):
         await self._robot.do(play)
 
     async def _until_ready(self, name: str) -> None:
+        """Returns when the topic's publisher can be fed; only a feed, even of no message, tells that."""
         deadline = monotonic() + _READY_S
         while True:
             try:
-                await self._pass_on(name, ())
+                await self._feed(name, ())
                 return
             except NotFound:
                 if monotonic() > deadline:
                     raise
                 await anyio.sleep(_POLL_S)
-
-    async def _note_who_listens(self) -> None:
-        relays = await self._robot.graph.relays()
-        relay_of = {self._destination(name): relays.get(self._relay(name)) for name in self._topics}
-        unheard = [topic for topic, relay in relay_of.items() if relay and not relay.matched]
-        if unheard:
-            more = f" and {len(unheard) - _NAMED} more" if len(unheard) > _NAMED else ""
-            self._note = f"Nobody listened to {', '.join(unheard[:_NAMED])}{more} when it began."
 
     async def _play(self) -> None:
         try:
@@ -202,44 +205,43 @@ class Playback(Job):
                     return
                 if not self._request.loop:
                     return
-                await anyio.sleep(max(0.0, begun + self._loop_s - monotonic()))
-        except NotFound:
+                loop_s = max(self._length_ns / 1e9 / self._request.rate, _SHORTEST_LOOP_S)
+                await anyio.sleep(max(0.0, begun + loop_s - monotonic()))
+        except NotFound:  # the bridge has ended its publishers, as `ros2_stop` tells it
             self.outcome, self.stop_reason = "stopped", "ros2_stop"
 
-    @property
-    def _loop_s(self) -> float:
-        return max(self._length_ns / 1e9 / self._request.rate, _SHORTEST_LOOP_S)
-
     async def _play_once(self, begun: float) -> None:
-        messages = self._bag.messages(self._span)
+        """The messages of the span, in their recorded rhythm counted from `begun`; what is late is not waited for."""
+        rate, messages = self._request.rate, self._bag.messages(self._span)
         while batch := await to_thread.run_sync(_next_batch, messages):
-            for due_ns, group in _together(batch, self._request.rate):
-                away_ns = due_ns - self._first_ns
-                due = begun + away_ns / 1e9 / self._request.rate
+            for group in _together(batch, rate):
+                since_start_ns = group[0][1].received_ns - self._start_ns
+                due = begun + since_start_ns / 1e9 / rate
                 if (pause := due - monotonic()) > 0:
                     await anyio.sleep(pause)
                 self._late_s = max(0.0, monotonic() - due)
-                await self._feed(group)
-                self._progress = min(max(away_ns / self._length_ns, 0.0), 1.0)
+                for topic, members in itertools.groupby(group, key=lambda message: message[0]):
+                    bodies = [sample.data for _, sample in members]
+                    await self._feed(topic, bodies)
+                    self._published[topic] += len(bodies)
+                self._progress = min(max(since_start_ns / self._length_ns, 0.0), 1.0)
         self._progress = 1.0
 
-    async def _feed(self, group: Sequence[tuple[str, Sample]]) -> None:
-        """Publishes messages in their order, those of the same topic that follow each other at once."""
-        for topic, members in itertools.groupby(group, key=lambda each: each[0]):
-            bodies = [sample.data for _, sample in members]
-            await self._pass_on(topic, bodies)
-            self._published[topic] += len(bodies)
-
-    async def _pass_on(self, topic: str, messages: Sequence[bytes]) -> None:
-        to, kind, relay_id = self._destination(topic), self._topics[topic].type, self._relay(topic)
-        feed = Feed(principal=self.owner, name=to, type=kind, relay_id=relay_id, messages=messages)
+    async def _feed(self, topic: str, messages: Sequence[bytes]) -> None:
+        feed = Feed(
+            principal=self.owner,
+            name=self._destinations[topic],
+            type=self._topics[topic].type,
+            relay_id=self._relay_id(topic),
+            messages=messages,
+        )
         await self._robot.do(feed)
 
 
 async def play(
     robot: Robot, store: BagStore, request: PlayRequest, wait_s: float = 40.0, report: Report = silent
 ) -> PlaybackState:
-    """Plays a bag, or a part of it; after `wait_s` it goes on by itself. A waiting that is cancelled stops it.
+    """Plays a bag, or a part of it; after `wait_s` it goes on by itself. Where the call is cancelled, it stops.
 
     Raises:
         Refused: if this server is read-only, or too many playbacks run; without `force`, if a topic has a live
@@ -288,21 +290,22 @@ def _prepare(store: BagStore, request: PlayRequest) -> tuple[Bag, Span, dict[str
         unknown = set(request.remaps) - set(topics)
         if unknown:
             raise BadInput(f"{sorted(unknown)[0]} is remapped, but not played.", f"Played: {', '.join(topics)}.")
-        _check_types({(request.remaps.get(name, name), topic.type) for name, topic in topics.items()})
+        types: dict[str, str] = {}
+        for name, topic in topics.items():
+            destination = request.remaps.get(name, name)
+            other = types.setdefault(destination, topic.type)
+            if other != topic.type:
+                what = f"{destination} would be both a {topic.type} and a {other}."
+                raise TypeConflict(what, "Give other remaps.")
         return bag, replace(span_in(store, bag, request.start, request.end), topics=frozenset(topics)), topics
     except RobotError:
         bag.close()
         raise
 
 
-def _check_types(destinations: Collection[tuple[str, str]]) -> None:
-    for destination, type_name in destinations:
-        for other in (kind for name, kind in destinations if name == destination and kind != type_name):
-            raise TypeConflict(f"{destination} would be both a {type_name} and a {other}.", "Give other remaps.")
-
-
 async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, StoredTopic]) -> None:
-    own = robot.graph.own_nodes  # it keeps publishers ready that say nothing
+    """Raises as `play`, for the topics as they are on the robot now; learns their types."""
+    own = robot.graph.own_nodes  # the bridge keeps publishers ready that publish nothing
     ours = {topic: job.id for job in robot.jobs.running(Job) for topic in job.moves}
     busy: list[str] = []
     driven: list[str] = []
@@ -311,24 +314,19 @@ async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, Stored
         present = await robot.graph.endpoints(destination)
         if present.types and topic.type not in present.types:
             raise TypeConflict(f"{destination} has the type {present.types[0]}, the bag's {name} is a {topic.type}.")
-        others = [each.node for each in present.publishers if each.node not in own]
-        others += [ours[destination]] if destination in ours else []
-        busy += [f"{destination} ({others[0]})"] if others else []
-        moved = [each.node for each in present.subscribers if each.node not in own and topic.type in VELOCITY_TYPES]
-        driven += [f"{moved[0]} listens to {destination}"] if moved else []
+        publishers = [publisher.node for publisher in present.publishers if publisher.node not in own]
+        publishers += [ours[destination]] if destination in ours else []
+        if publishers:
+            busy.append(f"{destination} ({publishers[0]})")
+        subscribers = [subscriber.node for subscriber in present.subscribers if subscriber.node not in own]
+        if subscribers and topic.type in VELOCITY_TYPES:
+            driven.append(f"{subscribers[0]} listens to {destination}")
+    hint = "Use remaps, choose topics, or give force."
     if busy and not request.force:
-        raise Refused(
-            f"These topics have a live publisher: {', '.join(busy)}.", "Use remaps, choose topics, or give force."
-        )
+        raise Refused(f"These topics have a live publisher: {', '.join(busy)}.", hint)
     if driven and not request.force:
-        raise Refused(f"It would move the robot: {', '.join(driven)}.", "Use remaps, choose topics, or give force.")
+        raise Refused(f"It would move the robot: {', '.join(driven)}.", hint)
     await robot.values.learn(*(topic.type for topic in topics.values()))
-
-
-def _qos(topic: StoredTopic) -> QoS:
-    from ros2_mcp.bags.qos import is_latched
-
-    return QoS("reliable", "transient_local" if is_latched(topic.qos) else "volatile", depth=100)
 
 
 def _next_batch(messages: Iterator[tuple[str, Sample]]) -> list[tuple[str, Sample]]:
@@ -342,13 +340,13 @@ def _next_batch(messages: Iterator[tuple[str, Sample]]) -> list[tuple[str, Sampl
     return batch
 
 
-def _together(batch: Sequence[tuple[str, Sample]], rate: float) -> Iterator[tuple[int, list[tuple[str, Sample]]]]:
-    """Groups of messages that are due within two milliseconds, with the time of the first."""
+def _together(batch: Sequence[tuple[str, Sample]], rate: float) -> Iterator[list[tuple[str, Sample]]]:
+    """Groups of messages that are due within `_TOGETHER_S`."""
     group: list[tuple[str, Sample]] = []
     for message in batch:
         if group and message[1].received_ns - group[0][1].received_ns > _TOGETHER_S * 1e9 * rate:
-            yield group[0][1].received_ns, group
+            yield group
             group = []
         group.append(message)
     if group:
-        yield group[0][1].received_ns, group
+        yield group

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
-from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import monotonic
@@ -23,22 +22,26 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import SERVER, Principal, Record
 from ros2_mcp.model.errors import BadInput, LinkError, Refused, RobotError
-from ros2_mcp.model.samples import Counts, Sample
+from ros2_mcp.model.samples import Counts
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.robot import Listening, Robot
 from ros2_mcp.robot.jobs import Job
 
 if TYPE_CHECKING:
-    from ros2_mcp.bags.recorder import Limits, Recorder
+    from ros2_mcp.bags.recorder import Recorder
     from ros2_mcp.settings import Settings
 
 MAX_DURATION_S = 7 * 86_400.0
 """A week; the disk's floor ends most recordings before."""
+MAX_BYTES = 10**13
+"""10 TB: more than the disk of any robot."""
 LARGEST_BYTES = 32_000
 """Larger messages (pictures, clouds) would push all others out of the ring: their topics are kept only by name."""
 _TURN_S = 0.1
 """How often waiting samples are handed to the disk: rarely enough to cost nothing, and no more is lost at a crash."""
+_JOINED_POLL_S = 0.02
+"""A subscription takes some milliseconds; this is by how much a start is longer than it needs to be."""
 _LOOK_S = 1.0
 """How often new topics are looked for, as the tool's description promises."""
 _JOINED_S = 2.0
@@ -48,6 +51,7 @@ _LEFT_S = 3.0
 _WAITING_BYTES = 64_000_000
 """What one topic may hold in memory while this server is busy: two seconds of a camera's raw pictures."""
 _MOST_NOTES = 20
+"""Each topic may fail in its own way, and a result with hundreds of notes is read by nobody."""
 _logger = logging.getLogger(__name__)
 
 
@@ -55,7 +59,7 @@ _logger = logging.getLogger(__name__)
 class RecordRequest:
     """What to record; without topics and patterns, everything that is not hidden.
 
-    A topic is left as soon as it has a message larger than `largest` bytes (0: never), unless it is latched.
+    A topic is left out as soon as it has a message larger than `largest` bytes (0: never), unless it is latched.
     """
 
     topics: Sequence[str] = ()
@@ -121,18 +125,22 @@ class RecordingState:
 
 @dataclass(frozen=True, slots=True)
 class RecordingStates:
-    """The recordings that run, and the last that ended."""
+    """The recordings that run, and the last ones that ended."""
 
     recordings: Sequence[RecordingState]
 
     def summary(self) -> str:
         """A line for each."""
-        return "\n".join(each.summary() for each in self.recordings) or "Nothing has been recorded."
+        return "\n".join(recording.summary() for recording in self.recordings) or "Nothing has been recorded."
 
 
 @dataclass(slots=True)
 class _Joined:
-    """A topic that is being recorded; `lost` is the subscription that went with a bridge, to be made anew."""
+    """A topic that is being recorded. `former` are the counts of the subscriptions that it has had before.
+
+    `lost` is the subscription that ended with its bridge, to be made anew; `must_renew` says that the one that runs no
+    longer fits the topic's publishers.
+    """
 
     type: str
     publishers: int
@@ -140,16 +148,13 @@ class _Joined:
     lost: Listening | None = None
     former: Counts = field(default_factory=Counts)
     error: str = ""
-    leaving: bool = False
-
-    @property
-    def is_joining(self) -> bool:
-        """Whether its subscription is still to come."""
-        return self.listening is None and not self.error
+    must_renew: bool = False
 
     def counts(self) -> Counts:
         """What became of the messages, over all subscriptions there were."""
-        return self.former if self.listening is None else _sum(self.former, self.listening.counts)
+        one, other = self.former, self.listening.counts if self.listening else Counts()
+        lost = None if one.lost is None or other.lost is None else one.lost + other.lost
+        return Counts(one.received + other.received, one.dropped + other.dropped, lost)
 
 
 class Recording(Job):
@@ -182,12 +187,18 @@ class Recording(Job):
             recorder = self._recorder
             self._store.writes(self._folder, lambda: not recorder.ended)
             async with anyio.create_task_group() as topics:
-                await self._look_or_note(topics)
+                await self._look(topics, recorder)
                 with anyio.move_on_after(_JOINED_S):
-                    while any(joined.is_joining for joined in self._topics.values()):
-                        await anyio.sleep(_TURN_S / 5)
+                    while any(not (joined.listening or joined.error) for joined in self._topics.values()):
+                        await anyio.sleep(_JOINED_POLL_S)
                 self.begun()
-                await self._keep_looking(topics, recorder)
+                look_at = monotonic() + _LOOK_S
+                while not (self._is_ending or recorder.ended):
+                    await anyio.sleep(_TURN_S)
+                    if monotonic() >= look_at:
+                        await self._look(topics, recorder)
+                        look_at = monotonic() + _LOOK_S
+                self._is_ending = True
                 topics.cancel_scope.deadline = anyio.current_time() + _LEFT_S
         finally:
             self._is_ending = True
@@ -202,11 +213,19 @@ class Recording(Job):
     def report(self) -> RecordingState:
         """How it stands."""
         recorder, folder = self._recorder, self._folder
-        counts = dict(recorder.sink.counts) if recorder else {}
+        written = dict(recorder.sink.counts) if recorder else {}
+        discarded = recorder.dropped if recorder else {}
         has_ended = bool(recorder.ended) if recorder else not self.is_running
         has_failed = bool(self.failure or (recorder and recorder.failed))
         reason = str(self.failure) if self.failure else recorder.ended if recorder else "stopped"
-        notes = [*self._notes, *(recorder.notes if recorder else ()), *self._unheard()]
+        topics: list[TopicCounts] = []
+        for name, joined in sorted(self._topics.items()):
+            counts = joined.counts()
+            dropped = counts.dropped + discarded.get(name, 0)
+            topics.append(TopicCounts(name, joined.type, written.get(name, 0), dropped, counts.lost, joined.error))
+        absent = "nobody has published it so far; it joins within a second after somebody does."
+        notes = [*self._notes, *(recorder.notes if recorder else ())]
+        notes += [f"{name}: {absent}" for name in self._request.topics if name not in self._topics]
         return RecordingState(
             recording_id=self.id,
             state="recording" if not has_ended else "failed" if has_failed else "ended",
@@ -215,30 +234,27 @@ class Recording(Job):
             started_at=iso_time(self._started_ns),
             elapsed_s=round(recorder.elapsed_s, 3) if recorder else 0.0,
             bytes=recorder.sink.size if recorder else 0,
-            messages=sum(counts.values()),
-            topics=[self._topic_counts(name, joined, counts) for name, joined in sorted(self._topics.items())],
+            messages=sum(written.values()),
+            topics=topics,
             reason=reason if has_ended else "",
             notes=notes,
         )
 
-    def _unheard(self) -> list[str]:
-        said = "nobody has published it so far; it joins within a second after somebody does."
-        return [f"{name}: {said}" for name in self._request.topics if name not in self._topics]
-
-    def _topic_counts(self, name: str, joined: _Joined, written: dict[str, int]) -> TopicCounts:
-        counts = joined.counts()
-        dropped = counts.dropped + (self._recorder.dropped.get(name, 0) if self._recorder else 0)
-        return TopicCounts(name, joined.type, written.get(name, 0), dropped, counts.lost, joined.error)
-
     def _open(self) -> tuple[Path, Recorder]:
         from ros2_mcp.bags.recorder import Limits, Recorder
-        from ros2_mcp.bags.writer import BagWriter, fresh_folder
+        from ros2_mcp.bags.writer import BagWriter, free_bytes, fresh_folder
 
         request, record_dir = self._request, self._store.record_dir
         limits = Limits(request.max_duration_s, request.max_bytes)
         try:
             folder = fresh_folder(record_dir, request.name)
-            _require_room(folder, limits)
+            free = free_bytes(folder)
+            if free < limits.free_floor_bytes:
+                folder.rmdir()
+                raise BadInput(
+                    f"The disk of {record_dir} has {free} bytes free; {limits.free_floor_bytes} must stay free.",
+                    "Delete old recordings, or start the server with another --record-dir.",
+                )
             return folder, Recorder(BagWriter(folder, folder.name, request.split_bytes), folder, limits)
         except OSError as error:
             raise BadInput(
@@ -246,68 +262,64 @@ class Recording(Job):
                 "Start the server with another --record-dir.",
             ) from error
 
-    # ── finding topics ─────────────────────────────────────────────────────────────────────────────────────────
+    async def _look(self, topics: TaskGroup, recorder: Recorder) -> None:
+        """Joins the chosen topics that are new, and renews subscriptions that no longer fit the publishers' QoS.
 
-    async def _keep_looking(self, topics: TaskGroup, recorder: Recorder) -> None:
-        look_at = monotonic() + _LOOK_S
-        while not (self._is_ending or recorder.ended):
-            await anyio.sleep(_TURN_S)
-            if monotonic() >= look_at:
-                await self._look_or_note(topics)
-                look_at = monotonic() + _LOOK_S
-        self._is_ending = True
-
-    async def _look_or_note(self, topics: TaskGroup) -> None:
+        What goes wrong is noted: the next look may succeed, and the topics that have been joined go on.
+        """
         try:
-            await self._look(topics)
+            for row in await self._robot.graph.topics():
+                if not row.publishers or self._is_ending or not self._request.chooses(row.name):
+                    continue
+                joined = self._topics.get(row.name)
+                if joined is None:
+                    joined = self._topics[row.name] = _Joined(row.types[0], row.publishers)
+                    if len(row.types) > 1:
+                        joined.error = f"It has several types: {', '.join(row.types)}."
+                    else:
+                        topics.start_soon(self._record, row.name, joined, recorder)
+                elif joined.publishers != row.publishers and joined.listening:
+                    joined.publishers = row.publishers
+                    joined.must_renew = not joined.listening.still_fits(await self._robot.graph.endpoints(row.name))
         except RobotError as error:
             self._note(str(error))
 
-    async def _look(self, topics: TaskGroup) -> None:
-        """Joins new topics that are wanted; joins those anew whose publishers now need another QoS."""
-        for row in await self._robot.graph.topics():
-            if not row.publishers or self._is_ending or not self._request.chooses(row.name):
-                continue
-            joined = self._topics.get(row.name)
-            if joined is None:
-                joined = self._topics[row.name] = _Joined(row.types[0], row.publishers)
-                if len(row.types) > 1:
-                    joined.error = f"It has several types: {', '.join(row.types)}."
-                else:
-                    topics.start_soon(self._record, row.name, joined)
-            elif joined.publishers != row.publishers and joined.listening:
-                joined.publishers = row.publishers
-                joined.leaving = not joined.listening.still_fits(await self._robot.graph.endpoints(row.name))
-
-    # ── one topic ──────────────────────────────────────────────────────────────────────────────────────────────
-
-    async def _record(self, name: str, joined: _Joined) -> None:
+    async def _record(self, name: str, joined: _Joined, recorder: Recorder) -> None:
         """Until the recording ends: subscription after subscription, should the bridge be lost meanwhile."""
-        assert self._recorder
         while not self._is_ending:
             try:
-                await self._record_once(name, joined, self._recorder)
+                await self._record_once(name, joined, recorder)
             except LinkError as error:
                 self._note(f"{name}: {error}")
                 await anyio.sleep(_TURN_S)
             except RobotError as error:
                 joined.error = str(error)
                 return
-            except Exception as error:
+            except Exception as error:  # whatever it is, the other topics are recorded on
                 joined.error = f"It cannot be recorded: {error}"
                 _logger.exception("%s cannot be recorded", name)
                 return
 
     async def _record_once(self, name: str, joined: _Joined, recorder: Recorder) -> None:
-        joined.leaving = False
-        async with self._subscription(name, joined) as listening:
+        """One subscription, until the recording ends, it has to be renewed, or the bridge is lost (`LinkError`)."""
+        joined.must_renew = False
+        if joined.lost is None:
+            subscription = self._robot.listen(name, joined.type, max_bytes=_WAITING_BYTES)
+        else:
+            subscription = self._robot.listen_again(joined.lost, max_bytes=_WAITING_BYTES)
+        async with subscription as listening:
             if joined.lost is None:
                 self._describe(listening, recorder)
             joined.listening, joined.lost = listening, None
+            is_latched = listening.choice.qos.durability == "transient_local"
+            largest = 0 if is_latched else self._request.largest
             try:
-                while not (self._is_ending or joined.leaving or recorder.ended):
+                while not (self._is_ending or joined.must_renew or recorder.ended):
                     samples = await listening.take(0.0)
-                    self._require_small(listening, samples)
+                    size = max((len(sample.data) for sample in samples), default=0)
+                    if largest and size > largest:
+                        what = f"Left out: it has messages of {size} bytes, more than {largest}."
+                        raise Refused(what, "Name it to have it.")
                     recorder.put(name, samples)
                     await anyio.sleep(_TURN_S)
             except LinkError:
@@ -318,26 +330,15 @@ class Recording(Job):
         if recorder.ended:
             self._is_ending = True
 
-    def _require_small(self, listening: Listening, samples: Sequence[Sample]) -> None:
-        largest, latched = self._request.largest, listening.choice.qos.durability == "transient_local"
-        size = max((len(sample.data) for sample in samples), default=0)
-        if largest and not latched and size > largest:
-            raise Refused(f"Left out: it has messages of {size} bytes, more than {largest}.", "Name it to have it.")
-
-    def _subscription(self, name: str, joined: _Joined) -> AbstractAsyncContextManager[Listening]:
-        if joined.lost is not None:
-            return self._robot.listen_again(joined.lost, max_bytes=_WAITING_BYTES)
-        return self._robot.listen(name, joined.type, max_bytes=_WAITING_BYTES)
-
     def _describe(self, listening: Listening, recorder: Recorder) -> None:
+        """Tells the recorder what the bag has to say of a topic: type, definition, QoS and hash."""
         from ros2_mcp.bags.qos import qos_text
         from ros2_mcp.bags.schema import schema_text
         from ros2_mcp.bags.stored import StoredTopic
 
-        definitions = self._robot.values.definitions
-        text = schema_text(definitions.interface(listening.type))
+        text = schema_text(self._robot.values.definitions.interface(listening.type))
         profiles = qos_text([publisher.qos for publisher in listening.publishers])
-        topic = StoredTopic(listening.topic, listening.type, None, "ros2msg", text, profiles)
+        topic = StoredTopic(listening.topic, listening.type, encoding="ros2msg", definition=text, qos=profiles)
         recorder.add_topic(topic, next((p.hash for p in listening.publishers if p.hash), ""))
 
     def _note(self, text: str) -> None:
@@ -346,7 +347,7 @@ class Recording(Job):
 
 
 class BlackBox(Recording):
-    """The recording that the server keeps of its own: what is too old makes room for the new."""
+    """The recording that the server begins by itself, in a ring of files: the oldest make room for new ones."""
 
     def __init__(self, robot: Robot, store: BagStore, settings: Settings) -> None:
         topics = [names.absolute(topic) for topic in settings.black_box or ()]
@@ -372,7 +373,10 @@ async def start(robot: Robot, store: BagStore, request: RecordRequest) -> Record
         BadInput: if the folder cannot be written or the disk is nearly full.
         BadValue: if a limit is out of range.
     """
-    request = _checked(request)
+    bounded("max_duration_sec", request.max_duration_s, 0.0, MAX_DURATION_S, "s")
+    bounded("max_bytes", request.max_bytes, 0, MAX_BYTES, "bytes")
+    bounded("split_bytes", request.split_bytes, 0, MAX_BYTES, "bytes")
+    request = replace(request, topics=[names.absolute(topic) for topic in request.topics])
     await robot.do(Record(principal=robot.principal, name=request.name, topics=request.topics))
     recording = Recording(robot, store, request)
     await robot.jobs.start(recording)
@@ -397,27 +401,3 @@ async def status(robot: Robot, recording_id: str = "") -> RecordingStates:
 async def stop(robot: Robot, recording_id: str) -> RecordingState:
     """Ends a recording and closes its files."""
     return (await robot.jobs.stop(Recording, recording_id)).report()
-
-
-def _checked(request: RecordRequest) -> RecordRequest:
-    bounded("max_duration_sec", request.max_duration_s, 0.0, MAX_DURATION_S, "s")
-    for name, value in (("max_bytes", request.max_bytes), ("split_bytes", request.split_bytes)):
-        bounded(name, value, 0, 10**13, "bytes")
-    return replace(request, topics=[names.absolute(topic) for topic in request.topics])
-
-
-def _require_room(folder: Path, limits: Limits) -> None:
-    from ros2_mcp.bags.writer import free_bytes
-
-    free = free_bytes(folder)
-    if free < limits.free_floor_bytes:
-        folder.rmdir()
-        raise BadInput(
-            f"The disk of {folder.parent} has {free} bytes free; {limits.free_floor_bytes} must stay free.",
-            "Delete old recordings, or start the server with another --record-dir.",
-        )
-
-
-def _sum(one: Counts, other: Counts) -> Counts:
-    lost = None if one.lost is None or other.lost is None else one.lost + other.lost
-    return Counts(one.received + other.received, one.dropped + other.dropped, lost)
