@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 
 from ros2_mcp.bags.bag import Bag
-from ros2_mcp.bags.ring import MOST_MESSAGES, LatchedTopic
 from ros2_mcp.bags.qos import qos_text
 from ros2_mcp.bags.recorder import Limits, Recorder
-from ros2_mcp.bags.ring import RingWriter
+from ros2_mcp.bags.ring import MOST_MESSAGES, LatchedTopic, RingWriter
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import MESSAGE_BYTES
 from ros2_mcp.model.qos import QoS
