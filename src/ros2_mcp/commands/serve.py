@@ -7,14 +7,12 @@ import gc
 import logging
 import os
 import signal
-from collections.abc import Awaitable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ros2_mcp.settings import Settings
 
 if TYPE_CHECKING:
-    from ros2_mcp.assembly import Assembly
     from ros2_mcp.link.client import Bridge
 
 
@@ -56,7 +54,12 @@ def launch(settings: Settings) -> Bridge | None:
 
 
 async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None) -> None:
+    """Serves in one task group. The robot is left in peace before the process ends, whatever ends it."""
+    # Imported here because the bridge has been launched now, and comes up meanwhile.
+    import anyio
+
     from ros2_mcp.assembly import assemble
+    from ros2_mcp.ops.memory.record import keep_black_box
 
     assembly = assemble(settings, bridge)
     # One line for each message, without time and place: it is read in a client's log, which adds its own.
@@ -64,37 +67,36 @@ async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None) -
     if wire:
         from ros2_mcp.server import serve_stdio
 
-        running = serve_stdio(assembly.server, wire.read_fd, wire.write_fd)
+        serving = serve_stdio(assembly.server, wire.read_fd, wire.write_fd)
     else:
         from ros2_mcp.http import serve_http  # brings uvicorn, which stdio does not need
 
-        running = serve_http(assembly.server, settings)
+        serving = serve_http(assembly.server, settings)
     gc.freeze()
     gc.enable()
-    await _until_told_to_end(assembly, running)
 
+    ending, failures = asyncio.Event(), list[BaseException]()
 
-async def _until_told_to_end(assembly: Assembly, running: Awaitable[None]) -> None:
-    from ros2_mcp.ops.memory.record import keep_black_box
-
-    told_to_end = asyncio.Event()
-    background: list[asyncio.Task[None]] = []
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        asyncio.get_running_loop().add_signal_handler(number, told_to_end.set)
-    async with assembly.running():
-        if not assembly.store.subject:
-            assembly.robot.log.start()
-            keeping = keep_black_box(assembly.robot, assembly.store, assembly.settings)
-            background.append(asyncio.create_task(keeping))
-        serving = asyncio.ensure_future(running)
-        ending = asyncio.create_task(told_to_end.wait())
+    async def serve_until_the_client_leaves() -> None:
         try:
-            await asyncio.wait({serving, ending}, return_when=asyncio.FIRST_COMPLETED)
+            await serving
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - raised below: here it would cancel what stops the robot
+            failures.append(error)  # uvicorn exits where it cannot listen
         finally:
-            for task in background:
-                task.cancel()
-    if serving.done():
-        serving.result()
-    # The robot is left in peace. The thread that reads stdin cannot be interrupted, and asyncio would wait for it.
-    logging.shutdown()
-    os._exit(0)
+            ending.set()
+
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        asyncio.get_running_loop().add_signal_handler(number, ending.set)
+    async with anyio.create_task_group() as tasks:
+        async with assembly.running():
+            if not assembly.store.subject:
+                assembly.robot.log.start()
+                tasks.start_soon(keep_black_box, assembly.robot, assembly.store, settings)
+            tasks.start_soon(serve_until_the_client_leaves)
+            await ending.wait()
+        if not failures:
+            # The thread that reads stdin cannot be interrupted, and leaving the group would wait for it.
+            logging.shutdown()
+            os._exit(0)
+        tasks.cancel_scope.cancel()
+    raise failures[0]
