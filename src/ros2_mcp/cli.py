@@ -160,7 +160,7 @@ def _argument(option: Option) -> dict[str, Any]:
     keywords["metavar"] = option.kind.metavar
     if option.alone is not None:
         keywords |= {"nargs": "?", "const": option.alone}
-    return {**keywords, "action": "append"} if option.repeatable else keywords
+    return {**keywords, "action": "append"} if option.kind.several else keywords
 
 
 class _Version(argparse.Action):

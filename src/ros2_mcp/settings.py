@@ -8,7 +8,7 @@ and `docs/reference/settings.md`. Nothing else lists the options.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -29,150 +29,76 @@ _BLACK_BOX_BYTES = (1_000_000, 10**13)
 _BLACK_BOX_HOURS = (0.01, 10_000)
 
 
-class Kind:
-    """What values an option takes: `values` says it in words, `metavar` in the command line's help."""
-
-    metavar = "TEXT"
-    values = "text"
-
-    def parse(self, text: str) -> Any:
-        """The value that a text means; raises `ValueError` if it means none."""
-        return text
-
-    def allows(self, value: Any) -> bool:  # noqa: ARG002
-        """Whether a value is within the bounds."""
-        return True
-
-    def written(self, value: Any) -> str:
-        """The value as a user would write it."""
-        return str(value)
+def _always(_: Any) -> bool:
+    return True
 
 
 @dataclass(frozen=True, slots=True)
-class Text(Kind):
-    """Any text."""
+class Kind:
+    """What values an option takes: `values` says it in words, `metavar` in the command line's help.
+
+    `parse` makes a value of a text or raises `ValueError`, `allows` says whether it is within the bounds, `written` is
+    the value as a user would write it. `is_path`: files or folders. `several`: the option may be given again.
+    """
 
     metavar: str = "TEXT"
     values: str = "text"
+    parse: Callable[[str], Any] = str
+    allows: Callable[[Any], bool] = _always
+    written: Callable[[Any], str] = str
+    is_path: bool = False
+    several: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class OneOf(Kind):
-    """One of a few words."""
-
-    choices: tuple[str, ...]
-
-    @property
-    def metavar(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The choices in braces, as argparse writes them."""
-        return f"{{{','.join(self.choices)}}}"
-
-    @property
-    def values(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The choices in words."""
-        return f"{', '.join(self.choices[:-1])} or {self.choices[-1]}"
-
-    def allows(self, value: Any) -> bool:
-        """Whether it is one of the choices."""
-        return value in self.choices
+def _one_of(*choices: str) -> Kind:
+    words = f"{', '.join(choices[:-1])} or {choices[-1]}"
+    return Kind(f"{{{','.join(choices)}}}", words, allows=lambda value: value in choices)
 
 
-@dataclass(frozen=True, slots=True)
-class Number(Kind):
-    """A number between two bounds, both included."""
-
-    low: float
-    high: float
-    type: type[int] | type[float] = int
-    metavar: str = "N"
-
-    @property
-    def values(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The bounds in words."""
-        return f"a {'whole ' if self.type is int else ''}number from {self.low} to {self.high}"
-
-    def parse(self, text: str) -> Any:
-        """The number; raises `ValueError`."""
-        return self.type(text)
-
-    def allows(self, value: Any) -> bool:
-        """Whether it lies within the bounds; NaN does not."""
-        return self.low <= value <= self.high
-
-    def written(self, value: Any) -> str:
-        """Without a needless fraction."""
-        return f"{value:.15g}"
+def _number(low: float, high: float, kind: type[int] | type[float] = int, metavar: str = "N") -> Kind:
+    """A number between two bounds, both included. NaN is none; 24 hours are not written as 24.0."""
+    words = f"a {'whole ' if kind is int else ''}number from {low} to {high}"
+    return Kind(metavar, words, kind, lambda value: low <= value <= high, lambda value: f"{value:.15g}")
 
 
-@dataclass(frozen=True, slots=True)
-class Switch(Kind):
-    """On or off."""
-
-    metavar: str = "true|false"
-    values: str = "1 (on) or 0 (off)"
-
-    def parse(self, text: str) -> Any:
-        """True or False; raises `ValueError` for what is neither."""
-        if text.lower() not in ("1", "true", "yes", "on", "0", "false", "no", "off"):
-            raise ValueError(text)
-        return text.lower() in ("1", "true", "yes", "on")
-
-    def written(self, value: Any) -> str:
-        """As in a configuration file."""
-        return "true" if value else "false"
+def _on_or_off(text: str) -> bool:
+    if text.lower() not in ("1", "true", "yes", "on", "0", "false", "no", "off"):
+        raise ValueError(text)
+    return text.lower() in ("1", "true", "yes", "on")
 
 
-@dataclass(frozen=True, slots=True)
-class Names(Kind):
-    """Names with commas between them."""
-
-    metavar: str
-    values: str = "names with commas between them"
-
-    def parse(self, text: str) -> Any:
-        """The names, without what is around them."""
+def _names(metavar: str) -> Kind:
+    def parse(text: str) -> tuple[str, ...]:
         return tuple(name.strip() for name in text.split(",") if name.strip())
 
-    def written(self, value: Any) -> str:
-        """With commas."""
-        return ",".join(value)
+    return Kind(metavar, "names with commas between them", parse, written=",".join)
 
 
-@dataclass(frozen=True, slots=True)
-class File(Kind):
-    """A file or a folder; `must_exist` already."""
-
-    metavar: str = "DIR"
-    must_exist: bool = False
-
-    @property
-    def values(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """What it has to be."""
-        return "a file or folder that exists" if self.must_exist else "a path"
-
-    def parse(self, text: str) -> Any:
-        """The path, with ~ resolved."""
-        return Path(text).expanduser()
-
-    def allows(self, value: Any) -> bool:
-        """Whether it is there, if it must be."""
-        return not self.must_exist or value.expanduser().exists()
+def _path(text: str) -> Path:
+    return Path(text).expanduser()
 
 
-@dataclass(frozen=True, slots=True)
-class Files(Kind):
-    """Several folders: the option is given again for each, the variable has them joined as PATH is."""
+def _paths(text: str) -> tuple[Path, ...]:
+    return tuple(Path(entry).expanduser() for entry in text.split(os.pathsep) if entry)
 
-    metavar: str = "DIR"
-    values: str = f"paths (several: the option again, or {os.pathsep!r} between them in the variable)"
 
-    def parse(self, text: str) -> Any:
-        """The paths, with ~ resolved."""
-        return tuple(Path(entry).expanduser() for entry in text.split(os.pathsep) if entry)
+def _exists(path: Path) -> bool:
+    return path.expanduser().exists()
 
-    def written(self, value: Any) -> str:
-        """As in the variable."""
-        return os.pathsep.join(map(str, value))
+
+_NAME = Kind("NAME")
+_SWITCH = Kind("true|false", "1 (on) or 0 (off)", _on_or_off, written=lambda value: "true" if value else "false")
+_FOLDER = Kind("DIR", "a path", _path, is_path=True)
+_FILE = replace(_FOLDER, metavar="FILE")
+_FILE_THAT_EXISTS = replace(_FILE, values="a file or folder that exists", allows=_exists)
+_FOLDERS = Kind(
+    "DIR",
+    f"paths (several: the option again, or {os.pathsep!r} between them in the variable)",
+    _paths,
+    written=lambda paths: os.pathsep.join(map(str, paths)),
+    is_path=True,
+    several=True,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,11 +125,6 @@ class Option:
     def title(self) -> str:
         """Both names under which it can be set."""
         return f"{self.flag} ({self.variable})"
-
-    @property
-    def repeatable(self) -> bool:
-        """Whether the flag may be given several times."""
-        return isinstance(self.kind, Files)
 
     @property
     def default_text(self) -> str:
@@ -247,100 +168,100 @@ class Settings:
     # One option is read more easily in two or three lines than in eight.
     # fmt: off
     distro: str | None = _option(
-        None, "--distro", "ROS2_MCP_DISTRO", _ROS, Text("NAME"), "distribution to use, such as jazzy",
+        None, "--distro", "ROS2_MCP_DISTRO", _ROS, _NAME, "distribution to use, such as jazzy",
         unset="the sourced one, else the newest installed",
     )
     workspaces: tuple[Path, ...] = _option(
-        (), "--workspace", "ROS2_MCP_WORKSPACE", _ROS, Files(), "overlay to source on top",
+        (), "--workspace", "ROS2_MCP_WORKSPACE", _ROS, _FOLDERS, "overlay to source on top",
     )
     domain_id: int | None = _option(
-        None, "--domain-id", "ROS_DOMAIN_ID", _ROS, Number(0, MAX_DOMAIN_ID), "DDS domain", unset="ROS's own, 0",
+        None, "--domain-id", "ROS_DOMAIN_ID", _ROS, _number(0, MAX_DOMAIN_ID), "DDS domain", unset="ROS's own, 0",
     )
     rmw: str | None = _option(
-        None, "--rmw", "RMW_IMPLEMENTATION", _ROS, Text("NAME"), "middleware, such as rmw_cyclonedds_cpp",
+        None, "--rmw", "RMW_IMPLEMENTATION", _ROS, _NAME, "middleware, such as rmw_cyclonedds_cpp",
         unset="ROS's own choice",
     )
     ros_root: Path = _option(
-        Path("/opt/ros"), "--ros-root", "ROS2_MCP_ROS_ROOT", _ROS, File(),
+        Path("/opt/ros"), "--ros-root", "ROS2_MCP_ROS_ROOT", _ROS, _FOLDER,
         "where the installations are, each as DIR/<distro>/setup.bash",
     )
     bridge_python: Path | None = _option(
-        None, "--bridge-python", "ROS2_MCP_BRIDGE_PYTHON", _ROS, File("FILE"), "the Python that runs the bridge",
+        None, "--bridge-python", "ROS2_MCP_BRIDGE_PYTHON", _ROS, _FILE, "the Python that runs the bridge",
         unset="that of the installation",
     )
     interface_prefixes: tuple[Path, ...] = _option(
-        (), "--interfaces", "ROS2_MCP_INTERFACES", _ROS, Files(),
+        (), "--interfaces", "ROS2_MCP_INTERFACES", _ROS, _FOLDERS,
         "built interface packages that the bridge shall find besides those of its installation",
     )
     cache_dir: Path = _option(
-        Path("~/.cache/ros2-mcp"), "--cache-dir", "ROS2_MCP_CACHE_DIR", _ROS, File(),
+        Path("~/.cache/ros2-mcp"), "--cache-dir", "ROS2_MCP_CACHE_DIR", _ROS, _FOLDER,
         "for interface packages that are built here", unset="ros2-mcp below XDG_CACHE_HOME, else ~/.cache",
     )
 
     transport: Transport = _option(
-        "stdio", "--transport", "ROS2_MCP_TRANSPORT", _SERVING, OneOf(("stdio", "sse", "streamable-http")),
+        "stdio", "--transport", "ROS2_MCP_TRANSPORT", _SERVING, _one_of("stdio", "sse", "streamable-http"),
         "how clients reach this server",
     )
-    host: str = _option("127.0.0.1", "--host", "ROS2_MCP_HOST", _SERVING, Text("ADDRESS"), "address for HTTP")
-    port: int = _option(8123, "--port", "ROS2_MCP_PORT", _SERVING, Number(1, 65535), "port for HTTP")
+    host: str = _option("127.0.0.1", "--host", "ROS2_MCP_HOST", _SERVING, Kind("ADDRESS"), "address for HTTP")
+    port: int = _option(8123, "--port", "ROS2_MCP_PORT", _SERVING, _number(1, 65535), "port for HTTP")
     read_only: bool = _option(
-        False, "--read-only", "ROS2_MCP_READONLY", _SERVING, Switch(), "leave out tools that write",
+        False, "--read-only", "ROS2_MCP_READONLY", _SERVING, _SWITCH, "leave out tools that write",
         takes_value=False,
     )
     tools: tuple[str, ...] = _option(
-        (), "--tools", "ROS2_MCP_TOOLS", _SERVING, Names("GROUPS"),
+        (), "--tools", "ROS2_MCP_TOOLS", _SERVING, _names("GROUPS"),
         "groups of tools, such as default,lifecycle, or all", unset="the default ones",
     )
     # About 10,000 tokens: what one terminal client takes at most is 25,000, and a model should have room for others.
     result_bytes: int = _option(
-        32_000, "--result-bytes", "ROS2_MCP_RESULT_BYTES", _SERVING, Number(*_RESULT_BYTES),
+        32_000, "--result-bytes", "ROS2_MCP_RESULT_BYTES", _SERVING, _number(*_RESULT_BYTES),
         "bound on the text of one result",
     )
     log_level: str = _option(
-        "warning", "--log-level", "ROS2_MCP_LOG_LEVEL", _SERVING, OneOf(("debug", "info", "warning", "error")),
+        "warning", "--log-level", "ROS2_MCP_LOG_LEVEL", _SERVING, _one_of("debug", "info", "warning", "error"),
         "what is told on stderr; debug has the bridge's own log too",
     )
 
     prompts: Path | None = _option(
-        None, "--prompts", "ROS2_MCP_PROMPTS", _PROMPTS, File(), "folder of your prompts in Markdown",
+        None, "--prompts", "ROS2_MCP_PROMPTS", _PROMPTS, _FOLDER, "folder of your prompts in Markdown",
     )
     # The three names that begin with MCP_ are those under which WiseVision's servers know these settings.
     custom_prompts: bool = _option(
-        False, "--custom-prompts", "MCP_CUSTOM_PROMPTS", _PROMPTS, Switch(), "load prompts of Python packages",
+        False, "--custom-prompts", "MCP_CUSTOM_PROMPTS", _PROMPTS, _SWITCH, "load prompts of Python packages",
         alone="true",
     )
     prompts_local: bool = _option(
-        False, "--prompts-local", "MCP_PROMPTS_LOCAL", _PROMPTS, Switch(),
+        False, "--prompts-local", "MCP_PROMPTS_LOCAL", _PROMPTS, _SWITCH,
         "with --custom-prompts: load a module instead", alone="true",
     )
     prompts_path: Path | None = _option(
-        None, "--prompts-path", "MCP_PROMPTS_PATH", _PROMPTS, File(), "folder of that module",
+        None, "--prompts-path", "MCP_PROMPTS_PATH", _PROMPTS, _FOLDER, "folder of that module",
     )
     prompts_module: str = _option(
-        "extension_prompts", "--prompts-module", "MCP_PROMPTS_MODULE", _PROMPTS, Text("NAME"), "name of that module",
+        "extension_prompts", "--prompts-module", "MCP_PROMPTS_MODULE", _PROMPTS, _NAME, "name of that module",
     )
 
     record_dir: Path = _option(
-        Path("~/ros2-mcp/recordings"), "--record-dir", "ROS2_MCP_RECORD_DIR", _MEMORY, File(), "for recordings",
+        Path("~/ros2-mcp/recordings"), "--record-dir", "ROS2_MCP_RECORD_DIR", _MEMORY, _FOLDER, "for recordings",
     )
     bag_dir: Path | None = _option(
-        None, "--bag-dir", "ROS2_MCP_BAG_DIR", _MEMORY, File(), "where bags are read, besides the recordings",
+        None, "--bag-dir", "ROS2_MCP_BAG_DIR", _MEMORY, _FOLDER, "where bags are read, besides the recordings",
     )
     bag: Path | None = _option(
-        None, "--bag", "ROS2_MCP_BAG", _MEMORY, File("FILE", must_exist=True),
+        None, "--bag", "ROS2_MCP_BAG", _MEMORY, _FILE_THAT_EXISTS,
         "a recording in the place of the robot; needs no ROS",
     )
     black_box: tuple[str, ...] | None = _option(
-        None, "--black-box", "ROS2_MCP_BLACK_BOX", _MEMORY, Names("TOPICS"),
+        None, "--black-box", "ROS2_MCP_BLACK_BOX", _MEMORY, _names("TOPICS"),
         "always keep these topics; alone: all that have small messages", unset="nothing is kept", alone="",
     )
     # What the disk of a robot's computer can spare without being asked.
     black_box_bytes: int = _option(
-        1_000_000_000, "--black-box-bytes", "ROS2_MCP_BLACK_BOX_BYTES", _MEMORY, Number(*_BLACK_BOX_BYTES),
+        1_000_000_000, "--black-box-bytes", "ROS2_MCP_BLACK_BOX_BYTES", _MEMORY, _number(*_BLACK_BOX_BYTES),
         "at most so many bytes of it",
     )
     black_box_hours: float = _option(
-        24.0, "--black-box-hours", "ROS2_MCP_BLACK_BOX_HOURS", _MEMORY, Number(*_BLACK_BOX_HOURS, float, "H"),
+        24.0, "--black-box-hours", "ROS2_MCP_BLACK_BOX_HOURS", _MEMORY, _number(*_BLACK_BOX_HOURS, float, "H"),
         "at most so many hours of it",
     )
 
@@ -380,9 +301,9 @@ class Settings:
 
 
 OPTIONS: Mapping[str, Option] = {
-    each.name: replace(each.metadata["option"], name=each.name)
-    for each in fields(Settings)
-    if "option" in each.metadata
+    declared.name: replace(declared.metadata["option"], name=declared.name)
+    for declared in fields(Settings)
+    if "option" in declared.metadata
 }
 """Every option by the name of its field, in the order of `--help`."""
 

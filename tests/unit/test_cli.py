@@ -8,7 +8,7 @@ from ros2_mcp.cli import CLIENTS, parser, run, settings_from
 from ros2_mcp.commands.call import parse_assignments
 from ros2_mcp.commands.doctor import what_is_set
 from ros2_mcp.model.errors import BadInput
-from ros2_mcp.settings import OPTIONS, Settings, Switch
+from ros2_mcp.settings import OPTIONS, Settings
 
 
 def settings(*argv: str) -> Settings:
@@ -33,10 +33,9 @@ def test_options_become_settings() -> None:
 
 
 def test_every_setting_has_an_option_that_sets_it() -> None:
-    texts = {"transport": "sse", "log_level": "info", "bag": "/"}
+    texts = {"transport": "sse", "log_level": "info", "bag": "/", "result_bytes": "1000", "black_box_bytes": "1000000"}
     for name, option in OPTIONS.items():
-        value = getattr(option.kind, "low", None)
-        text = texts.get(name, "true" if isinstance(option.kind, Switch) else str(value) if value else "1")
+        text = texts.get(name, "true" if option.default is False else "1")
         made = settings(option.flag, *([text] if option.takes_value else []))
         assert getattr(made, name) == option.parse(text)
         assert made.origins == {name: option.flag}

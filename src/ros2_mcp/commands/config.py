@@ -12,7 +12,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ros2_mcp.settings import OPTIONS, File, Files
+from ros2_mcp.settings import OPTIONS
 
 NAME = "ros2"
 _PASSED_ON = ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS")
@@ -49,7 +49,7 @@ def configuration(client: str, command: str, options: Sequence[str], variables: 
 
 def absolute_paths(options: Sequence[str]) -> list[str]:
     """The options with absolute paths: a client starts the server in a folder of its own."""
-    with_paths = [option.flag for option in OPTIONS.values() if isinstance(option.kind, (File, Files))]
+    with_paths = [option.flag for option in OPTIONS.values() if option.kind.is_path]
     return [
         str(Path(word).expanduser().resolve()) if before in with_paths else word
         for before, word in zip(("", *options), options, strict=False)
