@@ -6,7 +6,8 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, BadName
@@ -41,23 +42,28 @@ class Argument:
         Raises:
             BadInput: naming the argument, what was given and what is allowed.
         """
+        reason = ""
         try:
-            value = KINDS[self.kind](text.strip())
-        except (ValueError, BadName) as error:
-            reason = error.message if isinstance(error, BadName) else ""
-            raise self._wrong(text, reason) from None
-        if isinstance(value, (int, float)) and not self.minimum <= value <= self.maximum:
-            raise self._wrong(text)
-        value = (self.other_choices or {}).get(str(value), value)
-        if self.choices and value not in self.choices:
-            raise self._wrong(text)
+            value = KINDS[self.kind].value(text.strip())
+            if isinstance(value, (int, float)) and not self.minimum <= value <= self.maximum:
+                raise ValueError
+            value = (self.other_choices or {}).get(str(value), value)
+        except (ValueError, KeyError):
+            value = None
+        except BadName as error:
+            value, reason = None, error.message
+        if value is None or (self.choices and value not in self.choices):
+            raise BadInput(f"Argument {self.name} is {text!r}.", f"{reason} Give {self.allowed()}.".strip())
         return value
 
     def allowed(self) -> str:
         """What may be given, in words."""
         if self.choices:
             return f"one of {', '.join(shown(choice) for choice in self.choices)}"
-        return _IN_WORDS[self.kind] + self._bounds()
+        low, high = math.isfinite(self.minimum), math.isfinite(self.maximum)
+        bounds = f" from {shown(self.minimum)} to {shown(self.maximum)}" if low and high else ""
+        bounds = bounds or (f" of at least {shown(self.minimum)}" if low else "")
+        return KINDS[self.kind].words + (bounds or (f" of at most {shown(self.maximum)}" if high else ""))
 
     def explained(self) -> str:
         """The description as the user sees it, with what is allowed and the default."""
@@ -65,20 +71,6 @@ class Argument:
         if self.default not in (None, "", []):
             notes.append(f"default: {shown(self.default)}")
         return f"{self.description} ({'; '.join(notes)})" if notes else self.description
-
-    def _bounds(self) -> str:
-        if math.isfinite(self.minimum) and math.isfinite(self.maximum):
-            return f" from {shown(self.minimum)} to {shown(self.maximum)}"
-        if math.isfinite(self.minimum):
-            return f" of at least {shown(self.minimum)}"
-        return f" of at most {shown(self.maximum)}" if math.isfinite(self.maximum) else ""
-
-    def _wrong(self, text: str, reason: str = "") -> BadInput:
-        return BadInput(f"Argument {self.name} is {text!r}.", f"{reason} Give {self.allowed()}.".strip())
-
-
-def _string(text: str) -> str:
-    return text
 
 
 def _number(text: str) -> float:
@@ -88,22 +80,8 @@ def _number(text: str) -> float:
     return value
 
 
-def _integer(text: str) -> int:
-    return int(text)
-
-
 def _boolean(text: str) -> bool:
-    if text.lower() not in _TRUE + _FALSE:
-        raise ValueError
-    return text.lower() in _TRUE
-
-
-def _one_name(what: str) -> Callable[[str], str]:
-    return lambda text: names.absolute(text, what)
-
-
-def _message_type(text: str) -> str:
-    return names.interface_type(text, "msg")
+    return {**dict.fromkeys(_TRUE, True), **dict.fromkeys(_FALSE, False)}[text.lower()]
 
 
 def _list(text: str) -> list[str]:
@@ -116,42 +94,37 @@ def _list(text: str) -> list[str]:
     return parts
 
 
-def _many_names(what: str) -> Callable[[str], list[str]]:
+def _name_of(what: str) -> Callable[[str], str]:
+    return lambda text: names.absolute(text, what)
+
+
+def _names_of(what: str) -> Callable[[str], list[str]]:
     return lambda text: [names.absolute(part, what) for part in _list(text)]
 
 
-KINDS: Mapping[str, Callable[[str], Any]] = {
-    "string": _string,
-    "number": _number,
-    "integer": _integer,
-    "boolean": _boolean,
-    "list": _list,
-    "topic": _one_name("topic"),
-    "topics": _many_names("topic"),
-    "service": _one_name("service"),
-    "services": _many_names("service"),
-    "node": _one_name("node"),
-    "nodes": _many_names("node"),
-    "action": _one_name("action"),
-    "message_type": _message_type,
-}
-"""What an argument can be, with what makes its value out of text."""
+class Kind(NamedTuple):
+    """A kind of argument: the function that makes its value of text (`ValueError` where it cannot), and its name."""
 
-_IN_WORDS: Mapping[str, str] = {
-    "string": "a text",
-    "number": "a number",
-    "integer": "a whole number",
-    "boolean": "true or false",
-    "list": 'a list, such as a, b or ["a", "b"]',
-    "topic": "the name of a topic, such as /scan",
-    "topics": "names of topics, such as /scan, /odom",
-    "service": "the name of a service, such as /reset",
-    "services": "names of services, such as /reset, /save",
-    "node": "the name of a node, such as /driver",
-    "nodes": "names of nodes, such as /driver, /planner",
-    "action": "the name of an action, such as /navigate",
-    "message_type": "a type, such as sensor_msgs/msg/LaserScan",
+    value: Callable[[str], Any]
+    words: str
+
+
+KINDS: Mapping[str, Kind] = {
+    "string": Kind(str, "a text"),
+    "number": Kind(_number, "a number"),
+    "integer": Kind(int, "a whole number"),
+    "boolean": Kind(_boolean, "true or false"),
+    "list": Kind(_list, 'a list, such as a, b or ["a", "b"]'),
+    "topic": Kind(_name_of("topic"), "the name of a topic, such as /scan"),
+    "topics": Kind(_names_of("topic"), "names of topics, such as /scan, /odom"),
+    "service": Kind(_name_of("service"), "the name of a service, such as /reset"),
+    "services": Kind(_names_of("service"), "names of services, such as /reset, /save"),
+    "node": Kind(_name_of("node"), "the name of a node, such as /driver"),
+    "nodes": Kind(_names_of("node"), "names of nodes, such as /driver, /planner"),
+    "action": Kind(_name_of("action"), "the name of an action, such as /navigate"),
+    "message_type": Kind(partial(names.interface_type, kind="msg"), "a type, such as sensor_msgs/msg/LaserScan"),
 }
+"""What an argument can be."""
 
 
 def values_of(arguments: Sequence[Argument], given: Mapping[str, str]) -> dict[str, Any]:
@@ -160,22 +133,19 @@ def values_of(arguments: Sequence[Argument], given: Mapping[str, str]) -> dict[s
     Raises:
         BadInput: for an unknown, missing or wrong argument.
     """
-    known = [argument.name for argument in arguments]
+    declared = [argument.name for argument in arguments]
     for name in given:
-        if name not in known:
-            takes = f"It takes: {', '.join(known)}." if known else "It takes none."
-            raise BadInput(f"This prompt has no argument {name!r}.", names.did_you_mean(name, known, takes))
-    return {argument.name: _value(argument, given.get(argument.name, "")) for argument in arguments}
-
-
-def _value(argument: Argument, text: str) -> Any:
-    if text.strip():
-        return argument.value(text)
-    if argument.required and argument.default is None:
-        raise BadInput(
-            f"This prompt needs the argument {argument.name}: {argument.description}.", f"Give {argument.allowed()}."
-        )
-    return argument.default
+        if name not in declared:
+            takes = f"It takes: {', '.join(declared)}." if declared else "It takes none."
+            raise BadInput(f"This prompt has no argument {name!r}.", names.did_you_mean(name, declared, takes))
+    values: dict[str, Any] = {}
+    for argument in arguments:
+        text = given.get(argument.name, "")
+        if not text.strip() and argument.required and argument.default is None:
+            problem = f"This prompt needs the argument {argument.name}: {argument.description}."
+            raise BadInput(problem, f"Give {argument.allowed()}.")
+        values[argument.name] = argument.value(text) if text.strip() else argument.default
+    return values
 
 
 def shown(value: Any) -> str:

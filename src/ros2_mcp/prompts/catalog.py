@@ -1,4 +1,4 @@
-"""Every prompt of one server: the base prompts, those of the user's folder, those of the user's code."""
+"""Every prompt of one server: the base prompts, the ones in the user's folder, and the ones in the user's code."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Catalog:
         load_code: finds the prompts of the user's code; called once, when the prompts are first asked for.
         missing: for tools that this server does not offer, what would offer them.
         tools: every tool there is.
-        tell: where mistakes of users are told.
+        tell: is called with each mistake of a user.
     """
 
     def __init__(
@@ -67,10 +67,8 @@ class Catalog:
         """
         prompts = await self.prompts()
         if name not in prompts:
-            known = list(prompts)
-            raise NotFound(
-                f"There is no prompt {name!r}.", did_you_mean(name, known, f"There are: {', '.join(known)}.")
-            )
+            hint = did_you_mean(name, list(prompts), f"There are: {', '.join(prompts)}.")
+            raise NotFound(f"There is no prompt {name!r}.", hint)
         return prompts[name]
 
     async def messages(self, name: str, given: Mapping[str, str]) -> Sequence[Message]:
@@ -85,27 +83,22 @@ class Catalog:
         if not named:
             return messages
         absent = ", ".join(f"{tool} ({self._missing[tool]})" for tool in sorted(named))
-        return [
-            *messages,
-            Message(f"Not offered by this server: {absent}. Tell the user if it cannot be done without."),
-        ]
+        note = f"Not offered by this server: {absent}. Tell the user if it cannot be done without."
+        return [*messages, Message(note)]
 
     def has_news(self) -> bool:
         """Whether the user's folder has changed since the prompts were asked for; each change is news once."""
         return self._folder is not None and self._folder.has_news()
 
     async def _code(self) -> Sequence[Prompt]:
+        """The prompts of the user's code, each name once; whatever takes another's name is reported and left out."""
         async with self._loading:
             if self._of_code is None and self._load_code:
-                self._of_code = self._first_of_each(await asyncio.to_thread(self._load_code, self._tell))
+                found: dict[str, Prompt] = {}
+                for prompt in await asyncio.to_thread(self._load_code, self._tell):
+                    if prompt.name in found or prompt.name in {base.name for base in self._base}:
+                        self._tell(Mistake("prompts of code", 0, f"The name {prompt.name} is already taken."))
+                    else:
+                        found[prompt.name] = prompt
+                self._of_code = list(found.values())
         return self._of_code or ()
-
-    def _first_of_each(self, prompts: Sequence[Prompt]) -> Sequence[Prompt]:
-        """Each name once; who comes later, or takes a name of the base prompts, is told."""
-        kept: dict[str, Prompt] = {}
-        for prompt in prompts:
-            if prompt.name in kept or prompt.name in {base.name for base in self._base}:
-                self._tell(Mistake("prompts of code", 0, f"The name {prompt.name} is already taken."))
-            else:
-                kept[prompt.name] = prompt
-        return list(kept.values())

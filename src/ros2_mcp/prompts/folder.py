@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Sequence, Set
+from contextlib import suppress
 from pathlib import Path
 
 from ros2_mcp.prompts.markdown import MAX_CHARACTERS, Parsed, parse
@@ -22,7 +23,7 @@ class PromptFolder:
         self._tools = tools
         self._seen: Sequence[tuple[str, int, int]] = _NOT_READ_YET
         self._announced = self._seen
-        self._told: Set[Mistake] = frozenset()
+        self._reported: Set[Mistake] = frozenset()
         self._prompts: Sequence[Prompt] = ()
 
     def prompts(self) -> Sequence[Prompt]:
@@ -38,58 +39,47 @@ class PromptFolder:
         self._announced = state
         return is_news
 
-    def _state(self) -> Sequence[tuple[str, int, int]]:
-        return tuple(_stamps(self._files()))
-
     def _files(self) -> list[Path]:
         return sorted(path for path in self.path.glob("*.md") if path.name.lower() != "readme.md")
 
+    def _state(self) -> Sequence[tuple[str, int, int]]:
+        """Differs whenever a file came, went or changed."""
+        found: list[tuple[str, int, int]] = []
+        for path in self._files():
+            with suppress(OSError):  # it may have gone since it was listed
+                status = path.stat()
+                found.append((path.name, status.st_mtime_ns, status.st_size))
+        return tuple(found)
+
     def _read(self) -> None:
         self._seen = self._state()
-        self._prompts, mistakes = _load(self._files(), self._taken, self._tools)
+        prompts: dict[str, Prompt] = {}
+        mistakes: list[Mistake] = []
+        for path in self._files():
+            parsed = _parse_file(path, self._tools)
+            mistakes += parsed.mistakes
+            if parsed.prompt is None:
+                continue
+            if parsed.prompt.name in self._taken or parsed.prompt.name in prompts:
+                mistakes.append(Mistake(str(path), parsed.line, f"The name {parsed.prompt.name} is already taken."))
+            else:
+                prompts[parsed.prompt.name] = parsed.prompt
         if not self.path.is_dir():
             mistakes = [Mistake(str(self.path), 0, "There is no such folder of prompts.")]
         for mistake in mistakes:
-            if mistake not in self._told:
+            if mistake not in self._reported:
                 self._tell(mistake)
-        self._told = frozenset(mistakes)
-
-
-def _stamps(files: Sequence[Path]) -> Iterator[tuple[str, int, int]]:
-    for path in files:
-        try:
-            status = path.stat()
-        except OSError:
-            continue
-        yield path.name, status.st_mtime_ns, status.st_size
-
-
-def _load(files: Sequence[Path], taken: Set[str], tools: Set[str]) -> tuple[list[Prompt], list[Mistake]]:
-    prompts: dict[str, Prompt] = {}
-    mistakes: list[Mistake] = []
-    for path in files:
-        parsed = _parse_file(path, tools)
-        mistakes += parsed.mistakes
-        if parsed.prompt is None:
-            continue
-        if parsed.prompt.name in taken or parsed.prompt.name in prompts:
-            mistakes.append(Mistake(str(path), parsed.line, f"The name {parsed.prompt.name} is already taken."))
-        else:
-            prompts[parsed.prompt.name] = parsed.prompt
-    return list(prompts.values()), mistakes
+        self._prompts, self._reported = list(prompts.values()), frozenset(mistakes)
 
 
 def _parse_file(path: Path, tools: Set[str]) -> Parsed:
     try:
         text = path.read_text(encoding="utf-8-sig")
+        if len(text) <= MAX_CHARACTERS:
+            return parse(str(path), path.stem, text, tools)
+        problem = f"It is longer than {MAX_CHARACTERS} characters."
     except UnicodeDecodeError:
-        return _unusable(path, "It is not text in UTF-8.")
+        problem = "It is not text in UTF-8."
     except OSError as error:
-        return _unusable(path, f"It cannot be read: {error.strerror}.")
-    if len(text) > MAX_CHARACTERS:
-        return _unusable(path, f"It is longer than {MAX_CHARACTERS} characters.")
-    return parse(str(path), path.stem, text, tools)
-
-
-def _unusable(path: Path, text: str) -> Parsed:
-    return Parsed(None, 0, [Mistake(str(path), 0, text)])
+        problem = f"It cannot be read: {error.strerror}."
+    return Parsed(None, 0, [Mistake(str(path), 0, problem)])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Set
 from typing import Any
 
 from ros2_mcp.model.names import did_you_mean
@@ -21,50 +21,41 @@ _END = re.compile(r"^\s*\{\{/if\s*\}\}\s*$")
 
 
 def fill(text: str, values: Mapping[str, Any]) -> str:
-    """The text with its placeholders replaced, once: what a value brings along is not looked at again."""
-    return "\n".join(_PLACEHOLDER.sub(_replaced(values), line) for line in _kept(text.split("\n"), values))
+    """The text with its placeholders replaced, once: placeholders inside a value stay as they are."""
 
-
-def _replaced(values: Mapping[str, Any]) -> Callable[[re.Match[str]], str]:
     def value_of(found: re.Match[str]) -> str:
         if found["name"] not in values:
             return found[0]
         value = values[found["name"]]
         return json.dumps(value, ensure_ascii=False) if found["json"] else shown(value)
 
-    return value_of
-
-
-def _kept(lines: Sequence[str], values: Mapping[str, Any]) -> Iterator[str]:
-    """The lines that no condition leaves out."""
+    lines: list[str] = []
     conditions: list[bool] = []
-    for line in lines:
+    for line in text.split("\n"):
         if (begin := _IF.match(line)) and begin["name"] in values:
             conditions.append(bool(values[begin["name"]]) != bool(begin["no"]))
         elif conditions and _END.match(line):
             conditions.pop()
         elif all(conditions):
-            yield line
+            lines.append(_PLACEHOLDER.sub(value_of, line))
+    return "\n".join(lines)
 
 
-def mistakes_of(text: str, known: Set[str]) -> Iterator[tuple[int, str]]:
+def mistakes_of(text: str, arguments: Set[str]) -> Iterator[tuple[int, str]]:
     """What is wrong in a text, each with its line, counted from 0."""
     open_since: list[int] = []
     for number, line in enumerate(text.split("\n")):
+        used = [found["name"] for found in _PLACEHOLDER.finditer(line)]
         if begin := _IF.match(line):
             open_since.append(number)
-            if begin["name"] not in known:
-                yield number, _undeclared(begin["name"], known)
+            used.insert(0, begin["name"])
         elif _END.match(line):
             if not open_since:
                 yield number, "{{/if}} without {{#if}}."
             else:
                 open_since.pop()
-        for found in _PLACEHOLDER.finditer(line):
-            if found["name"] not in known:
-                yield number, _undeclared(found["name"], known)
+        for name in used:
+            if name not in arguments:
+                hint = did_you_mean(name, sorted(arguments), "Declare it, or it stays as written.")
+                yield number, f"There is no argument {name}. {hint}"
     yield from ((number, "{{#if}} is never closed with {{/if}}.") for number in open_since)
-
-
-def _undeclared(name: str, known: Set[str]) -> str:
-    return f"There is no argument {name}. {did_you_mean(name, sorted(known), 'Declare it, or it stays as written.')}"
