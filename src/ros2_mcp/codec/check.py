@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -22,13 +21,13 @@ from ros2_mcp.model.values import EXACT_INTEGER, NOT_FINITE, SUMMARY
 
 _FLOAT32 = Struct("<f")
 _DECIMAL = re.compile(r"-?\d{1,20}", re.ASCII)
+_BYTES_HINT = "Give bytes as a list of 0 to 255 or as base64."
 _DTYPES: Mapping[str, type[np.generic]] = {
     "bool": np.bool_,
     "byte": np.uint8,
     "char": np.uint8,
     **{name: getattr(np, name) for name in (*FLOATS, *INTEGERS) if name not in ("byte", "char")},
 }
-_LIMITS = {base: f"{low} to {high}" for base, (low, high) in INTEGERS.items()}
 
 
 def check(definitions: Definitions, type_name: str, value: object, *, partial: bool = True) -> object:
@@ -96,7 +95,10 @@ class _Check:
 
     def _several(self, field_type: FieldType, value: object, path: str) -> list[Any] | NDArray[Any]:
         if field_type.base in OCTETS and isinstance(value, str):
-            data = _octets(value, path)
+            try:
+                data = np.frombuffer(base64.b64decode(value, validate=True), np.uint8)
+            except ValueError as error:
+                raise BadValue(path, f"{excerpt(value)} is not base64.", _BYTES_HINT) from error
             _check_length(field_type, len(data), path)
             return data
         values = _list(field_type, value, path)
@@ -107,34 +109,27 @@ class _Check:
 
 
 def _object(structure: Structure, value: object, path: str) -> Mapping[str, object]:
-    if _is_summary(value):
-        raise _summary_error(path)
+    _refuse_summary(value, path)
     if not isinstance(value, Mapping):
-        raise BadValue(path, f"{excerpt(value)} given, an object with the fields of {structure.type} expected.")
+        raise _wrong(path, value, f"an object with the fields of {structure.type}")
     fields = cast("Mapping[str, object]", value)
-    known = [field.name for field in structure.fields]
+    names = [field.name for field in structure.fields]
     for name in fields:
-        if name not in known:
-            raise _unknown_field(structure, name, known, path)
+        if name not in names:
+            near = nearest(str(name), names)
+            hint = f"Did you mean {near}? " if near else ""
+            hint += f"Its fields are {', '.join(names)}." if names else "It has no fields."
+            raise BadValue(_below(path, str(name)[:80]), f"{structure.type} has no such field.", hint)
     return fields
 
 
-def _unknown_field(structure: Structure, name: str, known: Sequence[str], path: str) -> BadValue:
-    near = nearest(str(name), known)
-    hint = f"Did you mean {near}? " if near else ""
-    fields = f"Its fields are {', '.join(known)}." if known else "It has no fields."
-    return BadValue(_below(path, str(name)[:80]), f"{structure.type} has no such field.", hint + fields)
-
-
 def _list(field_type: FieldType, value: object, path: str) -> Sequence[object]:
-    if _is_summary(value):
-        raise _summary_error(path)
+    _refuse_summary(value, path)
     if isinstance(value, np.ndarray):
         return cast("Sequence[object]", value.tolist())
     if isinstance(value, (list, tuple)):
         return cast("Sequence[object]", value)
-    hint = "Give bytes as a list of 0 to 255 or as base64." if field_type.base in OCTETS else "Give a list."
-    raise BadValue(path, f"{excerpt(value)} given, {field_type} expected.", hint)
+    raise _wrong(path, value, str(field_type), _BYTES_HINT if field_type.base in OCTETS else "Give a list.")
 
 
 def _check_length(field_type: FieldType, length: int, path: str) -> None:
@@ -162,10 +157,11 @@ def _scalar(field_type: FieldType, value: object, path: str) -> bool | int | flo
     Raises:
         BadValue: naming `path`, if it does not fit without loss.
     """
-    if _is_summary(value):
-        raise _summary_error(path)
+    _refuse_summary(value, path)
     if field_type.base == "bool":
-        return _boolean(value, path)
+        if not isinstance(value, bool):
+            raise _wrong(path, value, "bool", "Write true or false, without quotes.")
+        return value
     if field_type.base in INTEGERS:
         return _integer(field_type.base, value, path)
     if field_type.base in FLOATS:
@@ -173,125 +169,77 @@ def _scalar(field_type: FieldType, value: object, path: str) -> bool | int | flo
     return _text(field_type, value, path)
 
 
-def _numbers(field_type: FieldType, values: Sequence[object], path: str) -> NDArray[Any]:
-    """A list as an array of the numeric type, or of booleans; raises `BadValue` as `_scalar` does."""
-    kinds = set(map(type, values))
-    if field_type.base in FLOATS and kinds <= {float}:
-        return _floats(field_type, values, path)
-    if field_type.base in INTEGERS and kinds == {int} and _all_in_range(field_type.base, values):
-        return np.array(values, _DTYPES[field_type.base])
-    return _one_by_one(field_type, values, path)
+def _numbers(field_type: FieldType, values: Sequence[Any], path: str) -> NDArray[Any]:
+    """A list as an array of the numeric type, or of booleans; raises `BadValue` as `_scalar` does.
+
+    Lists of one kind are converted at once: images and clouds have millions of values.
+    """
+    kinds, base = set(map(type, values)), field_type.base
+    if base in FLOATS and kinds <= {float}:
+        exact = np.array(values, np.float64)
+        with np.errstate(over="ignore"):
+            rounded = exact.astype(_DTYPES[base])
+        if np.array_equal(np.isinf(rounded), np.isinf(exact)):
+            return rounded
+    if base in INTEGERS and kinds == {int} and INTEGERS[base][0] <= min(values) and max(values) <= INTEGERS[base][1]:
+        return np.array(values, _DTYPES[base])
+    scalars = [_scalar(field_type.element, value, f"{path}[{index}]") for index, value in enumerate(values)]
+    return np.array(scalars, _DTYPES[base])
 
 
-def _floats(field_type: FieldType, values: Sequence[Any], path: str) -> NDArray[Any]:
-    exact = np.array(values, np.float64)
-    if field_type.base == "float64":
-        return exact
-    with np.errstate(over="ignore"):
-        rounded = exact.astype(np.float32)
-    if np.array_equal(np.isinf(rounded), np.isinf(exact)):
-        return rounded
-    return _one_by_one(field_type, values, path)
-
-
-def _one_by_one(field_type: FieldType, values: Sequence[object], path: str) -> NDArray[Any]:
-    element, dtype = field_type.element, _DTYPES[field_type.base]
-    return np.array([_scalar(element, value, f"{path}[{index}]") for index, value in enumerate(values)], dtype)
-
-
-def _octets(text: str, path: str) -> NDArray[np.uint8]:
-    """The bytes that a base64 string stands for."""
-    try:
-        return np.frombuffer(base64.b64decode(text, validate=True), np.uint8)
-    except (binascii.Error, ValueError) as error:
+def _refuse_summary(value: object, path: str) -> None:
+    """Raises `BadValue` for a summary that `render` made in the place of a value."""
+    if isinstance(value, Mapping) and SUMMARY in value:
         raise BadValue(
-            path, f"{excerpt(text)} is not base64.", "Give bytes as a list of 0 to 255 or as base64."
-        ) from error
-
-
-def _is_summary(value: object) -> bool:
-    """Whether it is a summary that `render` made in the place of a value."""
-    return isinstance(value, Mapping) and SUMMARY in value
-
-
-def _summary_error(path: str) -> BadValue:
-    """The refusal of a summary in the place of a value."""
-    return BadValue(
-        path,
-        "this is a summary of a value that was too long to show, not the value itself.",
-        "Read it in full (fields, max_array), or leave the field out to send its default.",
-    )
-
-
-def _all_in_range(base: str, values: Sequence[Any]) -> bool:
-    low, high = INTEGERS[base]
-    return low <= min(values) and max(values) <= high
+            path,
+            "this is a summary of a value that was too long to show, not the value itself.",
+            "Read it in full (fields, max_array), or leave the field out to send its default.",
+        )
 
 
 def _wrong(path: str, value: object, expected: str, hint: str = "") -> BadValue:
     return BadValue(path, f"{excerpt(value)} given, {expected} expected.", hint)
 
 
-def _boolean(value: object, path: str) -> bool:
-    if isinstance(value, bool):
-        return value
-    raise _wrong(path, value, "bool", "Write true or false, without quotes.")
-
-
 def _integer(base: str, value: object, path: str) -> int:
-    number = _as_integer(base, value, path)
+    hint = "Write the number without quotes." if isinstance(value, str) else ""
+    number: int | None = None
+    if isinstance(value, int) and not isinstance(value, bool):
+        number = value
+    elif isinstance(value, float):
+        if not value.is_integer():
+            hint = "It would lose its fraction: round it."
+        elif abs(value) > EXACT_INTEGER:
+            hint = "Integers beyond 2^53 are exact only as strings: write the digits in quotes."
+        else:
+            number = int(value)
+    elif isinstance(value, str) and base.endswith("64") and _DECIMAL.fullmatch(value):
+        number = int(value)
+    if number is None:
+        raise _wrong(path, value, base, hint)
     low, high = INTEGERS[base]
     if not low <= number <= high:
-        raise _wrong(path, value, f"{base}, {_LIMITS[base]},")
+        raise _wrong(path, value, f"{base}, {low} to {high},")
     return number
 
 
-def _as_integer(base: str, value: object, path: str) -> int:
-    if isinstance(value, int) and not isinstance(value, bool):
-        return value
-    if isinstance(value, float) and value.is_integer():
-        if abs(value) > EXACT_INTEGER:
-            raise _wrong(
-                path, value, base, "Integers beyond 2^53 are exact only as strings: write the digits in quotes."
-            )
-        return int(value)
-    if isinstance(value, str) and base.endswith("64") and _DECIMAL.fullmatch(value):
-        return int(value)
-    hint = "Write the number without quotes." if isinstance(value, str) else ""
-    raise _wrong(path, value, base, "It would lose its fraction: round it." if isinstance(value, float) else hint)
-
-
 def _float(base: str, value: object, path: str) -> float:
-    number = _as_float(base, value, path)
+    if isinstance(value, str) and value not in NOT_FINITE:
+        raise _wrong(path, value, base, 'Write the number without quotes; only "nan", "inf" and "-inf" are strings.')
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise _wrong(path, value, base)
+    try:
+        number = NOT_FINITE[value] if isinstance(value, str) else float(value)
+    except OverflowError:
+        number = math.inf
+    if isinstance(value, int) and number != value:
+        hint = "This integer is not exactly a floating-point number: write it as one, such as 1e17."
+        raise _wrong(path, value, base, hint)
     if base == "float32":
         try:
             _FLOAT32.pack(number)
         except OverflowError as error:
             raise _wrong(path, value, "float32, -3.4e38 to 3.4e38,") from error
-    return number
-
-
-def _as_float(base: str, value: object, path: str) -> float:
-    if isinstance(value, float):
-        return value
-    if isinstance(value, int) and not isinstance(value, bool):
-        return _exact_float(base, value, path)
-    if isinstance(value, str):
-        if value in NOT_FINITE:
-            return NOT_FINITE[value]
-        raise _wrong(path, value, base, 'Write the number without quotes; only "nan", "inf" and "-inf" are strings.')
-    raise _wrong(path, value, base)
-
-
-def _exact_float(base: str, value: int, path: str) -> float:
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if number != value:
-        raise _wrong(
-            path, value, base, "This integer is not exactly a floating-point number: write it as one, such as 1e17."
-        )
     return number
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.select import parse_fields
+from ros2_mcp.codec.select import parse_field
 
 
 def unit_of(definitions: Definitions, type_name: str, path: str) -> str:
@@ -16,69 +14,58 @@ def unit_of(definitions: Definitions, type_name: str, path: str) -> str:
     Raises:
         BadValue: for a path that does not exist.
     """
-    (selection,) = parse_fields(definitions, type_name, [path])
-    inside = type_name
-    found = ""
-    for step in selection.steps:
-        name = step.field.name
-        found = _UNITS.get(f"{inside}.{name}") or found
+    inside, found = type_name, ""
+    for step in parse_field(definitions, type_name, path).steps:
+        found = _UNITS.get(f"{inside}.{step.field.name}") or found
         inside = step.field.type.base
-    return found or next((unit for suffix, unit in _SUFFIXES.items() if _ends(path, suffix)), "")
-
-
-def _ends(path: str, suffix: str) -> bool:
-    """Whether the name at the end of a path ends like that, an index aside."""
-    return path.partition("[")[0].lower().endswith(suffix)
-
-
-def _of(unit: str, type_name: str, *names: str) -> Iterator[tuple[str, str]]:
-    package, _, name = type_name.partition("/")
-    yield from ((f"{package}/msg/{name}.{field}", unit) for field in names)
+    name = path.partition("[")[0].lower()
+    return found or next((unit for suffix, unit in _SUFFIXES.items() if name.endswith(suffix)), "")
 
 
 _SUFFIXES = {"_m": "m", "_mps": "m/s", "_s": "s", "_ms": "ms", "_rad": "rad", "_deg": "°", "_hz": "Hz", "voltage": "V"}
-_UNITS = dict(
-    [
-        *_of("m", "geometry_msgs/Point", "x", "y", "z"),
-        *_of("m", "geometry_msgs/Point32", "x", "y", "z"),
-        *_of("m", "geometry_msgs/Pose2D", "x", "y"),
-        *_of("rad", "geometry_msgs/Pose2D", "theta"),
-        *_of("m", "geometry_msgs/Transform", "translation"),
-        *_of("m/s", "geometry_msgs/Twist", "linear"),
-        *_of("rad/s", "geometry_msgs/Twist", "angular"),
-        *_of("m/s²", "geometry_msgs/Accel", "linear"),
-        *_of("rad/s²", "geometry_msgs/Accel", "angular"),
-        *_of("N", "geometry_msgs/Wrench", "force"),
-        *_of("N·m", "geometry_msgs/Wrench", "torque"),
-        *_of("kg", "geometry_msgs/Inertia", "m"),
-        *_of("rad/s", "sensor_msgs/Imu", "angular_velocity"),
-        *_of("m/s²", "sensor_msgs/Imu", "linear_acceleration"),
-        *_of("T", "sensor_msgs/MagneticField", "magnetic_field"),
-        *_of("m", "sensor_msgs/LaserScan", "ranges", "range_min", "range_max"),
-        *_of("rad", "sensor_msgs/LaserScan", "angle_min", "angle_max", "angle_increment"),
-        *_of("s", "sensor_msgs/LaserScan", "time_increment", "scan_time"),
-        *_of("m", "sensor_msgs/Range", "range", "min_range", "max_range"),
-        *_of("rad", "sensor_msgs/Range", "field_of_view"),
-        *_of("V", "sensor_msgs/BatteryState", "voltage", "cell_voltage"),
-        *_of("A", "sensor_msgs/BatteryState", "current"),
-        *_of("Ah", "sensor_msgs/BatteryState", "charge", "capacity", "design_capacity"),
-        *_of("°C", "sensor_msgs/BatteryState", "temperature", "cell_temperature"),
-        *_of("°C", "sensor_msgs/Temperature", "temperature"),
-        *_of("Pa", "sensor_msgs/FluidPressure", "fluid_pressure"),
-        *_of("lx", "sensor_msgs/Illuminance", "illuminance"),
-        *_of("°", "sensor_msgs/NavSatFix", "latitude", "longitude"),
-        *_of("m", "sensor_msgs/NavSatFix", "altitude"),
-        *_of("rad or m", "sensor_msgs/JointState", "position"),
-        *_of("rad/s or m/s", "sensor_msgs/JointState", "velocity"),
-        *_of("N·m or N", "sensor_msgs/JointState", "effort"),
-        *_of("m/s", "ackermann_msgs/AckermannDrive", "speed"),
-        *_of("m/s²", "ackermann_msgs/AckermannDrive", "acceleration"),
-        *_of("rad", "ackermann_msgs/AckermannDrive", "steering_angle"),
-        *_of("rad/s", "ackermann_msgs/AckermannDrive", "steering_angle_velocity"),
-        *_of("m", "nav_msgs/MapMetaData", "resolution"),
-        *_of("s", "builtin_interfaces/Time", "sec"),
-        *_of("s", "builtin_interfaces/Duration", "sec"),
-        *_of("ns", "builtin_interfaces/Time", "nanosec"),
-        *_of("ns", "builtin_interfaces/Duration", "nanosec"),
-    ]
-)
+"""Endings of names by which robots' own interfaces usually say the unit."""
+_BY_INTERFACE = {
+    "ackermann_msgs/AckermannDrive": {
+        "m/s": "speed",
+        "m/s²": "acceleration",
+        "rad": "steering_angle",
+        "rad/s": "steering_angle_velocity",
+    },
+    "builtin_interfaces/Duration": {"s": "sec", "ns": "nanosec"},
+    "builtin_interfaces/Time": {"s": "sec", "ns": "nanosec"},
+    "geometry_msgs/Accel": {"m/s²": "linear", "rad/s²": "angular"},
+    "geometry_msgs/Inertia": {"kg": "m"},
+    "geometry_msgs/Point": {"m": "x y z"},
+    "geometry_msgs/Point32": {"m": "x y z"},
+    "geometry_msgs/Pose2D": {"m": "x y", "rad": "theta"},
+    "geometry_msgs/Transform": {"m": "translation"},
+    "geometry_msgs/Twist": {"m/s": "linear", "rad/s": "angular"},
+    "geometry_msgs/Wrench": {"N": "force", "N·m": "torque"},
+    "nav_msgs/MapMetaData": {"m": "resolution"},
+    "sensor_msgs/BatteryState": {
+        "V": "voltage cell_voltage",
+        "A": "current",
+        "Ah": "charge capacity design_capacity",
+        "°C": "temperature cell_temperature",
+    },
+    "sensor_msgs/FluidPressure": {"Pa": "fluid_pressure"},
+    "sensor_msgs/Illuminance": {"lx": "illuminance"},
+    "sensor_msgs/Imu": {"rad/s": "angular_velocity", "m/s²": "linear_acceleration"},
+    "sensor_msgs/JointState": {"rad or m": "position", "rad/s or m/s": "velocity", "N·m or N": "effort"},
+    "sensor_msgs/LaserScan": {
+        "m": "ranges range_min range_max",
+        "rad": "angle_min angle_max angle_increment",
+        "s": "time_increment scan_time",
+    },
+    "sensor_msgs/MagneticField": {"T": "magnetic_field"},
+    "sensor_msgs/NavSatFix": {"°": "latitude longitude", "m": "altitude"},
+    "sensor_msgs/Range": {"m": "range min_range max_range", "rad": "field_of_view"},
+    "sensor_msgs/Temperature": {"°C": "temperature"},
+}
+"""Unit → fields, as the comments of the interfaces say it."""
+_UNITS = {
+    f"{type_name.replace('/', '/msg/')}.{name}": unit
+    for type_name, fields in _BY_INTERFACE.items()
+    for unit, names in fields.items()
+    for name in names.split()
+}
