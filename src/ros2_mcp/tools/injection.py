@@ -1,9 +1,8 @@
-"""Dependency injection: parameters of a tool's function whose values are made here, such as the robot or a source.
+"""What tools ask for and the model does not see: made here from a call's arguments and from what the server has.
 
-The model sees the arguments that a value is made from: for a parameter `source: Source` these are `bag`, `start` and
-`end`. What makes a value is a function, the maker. It is found by the parameter's type (`_MAKERS`), or the annotation
-names it (`MadeBy`). A maker takes the `Call`; each of its other parameters becomes an argument of the tool. Where the
-tool has a parameter of the same name, both get the same value.
+A parameter `source: Source` gives a tool the arguments `bag`, `start` and `end`, and itself the source that they mean.
+Parameters with a `MadeBy` get their values, and their tool its arguments, from another function. A maker takes the
+`Call`; its other parameters are arguments of the tool, or are shared with it where the tool has one of that name.
 """
 
 from __future__ import annotations
@@ -35,8 +34,6 @@ from ros2_mcp.tools.arguments import (
     UpToEnd,
 )
 
-Maker = Callable[..., Any]
-
 
 @dataclass(frozen=True, slots=True)
 class Call:
@@ -50,9 +47,10 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class MadeBy:
-    """Metadata of a parameter: the function that makes its value."""
+    """Metadata of a parameter: the function that makes its value, and the arguments it gives the tool (None: all)."""
 
-    maker: Maker
+    maker: Callable[..., Any]
+    arguments: tuple[str, ...] | None = None
 
 
 # ── makers ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -74,15 +72,7 @@ async def _log_source(call: Call, since: Since = "", bag: FromBag = "", end: UpT
     return await _sources(call).open(bag, f"{since} s ago" if is_number else since, end)
 
 
-def _size(call: Call) -> Selection:
-    return Selection(max_bytes=call.robot.result_bytes)
-
-
-def _messages(call: Call, fields: Fields = None, max_array: MaxArray = 64, every_n: EveryN = 1) -> Selection:
-    return Selection(fields=fields or (), max_array=max_array, every_n=every_n, max_bytes=call.robot.result_bytes)
-
-
-def _limited_messages(
+def _selection(
     call: Call,
     duration: Duration = None,
     message_limit: MessageLimit = None,
@@ -100,48 +90,43 @@ def _limited_messages(
     )
 
 
-def _message(call: Call, fields: Fields = None, max_array: MaxArray = 64) -> Selection:
-    return Selection(fields=fields or (), max_array=max_array, max_bytes=call.robot.result_bytes)
-
-
 def _numbers(call: Call, fields: NumericFields = None) -> Selection:
-    return Selection(fields=fields or (), max_bytes=call.robot.result_bytes)
+    return _selection(call, fields=fields)
 
 
-Messages = Annotated[Selection, MadeBy(_messages)]
-LimitedMessages = Annotated[Selection, MadeBy(_limited_messages)]
-OneMessage = Annotated[Selection, MadeBy(_message)]
+LimitedMessages = Annotated[Selection, MadeBy(_selection)]
+Messages = Annotated[Selection, MadeBy(_selection, ("fields", "max_array", "every_n"))]
+OneMessage = Annotated[Selection, MadeBy(_selection, ("fields", "max_array"))]
 Numbers = Annotated[Selection, MadeBy(_numbers)]
 LogSource = Annotated[Source, MadeBy(_log_source)]
 
-_MAKERS: Mapping[Any, Maker] = {
-    Source: _source,
-    Sources: _sources,
-    Selection: _size,
-    Robot: attrgetter("robot"),
-    BagStore: attrgetter("store"),
-    Report: attrgetter("report"),
+_BY_TYPE: Mapping[Any, MadeBy] = {
+    Source: MadeBy(_source),
+    Sources: MadeBy(_sources),
+    Selection: MadeBy(_selection, ()),
+    Robot: MadeBy(attrgetter("robot"), ()),
+    BagStore: MadeBy(attrgetter("store"), ()),
+    Report: MadeBy(attrgetter("report"), ()),
 }
-"""Type of a parameter → its maker, where the type alone says what is meant."""
+"""Type of a parameter → how its value is made, where the type alone says what is meant."""
 
 
-# ── their use ────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── how they are used ────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def maker_of(parameter: inspect.Parameter) -> Maker | None:
-    """What makes the value of a parameter; None if it is an argument of the tool."""
-    for metadata in getattr(parameter.annotation, "__metadata__", ()):
-        if isinstance(metadata, MadeBy):
-            return metadata.maker
-    return next((maker for kind, maker in _MAKERS.items() if parameter.annotation == kind), None)
+def made_by(parameter: inspect.Parameter) -> MadeBy | None:
+    """How the value of a parameter is made; None if it is an argument of the tool."""
+    metadata = getattr(parameter.annotation, "__metadata__", ())
+    found = next((item for item in metadata if isinstance(item, MadeBy)), None)
+    return found or next((made for kind, made in _BY_TYPE.items() if parameter.annotation == kind), None)
 
 
 def arguments_of(whole: inspect.Signature) -> inspect.Signature:
     """The signature that the model sees: injected parameters are replaced by the arguments that they are made from."""
     arguments: dict[str, inspect.Parameter] = {}
     for parameter in whole.parameters.values():
-        maker = maker_of(parameter)
-        for argument in [parameter] if maker is None else _parameters_of(maker).values():
+        made = made_by(parameter)
+        for argument in _parameters_of(made) if made else [parameter]:
             if argument is parameter or argument.name not in whole.parameters:
                 arguments[argument.name] = argument.replace(kind=inspect.Parameter.KEYWORD_ONLY)
     return whole.replace(parameters=list(arguments.values()))
@@ -155,19 +140,19 @@ async def values_for(whole: inspect.Signature, call: Call, arguments: Mapping[st
     """
     values: dict[str, Any] = {}
     for name, parameter in whole.parameters.items():
-        maker = maker_of(parameter)
-        if maker is None:
+        made = made_by(parameter)
+        if made is None:
             values[name] = arguments[name]
             continue
-        made: Any = maker(call, **{argument: arguments[argument] for argument in _parameters_of(maker)})
-        values[name] = await made if isinstance(made, Awaitable) else made
+        value: Any = made.maker(call, **{one.name: arguments[one.name] for one in _parameters_of(made)})
+        values[name] = await value if isinstance(value, Awaitable) else value
     return values
 
 
 @cache
-def _parameters_of(maker: Maker) -> dict[str, inspect.Parameter]:
-    """The parameters of a maker, the call left out."""
-    if isinstance(maker, attrgetter):
-        return {}
-    found = list(inspect.signature(maker, eval_str=True).parameters.values())
-    return {parameter.name: parameter for parameter in found[1:]}
+def _parameters_of(made: MadeBy) -> Sequence[inspect.Parameter]:
+    """The arguments that a tool has for a maker; its first parameter is the call."""
+    if made.arguments == ():
+        return ()
+    found = dict(inspect.signature(made.maker, eval_str=True).parameters)
+    return [found[name] for name in made.arguments or list(found)[1:]]

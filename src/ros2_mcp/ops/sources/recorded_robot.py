@@ -1,4 +1,4 @@
-"""A recording in the place of the robot: its topics as a graph, and no ROS anywhere."""
+"""A recording that stands for the robot: its topics as a graph, and no ROS anywhere."""
 
 from __future__ import annotations
 
@@ -24,19 +24,20 @@ if TYPE_CHECKING:
 
 
 def recorded_robot(store: BagStore, result_bytes: int) -> Robot:
-    """The recording that is the memory's subject, as far as it can be a robot: it has topics, and does nothing."""
-    bridge = Bridge(_no_ros)
+    """The store's subject as a robot: it has topics and their types, and refuses to do anything."""
+
+    def no_ros() -> NoReturn:
+        started = "This server was started with --bag: its robot is a recording."
+        raise RosNotFound(started, "Start it without, for a robot.")
+
+    bridge = Bridge(no_ros)
     graph = RecordedGraph(bridge, store)
     policy = Policy(read_only=True, recorded=True)
     return Robot(bridge, policy, result_bytes, graph=graph, values=RecordedValues(graph, store))
 
 
-def _no_ros() -> NoReturn:
-    raise RosNotFound("This server was started with --bag: its robot is a recording.", "Start it without, for a robot.")
-
-
 class RecordedGraph(Graph):
-    """The graph as far as a recording tells it: topics, what their publishers offered, and their types."""
+    """The part of a graph that a recording knows: topics, what their publishers offered, and their types."""
 
     def __init__(self, bridge: Bridge, store: BagStore) -> None:
         super().__init__(bridge)
@@ -47,12 +48,12 @@ class RecordedGraph(Graph):
         recorded = (await self._recorded_topics()).values()
         return Rows([TopicRow(found.topic, found.types, len(found.publishers), 0) for found in recorded], settled=True)
 
-    async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:  # noqa: ARG002 - a file does not make us wait
+    async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:  # noqa: ARG002 - a file answers at once
         """The types of the recorded topics, with those that they refer to."""
         return sorted(await recorded_definitions(self._store))
 
     async def endpoints(self, topic: str) -> TopicEndpoints:
-        """The publishers of a topic, without names; empty where the recording does not have it."""
+        """The publishers of a topic, without names; none if the recording does not have it."""
         return (await self._recorded_topics()).get(topic, TopicEndpoints(topic, (), ()))
 
     async def _recorded_topics(self) -> Mapping[str, TopicEndpoints]:

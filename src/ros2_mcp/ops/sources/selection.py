@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import bounded
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from ros2_mcp.codec.definitions import Definitions
 
 FIRST_MESSAGE_S = 5.0
-"""Whoever names no limit wants the next message: longer than the slowest usual topics (map, diagnostics: 1 s) take."""
+"""How long the next message is waited for, if no limit is given: more than the slowest usual topics (1 s) take."""
 LIMITED_S = 20.0
-"""Whoever wants a number of messages and names no time; below the 30 s after which some clients give a call up."""
+"""How long a number of messages is waited for without a duration: some clients give a call up after 30 s."""
 MAX_MESSAGES = 100_000
 MAX_BYTES = 64_000_000
-"""Of messages to be shown: sixty raw camera pictures. What is shown of them in the end are 32 kB."""
+"""Memory for messages to be shown: sixty raw camera pictures. The result shows 32 kB of them in the end."""
 _BESIDE_BYTES = 60
-"""Of each message in the result: its time, and the signs around both."""
+"""What a message takes in the result beside its value: its time in ISO 8601, quotes and commas."""
 _LEAST_BYTES = 500
-"""So much of a message is shown in any case: less than that says nothing of it."""
+"""The least part of a message that is shown: less than that says nothing of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,47 +72,36 @@ class Selection:
             parse_fields(definitions, type_name, self.fields)
 
 
+@dataclass(kw_only=True)
 class Collector:
-    """Samples within bounds on their number and bytes; the oldest give way. `seen` counts all, `dropped` those.
+    """Samples within bounds on their number and bytes: the oldest are `dropped`, and counted; `seen` counts all.
 
     With `times_only` their bytes are not kept. It is full as soon as it has kept `enough` samples.
     """
 
-    def __init__(
-        self,
-        *,
-        max_samples: int = MAX_MESSAGES,
-        max_bytes: int = MAX_BYTES,
-        every_n: int = 1,
-        enough: int | None = None,
-        times_only: bool = False,
-    ) -> None:
-        self.samples: deque[Sample] = deque()
-        self.seen = 0
-        self.dropped = 0
-        self._bytes = 0
-        self._max_samples = max_samples
-        self._max_bytes = max_bytes
-        self._every_n = every_n
-        self._enough = enough
-        self._times_only = times_only
+    max_samples: int = MAX_MESSAGES
+    max_bytes: int = MAX_BYTES
+    every_n: int = 1
+    enough: int | None = None
+    times_only: bool = False
+    samples: deque[Sample] = field(default_factory=deque[Sample], init=False)
+    seen: int = field(default=0, init=False)
+    dropped: int = field(default=0, init=False)
+    _bytes: int = field(default=0, init=False)
 
     def add(self, samples: Iterable[Sample]) -> bool:
         """Takes samples in; true as soon as there are enough."""
         for sample in samples:
             self.seen += 1
-            if (self.seen - 1) % self._every_n == 0:
-                self._keep(replace(sample, data=b"") if self._times_only else sample)
-            if self._enough is not None and len(self.samples) >= self._enough:
+            if (self.seen - 1) % self.every_n == 0:
+                self.samples.append(replace(sample, data=b"") if self.times_only else sample)
+                self._bytes += len(self.samples[-1].data)
+            while len(self.samples) > self.max_samples or (self._bytes > self.max_bytes and len(self.samples) > 1):
+                self._bytes -= len(self.samples.popleft().data)
+                self.dropped += 1
+            if self.enough is not None and len(self.samples) >= self.enough:
                 return True
         return False
-
-    def _keep(self, sample: Sample) -> None:
-        self.samples.append(sample)
-        self._bytes += len(sample.data)
-        while len(self.samples) > self._max_samples or (self._bytes > self._max_bytes and len(self.samples) > 1):
-            self._bytes -= len(self.samples.popleft().data)
-            self.dropped += 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +157,7 @@ def fit(codec: Codec, type_name: str, samples: Sequence[Sample], selection: Sele
         options = RenderOptions(max_array=selection.max_array, max_bytes=max_bytes, fields=fields)
         return render(codec.definitions, type_name, message, options=options)
 
+    # The newest message says how many of its size have room. Those after it cannot be decoded and are skipped.
     last, newest = len(samples), None
     while last and newest is None:
         last -= 1
@@ -175,21 +165,22 @@ def fit(codec: Codec, type_name: str, samples: Sequence[Sample], selection: Sele
     if newest is None:
         return Fitted(undecodable=len(troubles), trouble=troubles[0] if troubles else "")
     whole = rendered(newest, selection.max_bytes)
-    chosen = spread(samples[: last + 1], max(selection.max_bytes // (whole.bytes + _BESIDE_BYTES), 1))
+    room = max(selection.max_bytes // (whole.bytes + _BESIDE_BYTES), 1)
+    chosen = [samples[index] for index in spread_indices(last + 1, room)]
     share = max(selection.max_bytes // len(chosen), _LEAST_BYTES)
-    read = [(sample, message) for sample in chosen[:-1] if (message := decoded(sample)) is not None]
-    results = [rendered(message, share) for _, message in read]
+    shown = [(sample, message) for sample in chosen[:-1] if (message := decoded(sample)) is not None]
+    results = [rendered(message, share) for _, message in shown]
     results.append(whole if whole.bytes <= share else rendered(newest, share))
-    read.append((chosen[-1], newest))
+    shown.append((chosen[-1], newest))
     return Fitted(
-        [sample for sample, _ in read],
-        [result.value for result in results],
-        [message for _, message in read],
-        sorted({path for result in results for path in result.truncated}),
-        results[-1].hint,
-        last + 1 - len(chosen),
-        len(troubles),
-        troubles[0] if troubles else "",
+        samples=[sample for sample, _ in shown],
+        values=[result.value for result in results],
+        messages=[message for _, message in shown],
+        truncated=sorted({path for result in results for path in result.truncated}),
+        hint=results[-1].hint,
+        left_out=last + 1 - len(chosen),
+        undecodable=len(troubles),
+        trouble=troubles[0] if troubles else "",
     )
 
 
@@ -198,13 +189,8 @@ def undecodable(count: int, trouble: str = "") -> str:
     return f"{count} message(s) are not what their type says and are left out{': ' if trouble else '.'}{trouble}"
 
 
-def spread(samples: Sequence[Sample], most: int) -> list[Sample]:
-    """At most `most` of the samples, evenly spread, the first and the last among them."""
-    return [samples[index] for index in spread_indices(len(samples), most)]
-
-
 def spread_indices(count: int, most: int) -> list[int]:
-    """At most `most` of so many indices, evenly spread; of several the first and the last are among them."""
+    """At most `most` of `count` indices, evenly spread: the first and the last are among them, or the last alone."""
     if count <= most:
         return list(range(count))
     if most == 1:
