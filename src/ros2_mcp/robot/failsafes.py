@@ -48,7 +48,7 @@ class Failsafe:
 
 
 class Failsafes:
-    """The fail-safes in force, by key. Where there are too many of one kind, its oldest gives way: goals that nobody
+    """The fail-safes in force, by topic or goal id. Of too many of one kind the oldest is withdrawn: goals that nobody
     followed to their end never displace a zero command.
     """
 
@@ -90,7 +90,7 @@ class Failsafes:
             self._held.pop(key)[1].cancel()
 
     def _leave(self, key: str, failsafe: Failsafe) -> None:
-        """Puts it in force, unless one of that key is. The robot is moved anew, so that an old one is past."""
+        """Puts it in force, unless one of that key is. The robot moves anew: an old one need not be carried out."""
         if key in self._being_done:
             self._being_done.pop(key).cancel()
         if key in self._held:
@@ -101,24 +101,21 @@ class Failsafes:
         self._held[key] = failsafe.op, asyncio.create_task(self._hold(key, failsafe))
 
     async def _hold(self, key: str, failsafe: Failsafe) -> None:
-        try:
-            await self._keep_in_force(key, failsafe)
-        except RobotError as error:
-            self._held.pop(key, None)
-            if not self._graph.is_closed:
-                _logger.warning("a fail-safe is not in force: %s", error)
-
-    async def _keep_in_force(self, key: str, failsafe: Failsafe) -> None:
-        """A bridge that was killed could not stop what it kept moving: its successor does it at once."""
+        """Keeps it in force, in one bridge after the other. What a killed bridge left moving, its successor stops."""
         while True:
             try:
                 await self._graph.ask(failsafe.op, failsafe.body, timeout_s=NO_END_S, **failsafe.arguments)
             except BridgeLost:
                 if failsafe.op == "failsafe_publish":
                     self._being_done[key] = asyncio.create_task(self._publish(key, failsafe))
+            except RobotError as error:
+                self._held.pop(key, None)
+                if not self._graph.is_closed:
+                    _logger.warning("a fail-safe is not in force: %s", error)
+                return
 
     async def _publish(self, key: str, failsafe: Failsafe) -> None:
-        """The new bridge has yet to discover the robot: the message waits for it."""
+        """Carries out what a killed bridge could not. The new one has yet to discover the robot: the message waits."""
         patience = {"wait_match_s": _DISCOVERED_S, "wait_ack_s": _ACKNOWLEDGED_S, "timeout_s": 2 * _DISCOVERED_S}
         try:
             await self._graph.ask("publish", failsafe.body, **patience, **failsafe.arguments)

@@ -6,14 +6,7 @@ from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import (
-    BridgeRefused,
-    LinkError,
-    NotFound,
-    RobotError,
-    TimedOut,
-    UnknownInterface,
-)
+from ros2_mcp.model.errors import BridgeRefused, LinkError, NotFound, RobotError, TimedOut, UnknownInterface
 from ros2_mcp.model.graph import (
     BridgeStatus,
     NamedTypes,

@@ -1,4 +1,4 @@
-"""What the robot's nodes say on /rosout, kept as bytes in a bounded ring from the moment somebody starts it."""
+"""What the robot's nodes log on /rosout, kept as bytes in a bounded ring from its start on."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING
+
+import anyio
 
 from ros2_mcp.model.errors import BridgeLost, RobotError
 from ros2_mcp.model.qos import QoS
@@ -23,24 +25,24 @@ MAX_LINES = 5000
 MAX_BYTES = 2_000_000
 """What 5,000 lines of 400 bytes need; a node that logs whole messages is bounded by it."""
 _LEVEL_AT = 12
-"""Behind 4 bytes that tell the encoding and the stamp of 8, see rcl_interfaces/msg/Log."""
+"""Behind the 4 bytes of the CDR header and the 8 of the stamp, see rcl_interfaces/msg/Log."""
 _QOS = QoS("reliable", "transient_local", depth=1000)
-_LOOK_EVERY_S = 1.0
-"""The log of a robot without a bridge can wait."""
+_CHECK_EVERY_S = 1.0
+"""Whether there is a bridge again. Nobody waits for the log of a robot that cannot be reached."""
 _DRAIN_S = 0.1
 """Lines are read by people and models: bringing them ten times a second lets the bridge sleep in between."""
 _logger = logging.getLogger(__name__)
 
 LineListener = Callable[[int, Sample], None]
-"""Told of each new line: its level (10 debug, 20 info, 30 warn, 40 error, 50 fatal), and the line as it came."""
+"""Called with each new line: its level (10 debug, 20 info, 30 warn, 40 error, 50 fatal), and the line as it came."""
 
 
 class LogRing:
-    """The newest lines of /rosout; a lost bridge is followed by a new subscription, without lines twice.
+    """The newest lines of /rosout. After a lost bridge it subscribes again, and keeps no line twice.
 
-    `since_ns` is the Unix time at which it began to listen (0: not yet). Nodes give those who come late what they
-    said in the last seconds (ten, by default), so that older lines may be in it. `dropped` counts the lines that were
-    there and had to go; `interruptions` how often the bridge was lost meanwhile.
+    `since_ns` is the Unix time at which it was first subscribed (0: not yet). Older lines may be in it: nodes send a
+    new subscriber what they logged in the last ten seconds (by default). `dropped` counts the lines that were there and
+    had to give way, `interruptions` how often the bridge was lost.
     """
 
     def __init__(self, bridge: Bridge, max_lines: int = MAX_LINES, max_bytes: int = MAX_BYTES) -> None:
@@ -65,9 +67,8 @@ class LogRing:
 
     async def wait_listening(self, timeout_s: float) -> bool:
         """Waits until it is subscribed; whether it is."""
-        waiting = asyncio.ensure_future(self._listening.wait())
-        await asyncio.wait({waiting}, timeout=timeout_s)
-        waiting.cancel()
+        with anyio.move_on_after(timeout_s):
+            await self._listening.wait()
         return self._listening.is_set()
 
     async def close(self) -> None:
@@ -78,7 +79,7 @@ class LogRing:
             self._work = None
 
     def on_line(self, listener: LineListener) -> Callable[[], None]:
-        """Tells the listener of every new line from now on; returns what ends that. It must be quick."""
+        """Calls the listener with every new line from now on; returns what ends that. It must not block."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener) if listener in self._listeners else None
 
@@ -107,14 +108,10 @@ class LogRing:
                 self.interruptions += 1
             except RobotError as error:
                 _logger.info("the log of the robot is not kept: %s", error)
-                await self._until_there_is_a_bridge()
+                while self._bridge.hello is None and not self._bridge.is_closed:  # the log is no reason to start one
+                    await asyncio.sleep(_CHECK_EVERY_S)
             finally:
                 self._listening.clear()
-
-    async def _until_there_is_a_bridge(self) -> None:
-        """The log is no reason to try to start one again."""
-        while self._bridge.hello is None and not self._bridge.is_closed:
-            await asyncio.sleep(_LOOK_EVERY_S)
 
     async def _listen_once(self) -> None:
         async with await self._bridge.subscribe(

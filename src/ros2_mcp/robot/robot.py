@@ -133,9 +133,9 @@ class Robot(Core):
         key, depth = (topic, type_name, keep), 1 if keep == "latest" else 1000
 
         def subscribed(full_type: str, choice: Choice) -> Coroutine[Any, Any, Subscription]:
-            request = choice.qos.request()
+            qos_request = choice.qos.request()
             return self.bridge.subscribe(
-                topic, full_type, request, keep=keep, max_samples=max_samples, max_bytes=max_bytes
+                topic, full_type, qos_request, keep=keep, max_samples=max_samples, max_bytes=max_bytes
             )
 
         subscription: Subscription | None = None
@@ -184,7 +184,7 @@ class Robot(Core):
         timeout_s: float,
         wait_s: float | None = None,
     ) -> Answer:
-        """Asks a service that only tells something, such as `get_parameters`; any other takes a command.
+        """Asks a service that only reads something, such as `get_parameters`; any other takes a command.
 
         Without `wait_s` the time-out holds for waiting for a server and for its answer together.
 
@@ -193,9 +193,13 @@ class Robot(Core):
             NotFound: if no server appeared in time, or it left before it answered.
             TimedOut: if it did not answer in time.
         """
-        if not services.only_tells(service_type):
+        if not services.only_reads(service_type):
             raise ValueError(f"{service_type} may change something: calling {service} takes a command.")
-        return await services.request(self, service, service_type, request, timeout_s=timeout_s, wait_s=wait_s)
+        # In the form of a command, but not decided about: reading is always allowed.
+        asking = commands.ServiceCall(
+            principal=self.principal, name=service, type=service_type, value=request, timeout_s=timeout_s, wait_s=wait_s
+        )
+        return await services.call(self, asking)
 
     def fields_of(self, answer: Answer) -> dict[str, Any]:
         """The answer of a service in full, for this program and not for display."""

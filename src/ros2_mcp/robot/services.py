@@ -1,4 +1,4 @@
-"""Carrying out the commands that are requests to services, and asking those that only tell something."""
+"""Carrying out the commands that are requests to services; which services may be asked without a command."""
 
 from __future__ import annotations
 
@@ -19,40 +19,29 @@ _READING_TYPES = frozenset(
         "wisevision_msgs/srv/InfluxGetMessages",
     }
 )
-"""Types of services whose definition says that they tell something and change nothing; the last two are those of the
+"""Types of services whose definition says that they read something and change nothing; the last two are those of the
 Data Black Box."""
 
 
-def only_tells(service_type: str) -> bool:
-    """Whether a service of that type tells something and changes nothing; the result of a goal does, too."""
+def only_reads(service_type: str) -> bool:
+    """Whether a service of that type reads something and changes nothing; asking for the result of a goal does, too."""
     return service_type in _READING_TYPES or ("/action/" in service_type and service_type.endswith("_GetResult"))
 
 
 async def call(core: Core, command: ServiceBorne) -> Answer:
-    """A request to a service, checked against its definition."""
-    return await request(
-        core, command.service, command.service_type, command.request, timeout_s=command.timeout_s, wait_s=command.wait_s
-    )
-
-
-async def request(
-    core: Core, service: str, service_type: str, value: object, *, timeout_s: float, wait_s: float | None
-) -> Answer:
-    """The answer to one request; without `wait_s` the time-out holds for waiting for a server and its answer together.
+    """The answer to one request, which is checked against its definition. Raises as a `ServiceBorne`.
 
     Raises:
-        NotFound: if no server appeared in time, or it left before it answered.
-        TimedOut: if it did not answer in time.
         BadValue: naming the path of a value that does not fit; nothing is sent.
     """
-    body = await core.values.encode(f"{service_type}_Request", value)
+    timeout_s, wait_s = command.timeout_s, command.wait_s
     reply = await core.graph.ask(
         "call",
-        body,
-        service=service,
-        type=service_type,
+        await core.values.encode(f"{command.service_type}_Request", command.request),
+        service=command.service,
+        type=command.service_type,
         wait_s=timeout_s if wait_s is None else wait_s,
         timeout_s=timeout_s,
         within_s=timeout_s if wait_s is None else wait_s + timeout_s,
     )
-    return Answer(f"{service_type}_Response", reply.body, reply.ok["elapsed_s"])
+    return Answer(f"{command.service_type}_Response", reply.body, reply.ok["elapsed_s"])

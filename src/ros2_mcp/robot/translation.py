@@ -7,17 +7,8 @@ from __future__ import annotations
 
 from typing import Any, cast
 
-from ros2_mcp.model import parameters
-from ros2_mcp.model.commands import (
-    CancelGoals,
-    ChangeState,
-    Command,
-    R,
-    SendGoal,
-    ServiceBorne,
-    ServiceCall,
-    SetParameters,
-)
+from ros2_mcp.model import commands, parameters
+from ros2_mcp.model.commands import Command, R, ServiceBorne, ServiceCall
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.goals import CANCEL_TYPE, goal_id_hex
 from ros2_mcp.robot.core import Core
@@ -34,9 +25,7 @@ async def as_meant(core: Core, command: Command[R]) -> Command[R]:
     Raises:
         BadValue: if the request does not fit the definition of the service's type.
     """
-    if not isinstance(command, ServiceCall):
-        return command
-    return cast("Command[R]", await _meaning(core, command))
+    return cast("Command[R]", await _meaning(core, command)) if isinstance(command, ServiceCall) else command
 
 
 async def _meaning(core: Core, command: ServiceCall) -> ServiceBorne:
@@ -60,17 +49,21 @@ async def _meaning(core: Core, command: ServiceCall) -> ServiceBorne:
     }
     if kind == CHANGE_STATE:
         transition = request["transition"]
-        return ChangeState(**common, **of_node, transition=transition["label"], transition_id=int(transition["id"]))
+        return commands.ChangeState(
+            **common, **of_node, transition=transition["label"], transition_id=int(transition["id"])
+        )
     if kind in (SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY):
         plain = {entry["name"]: parameters.value_of(entry["value"]) for entry in request["parameters"]}
-        return SetParameters(**common, **of_node, parameters=plain)
+        return commands.SetParameters(**common, **of_node, parameters=plain)
     action = subject.removesuffix("/_action")
     if is_goal:
         goal_id = goal_id_hex(request["goal_id"]["uuid"])
         if not int(goal_id, 16):
             raise BadValue("goal_id.uuid", "all zeros is no goal, it stands for every goal.", "Give 16 random bytes.")
         goal = cast("dict[str, Any]", command.value).get("goal", {})
-        return SendGoal(**common, name=action, type=kind.removesuffix(_SEND_GOAL), value=goal, goal_id=goal_id)
+        return commands.SendGoal(**common, name=action, type=kind.removesuffix(_SEND_GOAL), value=goal, goal_id=goal_id)
     goal_id = goal_id_hex(request["goal_info"]["goal_id"]["uuid"])
     one = goal_id if int(goal_id, 16) else ""
-    return CancelGoals(**common, name=action, goal_id=one, stamp=request["goal_info"]["stamp"], value=command.value)
+    return commands.CancelGoals(
+        **common, name=action, goal_id=one, stamp=request["goal_info"]["stamp"], value=command.value
+    )
