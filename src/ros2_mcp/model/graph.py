@@ -11,7 +11,7 @@ from ros2_mcp.model.qos import Endpoint
 Row = TypeVar("Row")
 
 OF_EVERY_NODE = frozenset({"/parameter_events", "/rosout"})
-"""Topics that every ROS system has, so that they tell nothing of one robot."""
+"""Topics that every ROS system has: they say nothing about one robot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class TopicEndpoints:
 class RelayCounts:
     """What became of the messages of one relay in the bridge so far.
 
-    `lost` is None where the middleware cannot tell. `matched` subscribers and `publishers` are those of now. Of a
+    `lost` is None where the middleware cannot know. `matched` subscribers and `publishers` are the present ones. Of a
     relay that has ended: `final_sent`, whether its zero command was sent; `cancelled`, whether it ended before its
     time.
     """

@@ -87,7 +87,7 @@ def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100) -> Choice:
 def still_fits(subscribed: QoS, publishers: Sequence[Endpoint]) -> bool:
     """Whether a subscription to these publishers would be made in the same way; also where there is none (any more).
 
-    Not only those that do not match count: with others gone, what is left may be had more strictly.
+    Not only a mismatch counts: when a publisher has gone, the others may allow a stricter subscription.
     """
     now = for_subscribing(publishers).qos
     return not publishers or (now.reliability, now.durability) == (subscribed.reliability, subscribed.durability)

@@ -12,7 +12,7 @@ EXACT_INTEGER = 2**53
 """Integers beyond this are decimal strings: JSON readers that keep numbers as float64 would lose their last digits."""
 
 SUMMARY = "$summary"
-"""The key of an object that stands for a value too long to show; it tells the value's type.
+"""The key of an object that stands for a value too long to show; it holds the value's type.
 
 No field can have this name, so a summary is never mistaken for a value.
 """

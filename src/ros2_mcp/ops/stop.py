@@ -15,7 +15,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 
 ENDED_S = 3.0
-"""An action server that is alive ends a cancelled goal within its control period; who stops must be told soon."""
+"""An action server that is alive ends a cancelled goal within its control period; the answer must come soon."""
 _MATCH_S = 0.2
 """The publisher is there already, as it drove: only one whose endpoint had expired needs a moment."""
 _ACKNOWLEDGED_S = 0.5
@@ -26,8 +26,8 @@ _ACKNOWLEDGED_S = 0.5
 class StoppedTopic:
     """A topic that got a zero command.
 
-    `acknowledged` is null where that is not known. `others` are nodes that publish on it too: what they send still
-    moves the robot.
+    `acknowledged` is null where it is not known. `others` are nodes that publish on it too: their messages still move
+    the robot.
     """
 
     topic_name: str
@@ -56,7 +56,7 @@ class StoppedGoal:
 class Stopped:
     """What was stopped.
 
-    `confirmed` is true if every zero command reached those who listen, nobody else publishes on those topics, and
+    `confirmed` is true if every zero command reached the subscribers, nobody else publishes on those topics, and
     every goal has ended.
     """
 
@@ -97,7 +97,7 @@ async def stop(robot: Robot) -> Stopped:
 
 
 def _is_still(topic: StoppedTopic) -> bool:
-    """Whether nothing can come on it any more; where nobody listens, nothing had to arrive."""
+    """Whether nothing can come on it any more; where there is no subscriber, nothing had to arrive."""
     arrived = not topic.subscribers or topic.acknowledged is not False
     return arrived and not topic.others and not topic.error
 

@@ -90,7 +90,7 @@ class Failsafes:
             self._held.pop(key)[1].cancel()
 
     def _leave(self, key: str, failsafe: Failsafe) -> None:
-        """Puts it in force, unless one of that key is. The robot moves anew: an old one need not be carried out."""
+        """Puts it in force, unless one of that key is. The robot is moved again: an old one need not be carried out."""
         if key in self._being_done:
             self._being_done.pop(key).cancel()
         if key in self._held:

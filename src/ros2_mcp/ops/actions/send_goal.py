@@ -22,7 +22,7 @@ from ros2_mcp.robot.goals import Goal
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 ACCEPT_S = 10.0
-"""A server that is alive says at once whether it takes a goal; of one that thinks longer the caller is told."""
+"""A server that is alive says at once whether it takes a goal. With one that takes longer the call fails."""
 _LAST_FEEDBACK_S = 0.02
 """Feedback and result come on different ways: what was sent before the result may arrive a little after it."""
 
