@@ -16,7 +16,6 @@ BEGINS_TASKS = {
     "ops/actions/send_goal.py:_submit": "the sending of a goal, cancelled in the same function's `finally`",
     "ops/results.py:reporting": "ended in the same function's `finally`",
     "ops/watch/watchers.py:__init__": "a watch ends with the last who listens to it, and moves nothing",
-    "ops/watch/watchers.py:begun": "ended in the same function's `finally`",
 }
 """Operations that begin tasks, and why none of them can outlive what began it unseen."""
 

@@ -1,7 +1,11 @@
-"""Every resource: its URI, what it says, and what is watched for those who subscribe to it."""
+"""Every resource: its URI, what it says, and what is watched for those who subscribe to it.
+
+A resource is one function here: its docstring is what clients read, its result the content.
+"""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -10,19 +14,43 @@ from typing import Any
 from mcp.shared.uri_template import UriTemplate
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import NotFound
-from ros2_mcp.ops.log import level_number
+from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.ops import log as ops_log
+from ros2_mcp.ops.actions.list import list_actions
+from ros2_mcp.ops.actions.status import all_goals
+from ros2_mcp.ops.graph import interfaces
+from ros2_mcp.ops.measure.diagnostics import LISTEN_S, read_diagnostics
+from ros2_mcp.ops.nodes import parameters
+from ros2_mcp.ops.nodes.info import node_info
+from ros2_mcp.ops.nodes.list import list_nodes
+from ros2_mcp.ops.results import as_json, iso_time
+from ros2_mcp.ops.services.list import list_services
+from ros2_mcp.ops.topics.info import topic_info
+from ros2_mcp.ops.topics.list import list_topics
 from ros2_mcp.ops.watch.changes import (
     GoalsEnded,
     GraphParts,
     LogLines,
     ParametersOf,
+    Seen,
     TopicSamples,
     Unchanging,
     WorseDiagnostics,
 )
-from ros2_mcp.ops.watch.watchers import Subject
-from ros2_mcp.resources import content
+from ros2_mcp.ops.watch.watchers import Subject, Watcher
+from ros2_mcp.resources.fitting import Content
+from ros2_mcp.robot import Robot
+
+MAX_LISTED = 1000
+"""Names that are asked for; what of them does not fit is cut with the rest of the content."""
+MAX_NODES = 200
+"""Nodes that are asked what they offer, which takes a request to the bridge for each."""
+MAX_LINES = 200
+"""Of the log: about as many as fit."""
+SAMPLE_S = 2.0
+"""How long a topic's next message is waited for: most topics with news have one every second, and a reader waits."""
+
+Read = Callable[..., Awaitable[Content]]
 
 
 @dataclass(frozen=True)
@@ -30,20 +58,17 @@ class Declared:
     """One resource, or a template of resources where its URI has variables.
 
     A name with slashes stands in the URI as it is or percent-encoded, with or without its first slash.
-    `completes` maps a variable to the kind of live names that complete it.
+    `read` and `subject` take the variables by name, `read` after the robot and its watcher. `completes` maps a variable
+    to the kind of live names that complete it.
     """
 
     uri: str
     title: str
     description: str
-    read: Callable[..., Awaitable[content.Content]]
+    name: str
+    read: Read
     subject: Callable[..., Subject]
     completes: Mapping[str, str] = field(default_factory=dict[str, str])
-
-    @property
-    def name(self) -> str:
-        """A short name."""
-        return self.read.__name__.removeprefix("all_").replace("_", "-")
 
     @cached_property
     def template(self) -> UriTemplate:
@@ -51,106 +76,20 @@ class Declared:
         return UriTemplate.parse(self.uri)
 
 
-def _samples_of(name: str) -> Subject:
-    return TopicSamples(names.absolute(name))
+RESOURCES: list[Declared] = []
+"""Every resource, in the order of declaration."""
 
 
-def _definition_of(type: str) -> Subject:  # noqa: A002, ARG001 - the template's variable
-    return Unchanging()
+def resource(uri: str, title: str, subject: Callable[..., Subject], **completes: str) -> Callable[[Read], Read]:
+    """Declares a function as the content of a resource."""
 
+    def declare(read: Read) -> Read:
+        name = read.__name__.replace("_", "-")
+        description = " ".join((read.__doc__ or "").split())
+        RESOURCES.append(Declared(uri, title, description, name, read, subject, completes))
+        return read
 
-def _parameters_of(name: str) -> Subject:
-    return ParametersOf(names.absolute(name, "node"))
-
-
-def _lines_of(level: str = "", node: str = "") -> Subject:
-    level_number(level)
-    return LogLines(level.lower(), node)
-
-
-RESOURCES = (
-    Declared(
-        "ros2://graph",
-        "The graph",
-        "Every node with what it publishes, subscribes to and serves. Changes when something comes or goes.",
-        content.graph,
-        lambda: GraphParts(("nodes", "topics", "services")),
-    ),
-    Declared(
-        "ros2://topics",
-        "Topics",
-        "Every topic with its type. Changes when a topic or a publisher comes or goes.",
-        content.all_topics,
-        lambda: GraphParts(("topics",)),
-    ),
-    Declared(
-        "ros2://nodes",
-        "Nodes",
-        "Every node. Changes when one comes or goes.",
-        content.all_nodes,
-        lambda: GraphParts(("nodes",)),
-    ),
-    Declared(
-        "ros2://services",
-        "Services",
-        "Every service with its type. Changes when one comes or goes.",
-        content.all_services,
-        lambda: GraphParts(("services",)),
-    ),
-    Declared(
-        "ros2://actions",
-        "Actions and goals",
-        "Every action with its goals and their states. Changes when a goal has ended, or an action came or went.",
-        content.all_actions,
-        GoalsEnded,
-    ),
-    Declared(
-        "ros2://diagnostics",
-        "Diagnostics",
-        "What every component says of its health, the worst first. Changes when one got worse.",
-        content.diagnostics,
-        WorseDiagnostics,
-    ),
-    Declared(
-        "ros2://log",
-        "The log",
-        "The newest lines of /rosout, the newest first. Changes with every line.",
-        content.log,
-        LogLines,
-    ),
-    Declared(
-        "ros2://log{?level,node}",
-        "The log from a level on, or of a node",
-        "The newest lines from a level on (debug, info, warn, error, fatal), or of a node. Changes with such a line.",
-        content.log_lines,
-        _lines_of,
-        {"node": "node"},
-    ),
-    Declared(
-        "ros2://topic/{+name}",
-        "A topic",
-        "Publishers, subscribers, QoS and the newest message of a topic. Changes with every message.",
-        content.topic,
-        _samples_of,
-        {"name": "topic"},
-    ),
-    Declared(
-        "ros2://interface/{+type}",
-        "A definition",
-        "The definition of a message, service or action type, with an example. Never changes.",
-        content.interface,
-        _definition_of,
-        {"type": "interface"},
-    ),
-    Declared(
-        "ros2://node/{+name}/parameters",
-        "Parameters of a node",
-        "The parameters of a node with values and descriptions. Changes when one is set.",
-        content.node_parameters,
-        _parameters_of,
-        {"name": "node"},
-    ),
-)
+    return declare
 
 
 def matching(uri: str) -> tuple[Declared, Mapping[str, Any]]:
@@ -171,3 +110,152 @@ def subject_of(uri: str) -> Subject:
     """
     declared, variables = matching(uri)
     return declared.subject(**variables)
+
+
+# ── the graph ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@resource("ros2://graph", "The graph", lambda: GraphParts(("nodes", "topics", "services")))
+async def graph(robot: Robot, _: Watcher) -> Content:
+    """Every node with what it publishes, subscribes to and serves. Changes when something comes or goes."""
+
+    async def info(node: str) -> Content | None:
+        try:
+            found = await node_info(robot, node)
+        except RobotError:
+            return None  # it has left meanwhile, or has no name
+        offers = {
+            "publishes": found.publishes,
+            "subscribes": found.subscribes,
+            "services": found.services,
+            "actions": found.actions,
+        }
+        return {"node": found.node, **{kind: [offer.name for offer in listed] for kind, listed in offers.items()}}
+
+    listed, all_topics = await asyncio.gather(list_nodes(robot, limit=MAX_NODES), list_topics(robot, limit=MAX_LISTED))
+    infos = await asyncio.gather(*map(info, listed.nodes))
+    return {
+        "nodes": [found for found in infos if found],
+        "topics": [{"topic_name": row.topic_name, "topic_type": row.topic_type} for row in all_topics.topics],
+        "settled": listed.settled and all_topics.settled,
+        "note": f"{listed.note} {all_topics.note}".strip(),
+    }
+
+
+@resource("ros2://topics", "Topics", lambda: GraphParts(("topics",)))
+async def topics(robot: Robot, _: Watcher) -> Content:
+    """Every topic with its type. Changes when a topic or a publisher comes or goes."""
+    return as_json(await list_topics(robot, limit=MAX_LISTED))
+
+
+@resource("ros2://nodes", "Nodes", lambda: GraphParts(("nodes",)))
+async def nodes(robot: Robot, _: Watcher) -> Content:
+    """Every node. Changes when one comes or goes."""
+    return as_json(await list_nodes(robot, limit=MAX_LISTED))
+
+
+@resource("ros2://services", "Services", lambda: GraphParts(("services",)))
+async def services(robot: Robot, _: Watcher) -> Content:
+    """Every service with its type. Changes when one comes or goes."""
+    return as_json(await list_services(robot, limit=MAX_LISTED))
+
+
+@resource("ros2://actions", "Actions and goals", GoalsEnded)
+async def actions(robot: Robot, _: Watcher) -> Content:
+    """Every action with its goals and their states. Changes when a goal has ended, or an action came or went."""
+    listed, goals = await asyncio.gather(list_actions(robot), all_goals(robot))
+    return {"actions": as_json(listed.actions), "goals": as_json(goals.goals), "note": goals.note}
+
+
+# ── what is reported ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@resource("ros2://diagnostics", "Diagnostics", WorseDiagnostics)
+async def diagnostics(robot: Robot, watcher: Watcher) -> Content:
+    """What every component says of its health, the worst first. Changes when one got worse."""
+    table = watcher.newest(WorseDiagnostics())
+    if table is None or not table.rows:
+        table = await read_diagnostics(robot)
+    note = "" if table.rows else f"Nobody said anything for {LISTEN_S:g} s."
+    return {"components": as_json(table.rows), "note": note}
+
+
+@resource("ros2://log", "The log", LogLines)
+async def log(robot: Robot, watcher: Watcher) -> Content:
+    """The newest lines of /rosout, the newest first. Changes with every line."""
+    return await log_lines(robot, watcher)
+
+
+def _lines_of(level: str = "", node: str = "") -> Subject:
+    ops_log.level_number(level)  # raises where there is no such level
+    return LogLines(level.lower(), node)
+
+
+@resource("ros2://log{?level,node}", "The log from a level on, or of a node", _lines_of, node="node")
+async def log_lines(robot: Robot, _: Watcher, level: str = "", node: str = "") -> Content:
+    """The newest lines from a level on (debug, info, warn, error, fatal), or of a node. Changes with such a line."""
+    found = await ops_log.read(robot, ops_log.LogRequest(level=level, node=node, limit=MAX_LINES))
+    return {**as_json(found), "lines": as_json(found.lines[::-1])}
+
+
+# ── one thing ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _samples_of(name: str) -> Subject:
+    return TopicSamples(names.absolute(name))
+
+
+@resource("ros2://topic/{+name}", "A topic", _samples_of, name="topic")
+async def topic(robot: Robot, watcher: Watcher, name: str) -> Content:
+    """Publishers, subscribers, QoS and the newest message of a topic. Changes with every message."""
+    info = await topic_info(robot, name)
+    seen: Seen | None = watcher.newest(TopicSamples(info.topic_name))
+    note = "" if info.publishers else "Nobody publishes on it."
+    if seen is None and info.publishers:
+        async with robot.listen(info.topic_name, info.publishers[0].type, keep="latest") as listening:
+            samples = await listening.take(SAMPLE_S)
+        seen = Seen(listening.type, samples[-1]) if samples else None
+        publishers = ", ".join(sorted({publisher.node for publisher in info.publishers}))
+        note = f"No message came within {SAMPLE_S:g} s from {publishers}."
+    return {**as_json(info), "sample": await _shown(robot, seen), "note": note if seen is None else ""}
+
+
+async def _shown(robot: Robot, seen: Seen | None) -> Content | None:
+    """A sample as JSON in half of the result's size: the other half is for the endpoints."""
+    if seen is None:
+        return None
+    from ros2_mcp.codec.render import RenderOptions  # NumPy and rosbags: listing resources must not wait for them
+
+    options = RenderOptions(max_bytes=robot.result_bytes // 2)
+    await robot.values.learn(seen.type)
+    rendered = await asyncio.to_thread(robot.values.render, seen.type, seen.sample.data, options)
+    return {
+        "type": seen.type,
+        "received_at": iso_time(seen.sample.received_ns),
+        "message": rendered.value,
+        "truncated": rendered.truncated,
+    }
+
+
+def _definition_of(type: str) -> Subject:  # noqa: A002, ARG001 - the template's variable
+    return Unchanging()
+
+
+@resource("ros2://interface/{+type}", "A definition", _definition_of, type="interface")
+async def interface(robot: Robot, _: Watcher, type: str) -> Content:  # noqa: A002 - the template's variable
+    """The definition of a message, service or action type, with an example. Never changes."""
+    return as_json(await interfaces.define(robot, type))
+
+
+def _parameters_of(name: str) -> Subject:
+    return ParametersOf(names.absolute(name, "node"))
+
+
+@resource("ros2://node/{+name}/parameters", "Parameters of a node", _parameters_of, name="node")
+async def node_parameters(robot: Robot, _: Watcher, name: str) -> Content:
+    """The parameters of a node with values and descriptions. Changes when one is set."""
+    node = (await node_info(robot, name)).node
+    found = (await parameters.describe(robot, [node], limit=MAX_LISTED)).nodes[0]
+    if found.error:
+        raise NotFound(found.error)
+    return as_json(found)

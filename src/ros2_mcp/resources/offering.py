@@ -24,7 +24,7 @@ from mcp.types import (
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
 from ros2_mcp.ops.watch.watchers import Watcher
 from ros2_mcp.resources.catalogue import RESOURCES, matching
-from ros2_mcp.resources.content import fitting
+from ros2_mcp.resources.fitting import fitting
 from ros2_mcp.resources.push import Push, Request
 from ros2_mcp.robot import Robot
 
@@ -46,15 +46,9 @@ class Resources:
         """The resources without variables."""
         return ListResourcesResult(
             resources=[
-                Resource(
-                    uri=each.uri,
-                    name=each.name,
-                    title=each.title,
-                    description=each.description,
-                    mime_type=_MIME_TYPE,
-                )
-                for each in RESOURCES
-                if not each.template.variable_names
+                Resource(uri=row.uri, name=row.name, title=row.title, description=row.description, mime_type=_MIME_TYPE)
+                for row in RESOURCES
+                if not row.template.variable_names
             ]
         )
 
@@ -63,14 +57,14 @@ class Resources:
         return ListResourceTemplatesResult(
             resource_templates=[
                 ResourceTemplate(
-                    uri_template=each.uri,
-                    name=each.name,
-                    title=each.title,
-                    description=each.description,
+                    uri_template=row.uri,
+                    name=row.name,
+                    title=row.title,
+                    description=row.description,
                     mime_type=_MIME_TYPE,
                 )
-                for each in RESOURCES
-                if each.template.variable_names
+                for row in RESOURCES
+                if row.template.variable_names
             ]
         )
 

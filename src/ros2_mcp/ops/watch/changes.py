@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import aclosing, suppress
 from dataclasses import dataclass
+from time import monotonic
 from typing import Any
 
 from ros2_mcp.model.errors import NotFound
@@ -19,14 +20,17 @@ from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.protocol import Keep
 
 POLL_S = 0.25
-"""A change of the graph is told within that: people see it at once, and the bridge answers from memory."""
+"""How late a change of the graph is noticed: people take it for at once, and the bridge answers from memory."""
 _ENDPOINTS_S = 2.0
-"""Publishers that offer another QoS than those before are rare, and cost only that they are heard late."""
+"""How often the publishers' QoS is compared with ours: publishers with another QoS are rare, and only heard late."""
 _APPEARS_S = 60.0
 """One wait of the bridge; it is begun anew as long as somebody watches."""
 _LATCHED_S = 0.5
 _MATCHING_S = 0.2
-"""What was there before is taken as known and not told as a change; matching takes up to 200 ms on one host."""
+"""What comes within that was there before, and is no change: matching takes up to 200 ms on one host. The status of an
+action, by which goals are seen to end, may be waited for longer: one that is missed there is notified as a change."""
+_MAX_SAMPLES = 1000
+"""Samples that wait while a client is notified, which takes 0.2 s: those of a topic at 5 kHz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,17 +75,13 @@ class GraphParts:
 
     async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
         """Whenever something came or went."""
-        before = await self._look(robot)
-        yield None
+        before: list[Any] | None = None
         while True:
-            await asyncio.sleep(POLL_S)
-            now = await self._look(robot)
+            now = [await _outline(robot, part) for part in self.parts]
             if now != before:
                 before = now
                 yield None
-
-    async def _look(self, robot: Robot) -> list[Any]:
-        return [await _outline(robot, part) for part in self.parts]
+            await asyncio.sleep(POLL_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,20 +91,17 @@ class GoalsEnded:
     async def changes(self, robot: Robot) -> AsyncGenerator[None, None]:
         """Whenever a goal has ended, or an action came or went."""
         ended, followers = asyncio.Event(), dict[str, asyncio.Task[None]]()
+        before: set[str] | None = None
         try:
-            known = set(await robot.types.actions())
-            ready = [_follow_goals(robot, action, ended, followers) for action in known]
-            await asyncio.gather(*ready)
-            yield None
             while True:
-                with suppress(asyncio.TimeoutError):
-                    await asyncio.wait_for(ended.wait(), POLL_S)
-                present = set(await robot.types.actions())
-                await asyncio.gather(*(_follow_goals(robot, action, ended, followers) for action in present))
-                if ended.is_set() or present != known:
-                    known = present
+                actions = set(await robot.types.actions())
+                await asyncio.gather(*(_follow_goals(robot, action, ended, followers) for action in actions))
+                if ended.is_set() or actions != before:
+                    before = actions
                     ended.clear()
                     yield None
+                with suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(ended.wait(), POLL_S)
         finally:
             for follower in followers.values():
                 follower.cancel()
@@ -155,12 +152,12 @@ class LogLines:
         """Whenever there is such a line."""
         least, arrived = log.level_number(self.level), asyncio.Event()
 
-        def look(level: int, sample: Sample) -> None:
+        def check(level: int, sample: Sample) -> None:
             if level >= least and (not self.node or log.is_node(log.line_of(robot, sample).node, self.node)):
                 arrived.set()
 
         await log.read(robot, log.LogRequest(limit=1))
-        stop = robot.log.on_line(look)
+        stop = robot.log.on_line(check)
         try:
             yield None
             while True:
@@ -182,47 +179,48 @@ async def _samples(robot: Robot, topic: str, keep: Keep) -> AsyncGenerator[tuple
         while not present.publishers:
             yield "", []
             present = await robot.graph.wait_for(topic, publishers=1, timeout_s=_APPEARS_S)
-        async with robot.listen(topic, present.publishers[0].type, keep=keep, max_samples=1000) as heard:
-            yield heard.type, await heard.take(_MATCHING_S)
-            while True:
-                look_at = _now() + _ENDPOINTS_S
-                while (left := look_at - _now()) > 0:
-                    if samples := await heard.take(left):
-                        yield heard.type, samples
+        type_name = present.publishers[0].type
+        async with robot.listen(topic, type_name, keep=keep, max_samples=_MAX_SAMPLES) as listening:
+            yield type_name, await listening.take(_MATCHING_S)
+            fits = True
+            while fits:
+                compare_at = monotonic() + _ENDPOINTS_S
+                while (left := compare_at - monotonic()) > 0:
+                    if samples := await listening.take(left):
+                        yield type_name, samples
                 present = await robot.graph.endpoints(topic)
-                is_published = any(publisher.type == heard.type for publisher in present.publishers)
-                if not is_published or not heard.still_fits(present):
-                    break
+                is_published = any(publisher.type == type_name for publisher in present.publishers)
+                fits = is_published and listening.still_fits(present)
 
 
 async def _follow_goals(
     robot: Robot, action: str, ended: asyncio.Event, followers: dict[str, asyncio.Task[None]]
 ) -> None:
-    """Starts following the goals of an action, unless that goes on already; returns when it has begun."""
-    if action in followers and not followers[action].done():
-        return
-    begun = asyncio.Event()
-    follower = followers[action] = asyncio.create_task(_goals(robot, action, ended, begun))
-    waiting = asyncio.create_task(begun.wait())
-    await asyncio.wait({follower, waiting}, return_when=asyncio.FIRST_COMPLETED)
-    waiting.cancel()
+    """Starts following the goals of an action, unless that goes on already; returns when it has begun or failed."""
+    if action not in followers or followers[action].done():
+        begun = asyncio.Event()
+        followers[action] = asyncio.create_task(_goals(robot, action, ended, begun))
+        await begun.wait()
 
 
 async def _goals(robot: Robot, action: str, ended: asyncio.Event, begun: asyncio.Event) -> None:
-    with suppress(NotFound):
-        async with robot.listen(f"{action}/_action/status", STATUS_TYPE, keep="latest") as heard:
-            first = await heard.take(_LATCHED_S)
-            over = _over(robot, first)
-            begun.set()
-            while True:
-                if samples := await heard.take(_APPEARS_S):
-                    now = _over(robot, samples)
-                    if now - over:
-                        ended.set()
-                    over = now
+    """Sets `ended` whenever the action's status names a goal as ended that it did not before."""
+    try:
+        with suppress(NotFound):
+            async with robot.listen(f"{action}/_action/status", STATUS_TYPE, keep="latest") as listening:
+                before = _ended_goals(robot, await listening.take(_LATCHED_S))
+                begun.set()
+                while True:
+                    if samples := await listening.take(_APPEARS_S):
+                        now = _ended_goals(robot, samples)
+                        if now - before:
+                            ended.set()
+                        before = now
+    finally:
+        begun.set()
 
 
-def _over(robot: Robot, samples: Sequence[Sample]) -> set[str]:
+def _ended_goals(robot: Robot, samples: Sequence[Sample]) -> set[str]:
     """The goals that the newest status says have ended."""
     if not samples:
         return set()
@@ -242,7 +240,3 @@ async def _outline(robot: Robot, part: str) -> list[Any]:
     if part == "services":
         return sorted(row for row in await robot.graph.services() if not is_hidden(row.name))
     return sorted(await robot.graph.nodes())
-
-
-def _now() -> float:
-    return asyncio.get_running_loop().time()

@@ -1,6 +1,8 @@
-"""Watching a robot: who asked is told that something has changed, at most so often.
+"""Watching a robot for those who want to be told of changes.
 
-Nothing is watched while nobody asks: the first listener of a subject starts its watch, the last one to leave ends it.
+Nothing is watched while nobody listens: the first listener of a subject starts its watch, the last one to leave ends
+it. A watch is shared by all clients that listen to its subject, so it is no job, which has one owner: it ends with
+them, and moves nothing.
 """
 
 from __future__ import annotations
@@ -11,13 +13,17 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from typing import Any, Protocol
 
+import anyio
+
 from ros2_mcp.model.errors import LinkError, RobotError
 from ros2_mcp.robot import Robot
 
 MIN_PERIOD_S = 0.2
-"""Between two tellings of one subject; what happens meanwhile is told once."""
+"""Between two notifications of one subject, so that a fast topic floods no client; changes in between count as one."""
 BEGIN_S = 5.0
+"""How long a subscription is waited for before a client gets its answer all the same: a topic may not be there yet."""
 _PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
+"""Before a watch that failed is begun again, longer with each failure in a row."""
 _logger = logging.getLogger(__name__)
 
 Changed = Callable[[], None]
@@ -27,10 +33,10 @@ class Subject(Protocol):
     """Something that changes. Equal subjects share one watch."""
 
     def changes(self, robot: Robot) -> AsyncGenerator[Any, None]:
-        """First what is known when the watching has begun (None if nothing), then something for each change.
+        """Yields first what is there when the watch has begun (None if nothing), then something for each change.
 
-        Taken at a leisurely pace: what changes between two steps may be told as one. Errors of the link end it; it is
-        then begun again.
+        The next value is asked for up to `MIN_PERIOD_S` later: changes in between may be yielded as one. Errors of the
+        link end it; it is then begun again.
         """
         ...
 
@@ -65,14 +71,10 @@ class Watcher:
 
     async def begun(self, *subjects: Subject) -> None:
         """Waits (bounded) until nothing that happens to the watched subjects from now on is missed, or one failed."""
-        events = [watch.begun for subject in subjects if (watch := self._watches.get(subject))]
-        waiting = [asyncio.ensure_future(event.wait()) for event in events]
-        try:
-            if waiting:
-                await asyncio.wait(waiting, timeout=BEGIN_S)
-        finally:
-            for waiter in waiting:
-                waiter.cancel()
+        with anyio.move_on_after(BEGIN_S):
+            for subject in subjects:
+                if watch := self._watches.get(subject):
+                    await watch.begun.wait()
 
     def newest(self, subject: Subject) -> Any:
         """What the watch of the subject saw last; None if there is none, or it has not seen anything."""
@@ -108,27 +110,22 @@ class _Watch:
         failures = 0
         while True:
             try:
-                await self._follow()
+                async with aclosing(self._subject.changes(self._robot)) as changes:
+                    self.newest = await anext(changes)
+                    failures = 0
+                    if self.begun.is_set():  # begun again: nobody knows what was missed, so that is a change
+                        self._notify()
+                    self.begun.set()
+                    async for self.newest in changes:
+                        self._notify()
+                        await asyncio.sleep(MIN_PERIOD_S)
             except RobotError as error:
                 level = logging.INFO if isinstance(error, LinkError) else logging.WARNING
                 _logger.log(level, "watching %s: %s", self._subject, error)
                 self.begun.set()
-            failures = 1 if self._followed else failures + 1
+            failures += 1
             await asyncio.sleep(_PAUSES_S[min(failures, len(_PAUSES_S)) - 1])
 
-    async def _follow(self) -> None:
-        """Tells of changes until the link is lost. After a gap nobody knows what was missed: that is a change."""
-        self._followed = False
-        async with aclosing(self._subject.changes(self._robot)) as changes:
-            self.newest = await anext(changes)
-            self._followed = True
-            if self.begun.is_set():
-                self._tell()
-            self.begun.set()
-            async for self.newest in changes:
-                self._tell()
-                await asyncio.sleep(MIN_PERIOD_S)
-
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         for changed in list(self.listeners.values()):
             changed()

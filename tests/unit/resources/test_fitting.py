@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from ros2_mcp.resources.content import fitting
+from ros2_mcp.resources.fitting import fitting
 
 
 def test_what_fits_is_given_whole() -> None:
