@@ -26,7 +26,7 @@ from mcp.types import (
 from starlette.requests import Request
 
 from ros2_mcp.binding import CallFailed
-from ros2_mcp.completions import Completions, Wanted
+from ros2_mcp.completions import CompletionRequest, Completions
 from ros2_mcp.model.commands import LOCAL, Principal
 from ros2_mcp.prompts.arguments import shown
 from ros2_mcp.prompts.catalog import Catalog
@@ -160,15 +160,17 @@ async def _no_templates(_: Any, __: Any) -> ListResourceTemplatesResult:
     return ListResourceTemplatesResult(resource_templates=[])
 
 
-async def _of_prompt(catalog: Catalog, prompt: str, name: str) -> Wanted | None:
+async def _of_prompt(catalog: Catalog, prompt: str, name: str) -> CompletionRequest | None:
     prompts = await catalog.prompts()
     argument = prompts[prompt].argument(name) if prompt in prompts else None
-    return argument and Wanted(argument.kind, [shown(choice) for choice in argument.choices], argument.type_of)
+    return argument and CompletionRequest(
+        argument.kind, [shown(choice) for choice in argument.choices], argument.type_of
+    )
 
 
-async def _of_template(uri: str, name: str) -> Wanted | None:
+async def _of_template(uri: str, name: str) -> CompletionRequest | None:
     kinds = [each.completes[name] for each in RESOURCES if each.uri == uri and name in each.completes]
-    return Wanted(kinds[0]) if kinds else None
+    return CompletionRequest(kinds[0]) if kinds else None
 
 
 def _instructions(toolset: Toolset, recording: str) -> str:

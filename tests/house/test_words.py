@@ -26,14 +26,9 @@ OLD_WORDS: dict[str, tuple[str, str | tuple[str, ...]]] = {
     "transport": ("carrier; the transport is MCP's", THE_STREAM),
 }
 """Old word → the right one, and where the old one must not be. A word with a capital is one only as a class's name."""
-LEFT = {"Wanted"}
-"""Words that have still to go; the test says so when one has gone."""
 VAGUE_WORDS = ("manager", "handler", "helper", "util")
 FOREIGN = {"BasePromptHandler"}
 """Names that others have given and that we only repeat."""
-
-
-STILL_THERE = pytest.mark.xfail(strict=True, reason="the old word is still there")
 
 
 def names(path: str, tree: ast.Module) -> Iterator[str]:
@@ -78,7 +73,7 @@ def test_names_say_what_a_thing_does(word: str) -> None:
     assert with_the_word(word, EVERYWHERE) == []
 
 
-@pytest.mark.parametrize("word", [pytest.param(word, marks=[STILL_THERE] * (word in LEFT)) for word in OLD_WORDS])
+@pytest.mark.parametrize("word", OLD_WORDS)
 def test_one_concept_has_one_word(word: str) -> None:
     right, below = OLD_WORDS[word]
     assert with_the_word(word, below) == [], f"say: {right}"
