@@ -74,5 +74,4 @@ def assemble(settings: Settings, bridge: Bridge | None = None) -> Assembly:
     store = store_for(settings)
     robot = robot_for(settings, store, bridge)
     toolset = Toolset(robot, store, settings.tools, SOURCE_KINDS)
-    robot.limitations = toolset.limitations
     return Assembly(settings=settings, robot=robot, store=store, toolset=toolset)

@@ -51,6 +51,7 @@ class BoundTool:
     robot: Robot
     store: BagStore
     kinds: Sequence[SourceKind]
+    limitations: Sequence[str]
 
     @property
     def name(self) -> str:
@@ -75,7 +76,13 @@ class BoundTool:
         # One level only: an argument that is an object stays the model that the tool declared.
         values = {name: getattr(checked, name) for name in self.arguments.model_fields}
         try:
-            made_for = Call(robot or self.robot, self.store, at_most_every(_PROGRESS_S, report), self.kinds)
+            made_for = Call(
+                robot=robot or self.robot,
+                store=self.store,
+                report=at_most_every(_PROGRESS_S, report),
+                kinds=self.kinds,
+                limitations=self.limitations,
+            )
             result = await self.declaration.perform(made_for, values)
         except RobotError as error:
             raise CallFailed(f"{type(error).__name__}: {error}") from error
@@ -97,7 +104,12 @@ class BoundTool:
 
 
 def bind(
-    declaration: ToolDeclaration, robot: Robot, store: BagStore, kinds: Sequence[SourceKind] = OWN_KINDS
+    declaration: ToolDeclaration,
+    robot: Robot,
+    store: BagStore,
+    kinds: Sequence[SourceKind] = OWN_KINDS,
+    *,
+    limitations: Sequence[str] = (),
 ) -> BoundTool:
     """The tool with plain closed schemas, and annotations from the declared risk."""
     signature = declaration.arguments()
@@ -120,7 +132,15 @@ def bind(
             open_world_hint=True,
         ),
     )
-    return BoundTool(declaration=declaration, listed=listed, arguments=arguments, robot=robot, store=store, kinds=kinds)
+    return BoundTool(
+        declaration=declaration,
+        listed=listed,
+        arguments=arguments,
+        robot=robot,
+        store=store,
+        kinds=kinds,
+        limitations=limitations,
+    )
 
 
 def answer(result: Any) -> CallToolResult:

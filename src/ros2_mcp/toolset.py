@@ -45,11 +45,11 @@ class Toolset:
         allowed = [tool for tool in TOOLS if _is_allowed(tool, robot.policy)]
         # Who opens a recording has all that works on one: it is a short list.
         chosen = [tool for tool in allowed if robot.policy.recorded or _is_chosen(tool, groups)]
-        self.by_name = {tool.name: bind(tool, robot, store, kinds) for tool in chosen}
+        self._left_out = [tool for tool in allowed if tool not in chosen]
+        self.by_name = {tool.name: bind(tool, robot, store, kinds, limitations=self.limitations) for tool in chosen}
         self.missing = {
             tool.name: _why_missing(tool, robot.policy, groups) for tool in TOOLS if tool.name not in self.by_name
         }
-        self._left_out = [tool for tool in allowed if tool not in chosen]
 
     @property
     def left_out_groups(self) -> list[str]:

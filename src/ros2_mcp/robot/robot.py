@@ -68,7 +68,6 @@ class Robot(Core):
         self.log = LogRing(bridge)
         self._listened: dict[tuple[str, str, str], tuple[str, Choice]] = {}
         self.result_bytes = result_bytes
-        self.limitations: list[str] = []
 
     def acting_for(self, principal: Principal) -> Robot:
         """The same robot for one client: whatever is done through it is done for that principal."""

@@ -10,15 +10,16 @@ from ros2_mcp.ops.graph import interfaces, status
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Limit, Pattern
 from ros2_mcp.tools.declare import tool
+from ros2_mcp.tools.injection import Limitations
 
 PLACE = 12
 """After the nodes; the status stands before them, at the very top."""
 
 
 @tool(title="Server and robot status", risk="read", place=10)
-async def ros2_status(robot: Robot) -> status.Status:
+async def ros2_status(robot: Robot, limitations: Limitations) -> status.Status:
     """Show which ROS 2 this server uses (distribution, middleware, domain), its health, and what is not possible."""
-    return await status.status(robot)
+    return await status.status(robot, limitations)
 
 
 @tool(title="Definition of an interface", risk="read", recorded=True, aliases={"msg_type": "message_type"})

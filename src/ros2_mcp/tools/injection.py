@@ -35,14 +35,15 @@ from ros2_mcp.tools.arguments import (
 )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
-    """What there is in every call: the robot, the bags, where progress is reported, and the kinds of sources."""
+    """What tools can get in every call; `limitations` says in words what this server does not offer and why."""
 
     robot: Robot
     store: BagStore
     report: Report
     kinds: Sequence[SourceKind] = OWN_KINDS
+    limitations: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +99,7 @@ LimitedMessages = Annotated[Selection, MadeBy(_selection)]
 Messages = Annotated[Selection, MadeBy(_selection, ("fields", "max_array", "every_n"))]
 OneMessage = Annotated[Selection, MadeBy(_selection, ("fields", "max_array"))]
 Numbers = Annotated[Selection, MadeBy(_numbers)]
+Limitations = Annotated[Sequence[str], MadeBy(attrgetter("limitations"))]
 LogSource = Annotated[Source, MadeBy(_log_source)]
 
 _BY_TYPE: Mapping[Any, MadeBy] = {

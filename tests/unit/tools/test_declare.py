@@ -3,11 +3,14 @@ from __future__ import annotations
 import inspect
 from dataclasses import replace
 
-from ros2_mcp.ops.results import Report
+from ros2_mcp.assembly import assemble
+from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.robot import Robot
+from ros2_mcp.settings import Settings
 from ros2_mcp.tools import in_order
 from ros2_mcp.tools.declare import ToolDeclaration
 from ros2_mcp.tools.graph import PLACE, ros2_status
+from ros2_mcp.tools.injection import Call, values_for
 
 
 async def example(robot: Robot, report: Report, name: str, limit: int = 3) -> str:
@@ -41,3 +44,12 @@ def test_a_tool_stands_at_the_place_of_its_module_or_at_its_own() -> None:
     before = replace(DECLARATION, place=PLACE - 1)
     after = replace(of_its_module, place=PLACE + 1)
     assert in_order([last, after, of_its_module, before]) == [before, of_its_module, after, last]
+
+
+async def test_the_status_gets_what_the_server_does_not_offer() -> None:
+    made = assemble(Settings(tools=("core",)))
+    tool = made.toolset.by_name["ros2_status"]
+    assert any("ros2_plot" in limitation for limitation in tool.limitations)
+    call = Call(robot=made.robot, store=made.store, report=silent, limitations=tool.limitations)
+    values = await values_for(tool.declaration.signature(), call, {})
+    assert values["limitations"] == made.toolset.limitations

@@ -41,18 +41,18 @@ class Status:
         return f"ROS 2 {self.distro} with {self.rmw}, domain {self.domain_id}; bridge {self.bridge_node} is up."
 
 
-async def status(robot: Robot) -> Status:
-    """The state of the server and its bridge.
+async def status(robot: Robot, limitations: Sequence[str] = ()) -> Status:
+    """The state of the server and its bridge; `limitations` are those of the server that the robot does not know.
 
     Raises:
         LinkError: saying what is missing, if there is no bridge.
     """
     bridge = await robot.graph.bridge_status()
-    limitations = list(robot.limitations)
+    found = list(limitations)
     if robot.policy.read_only:
-        limitations.append("Tools that write are absent: the server was started read-only.")
+        found.append("Tools that write are absent: the server was started read-only.")
     if bridge.executor == "SingleThreadedExecutor":
-        limitations.append("This rclpy has no EventsExecutor: service calls take a little longer.")
+        found.append("This rclpy has no EventsExecutor: service calls take a little longer.")
     return Status(
         server_version=version("ros2-mcp"),
         python=platform.python_version(),
@@ -71,5 +71,5 @@ async def status(robot: Robot) -> Status:
         service_clients=bridge.clients,
         read_only=robot.policy.read_only,
         ros_found=bridge.found,
-        limitations=limitations,
+        limitations=found,
     )
