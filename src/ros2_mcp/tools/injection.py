@@ -99,7 +99,7 @@ LimitedMessages = Annotated[Selection, MadeBy(_selection)]
 Messages = Annotated[Selection, MadeBy(_selection, ("fields", "max_array", "every_n"))]
 OneMessage = Annotated[Selection, MadeBy(_selection, ("fields", "max_array"))]
 Numbers = Annotated[Selection, MadeBy(_numbers)]
-Limitations = Annotated[Sequence[str], MadeBy(attrgetter("limitations"))]
+Limitations = Annotated[Sequence[str], MadeBy(attrgetter("limitations"), ())]
 LogSource = Annotated[Source, MadeBy(_log_source)]
 
 _BY_TYPE: Mapping[Any, MadeBy] = {
