@@ -8,15 +8,19 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import TypeAlias
 
 from ros2_mcp.bags.mcap_file import McapFile
 from ros2_mcp.bags.rosbag2 import METADATA, read_metadata
 from ros2_mcp.bags.schema import bare
 from ros2_mcp.bags.sqlite_file import SqliteFile
-from ros2_mcp.bags.stored import Span, StoredFile, StoredTopic
+from ros2_mcp.bags.stored import Span, StoredTopic
 from ros2_mcp.model.errors import BadData, NotFound
 from ros2_mcp.model.samples import Sample
 
+StoredFile: TypeAlias = McapFile | SqliteFile
+"""One file of a bag. A new kind has what these two have: `topics`, `times`, `count`, `counts`, `messages`, `close`, and
+`problems`, which grows while damage is found; damage never makes what is read wrong."""
 SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".mcap.zstd")
 
 
@@ -43,12 +47,6 @@ class Bag:
     def problems(self) -> list[str]:
         """What is damaged or missing, as far as it is known yet."""
         return [*self._problems, *(problem for file in self._files for problem in file.problems)]
-
-    @property
-    def count(self) -> int | None:
-        """How many messages there are, with those that are left out; None where damage keeps it from being known."""
-        counts = [file.count for file in self._files]
-        return None if None in counts else sum(count or 0 for count in counts)
 
     @property
     def times(self) -> tuple[int, int] | None:

@@ -25,7 +25,7 @@ _Item: TypeAlias = "tuple[_Key, ChunkPlace, str, Sample | None]"
 
 
 class McapFile:
-    """One MCAP file, open for reading; as a `StoredFile`.
+    """One MCAP file, open for reading. `times` are the Unix times of its first and last message; None if it has none.
 
     Raises:
         BadData: if there is nothing in it that can be read.
@@ -61,7 +61,7 @@ class McapFile:
         """How many messages the index speaks of."""
         return sum((self._index.counts or {}).values())
 
-    def counts(self) -> Mapping[str, int]:
+    def counts(self) -> dict[str, int]:
         """Messages of each topic."""
         return {topic.name: topic.count or 0 for topic in self.topics.values()}
 

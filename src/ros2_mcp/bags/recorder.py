@@ -6,6 +6,7 @@ What has been put in is on its way to the disk within `FLUSH_S`, however slow th
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 from collections import deque
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 from time import monotonic
 
 from ros2_mcp.bags.stored import StoredTopic
-from ros2_mcp.bags.writer import BagWriter, free_bytes
+from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
 
 FLUSH_S = 0.3
@@ -153,7 +154,7 @@ class Recorder:
         limits = self._limits
         if limits.duration_s and self.elapsed_s >= limits.duration_s:
             return f"The time of {limits.duration_s:g} s is over."
-        if not self._is_full() and (free := free_bytes(self._folder)) < limits.free_floor_bytes:
+        if not self._is_full() and (free := shutil.disk_usage(self._folder).free) < limits.free_floor_bytes:
             self.failed = True
             return f"The disk is nearly full: {free} bytes are free, {limits.free_floor_bytes} must stay free."
         return ""

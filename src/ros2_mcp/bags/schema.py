@@ -9,7 +9,7 @@ from ros2_mcp.model.interfaces import Constant, DefinitionText, Interface, Struc
 from ros2_mcp.model.names import defining_type, is_derived
 
 _LINE = "=" * 80
-_NO_FIELDS = "# It has no fields."  # a text without anything would mean that the definition is not known
+_NO_FIELDS = "# It has no fields."  # an empty text would mean that the definition is not known
 _PART = re.compile(r"^={80}\r?\n(MSG|IDL): (\S+)\r?$", re.MULTILINE)
 _ENDINGS = {"srv": ("_Request", "_Response"), "action": ("_Goal", "_Result", "_Feedback")}
 
@@ -74,15 +74,11 @@ def _owners(flat: Mapping[str, str]) -> dict[str, DefinitionText]:
 
 
 def _structure_text(structure: Structure) -> str:
-    return "\n".join(_lines(structure)) or _NO_FIELDS
-
-
-def _lines(structure: Structure) -> Iterator[str]:
-    for constant in structure.constants:
-        yield f"{constant.type} {constant.name}={_constant_text(constant)}"
+    lines = [f"{constant.type} {constant.name}={_constant_text(constant)}" for constant in structure.constants]
     for field in structure.fields:
         comment = f" # {field.comment}" if field.comment else ""
-        yield f"{_type_text(str(field.type))} {field.name}{comment}"
+        lines.append(f"{_type_text(str(field.type))} {field.name}{comment}")
+    return "\n".join(lines) or _NO_FIELDS
 
 
 def _constant_text(constant: Constant) -> str:

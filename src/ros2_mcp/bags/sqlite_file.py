@@ -6,6 +6,7 @@ import sqlite3
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ _BUSY_S = 1.0
 
 
 class SqliteFile:
-    """One `.db3` file, open for reading; as a `StoredFile`. SQLite has no checksums: only broken structure is noticed.
+    """One `.db3` file, open for reading. SQLite has no checksums: only broken structure is noticed.
 
     `compression` is `""`, `message` or `file` (zstd, the only one rosbag2 has). The `topics` have no counts, for which
     everything would have to be read.
@@ -96,12 +97,9 @@ class SqliteFile:
         """
         execute = self._database.execute
         qos = "offered_qos_profiles" if "offered_qos_profiles" in self._columns("topics") else "''"
-        definitions: dict[str, tuple[str, str]] = {}
-        if self._columns("message_definitions"):
-            for kind, *definition in execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-            ):
-                definitions[kind] = definition[0], definition[1]
+        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+        rows = execute(query) if self._columns("message_definitions") else ()
+        definitions: dict[str, tuple[str, str]] = {kind: (encoding, text) for kind, encoding, text in rows}
         names: dict[int, str] = {}
         topics: dict[str, StoredTopic] = {}
         for number, name, kind, serialization, profiles in execute(
@@ -136,12 +134,8 @@ def _connect(path: Path) -> sqlite3.Connection:
     except sqlite3.OperationalError:
         # SQLite wants to write to a journal (WAL) beside the file even to read it; `immutable` does without.
         database = sqlite3.connect(f"{uri}?immutable=1", _BUSY_S, uri=True, check_same_thread=False)
-    database.text_factory = _text
+    database.text_factory = partial(str, encoding="utf-8", errors="replace")
     return database
-
-
-def _text(raw: bytes) -> str:
-    return raw.decode("utf-8", "replace")
 
 
 def _decompressed(path: Path) -> Any:

@@ -179,9 +179,3 @@ def safe_name(name: str) -> str:
     """The name without anything that could lead out of the folder: letters, digits, `-` and `_`, at most 80."""
     safe = re.sub("[^A-Za-z0-9-]", "_", name.strip())
     return safe.strip("_-")[:80]
-
-
-def free_bytes(folder: str | os.PathLike[str]) -> int:
-    """What the disk still takes, for a user without privileges."""
-    found = os.statvfs(folder)
-    return found.f_bavail * found.f_frsize

@@ -33,6 +33,11 @@ class Counts:
     dropped: int = 0
     lost: int | None = 0
 
+    def __add__(self, other: Counts) -> Counts:
+        """Those of two subscriptions to the same topic, one after the other."""
+        lost = None if self.lost is None or other.lost is None else self.lost + other.lost
+        return Counts(self.received + other.received, self.dropped + other.dropped, lost)
+
 
 def header_stamp_ns(data: bytes) -> int:
     """The stamp of a message that starts with a std_msgs/msg/Header, from its CDR bytes."""

@@ -20,7 +20,7 @@ from ros2_mcp.model import commands, names
 from ros2_mcp.model.errors import BadData, BadInput, BadValue, LinkError, NotFound, TypeConflict
 from ros2_mcp.model.graph import RelayCounts, TopicEndpoints
 from ros2_mcp.model.qos import QoS, for_subscribing
-from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp_bridge.limits import MAX_RATE_HZ, MIN_RATE_HZ
@@ -154,8 +154,7 @@ class Relay(Job):
         self._held_back = 0
         self._failed = 0
         self._last_error = ""
-        self._late = 0
-        self._lost: int | None = 0
+        self._listened = Counts()
         self._time_is_over = False
 
     def check_beside(self, running: Sequence[Job]) -> None:
@@ -198,13 +197,14 @@ class Relay(Job):
     def report(self) -> RelayState:
         """How it stands."""
         counts = self.counts
-        lost = None if counts.lost is None or self._lost is None else counts.lost + self._lost + self._late
+        late, unseen = self._listened.dropped, self._listened.lost
+        lost = None if counts.lost is None or unseen is None else counts.lost + unseen + late
         publishers = None if self._in_server else counts.publishers
         notes: list[str] = [str(self.failure)] if self.failure else []
         if self._failed:
             notes.append(f"{self._failed} message(s) could not be passed on, the last because: {self._last_error}")
-        if self._late:
-            notes.append(f"{self._late} message(s) came faster than they could be compared.")
+        if late:
+            notes.append(f"{late} message(s) came faster than they could be compared.")
         if self.is_running and not counts.matched:
             notes.append("Nobody subscribes to the destination.")
         if self.is_running and publishers == 0:
@@ -271,19 +271,17 @@ class Relay(Job):
         await self.wind_down()
 
     async def _feed_from(self, end: float) -> None:
-        """Feeds the bridge until the time is over, or publishers are there that the subscription does not match.
+        """Feeds the bridge from one subscription, until the time is over or another one fits the publishers better.
 
-        It is made anew for those who come or come back, so that its QoS fits them.
+        That is looked at only while nothing comes: a subscription with the wrong QoS receives nothing.
         """
-        late_before, lost_before = self._late, self._lost
+        before = self._listened
         async with self._robot.listen(self.source, self._types[0]) as listening:
             while (left_s := end - monotonic()) > 0:
                 samples = await listening.take(min(left_s, _SILENT_S))
                 for start in range(0, len(samples), _BATCH):
                     await self._feed(samples[start : start + _BATCH])
-                counts = listening.counts
-                self._late = late_before + counts.dropped
-                self._lost = None if counts.lost is None or lost_before is None else lost_before + counts.lost
+                self._listened = before + listening.counts
                 is_silent = not samples and left_s > _SILENT_S
                 if is_silent and not listening.still_fits(await self._robot.graph.endpoints(self.source)):
                     return

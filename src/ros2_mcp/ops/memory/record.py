@@ -7,6 +7,7 @@ and no other node.
 from __future__ import annotations
 
 import logging
+import shutil
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -152,9 +153,7 @@ class _Joined:
 
     def counts(self) -> Counts:
         """What became of the messages, over all subscriptions there were."""
-        one, other = self.former, self.listening.counts if self.listening else Counts()
-        lost = None if one.lost is None or other.lost is None else one.lost + other.lost
-        return Counts(one.received + other.received, one.dropped + other.dropped, lost)
+        return self.former + self.listening.counts if self.listening else self.former
 
 
 class Recording(Job):
@@ -242,13 +241,13 @@ class Recording(Job):
 
     def _open(self) -> tuple[Path, Recorder]:
         from ros2_mcp.bags.recorder import Limits, Recorder
-        from ros2_mcp.bags.writer import BagWriter, free_bytes, fresh_folder
+        from ros2_mcp.bags.writer import BagWriter, fresh_folder
 
         request, record_dir = self._request, self._store.record_dir
         limits = Limits(request.max_duration_s, request.max_bytes)
         try:
             folder = fresh_folder(record_dir, request.name)
-            free = free_bytes(folder)
+            free = shutil.disk_usage(folder).free
             if free < limits.free_floor_bytes:
                 folder.rmdir()
                 raise BadInput(
