@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from time import monotonic
 from typing import Any
 
 from ros2_mcp.guard.policy import bounded
@@ -16,7 +17,7 @@ from ros2_mcp.model.goals import STATUS, goal_id_hex, new_goal_id
 from ros2_mcp.ops.actions.cancel import cancel_sent
 from ros2_mcp.ops.actions.result import STATUS_AFTER_S, result_of
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
-from ros2_mcp.ops.results import Report, in_words, reporting, silent
+from ros2_mcp.ops.results import Report, in_words, silent
 from ros2_mcp.robot import Answer, Listening, Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp_bridge.limits import MAX_DURATION_S
@@ -75,7 +76,6 @@ async def send_goal(
     bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
     action = names.absolute(action, "action")
     action_type = await robot.types.action(action, action_type)
-    await robot.values.learn(action_type)
     command = SendGoal(
         principal=robot.principal,
         name=action,
@@ -88,7 +88,8 @@ async def send_goal(
     try:
         if not wait_for_result:
             return await _submit(robot, command, goal)
-        # Subscribed before the goal is sent: its first feedback may come before it is accepted.
+        # Subscribed before anything else: the action server must have discovered this subscription when it accepts the
+        # goal, or its first feedback is lost.
         async with robot.listen(
             f"{action}/_action/feedback", f"{action_type}_FeedbackMessage", wait_s=SERVER_S
         ) as listening:
@@ -101,6 +102,8 @@ async def send_goal(
 
 async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
     """Sends the goal; returns when its server has said whether it accepts it."""
+    await robot.values.learn(command.type)
+    missing = robot.values.missing_fields(f"{command.type}_Goal", goal)
     calling = asyncio.ensure_future(robot.do(command))
     try:
         accepted, stamp = True, await _accepted_meanwhile(robot, command, calling)
@@ -124,7 +127,6 @@ async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> G
     if not accepted:
         rejected = "The action server rejected the goal; ros2_log_read may tell why."
         return replace(sent, status_code=-1, status=STATUS[-1], note=rejected)
-    missing = robot.values.missing_fields(f"{command.type}_Goal", goal)
     return replace(sent, note=f"Sent with their default values: {', '.join(missing)}." if missing else "")
 
 
@@ -145,7 +147,7 @@ async def _accepted_meanwhile(
 async def _ending(
     robot: Robot, sent: GoalOutcome, listening: Listening, timeout_s: float, report: Report
 ) -> GoalOutcome:
-    """Waits for the result of an accepted goal; takes its feedback meanwhile, and reports the newest once a second."""
+    """Waits for the result of an accepted goal; takes its feedback meanwhile, and reports the newest."""
     count, last = 0, None
 
     async def take_feedback(first_within_s: float) -> bool:
@@ -158,13 +160,14 @@ async def _ending(
         return bool(samples)
 
     async def follow() -> None:
+        started = monotonic()
         while True:
             await take_feedback(1.0)
+            await report(monotonic() - started, timeout_s, "no feedback yet" if last is None else in_words(last))
 
     following = asyncio.create_task(follow())
     try:
-        async with reporting(report, timeout_s, lambda: "no feedback yet" if last is None else in_words(last)):
-            ended = await result_of(robot, sent.action_name, sent.action_type, sent.goal_id, timeout_s)
+        ended = await result_of(robot, sent.action_name, sent.action_type, sent.goal_id, timeout_s)
     except (NotFound, LinkError) as error:
         raise type(error)(f"{error.message} Goal {sent.goal_id} had been accepted.", error.hint) from error
     finally:
