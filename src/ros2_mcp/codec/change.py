@@ -42,28 +42,21 @@ class ChangeDetector:
         Raises:
             BadData: if it is not a message of the type.
         """
-        rest, values = self._parted(data)
-        if self._last is not None and rest == self._last[0] and not self._differ(values, self._last[1]):
+        # The fields with a tolerance are compared one by one, all others as bytes; of arrays the length stays there.
+        message: Any = self._codec.decode(self._type, data)
+        values = [value_at(message, path) for path in self._tolerances]
+        for path, value in zip(self._tolerances, values, strict=True):
+            above, _, name = path.rpartition(".")
+            zero = np.zeros_like(cast("NDArray[Any]", value)) if isinstance(value, np.ndarray) else type(value)()
+            setattr(value_at(message, above) if above else message, attribute(name), zero)
+        for blank in self._blank:
+            blank(message)
+        rest = self._codec.encode(self._type, message)
+        former, former_values = self._last or (None, values)
+        if rest == former and not any(map(_differ, values, former_values, self._tolerances.values())):
             return False
         self._last = rest, values
         return True
-
-    def _parted(self, data: bytes) -> tuple[bytes, list[Any]]:
-        """The fields that have a tolerance, and the bytes of all the others; of arrays, the length stays there."""
-        message = self._codec.decode(self._type, data)
-        values = [value_at(message, path) for path in self._tolerances]
-        for path, value in zip(self._tolerances, values, strict=True):
-            _put(message, path, _zero_like(value))
-        for blank in self._blank:
-            blank(message)
-        return self._codec.encode(self._type, message), values
-
-    def _differ(self, values: list[Any], others: list[Any]) -> bool:
-        return any(map(_differ, values, others, self._tolerances.values()))
-
-
-def _zero_like(value: Any) -> Any:
-    return np.zeros_like(cast("NDArray[Any]", value)) if isinstance(value, np.ndarray) else type(value)()
 
 
 def _differ(value: Any, other: Any, tolerance: float) -> bool:
@@ -78,24 +71,21 @@ def _differ(value: Any, other: Any, tolerance: float) -> bool:
 
 
 def _checked(codec: Codec, type_name: str, tolerances: Mapping[str, float]) -> dict[str, float]:
+    """The tolerance of each field, that of `*` given to every number that has none of its own."""
+    chosen = {path: tolerance for path, tolerance in tolerances.items() if path != EVERY}
     for path, tolerance in tolerances.items():
         if not tolerance >= 0:
             raise BadValue(path, f"{tolerance} is no tolerance.", "Give a number that is not negative.")
-        if path != EVERY:
-            _check_path(codec, type_name, path)
-    every = numeric_fields(codec.definitions, type_name) if EVERY in tolerances else []
-    chosen = {path: tolerance for path, tolerance in tolerances.items() if path != EVERY}
+    for path in chosen:
+        steps = parse_fields(codec.definitions, type_name, [path])[0].steps
+        last = steps[-1].field
+        if "[" in path or any(step.field.type.arity != "single" for step in steps[:-1]):
+            raise BadValue(path, "a tolerance cannot be given for elements.", "Give the whole field.")
+        if not last.type.is_number:
+            raise BadValue(path, f"{last.type} has no numbers to compare.", "Give a field made of numbers.")
+    numbers = numeric_fields(codec.definitions, type_name) if EVERY in tolerances else []
     stamps = tuple(f"{path}." for path in _stamp_paths(codec, type_name, ""))
-    return {path: tolerances[EVERY] for path in every if not path.startswith(stamps)} | chosen
-
-
-def _check_path(codec: Codec, type_name: str, path: str) -> None:
-    steps = parse_fields(codec.definitions, type_name, [path])[0].steps
-    last = steps[-1].field
-    if "[" in path or any(step.field.type.arity != "single" for step in steps[:-1]):
-        raise BadValue(path, "a tolerance cannot be given for elements.", "Give the whole field.")
-    if not last.type.is_number:
-        raise BadValue(path, f"{last.type} has no numbers to compare.", "Give a field made of numbers.")
+    return {path: tolerances[EVERY] for path in numbers if not path.startswith(stamps)} | chosen
 
 
 def _stamp_paths(codec: Codec, type_name: str, path: str) -> list[str]:
@@ -111,30 +101,23 @@ def _stamp_paths(codec: Codec, type_name: str, path: str) -> list[str]:
 
 def _stamps_blank(codec: Codec, type_name: str) -> list[_Blank]:
     """What sets every header's stamp in a message to zero, those in lists of messages included."""
+
+    def blank_stamp(header: Any) -> None:
+        header.stamp.sec = header.stamp.nanosec = 0
+
+    def inside(name: str, is_list: bool, below: list[_Blank]) -> _Blank:
+        def blank(message: Any) -> None:
+            value = getattr(message, name)
+            for element in value if is_list else (value,):
+                for blank_below in below:
+                    blank_below(element)
+
+        return blank
+
     if type_name == HEADER:
-        return [_blank_stamp]
-    found: list[_Blank] = []
-    for field in codec.definitions.structure(type_name).fields:
-        below = _stamps_blank(codec, field.type.base) if field.type.is_message else []
-        if below:
-            found.append(_inside(attribute(field.name), field.type.arity != "single", below))
-    return found
-
-
-def _inside(name: str, is_list: bool, below: list[_Blank]) -> _Blank:
-    def blank(message: Any) -> None:
-        value = getattr(message, name)
-        for element in value if is_list else (value,):
-            for blank_below in below:
-                blank_below(element)
-
-    return blank
-
-
-def _blank_stamp(header: Any) -> None:
-    header.stamp.sec = header.stamp.nanosec = 0
-
-
-def _put(message: Any, path: str, value: Any) -> None:
-    above, _, name = path.rpartition(".")
-    setattr(value_at(message, above) if above else message, attribute(name), value)
+        return [blank_stamp]
+    return [
+        inside(attribute(field.name), field.type.arity != "single", below)
+        for field in codec.definitions.structure(type_name).fields
+        if field.type.is_message and (below := _stamps_blank(codec, field.type.base))
+    ]

@@ -29,8 +29,12 @@ class FieldMapping:
         self._mapping = {to.strip(): origin.strip() for to, origin in mapping.items()}
         _check_paths(codec, destination_type, list(self._mapping))
         _check_paths(codec, source_type, list(self._mapping.values()))
-        _check_apart(list(self._mapping))
-        self._check_kinds()
+        if not self._mapping:
+            raise BadInput("The mapping is empty.", 'Give {"field of the destination": "field of the source"}.')
+        for path in self._mapping:
+            if any(other.startswith(f"{path}.") for other in self._mapping):
+                raise BadInput(f"The mapping gives {path} as a whole and a part of it.", "Give one of both.")
+        self._map(check(codec.definitions, source_type, {}))  # with a message of defaults, wrong kinds show at once
 
     def apply(self, data: bytes) -> bytes:
         """The destination's message (CDR) for one of the source's.
@@ -52,23 +56,11 @@ class FieldMapping:
         checked = check(self._codec.definitions, self._destination_type, value)
         return self._codec.encode(self._destination_type, checked)
 
-    def _check_kinds(self) -> None:
-        """A message of defaults shows at once whether the kinds of the fields fit."""
-        self._map(check(self._codec.definitions, self._source_type, {}))
-
 
 def _check_paths(codec: Codec, type_name: str, paths: list[str]) -> None:
     for selection in parse_fields(codec.definitions, type_name, paths):
         if "[" in selection.path or any(step.field.type.arity != "single" for step in selection.steps[:-1]):
             raise BadValue(selection.path, "elements of arrays cannot be mapped.", "Map the whole field.")
-
-
-def _check_apart(paths: list[str]) -> None:
-    if not paths:
-        raise BadInput("The mapping is empty.", 'Give {"field of the destination": "field of the source"}.')
-    for path in paths:
-        if any(other.startswith(f"{path}.") for other in paths):
-            raise BadInput(f"The mapping gives {path} as a whole and a part of it.", "Give one of both.")
 
 
 def _plain(value: Any) -> Any:

@@ -10,6 +10,7 @@ from ros2_mcp.model.interfaces import (
     FLOATS,
     INTEGERS,
     PRIMITIVES,
+    TEXTS,
     TIME,
     Arity,
     Constant,
@@ -62,18 +63,14 @@ def _code_lines(text: str) -> Iterator[tuple[str, str]]:
     """Each line of code with its comment: the lines just above it and what follows on the line."""
     above: list[str] = []
     for line in text.splitlines():
-        code, comment = _code_and_comment(line)
+        code, _, comment = line.partition("#")
+        code, comment = code.strip(), comment.lstrip("#").strip()
         if code and not code.startswith("@"):
             yield code, _joined([*above, comment])
         if code or not comment:
             above.clear()
         else:
             above.append(comment)
-
-
-def _code_and_comment(line: str) -> tuple[str, str]:
-    code, _, comment = line.partition("#")
-    return code.strip(), comment.lstrip("#").strip()
 
 
 def _joined(comments: list[str]) -> str:
@@ -83,7 +80,11 @@ def _joined(comments: list[str]) -> str:
 def _read_line(type_name: str, package: str, code: str, comment: str) -> Field | Constant:
     try:
         if match := _CONSTANT.fullmatch(code):
-            return _read_constant(read_type(package, match["type"]), match["name"], match["value"], comment)
+            field_type = read_type(package, match["type"])
+            if field_type.arity != "single" or field_type.is_message:
+                raise ValueError("a constant is one primitive value")
+            value = _read_literal(field_type.base, match["value"].strip())
+            return Constant(match["name"], str(field_type), value, comment)
         if match := _FIELD.fullmatch(code):
             field_type = read_type(package, match["type"])
             default = None if match["default"] is None else _read_default(field_type, match["default"].strip())
@@ -91,12 +92,6 @@ def _read_line(type_name: str, package: str, code: str, comment: str) -> Field |
         raise ValueError("neither a field nor a constant")
     except ValueError as error:
         raise UnknownInterface(f"The definition of {type_name} cannot be read: {code[:80]!r}: {error}.") from error
-
-
-def _read_constant(field_type: FieldType, name: str, value: str, comment: str) -> Constant:
-    if field_type.arity != "single" or field_type.is_message:
-        raise ValueError("a constant is one primitive value")
-    return Constant(name, str(field_type), _read_literal(field_type.base, value.strip()), comment)
 
 
 def read_type(package: str, text: str) -> FieldType:
@@ -108,24 +103,18 @@ def read_type(package: str, text: str) -> FieldType:
     match = _TYPE.fullmatch(text)
     if match is None:
         raise ValueError("not a type")
-    base = _full_name(package, match["base"])
-    if match["text_bound"] and base not in ("string", "wstring"):
+    base = match["base"]
+    parts = base.split("/")
+    if base in _TIMES:
+        base = _TIMES[base]
+    elif base not in PRIMITIVES and len(parts) < 3:
+        base = "/".join([parts[0] if len(parts) == 2 else package, "msg", parts[-1]])
+    if match["text_bound"] and base not in TEXTS:
         raise ValueError("only strings have such a bound")
     arity: Arity = "single"
     if match["array"]:
         arity = "array" if match["size"] and not match["at_most"] else "sequence"
     return FieldType(base, arity, int(match["size"] or 0), int(match["text_bound"] or 0))
-
-
-def _full_name(package: str, name: str) -> str:
-    if name in PRIMITIVES:
-        return name
-    if name in _TIMES:
-        return _TIMES[name]
-    parts = name.split("/")
-    if len(parts) == 3:
-        return name
-    return f"{package}/msg/{name}" if len(parts) == 1 else f"{parts[0]}/msg/{parts[1]}"
 
 
 def _read_default(field_type: FieldType, text: str) -> Literals:
@@ -135,37 +124,22 @@ def _read_default(field_type: FieldType, text: str) -> Literals:
         return _read_literal(field_type.base, text)
     if not (text.startswith("[") and text.endswith("]")):
         raise ValueError("the default of an array is written in brackets")
-    return tuple(_read_literal(field_type.base, item) for item in _items(text[1:-1]))
-
-
-def _items(text: str) -> Iterator[str]:
-    return (match[0].strip() for match in _ITEM.finditer(text))
+    return tuple(_read_literal(field_type.base, match[0].strip()) for match in _ITEM.finditer(text[1:-1]))
 
 
 def _read_literal(base: str, text: str) -> bool | int | float | str:
     if base == "bool":
-        return _read_boolean(text)
+        if text.lower() not in _BOOLEANS:
+            raise ValueError(f"{text} is not a boolean")
+        return _BOOLEANS[text.lower()]
     if base in INTEGERS:
-        return _read_integer(base, text)
-    return float(text) if base in FLOATS else _unquoted(text)
-
-
-def _read_boolean(text: str) -> bool:
-    if text.lower() not in _BOOLEANS:
-        raise ValueError(f"{text} is not a boolean")
-    return _BOOLEANS[text.lower()]
-
-
-def _read_integer(base: str, text: str) -> int:
-    value = int(text, 0) if re.match(r"[+-]?0[xXbBoO]", text) else int(text)
-    low, high = INTEGERS[base]
-    if not low <= value <= high:
-        raise ValueError(f"{value} is out of range for {base}")
-    return value
-
-
-def _unquoted(text: str) -> str:
-    for quote in ('"', "'"):
-        if len(text) >= 2 and text[0] == quote == text[-1]:
-            return text[1:-1].replace("\\" + quote, quote)
-    return text
+        value = int(text, 0) if re.match(r"[+-]?0[xXbBoO]", text) else int(text)
+        low, high = INTEGERS[base]
+        if not low <= value <= high:
+            raise ValueError(f"{value} is out of range for {base}")
+        return value
+    if base in FLOATS:
+        return float(text)
+    quote = text[:1]
+    is_quoted = len(text) >= 2 and quote == text[-1] and quote in "\"'"
+    return text[1:-1].replace("\\" + quote, quote) if is_quoted else text

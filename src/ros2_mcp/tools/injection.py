@@ -1,8 +1,9 @@
-"""What tools ask for and the model does not see: made here from a call's arguments and from what the server has.
+"""Dependency injection: parameters of a tool's function whose values are made here, such as the robot or a source.
 
-A parameter `source: Source` gives a tool the arguments `bag`, `start` and `end`, and itself the source that they mean.
-Parameters with a `MadeBy` get their values, and their tool its arguments, from another function. A maker takes the
-`Call`; its other parameters are arguments of the tool, or are shared with it where the tool has one of that name.
+The model sees the arguments that a value is made from: for a parameter `source: Source` these are `bag`, `start` and
+`end`. What makes a value is a function, the maker. It is found by the parameter's type (`_BY_TYPE`), or the annotation
+names it (`MadeBy`). A maker takes the `Call`; its other parameters (or some of them) become arguments of the tool.
+Where the tool has a parameter of the same name, both get the same value.
 """
 
 from __future__ import annotations
