@@ -43,17 +43,21 @@ _ALWAYS_KNOWN: Mapping[str, DefinitionText] = {
 }
 """What the services of an action refer to, for robots that send only the action itself."""
 
-_IMPLIED_BY_SERVICE = {
-    "_Event": ("service_msgs/msg/ServiceEventInfo info\n{name}_Request[<=1] request\n{name}_Response[<=1] response\n"),
+_IMPLIED: Mapping[str, Mapping[str, str]] = {
+    "msg": {},
+    "srv": {
+        "_Event": "service_msgs/msg/ServiceEventInfo info\n"
+        "{name}_Request[<=1] request\n{name}_Response[<=1] response\n",
+    },
+    "action": {
+        "_SendGoal_Request": "unique_identifier_msgs/msg/UUID goal_id\n{name}_Goal goal\n",
+        "_SendGoal_Response": "bool accepted\nbuiltin_interfaces/msg/Time stamp\n",
+        "_GetResult_Request": "unique_identifier_msgs/msg/UUID goal_id\n",
+        "_GetResult_Response": "int8 status\n{name}_Result result\n",
+        "_FeedbackMessage": "unique_identifier_msgs/msg/UUID goal_id\n{name}_Feedback feedback\n",
+    },
 }
-_IMPLIED_BY_ACTION = {
-    "_SendGoal_Request": "unique_identifier_msgs/msg/UUID goal_id\n{name}_Goal goal\n",
-    "_SendGoal_Response": "bool accepted\nbuiltin_interfaces/msg/Time stamp\n",
-    "_GetResult_Request": "unique_identifier_msgs/msg/UUID goal_id\n",
-    "_GetResult_Response": "int8 status\n{name}_Result result\n",
-    "_FeedbackMessage": "unique_identifier_msgs/msg/UUID goal_id\n{name}_Feedback feedback\n",
-}
-_IMPLIED = {"msg": {}, "srv": _IMPLIED_BY_SERVICE, "action": _IMPLIED_BY_ACTION}
+"""The types that rosidl makes of each service and action, by the ending of their names."""
 _IDENTIFIER = r"[A-Za-z]\w*"
 _TYPE_NAME = re.compile(rf"{_IDENTIFIER}/(msg|srv|action)/{_IDENTIFIER}", re.ASCII)
 _INCLUDE = re.compile(r"^\s*#.*$", re.MULTILINE)
@@ -102,7 +106,11 @@ class Definitions:
         """The whole definition for showing: all sides and everything nested."""
         kind = _kind_of(type_name) if type_name in self._known.texts else "msg"
         sections = tuple(Section(name, self.structure(type_name + ending)) for name, ending in _SIDES[kind].items())
-        nested = {name: structure for section in sections for name, structure in self._nested(section.type).items()}
+        nested: dict[str, Structure] = {}
+        with self._lock:
+            for section in sections:
+                reachable = self._known.reachable(section.type)
+                nested |= {name: structure for name, structure in reachable.items() if name != section.type}
         return Interface(type_name, kind, sections, nested)
 
     def hash(self, type_name: str) -> str:
@@ -129,11 +137,6 @@ class Definitions:
     def message_class(self, type_name: str) -> type:
         """The class of the type's objects; made from one value for each field, in order."""
         return cast("type", self.compiled(type_name).types[type_name])
-
-    def _nested(self, type_name: str) -> dict[str, Structure]:
-        with self._lock:
-            every = self._known.reachable(type_name)
-        return {name: structure for name, structure in every.items() if name != type_name}
 
 
 class _Known:
@@ -175,18 +178,19 @@ class _Known:
     def reachable(self, type_name: str) -> dict[str, Structure]:
         """The structure of the type and of all that it contains, by name, in the order of their first use."""
         found: dict[str, Structure] = {}
-        self._collect(type_name, found, ())
-        return found
 
-    def _collect(self, type_name: str, found: dict[str, Structure], inside: tuple[str, ...]) -> None:
-        if type_name in inside:
-            raise UnknownInterface(f"The definition of {type_name} contains itself.")
-        if type_name in found:
-            return
-        found[type_name] = self.load(type_name)
-        for field in found[type_name].fields:
-            if field.type.is_message:
-                self._collect(field.type.base, found, (*inside, type_name))
+        def collect(name: str, inside: tuple[str, ...]) -> None:
+            if name in inside:
+                raise UnknownInterface(f"The definition of {name} contains itself.")
+            if name in found:
+                return
+            found[name] = self.load(name)
+            for field in found[name].fields:
+                if field.type.is_message:
+                    collect(field.type.base, (*inside, name))
+
+        collect(type_name, ())
+        return found
 
 
 # ── from the texts to structures, with the types that services and actions imply ──────────────────────────────────

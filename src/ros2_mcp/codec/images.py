@@ -49,7 +49,10 @@ def image_raster(message: Any, _: Bounds) -> Raster:
 
 
 def _depth_raster(metres: NDArray[Any], encoding: str) -> Raster:
-    """Distances as grey: the nearest 2 % white, the farthest 2 % dark, what is not a distance black."""
+    """Distances as grey: the nearest 2 % white, the farthest 2 % dark, everything that is no distance black.
+
+    Two per cent at both ends, so that single outliers do not use up the scale.
+    """
     valid = np.isfinite(metres) & (metres > 0)
     share = 1 - float(np.count_nonzero(valid)) / metres.size
     pixels = np.zeros(metres.shape, np.uint8)
@@ -93,27 +96,14 @@ def _rows(message: Any, dtype: str, channels: int, rows: int = 0) -> NDArray[Any
 
 
 def _colour(*order: int) -> Callable[[NDArray[Any], str], Raster]:
+    """One channel as grey, or three as red, green and blue; `order` are their places in a pixel."""
+
     def show(pixels: NDArray[Any], encoding: str) -> Raster:
         dropped = " without its alpha" if pixels.shape[2] == 4 else ""
-        return Raster(_to_8_bit(pixels[:, :, list(order)]), f"{encoding}{dropped}.")
+        chosen = pixels[:, :, order[0]] if len(order) == 1 else pixels[:, :, list(order)]
+        return Raster(_to_8_bit(np.ascontiguousarray(chosen)), f"{encoding}{dropped}.")
 
     return show
-
-
-def _grey(pixels: NDArray[Any], encoding: str) -> Raster:
-    return Raster(np.ascontiguousarray(pixels[:, :, 0]), f"{encoding}.")
-
-
-def _grey_16(pixels: NDArray[Any], encoding: str) -> Raster:
-    return _stretched(pixels[:, :, 0], encoding)
-
-
-def _depth_mm(pixels: NDArray[Any], encoding: str) -> Raster:
-    return _depth_raster(pixels[:, :, 0].astype(np.float32) / 1000, encoding)
-
-
-def _depth_m(pixels: NDArray[Any], encoding: str) -> Raster:
-    return _depth_raster(pixels[:, :, 0].astype(np.float64), encoding)
 
 
 def _bayer(red: int, blue: int) -> Callable[[NDArray[Any], str], Raster]:
@@ -181,8 +171,11 @@ def compressed_raster(message: Any, bounds: Bounds) -> Raster | Picture:
         return _compressed_depth(described, data)
     image = _opened(data, described)
     note = f"{described or image.format}."
-    if image.mode.startswith("I"):
-        return _deep_grey(image, described)
+    if image.mode.startswith("I"):  # grey of more than eight bits
+        values, encoding = np.asarray(image), described.partition(";")[0].strip()
+        if encoding == "16UC1":
+            return _depth_raster(values / 1000, encoding)
+        return _stretched(values, encoding or "16 bit grey")
     if image.format in _MIMES and max(image.size) <= bounds.max_side and len(data) <= bounds.max_bytes:
         return Picture(data, _MIMES[image.format], *image.size, f"{note} As the robot sent it.")
     return Raster(np.asarray(image if image.mode in ("L", "RGB") else image.convert("RGB")), note)
@@ -212,22 +205,10 @@ def _compressed_depth(described: str, data: bytes) -> Raster:
         raise BadData(f"{len(data)} bytes are too few for a compressed depth picture.")
     _, scale, offset = _DEPTH_HEADER.unpack_from(data)
     values = np.asarray(_opened(data[_DEPTH_HEADER.size :], described)).astype(np.float64)
-    return _depth_raster(_metres(encoding, values, scale, offset), encoding)
-
-
-def _metres(encoding: str, values: NDArray[Any], scale: float, offset: float) -> NDArray[Any]:
     if encoding != "32FC1":
-        return values / 1000
+        return _depth_raster(values / 1000, encoding)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(values > 0, scale / (values - offset), np.nan)
-
-
-def _deep_grey(image: Image.Image, described: str) -> Raster:
-    values = np.asarray(image)
-    encoding = described.partition(";")[0].strip()
-    return (
-        _depth_raster(values / 1000, encoding) if encoding == "16UC1" else _stretched(values, encoding or "16 bit grey")
-    )
+        return _depth_raster(np.where(values > 0, scale / (values - offset), np.nan), encoding)
 
 
 # ── encodings of images ──────────────────────────────────────────────────────────────────────────────────────────
@@ -243,11 +224,13 @@ _LAYOUTS: Mapping[str, _Layout] = {
     "bgr16": _Layout("u2", 3, _colour(2, 1, 0)),
     "8UC3": _Layout("u1", 3, _colour(2, 1, 0)),
     "8UC4": _Layout("u1", 4, _colour(2, 1, 0)),
-    "mono8": _Layout("u1", 1, _grey),
-    "8UC1": _Layout("u1", 1, _grey),
-    "mono16": _Layout("u2", 1, _grey_16),
-    "16UC1": _Layout("u2", 1, _depth_mm),
-    "32FC1": _Layout("f4", 1, _depth_m),
+    "mono8": _Layout("u1", 1, _colour(0)),
+    "8UC1": _Layout("u1", 1, _colour(0)),
+    "mono16": _Layout("u2", 1, lambda pixels, encoding: _stretched(pixels[:, :, 0], encoding)),
+    "16UC1": _Layout(
+        "u2", 1, lambda pixels, encoding: _depth_raster(pixels[:, :, 0].astype(np.float32) / 1000, encoding)
+    ),
+    "32FC1": _Layout("f4", 1, lambda pixels, encoding: _depth_raster(pixels[:, :, 0].astype(np.float64), encoding)),
     "yuv422": _Layout("u1", 2, _yuv_422(1)),
     "uyvy": _Layout("u1", 2, _yuv_422(1)),
     "yuv422_yuy2": _Layout("u1", 2, _yuv_422(0)),

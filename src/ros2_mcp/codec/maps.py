@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ros2_mcp.codec.raster import Pixels, Raster, magnified
+from ros2_mcp.codec.raster import Raster, magnified
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import Bounds
 
@@ -77,7 +77,15 @@ def map_raster(message: Any, bounds: Bounds) -> Raster:
     """
     cells = np.flipud(_cells(message))
     grey = np.where((cells < 0) | (cells > 100), _UNKNOWN_GREY, 255 - cells.astype(np.int16) * 255 // 100)
-    pixels, scale = _sized(grey.astype(np.uint8), bounds.max_side)
+    pixels, side = grey.astype(np.uint8), max(grey.shape)
+    if side > bounds.max_side:
+        together = -(-side // bounds.max_side)
+        for axis, length in enumerate(grey.shape):  # the squares at the top and the right may be smaller
+            pixels = np.minimum.reduceat(pixels, range(0, length, together), axis=axis)
+        scale = f"one pixel is {together} × {together} cells"
+    else:
+        pixels, times = magnified(pixels, bounds.max_side)
+        scale = f"one cell is {times} × {times} pixels"
     note = f"Map, {map_facts(message)} White is free, black occupied, grey unknown; x to the right, y up; {scale}."
     return Raster(pixels, note, kind="exact")
 
@@ -91,18 +99,3 @@ def _cells(message: Any) -> NDArray[np.int8]:
             f"data has {len(message.data)} cells, but width × height is {width} × {height} = {width * height}."
         )
     return message.data.reshape(height, width)
-
-
-def _sized(pixels: Pixels, max_side: int) -> tuple[Pixels, str]:
-    side = max(pixels.shape)
-    if side > max_side:
-        cells = -(-side // max_side)
-        return _darkest(pixels, cells), f"one pixel is {cells} × {cells} cells"
-    pixels, times = magnified(pixels, max_side)
-    return pixels, f"one cell is {times} × {times} pixels"
-
-
-def _darkest(pixels: Pixels, cells: int) -> Pixels:
-    """One pixel for each square of cells; the squares at the top and the right may be smaller."""
-    rows = np.minimum.reduceat(pixels, range(0, pixels.shape[0], cells), axis=0)
-    return np.minimum.reduceat(rows, range(0, pixels.shape[1], cells), axis=1)

@@ -110,32 +110,24 @@ def _step(definitions: Definitions, path: str, inside: FieldType, name: str, bra
         raise BadValue(path, f"{inside} is a list; {name!r} is a field of its elements.", _NOT_AN_INDEX)
     if not inside.is_message:
         raise BadValue(path, f"{inside} has no fields, so {name!r} cannot be one.")
-    field = _field(definitions, path, inside.base, name)
+    fields = {field.name: field for field in definitions.structure(inside.base).fields}
+    if name not in fields:
+        near = nearest(name, list(fields))
+        hint = f"Did you mean {near}? " if near else ""
+        raise BadValue(path, f"{inside.base} has no field {name!r}.", f"{hint}Its fields are {', '.join(fields)}.")
+    field, index = fields[name], brackets[1:-1]
     if not brackets:
         return Step(field)
     if field.type.arity == "single":
         raise BadValue(path, f"{name} is a single {field.type}, not a list.")
-    return Step(field, _pick(path, brackets[1:-1]))
-
-
-def _field(definitions: Definitions, path: str, type_name: str, name: str) -> Field:
-    fields = {field.name: field for field in definitions.structure(type_name).fields}
-    if name in fields:
-        return fields[name]
-    near = nearest(name, list(fields))
-    hint = f"Did you mean {near}? " if near else ""
-    raise BadValue(path, f"{type_name} has no field {name!r}.", f"{hint}Its fields are {', '.join(fields)}.")
-
-
-def _pick(path: str, text: str) -> int | slice:
-    if text == "*":
-        return slice(None)
-    if _INDEX.fullmatch(text):
-        return int(text)
-    match = _SLICE.fullmatch(text)
+    if index == "*":
+        return Step(field, slice(None))
+    if _INDEX.fullmatch(index):
+        return Step(field, int(index))
+    match = _SLICE.fullmatch(index)
     if match is None:
-        raise BadValue(path, f"[{text}] is not an index.", _NOT_AN_INDEX)
-    return slice(*(int(bound) if bound else None for bound in match.groups()))
+        raise BadValue(path, f"[{index}] is not an index.", _NOT_AN_INDEX)
+    return Step(field, slice(*(int(bound) if bound else None for bound in match.groups())))
 
 
 def element_at(values: Any, index: int, path: str) -> Any:

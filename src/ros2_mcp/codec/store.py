@@ -77,36 +77,22 @@ class MessageStore(Typestore):
 def type_hash(type_name: str, structures: Mapping[str, Structure]) -> str:
     """The RIHS01 hash of a type; a `char` counts as the `uint8` that it is. Wide strings have no place in it."""
     bare = Typestore()
-    bare.fielddefs.update(
-        {
-            name: ([], [(f.name, _tree(f.type, _hashed_element(f.type))) for f in structure.fields])
-            for name, structure in structures.items()
-        }
-    )
+    for name, structure in structures.items():
+        bare.fielddefs[name] = ([], [(f.name, _node(f.type, hashed=True)) for f in structure.fields])
     return bare.hash_rihs01(type_name)
 
 
-def _hashed_element(field_type: FieldType) -> Any:
-    if field_type.is_message:
-        return (Nodetype.NAME, field_type.base)
-    return (Nodetype.BASE, ("uint8" if field_type.base == "char" else field_type.base, field_type.text_bound))
-
-
-def _stored_element(field_type: FieldType) -> Any:
-    if field_type.is_message or field_type.base in TEXTS:
-        return (Nodetype.NAME, field_type.base)
-    return (Nodetype.BASE, ("uint8" if field_type.base in OCTETS else field_type.base, 0))
-
-
-def _tree(field_type: FieldType, element: Any) -> Any:
-    """The node of rosbags' parse tree for a type made of such elements."""
+def _node(field_type: FieldType, *, hashed: bool = False) -> Any:
+    """The node of rosbags' parse tree for a type: as it is stored, or as the definition has it, for the hash."""
+    base = field_type.base
+    if field_type.is_message or (base in TEXTS and not hashed):
+        element: Any = (Nodetype.NAME, base)
+    else:
+        is_octet = base == "char" if hashed else base in OCTETS
+        element = (Nodetype.BASE, ("uint8" if is_octet else base, field_type.text_bound if hashed else 0))
     if field_type.arity == "single":
         return element
     return (Nodetype.ARRAY if field_type.arity == "array" else Nodetype.SEQUENCE, (element, field_type.size))
-
-
-def _node(field_type: FieldType) -> Any:
-    return _tree(field_type, _stored_element(field_type))
 
 
 def _definition(
