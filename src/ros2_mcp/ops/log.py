@@ -1,15 +1,16 @@
-"""What the robot's nodes said: lines of /rosout since a time, by node, level and text."""
+"""The log of the robot's nodes: lines of /rosout since a time, by node, level and text, live or recorded."""
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timezone
 from fnmatch import fnmatchcase
-from typing import Any, cast
+from typing import Any
 
+from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
@@ -17,12 +18,13 @@ from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.sources.source import Missing, Source
 from ros2_mcp.ops.sources.times import absolute_ns
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.log import LOG_TYPE, TOPIC, level_of
+from ros2_mcp.robot.log import LOG_TYPE, MAX_LINES, TOPIC, level_of
 
 LEVELS: Mapping[str, int] = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 MAX_TEXT = 2000
+"""Characters of one line: a node that logs whole messages must not take the room of all others."""
 _HISTORY_S = 1.0
-"""Nodes send what they said lately as soon as they have matched, which takes them up to a second."""
+"""Nodes send their last lines (`TRANSIENT_LOCAL`) as soon as they have matched, which takes them up to a second."""
 _READY_S = 20.0
 """As long as a bridge may take to start."""
 _LINE_BYTES = 100
@@ -77,32 +79,37 @@ class LogRequest:
 
 
 async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Log:
-    """Lines that are kept; the first call of a server that has not listened yet waits for what nodes said lately.
+    """Lines that are kept; the first call of a server that has not listened yet waits for the nodes' last lines.
 
     Raises:
         BadInput: for a level, time or limit that cannot be.
         LinkError: if there is no bridge to listen with.
     """
     since_ns, least = since(request.since, time.time_ns()), level_number(request.level)
-    if not 1 <= request.limit <= 5000:
-        raise BadInput(f"limit: {request.limit} is out of range.", "Give 1 to 5000.")
-    await _listening(robot)
+    bounded("limit", request.limit, 1, MAX_LINES, "lines")
+    robot.log.start()
+    await robot.graph.ready()
+    await robot.log.wait_listening(_READY_S)
+    await robot.graph.endpoints(TOPIC)  # after discovery has settled
+    listened_s = (time.time_ns() - robot.log.since_ns) / 1e9
+    await asyncio.sleep(max(0.0, _HISTORY_S - listened_s))
     await robot.values.learn(LOG_TYPE)
     kept = robot.log.lines
-    lines = [
-        line
-        for sample in kept
-        if level_of(sample.data) >= least and (line := _matching(robot, sample, request, since_ns))
-    ]
-    shown = _within(lines[-request.limit :], max_bytes)
-    return Log(
-        shown,
-        len(lines),
-        len(kept),
-        robot.log.dropped,
-        iso_time(robot.log.since_ns),
-        _note(robot, lines, shown, since_ns),
-    )
+    # the level is read from the bytes: most lines of a talkative robot need not be decoded
+    messages = (robot.values.decode(LOG_TYPE, sample) for sample in kept if level_of(sample.data) >= least)
+    lines, matched = _selected(messages, request, since_ns, max_bytes)
+    notes: list[str] = []
+    if len(lines) < matched:
+        notes.append(f"The newest {len(lines)} are shown: narrow it down, or raise limit.")
+    if robot.log.dropped and (not matched or not since_ns or since_ns < kept[0].received_ns):
+        notes.append(f"{robot.log.dropped} older line(s) are no longer kept.")
+    if since_ns and since_ns < robot.log.since_ns:
+        notes.append("This server listens for a shorter time than that.")
+    if robot.log.interruptions:
+        notes.append(f"The bridge was lost {robot.log.interruptions} time(s): lines of that time may be missing.")
+    if not kept:
+        notes.append("No node has said anything on /rosout.")
+    return Log(lines, matched, len(kept), robot.log.dropped, iso_time(robot.log.since_ns), " ".join(notes))
 
 
 async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> Log:
@@ -112,18 +119,40 @@ async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> 
         BadInput: for a level that cannot be.
         NotFound: if /rosout was not recorded.
     """
-    least = level_number(request.level)
+    level_number(request.level)  # raises before anything is read
     (capture,) = await source.captures([TOPIC])
     if isinstance(capture, Missing):
         raise capture.error
-    _, messages, trouble = capture.readable()
-    lines = [
-        _line(message) for message in cast("Any", messages) if message.level >= least and _fits(message, request, 0)
+    _, messages, note = capture.readable()
+    lines, matched = _selected(messages, request, 0, max_bytes)
+    if len(lines) < matched:
+        note = f"The newest {len(lines)} are shown. {note}".rstrip()
+    received = len(capture.samples)
+    return Log(lines, matched, received, capture.dropped, iso_time(capture.start_ns), note, source.words)
+
+
+def _selected(messages: Iterable[Any], request: LogRequest, since_ns: int, max_bytes: int) -> tuple[list[LogLine], int]:
+    """The newest lines that are meant, as many as fit, the oldest first; and how many are meant in all.
+
+    Not evenly spread, as `ops/sources/selection.fit` does: what a log says last is what matters.
+    """
+    least = level_number(request.level)
+    matching = [
+        message
+        for message in messages
+        if message.level >= least
+        and _stamp_ns(message) >= since_ns
+        and is_node(message.name, request.node)
+        and has_text(message.msg, request.pattern)
     ]
-    shown = _within(lines[-request.limit :], max_bytes)
-    note = f"The newest {len(shown)} are shown. {trouble}".rstrip() if len(shown) < len(lines) else trouble
-    begin = iso_time(capture.start_ns)
-    return Log(shown, len(lines), len(capture.samples), capture.dropped, begin, note, source.words)
+    lines: list[LogLine] = []
+    for message in reversed(matching[-request.limit :]):
+        line = _line(message)
+        max_bytes -= len(line.text.encode()) + len(line.node) + len(line.function) + len(line.file) + _LINE_BYTES
+        if max_bytes < 0 and lines:
+            break
+        lines.append(line)
+    return lines[::-1], len(matching)
 
 
 def line_of(robot: Robot, sample: Sample) -> LogLine:
@@ -132,10 +161,9 @@ def line_of(robot: Robot, sample: Sample) -> LogLine:
 
 
 def _line(message: Any) -> LogLine:
-    stamp_ns = message.stamp.sec * 1_000_000_000 + message.stamp.nanosec
     text = message.msg if len(message.msg) <= MAX_TEXT else f"{message.msg[:MAX_TEXT]}… ({len(message.msg)} characters)"
     return LogLine(
-        iso_time(stamp_ns),
+        iso_time(_stamp_ns(message)),
         _NAMES.get(message.level, str(message.level)),
         message.name,
         text,
@@ -143,6 +171,10 @@ def _line(message: Any) -> LogLine:
         message.function,
         message.line,
     )
+
+
+def _stamp_ns(message: Any) -> int:
+    return message.stamp.sec * 1_000_000_000 + message.stamp.nanosec
 
 
 def level_number(name: str) -> int:
@@ -153,20 +185,20 @@ def level_number(name: str) -> int:
     return LEVELS.get(word, 0)
 
 
-def since(given: str, now_ns: int) -> int:
+def since(text: str, now_ns: int) -> int:
     """A Unix time in nanoseconds out of seconds ago or an ISO 8601 time (UTC if it names no zone); empty is 0.
 
     Raises:
         BadValue: for anything else.
     """
-    if not given.strip():
+    if not text.strip():
         return 0
     try:
-        seconds = float(given)
+        seconds = float(text)
     except ValueError:
-        return absolute_ns("since", given.strip(), timezone.utc, _SINCE_HINT)
+        return absolute_ns("since", text.strip(), timezone.utc, _SINCE_HINT)
     if not 0 <= seconds < 1e9:
-        raise BadValue("since", f"{given} is no number of seconds ago.", "Give one that is not negative, such as 30.")
+        raise BadValue("since", f"{text} is no number of seconds ago.", "Give one that is not negative, such as 30.")
     return now_ns - int(seconds * 1e9)
 
 
@@ -185,49 +217,3 @@ def has_text(text: str, pattern: str) -> bool:
     if any(sign in pattern for sign in "*?"):
         return fnmatchcase(text.lower(), pattern.lower())
     return pattern.lower() in text.lower()
-
-
-async def _listening(robot: Robot) -> None:
-    """Begins to listen, if nobody has yet, and gives nodes the time to tell what they said lately."""
-    robot.log.start()
-    await robot.graph.ready()
-    await robot.log.wait_listening(_READY_S)
-    await robot.graph.endpoints(TOPIC)  # after discovery has settled
-    young_s = (time.time_ns() - robot.log.since_ns) / 1e9
-    await asyncio.sleep(max(0.0, _HISTORY_S - young_s))
-
-
-def _matching(robot: Robot, sample: Sample, request: LogRequest, since_ns: int) -> LogLine | None:
-    message: Any = robot.values.decode(LOG_TYPE, sample)
-    return _line(message) if _fits(message, request, since_ns) else None
-
-
-def _fits(message: Any, request: LogRequest, since_ns: int) -> bool:
-    stamp_ns = message.stamp.sec * 1_000_000_000 + message.stamp.nanosec
-    return stamp_ns >= since_ns and is_node(message.name, request.node) and has_text(message.msg, request.pattern)
-
-
-def _within(lines: Sequence[LogLine], max_bytes: int) -> list[LogLine]:
-    """The newest lines that fit into a result."""
-    fitting: list[LogLine] = []
-    for line in reversed(lines):
-        max_bytes -= len(line.text.encode()) + len(line.node) + len(line.function) + len(line.file) + _LINE_BYTES
-        if max_bytes < 0 and fitting:
-            break
-        fitting.append(line)
-    return fitting[::-1]
-
-
-def _note(robot: Robot, lines: Sequence[LogLine], shown: Sequence[LogLine], since_ns: int) -> str:
-    notes: list[str] = []
-    if len(shown) < len(lines):
-        notes.append(f"The newest {len(shown)} are shown: narrow it down, or raise limit.")
-    if robot.log.dropped and (not lines or not since_ns or since_ns < robot.log.lines[0].received_ns):
-        notes.append(f"{robot.log.dropped} older line(s) are no longer kept.")
-    if since_ns and since_ns < robot.log.since_ns:
-        notes.append("This server listens for a shorter time than that.")
-    if robot.log.interruptions:
-        notes.append(f"The bridge was lost {robot.log.interruptions} time(s): lines of that time may be missing.")
-    if not robot.log.lines:
-        notes.append("No node has said anything on /rosout.")
-    return " ".join(notes)
