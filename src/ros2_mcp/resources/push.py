@@ -1,6 +1,6 @@
-"""Telling subscribers: `resources/subscribe` of the handshake era and `subscriptions/listen` of the modern one.
+"""Notifying subscribers: `resources/subscribe` of the handshake era and `subscriptions/listen` of the modern one.
 
-Whoever does not read is told once, later: each client has a mailbox in which an event stands at most once.
+A client that does not read is notified once, later: each has a mailbox in which an event stands at most once.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from mcp.types import (
 )
 
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp.ops.watch.watchers import Watcher
+from ros2_mcp.ops.watch.watchers import Subject, Watcher
 from ros2_mcp.resources.catalogue import subject_of
 
 # Several times what any client was seen to watch; each may be a subscription on the robot.
@@ -73,8 +73,8 @@ class Subscriber:
         self.watched: dict[str, Callable[[], None]] = {}
         self.mailbox = Mailbox()
 
-    async def tell(self, session: ServerSession) -> None:
-        """Tells the client of what arrives, until cancelled."""
+    async def notify(self, session: ServerSession) -> None:
+        """Sends the client what arrives, until cancelled."""
         while True:
             event = await self.mailbox.take()
             if isinstance(event, ResourceUpdated) and event.uri in self.watched:
@@ -111,7 +111,7 @@ class Push:
             return
         subscriber = self._subscribers[id(client)] = Subscriber()
         try:
-            await subscriber.tell(request.session)
+            await subscriber.notify(request.session)
         finally:
             subscriber.leave()
             del self._subscribers[id(client)]
@@ -125,11 +125,14 @@ class Push:
             MCPError: for a URI that is none of ours, or a client that has not said that it is initialized.
         """
         uri, subscriber = str(params.uri), self._subscriber(request)
-        subject = _known(uri)
+        try:
+            subject = subject_of(uri)
+        except RobotError as error:
+            raise MCPError(INVALID_PARAMS, str(error), data={"uri": uri}) from error
         if len(subscriber.watched) >= MAX_URIS:
             raise MCPError(INVALID_PARAMS, f"You are subscribed to {MAX_URIS} resources: unsubscribe from some first.")
         if uri not in subscriber.watched:
-            subscriber.watched[uri] = self._watch(uri, subscriber.mailbox)
+            subscriber.watched[uri] = self._watch(uri, subject, subscriber.mailbox)
             await self._watcher.begun(subject)
         return EmptyResult()
 
@@ -141,25 +144,36 @@ class Push:
         return EmptyResult()
 
     async def listen(self, request: Request, params: SubscriptionsListenRequestParams) -> SubscriptionsListenResult:
-        """Modern era: acknowledges what it honours, then tells of events until the request is cancelled."""
+        """Modern era: acknowledges what can happen here, then sends events until the request is cancelled."""
         if self._listening >= MAX_LISTENING:
             raise MCPError(INVALID_PARAMS, f"{MAX_LISTENING} subscriptions are open: end some first.")
-        honored = _honored(params.notifications)
-        uris = frozenset(honored.resource_subscriptions or ())
-        mailbox = Mailbox()
+        asked = params.notifications
+        uris = list(dict.fromkeys(asked.resource_subscriptions or ()))
+        if len(uris) > MAX_URIS:
+            raise MCPError(INVALID_PARAMS, f"{len(uris)} resources are too many: at most {MAX_URIS}.")
+        subjects = {uri: subject for uri in uris if (subject := _subject_or_none(uri)) is not None}
+        honored = SubscriptionFilter(
+            tools_list_changed=asked.tools_list_changed or None,
+            prompts_list_changed=asked.prompts_list_changed or None,
+            resources_list_changed=asked.resources_list_changed or None,
+            resource_subscriptions=list(subjects) or None,
+        )
+        mailbox, own_uris = Mailbox(), frozenset(subjects)
 
         def deliver(event: ServerEvent) -> None:
-            if event_matches(honored, uris, event):
+            if event_matches(honored, own_uris, event):
                 mailbox.put(event)
 
-        with ExitStack() as until_the_end:
-            self._listening += 1
-            until_the_end.callback(self._left)
-            until_the_end.callback(self._bus.subscribe(deliver))
-            for uri in uris:
-                until_the_end.callback(self._watch(uri, mailbox))
-            await self._watcher.begun(*(subject_of(uri) for uri in uris))
-            await _tell_listener(request, honored, mailbox)
+        self._listening += 1
+        try:
+            with ExitStack() as until_the_end:
+                until_the_end.callback(self._bus.subscribe(deliver))
+                for uri, subject in subjects.items():
+                    until_the_end.callback(self._watch(uri, subject, mailbox))
+                await self._watcher.begun(*subjects.values())
+                await _notify_listener(request, honored, mailbox)
+        finally:
+            self._listening -= 1
         return SubscriptionsListenResult()
 
     def _subscriber(self, request: Request) -> Subscriber:
@@ -168,14 +182,11 @@ class Push:
             raise MCPError(INVALID_REQUEST, "Send notifications/initialized before you subscribe to resources.")
         return subscriber
 
-    def _watch(self, uri: str, mailbox: Mailbox) -> Callable[[], None]:
-        return self._watcher.watch(subject_of(uri), lambda: mailbox.put(ResourceUpdated(uri)))
-
-    def _left(self) -> None:
-        self._listening -= 1
+    def _watch(self, uri: str, subject: Subject, mailbox: Mailbox) -> Callable[[], None]:
+        return self._watcher.watch(subject, lambda: mailbox.put(ResourceUpdated(uri)))
 
 
-async def _tell_listener(request: Request, honored: SubscriptionFilter, mailbox: Mailbox) -> None:
+async def _notify_listener(request: Request, honored: SubscriptionFilter, mailbox: Mailbox) -> None:
     stamp: dict[str, Any] = {SUBSCRIPTION_ID_META_KEY: request.request_id}
     acknowledgement = SubscriptionsAcknowledgedNotificationParams(notifications=honored, _meta=stamp)
     await request.session.send_notification(
@@ -188,29 +199,8 @@ async def _tell_listener(request: Request, honored: SubscriptionFilter, mailbox:
         )
 
 
-def _known(uri: str) -> Any:
+def _subject_or_none(uri: str) -> Subject | None:
     try:
         return subject_of(uri)
-    except RobotError as error:
-        raise MCPError(INVALID_PARAMS, str(error), data={"uri": uri}) from error
-
-
-def _honored(wanted: SubscriptionFilter) -> SubscriptionFilter:
-    """What of the wanted can happen here: resources that are ours, and every list."""
-    uris = list(dict.fromkeys(wanted.resource_subscriptions or ()))
-    if len(uris) > MAX_URIS:
-        raise MCPError(INVALID_PARAMS, f"{len(uris)} resources are too many: at most {MAX_URIS}.")
-    return SubscriptionFilter(
-        tools_list_changed=wanted.tools_list_changed or None,
-        prompts_list_changed=wanted.prompts_list_changed or None,
-        resources_list_changed=wanted.resources_list_changed or None,
-        resource_subscriptions=[uri for uri in uris if _is_known(uri)] or None,
-    )
-
-
-def _is_known(uri: str) -> bool:
-    try:
-        subject_of(uri)
     except RobotError:
-        return False
-    return True
+        return None

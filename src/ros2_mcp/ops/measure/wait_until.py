@@ -16,10 +16,15 @@ from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source, Stream
 
 if TYPE_CHECKING:
+    from ros2_mcp.codec.cdr import Message
     from ros2_mcp.ops.measure.expression import Condition
 
 _TURN_SAMPLES = 200
-"""Looked at in one go of a thread: some 10 ms, so that a cancelled call ends at once."""
+"""Examined in one go of a thread: some 10 ms, so that a cancelled call ends at once."""
+_VALUE_BYTES = 2000
+"""Of one field that the condition names; a long list is summarised after its first eight elements."""
+_SHORT_TEXT = 80
+"""Characters of a value in the summary, which is one line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,43 +54,10 @@ class Wait:
         """One line."""
         outcome = "is met" if self.met else "was not met"
         when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}, {self.at}"
-        values = ", ".join(f"{path} = {_brief(value)}" for path, value in self.values.items())
+        texts = {path: str(value) for path, value in self.values.items()}
+        values = ", ".join(f"{path} = {text if len(text) <= _SHORT_TEXT else '…'}" for path, text in texts.items())
         line = f"{self.topic_name}: {self.condition} {outcome} {when} ({values or 'no message'})."
         return f"{line} {self.note}".rstrip()
-
-
-def _brief(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= 80 else "…"
-
-
-@dataclass(slots=True)
-class _Search:
-    """What has been seen so far."""
-
-    condition: Condition
-    last: Sample | None = None
-    met: bool = False
-    looked_at: int = 0
-    undecided: int = 0
-    undecodable: int = 0
-
-    def look(self, stream: Stream, samples: Sequence[Sample]) -> bool:
-        """Examines samples up to the one that meets the condition; true if there is one."""
-        for sample in samples:
-            try:
-                message = stream.codec.decode(stream.type, sample.data)
-            except BadData:
-                self.undecodable += 1
-                continue
-            self.last = sample
-            self.looked_at += 1
-            holds = self.condition.holds(message)
-            self.undecided += holds is None
-            if holds:
-                self.met = True
-                return True
-        return False
 
 
 async def wait_until(
@@ -94,7 +66,7 @@ async def wait_until(
     """Looks at every message until one meets the condition, or the source's time is over.
 
     Raises:
-        BadInput: for what is not a condition.
+        BadInput: if the text is not a condition.
         BadValue: for a field that does not exist, or a time out of range.
         NotFound: if the topic does not appear in that time.
         TypeConflict: if it has several types.
@@ -105,68 +77,93 @@ async def wait_until(
     with contextlib.suppress(NotFound):  # it may appear in time
         condition(source.codec.definitions, await source.type_of(topic), text)
     async with source.follow(topic) as stream:
-        search = _Search(condition(stream.codec.definitions, stream.type, text))
+        search = _Search(stream, condition(stream.codec.definitions, stream.type, text))
 
         def progress() -> str:
             return f"{stream.topic}: {search.looked_at} messages, not met"
 
         async with reporting(report, source.duration_s, progress):
-            await _examine(stream, search)
-        return await asyncio.to_thread(_result, source, stream, search, monotonic() - started, max_bytes)
+            await search.run()
+        return await asyncio.to_thread(search.result, source, monotonic() - started, max_bytes)
 
 
-async def _examine(stream: Stream, search: _Search) -> None:
-    async for batch in stream.batches:
-        for begin in range(0, len(batch), _TURN_SAMPLES):
-            part = batch[begin : begin + _TURN_SAMPLES]
-            if await asyncio.to_thread(search.look, stream, part):
+@dataclass(slots=True)
+class _Search:
+    """The search in one stream, and what has been seen so far: `message` is the last one, `met` if it is the one.
+
+    Decoding and evaluating run in threads: 200 messages may take longer than other calls should wait.
+    """
+
+    stream: Stream
+    condition: Condition
+    message: Message | None = None
+    received_ns: int = 0
+    met: bool = False
+    looked_at: int = 0
+    undecided: int = 0
+    undecodable: int = 0
+
+    async def run(self) -> None:
+        """Examines messages until one meets the condition, or the stream ends."""
+        async for batch in self.stream.batches:
+            for begin in range(0, len(batch), _TURN_SAMPLES):
+                await asyncio.to_thread(self._examine, batch[begin : begin + _TURN_SAMPLES])
+                if self.met:
+                    return
+
+    def _examine(self, samples: Sequence[Sample]) -> None:
+        for sample in samples:
+            try:
+                self.message = self.stream.codec.decode(self.stream.type, sample.data)
+            except BadData:
+                self.undecodable += 1
+                continue
+            self.received_ns = sample.received_ns
+            self.looked_at += 1
+            holds = self.condition.holds(self.message)
+            self.undecided += holds is None
+            if holds:
+                self.met = True
                 return
 
+    def result(self, source: Source, waited_s: float, max_bytes: int) -> Wait:
+        """The message in half of the result's size: the other half is for its text."""
+        from ros2_mcp.codec.render import RenderOptions, render
 
-def _result(source: Source, stream: Stream, search: _Search, waited_s: float, max_bytes: int) -> Wait:
-    last, paths = search.last, search.condition.fields
-    return Wait(
-        stream.topic,
-        stream.type,
-        search.condition.text,
-        search.met,
-        iso_time(last.received_ns) if last else "",
-        round(waited_s, 6),
-        search.looked_at,
-        search.undecided,
-        stream.counts.dropped,
-        _shown(stream, last, paths, 2000) if last and paths else {},
-        _shown(stream, last, (), max_bytes // 2) if last else None,
-        source.words,
-        _note(stream, search),
-        source.is_live,
-    )
-
-
-def _shown(stream: Stream, sample: Sample, paths: Sequence[str], max_bytes: int) -> dict[str, Any]:
-    from ros2_mcp.codec.render import RenderOptions, render
-
-    message = stream.codec.decode(stream.type, sample.data)
-    if not paths:
-        return render(stream.codec.definitions, stream.type, message, options=RenderOptions(max_bytes=max_bytes)).value
-    values: dict[str, Any] = {}
-    for path in paths:
-        options = RenderOptions(max_array=8, max_string=200, max_bytes=max_bytes, fields=[path])
-        try:
-            values |= render(stream.codec.definitions, stream.type, message, options=options).value
-        except BadValue:
-            values[path] = None
-    return values
-
-
-def _note(stream: Stream, search: _Search) -> str:
-    notes: list[str] = []
-    if search.undecodable:
-        notes.append(undecodable(search.undecodable))
-    elif not search.looked_at:
-        notes.append("No message came." if stream.publishers else "No message came: nobody publishes on it.")
-    if search.undecided:
-        notes.append(f"{search.undecided} messages had no answer (a list too short, or a division by zero).")
-    if dropped := stream.counts.dropped:
-        notes.append(f"{dropped} messages came too fast to be looked at.")
-    return " ".join(notes)
+        definitions, type_name = self.stream.codec.definitions, self.stream.type
+        message, values = None, dict[str, Any]()
+        if self.message is not None:
+            options = RenderOptions(max_bytes=max_bytes // 2)
+            message = render(definitions, type_name, self.message, options=options).value
+            for path in self.condition.fields:
+                options = RenderOptions(max_array=8, max_string=200, max_bytes=_VALUE_BYTES, fields=[path])
+                try:
+                    values |= render(definitions, type_name, self.message, options=options).value
+                except BadValue:  # a list is too short
+                    values[path] = None
+        dropped = self.stream.counts.dropped
+        notes: list[str] = []
+        if self.undecodable:
+            notes.append(undecodable(self.undecodable))
+        elif not self.looked_at:
+            notes.append("No message came." if self.stream.publishers else "No message came: nobody publishes on it.")
+        if self.undecided:
+            notes.append(f"{self.undecided} messages had no answer (a list too short, or a division by zero).")
+        if dropped:
+            notes.append(f"{dropped} messages came too fast to be looked at.")
+        return Wait(
+            topic_name=self.stream.topic,
+            topic_type=type_name,
+            condition=self.condition.text,
+            met=self.met,
+            at=iso_time(self.received_ns) if self.message is not None else "",
+            waited=round(waited_s, 6),
+            looked_at=self.looked_at,
+            undecided=self.undecided,
+            dropped=dropped,
+            values=values,
+            message=message,
+            source=source.words,
+            note=" ".join(notes),
+            is_live=source.is_live,
+        )
