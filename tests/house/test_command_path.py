@@ -10,16 +10,24 @@ import pytest
 from support.source import trees
 
 INSIDE = ("src/ros2_mcp/robot/", "src/ros2_mcp/link/")
-COMPOSITION = ("src/ros2_mcp/commands/serve.py", "src/ros2_mcp/assembly.py", "src/ros2_mcp/library.py")
-"""Where the bridge is made, begun and ended; they may do that and nothing else with it."""
-WITHOUT_A_ROBOT = ("src/ros2_mcp/ops/sources/recorded_robot.py",)
-"""Makes a bridge that there never is, for a recording in the place of the robot."""
-BEGINS_AND_ENDS = {"launch", "attach", "close"}
+MAKES_A_LINK = {
+    "src/ros2_mcp/commands/serve.py": {"client.Bridge", "carriers.start_carrier"},
+    "src/ros2_mcp/assembly.py": {"client.Bridge"},
+    "src/ros2_mcp/library.py": {"client.Bridge", "carriers.start_carrier"},
+    "src/ros2_mcp/ops/sources/recorded_robot.py": {"client.Bridge"},
+}
+"""What the composition imports of the stream. The last one makes a link that is never begun, for a recording in the
+place of the robot."""
+BEGINS_AND_ENDS = {"src/ros2_mcp/library.py": {"robot.bridge.attach", "robot.bridge.close"}}
+"""What the composition does with the link of a robot."""
 STREAM_MODULES = {"client", "connection", "subscription", "carrier", "carriers", "local", "heartbeat"}
 """Modules of `link/` that carry the stream; the others look for installations."""
 EXECUTORS = {"core", "failsafes", "goals", "publishing", "services", "translation"}
 SPEAKING = {"ask", "query", "request", "subscribe"}
-OF_MCP = ("_bus", "events", "push", "context")
+OF_MCP = {
+    "src/ros2_mcp/resources/push.py": {"self._bus.subscribe"},
+    "src/ros2_mcp/server.py": {"resources.push.subscribe", "context.request"},
+}
 """Who is subscribed with, or has made a request, is a client of ours, and no robot."""
 FAILSAFES = {"leave_zero", "leave_cancel", "withdraw"}
 
@@ -30,18 +38,17 @@ def ways_around(path: str, tree: ast.Module) -> Iterator[str]:
     begins = {
         id(node.value)
         for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and node.attr in BEGINS_AND_ENDS and path in COMPOSITION
+        if isinstance(node, ast.Attribute) and ast.unparse(node) in BEGINS_AND_ENDS.get(path, ())
     }
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module:
             yield from (f"{path}:{node.lineno} imports {name}" for name in _stream_imports(path, node))
         if not isinstance(node, ast.Attribute):
             continue
-        receiver = ast.unparse(node.value)
-        is_own = receiver == "self" and node.attr in own
+        is_own = ast.unparse(node.value) == "self" and node.attr in own
         if node.attr in ("bridge", "_bridge") and id(node) not in begins:
             yield f"{path}:{node.lineno} reaches {ast.unparse(node)}"
-        elif node.attr in SPEAKING and not is_own and not receiver.endswith(OF_MCP):
+        elif node.attr in SPEAKING and not is_own and ast.unparse(node) not in OF_MCP.get(path, ()):
             yield f"{path}:{node.lineno} asks {ast.unparse(node)}"
         elif node.attr in FAILSAFES:
             yield f"{path}:{node.lineno} changes {ast.unparse(node)}"
@@ -53,7 +60,7 @@ def _stream_imports(path: str, node: ast.ImportFrom) -> Iterator[str]:
     for name in names:
         parts = name.split(".")
         if parts[:2] == ["ros2_mcp", "link"] and STREAM_MODULES & set(parts[2:3]):
-            if path not in (*COMPOSITION, *WITHOUT_A_ROBOT):
+            if ".".join(parts[2:]) not in MAKES_A_LINK.get(path, ()):
                 yield name
         elif parts[:2] == ["ros2_mcp", "robot"] and EXECUTORS & set(parts[2:3]) and parts[-1][0].islower():
             yield name
@@ -84,6 +91,8 @@ def test_nobody_outside_robot_sends_publishes_calls_or_asks_the_bridge() -> None
         "from ros2_mcp.robot.publishing import publish",
         "from ros2_mcp.robot import services",
         "async def op(robot):\n    await robot.bridge.attach()",
+        "async def op(events):\n    await events.request('publish')",
+        "async def op(robot, shape):\n    await robot.graph.query(shape, 'stop')",
     ],
 )
 def test_a_way_around_the_command_path_is_found(planted: str) -> None:
@@ -123,3 +132,21 @@ def test_every_command_can_be_carried_out() -> None:
     assert len(declared) >= 11
     table = ast.unparse(trees()["src/ros2_mcp/robot/robot.py"])
     assert {name for name in declared if f"commands.{name}:" not in table} == set()
+
+
+def test_every_exception_is_still_needed() -> None:
+    """What is allowed to the composition and to MCP's own words is what stands there, and no more."""
+    used = {
+        path: {ast.unparse(node) for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+        | {
+            f"{(node.module or '').removeprefix('ros2_mcp.link.')}.{alias.name}"
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        for path, tree in outside()
+    }
+    allowed = [
+        (path, name) for table in (MAKES_A_LINK, BEGINS_AND_ENDS, OF_MCP) for path in table for name in table[path]
+    ]
+    assert [(path, name) for path, name in allowed if name not in used.get(path, ())] == []

@@ -85,16 +85,11 @@ def _converted(path: str, value: Any, kind: str) -> Any:
         element = {"byte_array": "integer"}.get(kind, kind.removesuffix("_array"))
         items = cast("list[Any]", value)
         converted = [_converted(f"{path}[{index}]", item, element) for index, item in enumerate(items)]
-        if kind == "byte_array":
-            _check_bytes(path, converted)
+        for index, item in enumerate(converted if kind == "byte_array" else ()):
+            if not 0 <= item <= 255:
+                raise BadValue(f"{path}[{index}]", f"{item} is no byte.", "Give 0 to 255.")
         return converted
     return _scalar(path, value, kind)
-
-
-def _check_bytes(path: str, values: list[int]) -> None:
-    for index, value in enumerate(values):
-        if not 0 <= value <= 255:
-            raise BadValue(f"{path}[{index}]", f"{value} is no byte.", "Give 0 to 255.")
 
 
 def _scalar(path: str, value: Any, kind: str) -> Any:

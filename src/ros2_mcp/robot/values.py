@@ -1,4 +1,8 @@
-"""Values of the robot's own types: definitions fetched once, bytes to JSON and back."""
+"""Values of the robot's own types: definitions fetched once, bytes to JSON and back.
+
+The codec is imported inside the methods: with NumPy and rosbags it takes 0.3 to 0.9 s, and the server answers
+tools/list before that.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,7 @@ class Values:
 
     @property
     def codec(self) -> Codec:
-        """Bytes to values and back. Loaded at first use: the server answers tools/list before it imports NumPy."""
+        """Bytes to values and back, loaded at first use."""
         if self._codec is None:
             from ros2_mcp.codec.cdr import Codec
             from ros2_mcp.codec.definitions import Definitions
@@ -117,4 +121,4 @@ class Values:
 
     def field_types(self, type_name: str) -> dict[str, Any]:
         """Name → type of the top-level fields of a learnt message type."""
-        return {field.name: str(field.type) for field in self.definitions.interface(type_name).sections[0].fields}
+        return {field.name: str(field.type) for field in self.definitions.structure(type_name).fields}
