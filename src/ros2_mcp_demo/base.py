@@ -28,11 +28,8 @@ class Pose:
     def moved(self, distance, turn):
         """The pose after an arc of that length (m) and turn (rad)."""
         middle = self.yaw + turn / 2
-        return Pose(
-            self.x + distance * math.cos(middle),
-            self.y + distance * math.sin(middle),
-            wrapped(self.yaw + turn),
-        )
+        x, y = self.x + distance * math.cos(middle), self.y + distance * math.sin(middle)
+        return Pose(x, y, wrapped(self.yaw + turn))
 
 
 class Wheel:
@@ -47,17 +44,14 @@ class Wheel:
 
     def roll(self, speed, dt):
         """Turn with the rim at `speed` (m/s); returns metres over ground and metres as the encoder counts."""
-        self._drift(dt)
+        keep = math.exp(-dt / SLIP_TIME_S)
+        self._slip = keep * self._slip + math.sqrt(1 - keep * keep) * SLIP_STDDEV * self._rng.standard_normal()
         self.velocity = speed / WHEEL_RADIUS
         ticks = self.velocity * dt / (2 * math.pi) * TICKS_PER_TURN + self._residue
         self._residue = ticks - round(ticks)
         counted = round(ticks) * 2 * math.pi / TICKS_PER_TURN
         self.angle += counted
         return speed * dt * (1.0 - self._slip), counted * WHEEL_RADIUS
-
-    def _drift(self, dt):
-        keep = math.exp(-dt / SLIP_TIME_S)
-        self._slip = keep * self._slip + math.sqrt(1 - keep * keep) * SLIP_STDDEV * self._rng.standard_normal()
 
 
 class Base:
@@ -78,39 +72,26 @@ class Base:
         self.travelled = 0.0
 
     def step(self, linear, angular, dt):
-        """Drive for `dt` s towards the wanted velocities (m/s, rad/s) as far as inertia and walls allow."""
+        """Drive for `dt` s towards these velocities (m/s, rad/s) as far as inertia and walls allow."""
         before = self.linear
         braking = abs(linear) < abs(self.linear) or linear * self.linear < 0
         self.linear = approach(self.linear, linear, (LINEAR_BRAKING if braking else LINEAR_ACCELERATION) * dt)
         self.angular = approach(self.angular, angular, ANGULAR_ACCELERATION * dt)
-        if self._would_collide(dt):
+        if self.linear != 0.0 and self._is_blocked_at(self.pose.moved(self.linear * dt, self.angular * dt)):
             self.linear = 0.0
-        self.blocked = abs(linear) > 0.01 and self._touches(linear)
+        # A centimetre more in the direction of the command would run into something.
+        self.blocked = abs(linear) > 0.01 and self._is_blocked_at(self.pose.moved(math.copysign(0.01, linear), 0.0))
         self.acceleration = (self.linear - before) / dt
-        self._roll(dt)
-
-    def reset_odometry(self):
-        """Dead reckoning starts again here, at the origin."""
-        self.odometry = Pose()
-
-    def _roll(self, dt):
         half_turn_speed = self.angular * WHEEL_SEPARATION / 2
         left, counted_left = self.left.roll(self.linear - half_turn_speed, dt)
         right, counted_right = self.right.roll(self.linear + half_turn_speed, dt)
         self.pose = self.pose.moved((left + right) / 2, (right - left) / WHEEL_SEPARATION)
-        self.odometry = self.odometry.moved(
-            (counted_left + counted_right) / 2, (counted_right - counted_left) / WHEEL_SEPARATION
-        )
+        turned = (counted_right - counted_left) / WHEEL_SEPARATION
+        self.odometry = self.odometry.moved((counted_left + counted_right) / 2, turned)
         self.travelled += abs(left + right) / 2
 
-    def _touches(self, direction):
-        """Whether a centimetre in the direction of that speed would run into something."""
-        return self._blocked_at(self.pose.moved(math.copysign(0.01, direction), 0.0))
-
-    def _would_collide(self, dt):
-        return self.linear != 0.0 and self._blocked_at(self.pose.moved(self.linear * dt, self.angular * dt))
-
-    def _blocked_at(self, pose):
+    def _is_blocked_at(self, pose):
+        """Whether it would touch something there; a place that is no nearer than the present one is always open."""
         clearance = self._world.clearance(pose.x, pose.y)
         return clearance < RADIUS and clearance <= self._world.clearance(self.pose.x, self.pose.y)
 

@@ -66,7 +66,7 @@ class Drive:
         self._pursuit = None
         self._arrived = False
         self._next_look = now
-        self._mark, self._marked_at = None, now
+        self._mark, self._marked_at = Pose(math.inf), now  # no place yet
         self._back_off_until, self._bumps = 0.0, 0
 
     def step(self, pose: Pose, now, blocked, fastest, turning):
@@ -108,7 +108,8 @@ class Drive:
 
     def _look(self, pose):
         costmap = self._surroundings.costmap()
-        if self._pursuit is not None and _is_open(costmap, self._pursuit):
+        # What is nearer than 0.4 m, eight points of the way, cannot be avoided any more.
+        if self._pursuit is not None and all(costmap.is_free(x, y) for x, y in self._pursuit.ahead()[8:]):
             return
         path = plan(costmap, (pose.x, pose.y), (self.goal.x, self.goal.y))
         self.replans += 1
@@ -129,18 +130,10 @@ class Drive:
 
     def _watch_progress(self, pose, now):
         """Give up when the base has stood still for `PATIENCE_S`."""
-        if self._mark is None or _has_moved(self._mark, pose):
+        mark = self._mark
+        has_turned = abs(wrapped(pose.yaw - mark.yaw)) > 0.05
+        if has_turned or math.dist((mark.x, mark.y), (pose.x, pose.y)) > 0.03:
             self._mark, self._marked_at = pose, now
         elif now - self._marked_at > PATIENCE_S:
             cause = "the base does not move" if self._pursuit else "no free way to the goal"
             self.outcome = (False, f"gave up after {PATIENCE_S:g} s: {cause}")
-
-
-def _has_moved(before, after):
-    turned = abs(wrapped(after.yaw - before.yaw))
-    return turned > 0.05 or math.dist((before.x, before.y), (after.x, after.y)) > 0.03
-
-
-def _is_open(costmap, pursuit):
-    """Whether the way ahead is free; what is nearer than 0.4 m cannot be avoided any more."""
-    return all(costmap.is_free(x, y) for x, y in pursuit.ahead()[8:])

@@ -22,17 +22,15 @@ lifecycle = module("rclpy.lifecycle")
 pillow = module("PIL.Image")
 
 
+_GOES_WITHOUT = (
+    (tf2_msgs, "/tf and /tf_static (no tf2_msgs)"),
+    (demo_services, "/set_mode, /spawn_obstacle, /slow_echo (no ros2_mcp_demo_interfaces)"),
+    (demo_actions, "/navigate_to (no ros2_mcp_demo_interfaces)"),
+    (lifecycle, "/gripper_driver (no rclpy.lifecycle)"),
+    (pillow, "/camera/image_raw/compressed (no Pillow)"),
+)
+
+
 def left_out():
     """What the robot goes without, one phrase for each missing package."""
-    absent = []
-    if tf2_msgs is None:
-        absent.append("/tf and /tf_static (no tf2_msgs)")
-    if demo_services is None:
-        absent.append("/set_mode, /spawn_obstacle, /slow_echo (no ros2_mcp_demo_interfaces)")
-    if demo_actions is None:
-        absent.append("/navigate_to (no ros2_mcp_demo_interfaces)")
-    if lifecycle is None:
-        absent.append("/gripper_driver (no rclpy.lifecycle)")
-    if pillow is None:
-        absent.append("/camera/image_raw/compressed (no Pillow)")
-    return absent
+    return [what for package, what in _GOES_WITHOUT if package is None]

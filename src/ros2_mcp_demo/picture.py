@@ -39,7 +39,8 @@ def render(world, pose, brightness=1.0, rng=None):
     picture[_HORIZON:] = _floor(pose)
     _draw_walls(picture, world, pose)
     for _, obstacle, depths, normals in _visible(world, pose):
-        shade = _shade(normals, depths)
+        faded = _fade(np.where(np.isfinite(depths), depths, FAR))
+        shade = (0.72 + 0.28 * np.cos(normals - _LIGHT)) * faded
         _draw(picture, depths, obstacle.height, np.asarray(obstacle.color, np.float32) * shade[:, np.newaxis])
     if rng is not None:
         picture += rng.standard_normal((HEIGHT, WIDTH, 1), np.float32) * 2.0
@@ -98,10 +99,6 @@ def _draw(picture, depths, height, values):
     top = CENTER_Y - (height - EYE_HEIGHT) * FOCAL / safe
     rows, columns = np.nonzero((top <= _ROWS) & (bottom >= _ROWS) & np.isfinite(depths))
     picture[rows, columns] = values[columns]
-
-
-def _shade(normals, depths):
-    return (0.72 + 0.28 * np.cos(normals - _LIGHT)) * _fade(np.where(np.isfinite(depths), depths, FAR))
 
 
 def _fade(depths):

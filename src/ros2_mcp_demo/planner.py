@@ -11,9 +11,10 @@ import numpy as np
 
 from .base import Pose, wrapped
 
-RESOLUTION = 0.1
-INFLATION = 0.33
+RESOLUTION = 0.1  # m
+INFLATION = 0.33  # m, as far from the middle of the robot; its radius is 0.2
 LOOKAHEAD = 0.25
+SPACING = 0.05
 TURN_FIRST = math.radians(50)
 
 _NEIGHBOURS = [(dx, dy, math.hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
@@ -25,7 +26,6 @@ class Costmap:
 
     blocked: np.ndarray
     origin: tuple[float, float]
-    resolution: float = RESOLUTION
 
     @classmethod
     def from_occupancy(cls, cells, origin, resolution, points=()):
@@ -43,17 +43,11 @@ class Costmap:
 
     def cell(self, x, y):
         """Row and column of a point."""
-        return (
-            math.floor((y - self.origin[1]) / self.resolution),
-            math.floor((x - self.origin[0]) / self.resolution),
-        )
+        return math.floor((y - self.origin[1]) / RESOLUTION), math.floor((x - self.origin[0]) / RESOLUTION)
 
     def point(self, row, column):
         """The middle of a cell."""
-        return (
-            self.origin[0] + (column + 0.5) * self.resolution,
-            self.origin[1] + (row + 0.5) * self.resolution,
-        )
+        return self.origin[0] + (column + 0.5) * RESOLUTION, self.origin[1] + (row + 0.5) * RESOLUTION
 
     def holds(self, row, column):
         """Whether the cell lies on the map."""
@@ -66,9 +60,7 @@ class Costmap:
 
     def is_clear(self, start, end):
         """Whether the straight line between two points is free all along."""
-        steps = max(1, math.ceil(math.dist(start, end) / (self.resolution / 2)))
-        shares = [step / steps for step in range(steps + 1)]
-        return all(self.is_free(start[0] + s * (end[0] - start[0]), start[1] + s * (end[1] - start[1])) for s in shares)
+        return all(self.is_free(x, y) for x, y in [start, *_line(start, end, RESOLUTION / 2)])
 
 
 def inflated(blocked, cells):
@@ -92,9 +84,7 @@ def plan(costmap, start, goal):
     if not costmap.is_free(*goal):
         return None
     cells = _search(costmap, costmap.cell(*start), costmap.cell(*goal))
-    if cells is None:
-        return None
-    return shortened(costmap, [start, *(costmap.point(*cell) for cell in cells[1:-1]), goal])
+    return cells and shortened(costmap, [start, *(costmap.point(*cell) for cell in cells[1:-1]), goal])
 
 
 def _search(costmap, start, goal):
@@ -103,7 +93,11 @@ def _search(costmap, start, goal):
     while open_cells:
         _, cell = heapq.heappop(open_cells)
         if cell == goal:
-            return _trace(came_from, cell)
+            cells = [cell]
+            while came_from[cell] != cell:
+                cell = came_from[cell]
+                cells.append(cell)
+            return cells[::-1]
         if cell in closed:
             continue
         closed.add(cell)
@@ -125,14 +119,6 @@ def _steps(costmap, cell):
                 yield (row, column), 20 * length
 
 
-def _trace(came_from, cell):
-    cells = [cell]
-    while came_from[cell] != cell:
-        cell = came_from[cell]
-        cells.append(cell)
-    return cells[::-1]
-
-
 def shortened(costmap, path):
     """Leave out points that a straight free line can skip."""
     short, last = [path[0]], 0
@@ -145,23 +131,26 @@ def shortened(costmap, path):
     return short
 
 
-def path_length(path):
-    """The length of a path in m."""
-    return sum(math.dist(path[i], path[i + 1]) for i in range(len(path) - 1))
+def _line(start, end, spacing):
+    """Points on the way from `start`, which is left out, to `end`, at most `spacing` m from each other."""
+    (x, y), (to_x, to_y) = start, end
+    steps = max(1, math.ceil(math.dist(start, end) / spacing))
+    return [(x + step / steps * (to_x - x), y + step / steps * (to_y - y)) for step in range(1, steps + 1)]
 
 
 class Pursuit:
     """Pure pursuit: steer at a point of the path that lies a little ahead."""
 
     def __init__(self, path):
-        self._points = _densified(path)
+        self._points = [path[0]]
+        for i in range(len(path) - 1):
+            self._points += _line(path[i], path[i + 1], SPACING)
         self._reached = 0
 
     def remaining(self, pose: Pose):
         """The way still to go, in m."""
-        if self._reached >= len(self._points) - 1:
-            return math.dist((pose.x, pose.y), self._points[-1])
-        return math.dist((pose.x, pose.y), self._points[self._reached]) + path_length(self._points[self._reached :])
+        points = [(pose.x, pose.y), *self.ahead()]
+        return sum(math.dist(points[i], points[i + 1]) for i in range(len(points) - 1))
 
     def ahead(self):
         """The points not yet passed."""
@@ -182,19 +171,4 @@ class Pursuit:
         here = (pose.x, pose.y)
         window = range(self._reached, min(self._reached + 20, len(self._points)))
         self._reached = min(window, key=lambda i: math.dist(here, self._points[i]))
-        for point in self._points[self._reached :]:
-            if math.dist(here, point) >= LOOKAHEAD:
-                return point
-        return self._points[-1]
-
-
-def _densified(path, spacing=0.05):
-    points = [path[0]]
-    for i in range(len(path) - 1):
-        start, end = path[i], path[i + 1]
-        steps = max(1, math.ceil(math.dist(start, end) / spacing))
-        points += [
-            (start[0] + s / steps * (end[0] - start[0]), start[1] + s / steps * (end[1] - start[1]))
-            for s in range(1, steps + 1)
-        ]
-    return points
+        return next((point for point in self.ahead() if math.dist(here, point) >= LOOKAHEAD), self._points[-1])

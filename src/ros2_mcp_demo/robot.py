@@ -15,15 +15,18 @@ from . import optional
 from .nodes.base_controller import BaseController
 from .nodes.battery_monitor import BatteryMonitor
 from .nodes.camera import Camera
+from .nodes.echo_server import EchoServer
 from .nodes.health import Health
 from .nodes.imu_driver import ImuDriver
 from .nodes.lidar import Lidar
 from .nodes.localization import Localization
 from .nodes.map_server import MapServer
+from .nodes.navigator import Navigator
 from .nodes.robot_state_publisher import RobotStatePublisher
+from .nodes.simulator import Simulator
 from .simulation import Simulation
 
-FALLEN_BEHIND_S = 0.25
+FALLEN_BEHIND_S = 0.25  # more than that is not made up for: the steps would come in a jump
 
 
 class Robot:
@@ -35,38 +38,37 @@ class Robot:
         self._period = 1.0 / rate
         self._clock = Clock()
         self._parts = _parts(self._simulation, namespace)
-        self._idle_parts = _parts_without_executor(self._simulation, namespace)
-        self._executor = _executor()
-        for part in self._parts:
+        # The events executor is by far the cheapest; older ROS installations have only the other one.
+        experimental = optional.module("rclpy.experimental")
+        self._executor = getattr(experimental, "EventsExecutor", SingleThreadedExecutor)()
+        self._spun = [part for part in self._parts if part.needs_executor]
+        for part in self._spun:
             self._executor.add_node(part)
 
     @property
     def node_count(self):
         """How many nodes the robot has."""
-        return len(self._parts) + len(self._idle_parts)
+        return len(self._parts)
 
     def run(self, should_stop):
         """Live until `should_stop()`; a computer that is too slow makes the robot slow, not jumpy."""
         due = time.monotonic()
         while not should_stop():
-            self._tick()
+            self._simulation.step(self._period)
+            stamp = self._clock.now().to_msg()
+            for part in self._parts:
+                part.tick(stamp)
             due = max(due + self._period, time.monotonic() - FALLEN_BEHIND_S)
             self._answer_until(due)
 
     def close(self):
         """Leave the graph in order."""
-        for part in self._parts:
+        for part in self._spun:
             self._executor.remove_node(part)
         self._executor.shutdown()
-        for part in (*self._parts, *self._idle_parts):
+        for part in self._parts:
             part.destroy_node()
         try_shutdown()
-
-    def _tick(self):
-        self._simulation.step(self._period)
-        stamp = self._clock.now().to_msg()
-        for part in (*self._parts, *self._idle_parts):
-            part.tick(stamp)
 
     def _answer_until(self, due):
         """Handle commands, requests and goals; at least one, however late it is."""
@@ -81,43 +83,15 @@ class Robot:
 
 
 def _parts(simulation, namespace):
-    lidar, map_server = Lidar(simulation, namespace), MapServer(simulation, namespace)
-    parts = [
-        BaseController(simulation, namespace),
-        lidar,
-        Camera(simulation, namespace),
-        ImuDriver(simulation, namespace),
-        BatteryMonitor(simulation, namespace),
-        map_server,
-        Localization(simulation, namespace),
-        RobotStatePublisher(simulation, namespace),
-    ]
+    """The nodes in the order in which they tick: commands are followed before anything is measured."""
+    classes = [BaseController, Lidar, Camera, ImuDriver, BatteryMonitor, MapServer, Localization, RobotStatePublisher]
     if optional.demo_actions:
-        from .nodes.navigator import Navigator
-
-        parts.append(Navigator(simulation, namespace, lidar, map_server))
+        classes.append(Navigator)
     if optional.demo_services:
-        from .nodes.simulator import Simulator
-
-        parts.append(Simulator(simulation, namespace))
+        classes += [Simulator, EchoServer]
     if optional.lifecycle:
-        from .nodes.gripper_driver import GripperDriver
+        from .nodes.gripper_driver import GripperDriver  # it inherits from what an installation may lack
 
-        parts.append(GripperDriver(simulation, namespace))
+        classes.append(GripperDriver)
+    parts = [part(simulation, namespace) for part in classes]
     return [*parts, Health(simulation, namespace, parts)]
-
-
-def _parts_without_executor(simulation, namespace):
-    if not optional.demo_services:
-        return []
-    from .nodes.echo_server import EchoServer
-
-    return [EchoServer(simulation, namespace)]
-
-
-def _executor():
-    """The events executor, by far the cheapest; older ROS installations have only the other one."""
-    experimental = optional.module("rclpy.experimental")
-    if experimental is not None and hasattr(experimental, "EventsExecutor"):
-        return experimental.EventsExecutor()
-    return SingleThreadedExecutor()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 
@@ -16,6 +17,7 @@ IDLE, MANUAL, AUTONOMOUS = "idle", "manual", "autonomous"
 MODES = (IDLE, MANUAL, AUTONOMOUS)
 
 BEAMS = 360
+MAP_RESOLUTION = 0.05
 RANGE_MIN, RANGE_MAX = 0.12, 5.0
 DROPOUT = 0.002
 CAMERA_FORWARD = 0.15
@@ -26,7 +28,11 @@ _BEAM_ANGLES = -math.pi + np.arange(BEAMS) * (2 * math.pi / BEAMS)
 
 
 class Simulation:
-    """The state of everything. `now` is the simulated time in s, `wanted` the velocities (m/s, rad/s) asked."""
+    """The state of everything.
+
+    `now` is the simulated time in s, `commanded` the velocities (m/s, rad/s) to drive with. `ranges` is the latest scan
+    (see `scan`), or None while the scanner is off.
+    """
 
     def __init__(self, seed=7):
         streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)]
@@ -36,7 +42,8 @@ class Simulation:
         self.battery = Battery()
         self.mode = MANUAL
         self.motors_enabled = True
-        self.wanted = (0.0, 0.0)
+        self.commanded = (0.0, 0.0)
+        self.ranges = None
         self.now = 0.0
         self.gyro_bias = 0.002
         self._scanned_from = self.base.pose
@@ -46,7 +53,7 @@ class Simulation:
         """Let `dt` s pass."""
         self._steps += 1
         self.now = self._steps * dt
-        self.base.step(*(self.wanted if self.why_not_driving() is None else (0.0, 0.0)), dt)
+        self.base.step(*(self.commanded if self.why_not_driving() is None else (0.0, 0.0)), dt)
         rims = abs(self.base.left.velocity) + abs(self.base.right.velocity)
         self.battery.step(rims * 0.05, dt)
 
@@ -88,15 +95,9 @@ class Simulation:
         """What the IMU feels: yaw (rad), yaw rate (rad/s), acceleration (x, y, z) in m/s²."""
         noise = self._imu_rng.standard_normal(5)
         base = self.base
-        return (
-            wrapped(base.pose.yaw + 0.002 * noise[0]),
-            base.angular + self.gyro_bias + 0.003 * noise[1],
-            (
-                base.acceleration + 0.03 * noise[2],
-                base.linear * base.angular + 0.03 * noise[3],
-                9.81 + 0.03 * noise[4],
-            ),
-        )
+        x, y, z = np.array([base.acceleration, base.linear * base.angular, 9.81]) + 0.03 * noise[2:]
+        yaw, yaw_rate = wrapped(base.pose.yaw + 0.002 * noise[0]), base.angular + self.gyro_bias + 0.003 * noise[1]
+        return yaw, yaw_rate, (float(x), float(y), float(z))
 
     def localize(self):
         """Where the robot believes to be in the map: its true pose to about a centimetre."""
@@ -105,12 +106,6 @@ class Simulation:
 
     def spawn(self, name, x, y, radius):
         """Put a pillar into the world. Returns None, or in words why not."""
-        reason = self._why_not_spawn(x, y, radius)
-        if reason is None:
-            self.world.place(Pillar(name, x, y, radius, 0.7, SPAWN_COLOR))
-        return reason
-
-    def _why_not_spawn(self, x, y, radius):
         if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(radius)):
             return "x, y and radius must be finite numbers"
         if not 0.0 < radius <= MAX_SPAWN_RADIUS:
@@ -121,7 +116,13 @@ class Simulation:
         gap = math.dist((x, y), (self.base.pose.x, self.base.pose.y)) - radius - RADIUS
         if gap < 0.02:
             return "it would overlap the robot"
+        self.world.place(Pillar(name, x, y, radius, 0.7, SPAWN_COLOR))
         return None
+
+    @cached_property
+    def map(self):
+        """The map the robot was given, in cells of `MAP_RESOLUTION`, as `World.occupancy` makes it."""
+        return self.world.occupancy(MAP_RESOLUTION)
 
     def _camera_pose(self):
         return self.base.pose.moved(CAMERA_FORWARD, 0.0)

@@ -97,7 +97,7 @@ class World:
 
     def place(self, obstacle):
         """Put an obstacle down, or move the one of that name; the map does not learn of it."""
-        self.obstacles = [known for known in self.obstacles if known.name != obstacle.name]
+        self.obstacles = [other for other in self.obstacles if other.name != obstacle.name]
         self.obstacles.append(obstacle)
 
     def cast(self, x, y, angles):
@@ -133,14 +133,8 @@ class World:
 
 def rectangle(x_min, y_min, x_max, y_max):
     """The sides (4, 4) of an axis-aligned rectangle: south, east, north, west."""
-    return np.array(
-        [
-            [x_min, y_min, x_max, y_min],
-            [x_max, y_min, x_max, y_max],
-            [x_max, y_max, x_min, y_max],
-            [x_min, y_max, x_min, y_min],
-        ]
-    )
+    corners = [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
+    return np.array([[*corners[side - 1], *corners[side]] for side in (1, 2, 3, 0)])
 
 
 def cast_segments(x, y, angles, segments):

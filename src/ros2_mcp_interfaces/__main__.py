@@ -12,53 +12,32 @@ from ros2_mcp_interfaces import BuildError, build, default_cache
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Prefixes go to stdout, progress and errors to stderr; returns 0, or 1 when nothing usable was built."""
-    options = _parser().parse_args(arguments)
-    try:
-        prefixes = build(options.directories, options.cache, _report)
-    except BuildError as error:
-        return _refuse(error, options.json)
-    if options.json:
-        _print(json.dumps({"prefixes": [str(prefix) for prefix in prefixes]}))
-    else:
-        _print("\n".join(map(str, prefixes)))
-    return 0
-
-
-def _parser() -> argparse.ArgumentParser:
+    """Writes prefixes to stdout, progress and errors to stderr; returns 0, or 1 if a package could not be built."""
     parser = argparse.ArgumentParser(
         prog="ros2_mcp_interfaces", description="Build ROS 2 interface packages without colcon."
     )
-    parser.add_argument(
-        "directories",
-        metavar="DIR",
-        nargs="+",
-        type=Path,
-        help="an interface package, or a folder with several; order does not matter",
-    )
-    parser.add_argument(
-        "--cache", type=Path, default=default_cache(), help="where results are kept (default: %(default)s)"
-    )
+    folders = "an interface package, or a folder with several; order does not matter"
+    parser.add_argument("directories", metavar="DIR", nargs="+", type=Path, help=folders)
+    kept = "where results are kept (default: %(default)s)"
+    parser.add_argument("--cache", type=Path, default=default_cache(), help=kept)
     parser.add_argument("--json", action="store_true", help="print one JSON object, errors included")
-    return parser
-
-
-def _refuse(error: BuildError, as_json: bool) -> int:
-    if as_json:
-        _print(json.dumps({"error": error.message, "hint": error.hint}))
-    _report(f"error: {error.message}")
-    if error.hint:
-        _report(error.hint)
-    return 1
-
-
-def _print(text: str) -> None:
-    sys.stdout.write(text + "\n")
+    options = parser.parse_args(arguments)
+    try:
+        prefixes = [str(prefix) for prefix in build(options.directories, options.cache, _report)]
+    except BuildError as error:
+        if options.json:
+            sys.stdout.write(json.dumps({"error": error.message, "hint": error.hint}) + "\n")
+        _report(f"error: {error.message}")
+        if error.hint:
+            _report(error.hint)
+        return 1
+    sys.stdout.write((json.dumps({"prefixes": prefixes}) if options.json else "\n".join(prefixes)) + "\n")
+    return 0
 
 
 def _report(text: str) -> None:
     sys.stderr.write(text + "\n")
-    sys.stderr.flush()
+    sys.stderr.flush()  # progress is read while the build goes on
 
 
 if __name__ == "__main__":

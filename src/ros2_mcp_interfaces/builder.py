@@ -12,10 +12,16 @@ from pathlib import Path
 from ros2_mcp_interfaces.cache import content_name, one_builder
 from ros2_mcp_interfaces.compile import JOBS, Compiler, find_compiler
 from ros2_mcp_interfaces.errors import BuildError
-from ros2_mcp_interfaces.generate import TYPESUPPORTS, Generated, Generation
+from ros2_mcp_interfaces.generate import TYPESUPPORTS, Generation
 from ros2_mcp_interfaces.installation import Installation, find_installation, python_headers
 from ros2_mcp_interfaces.package import Package, find_packages
 from ros2_mcp_interfaces.syntax import check_syntax
+
+_RUNTIME = (
+    *("rosidl_runtime_c", "rosidl_typesupport_c", *TYPESUPPORTS, "rosidl_typesupport_fastrtps_cpp"),
+    *("rmw", "rcutils", "fastcdr"),
+)
+"""Libraries of the installation that generated code may use; the linker leaves out those that it does not."""
 
 
 def build(directories: Sequence[Path], cache: Path, report: Callable[[str], None]) -> list[Path]:
@@ -27,8 +33,7 @@ def build(directories: Sequence[Path], cache: Path, report: Callable[[str], None
     A prefix has `lib/`, `include/`, `share/` with the definitions and the ament index, and `site-packages/`.
     To use it, put the prefixes in AMENT_PREFIX_PATH and their `site-packages` in PYTHONPATH.
     """
-    packages = find_packages(directories)
-    installation = find_installation()
+    packages, installation = find_packages(directories), find_installation()
     prefixes: list[Path] = []
     for package in packages:
         prefix = _build_or_reuse(package, installation, Path(cache).absolute(), report)
@@ -75,70 +80,62 @@ class _Build:
     def share(self) -> Path:
         return self.prefix / "share" / self.package.name
 
-    @property
-    def modules(self) -> Path:
-        return self.prefix / "site-packages" / self.package.name
-
     def run(self, report: Callable[[str], None]) -> Path:
         started = time.monotonic()
-        self._install_texts()
-        report(f"{self.package.name}: generating and compiling {len(self.package.files)} interfaces")
-        self._compile_and_link()
+        package = self.package
+        for file in package.files:
+            _copy(file, self.share / file.suffix[1:] / file.name)
+        if package.manifest.is_file():
+            _copy(package.manifest, self.share / package.manifest.name)
+        report(f"{package.name}: generating and compiling {len(package.files)} interfaces")
+        self._link(self._compiled())
         self._write_index()
-        report(f"{self.package.name}: built in {time.monotonic() - started:.1f} s")
+        report(f"{package.name}: built in {time.monotonic() - started:.1f} s")
         return self.prefix
 
-    def _install_texts(self) -> None:
-        for file in self.package.files:
-            _copy(file, self.share / file.suffix[1:] / file.name)
-        manifest = self.package.root / "package.xml"
-        if manifest.is_file():
-            _copy(manifest, self.share / manifest.name)
-
-    def _compile_and_link(self) -> None:
+    def _compiled(self) -> dict[str, list[Path]]:
+        """The object files of each library; those of the Python extension are under `extension`."""
         sources = self.workspace / "sources"
         sources.mkdir()
         own = [sources / name for name in ("rosidl_generator_c", *TYPESUPPORTS)]
         includes = [*own, *self.installation.include_directories, *self.headers]
+        headers = self.prefix / "include" / self.package.name / self.package.name
         objects: dict[str, list[Future[Path]]] = {}
-        with ThreadPoolExecutor(JOBS) as pool:
+        with ThreadPoolExecutor(JOBS) as pool:  # what is generated first is compiled while the rest is generated
             for made in Generation(self.package, self.installation, self.share, sources).run():
                 for source in made.sources:
                     library = "extension" if ".ep." in source.name else made.generator
-                    future = self.compiler.submit(pool, source, includes)
-                    objects.setdefault(library, []).append(future)
-                self._install_headers_and_modules(made)
-        self._link({library: [future.result() for future in futures] for library, futures in objects.items()})
+                    objects.setdefault(library, []).append(pool.submit(self.compiler.compile, source, includes))
+                for path in made.directory.rglob("*"):
+                    if path.suffix in (".h", ".py"):
+                        target = headers if path.suffix == ".h" else self._modules
+                        _copy(path, target / path.relative_to(made.directory))
+        return {library: [future.result() for future in futures] for library, futures in objects.items()}
 
-    def _install_headers_and_modules(self, made: Generated) -> None:
-        include = self.prefix / "include" / self.package.name / self.package.name
-        for path in made.directory.rglob("*"):
-            if path.suffix == ".h":
-                _copy(path, include / path.relative_to(made.directory))
-            elif path.suffix == ".py":
-                _copy(path, self.modules / path.relative_to(made.directory))
+    @property
+    def _modules(self) -> Path:
+        return self.prefix / "site-packages" / self.package.name
 
     def _link(self, objects: dict[str, list[Path]]) -> None:
+        libraries, system = self.prefix / "lib", self.installation.home / "lib"
+        libraries.mkdir()
         dependencies = self.installation.dependencies_of(self.package)
-        (self.prefix / "lib").mkdir()
-        runtime = _runtime_libraries(self.installation.home / "lib")
-        for library in (name for name in objects if name != "extension"):
+        # Built packages lie beside this one in the cache, so that they are found from here wherever the cache is.
+        built = [prefix.name for prefix in dependencies.values() if prefix in self.installation.built]
+        runtime = [system / f"lib{name}.so" for name in _RUNTIME]
+        extension = objects.pop("extension")
+        for library, compiled in objects.items():
             needed = [prefix / "lib" / f"lib{name}__{library}.so" for name, prefix in dependencies.items()]
-            own = sorted((self.prefix / "lib").glob("*.so"))
-            target = self.prefix / "lib" / f"lib{self.package.name}__{library}.so"
-            self.compiler.link(target, [*objects[library], *own, *needed, *runtime], self._search("$ORIGIN"))
-        (self.modules / "__init__.py").touch()
-        extension = self.modules / f"{self.package.name}_s__rosidl_typesupport_c.so"
-        own = sorted((self.prefix / "lib").glob("*.so"))
+            own = sorted(libraries.glob("*.so"))
+            search = ["$ORIGIN", *(f"$ORIGIN/../../{name}/lib" for name in built), str(system)]
+            target = libraries / f"lib{self.package.name}__{library}.so"
+            self.compiler.link(target, [*compiled, *own, *needed, *runtime], search)
+        (self._modules / "__init__.py").touch()
         # Type supports are looked up by name at run time: found without LD_LIBRARY_PATH because loaded here.
-        search = self._search("$ORIGIN/../../lib")
-        self.compiler.link(extension, [*objects["extension"], *own], search, keep_all=True)
-
-    def _search(self, own: str) -> list[str]:
-        up = own + "/../.."  # from a library directory to the cache
-        dependencies = self.installation.dependencies_of(self.package).values()
-        built = [f"{up}/{prefix.name}/lib" for prefix in dependencies if prefix in self.installation.built]
-        return [own, *built, str(self.installation.home / "lib")]
+        up = "$ORIGIN/../../lib"
+        search = [up, *(f"{up}/../../{name}/lib" for name in built), str(system)]
+        target = self._modules / f"{self.package.name}_s__rosidl_typesupport_c.so"
+        self.compiler.link(target, [*extension, *sorted(libraries.glob("*.so"))], search, keep_all=True)
 
     def _write_index(self) -> None:
         index = self.prefix / "share" / "ament_index" / "resource_index"
@@ -147,11 +144,6 @@ class _Build:
         for resource, content in (("packages", ""), ("rosidl_interfaces", "\n".join(interfaces))):
             (index / resource).mkdir(parents=True)
             (index / resource / self.package.name).write_text(content, encoding="utf-8")
-
-
-def _runtime_libraries(directory: Path) -> list[Path]:
-    names = ("rosidl_runtime_c", "rosidl_typesupport_c", *TYPESUPPORTS, "rosidl_typesupport_fastrtps_cpp")
-    return [directory / f"lib{name}.so" for name in (*names, "rmw", "rcutils", "fastcdr")]
 
 
 def _copy(source: Path, target: Path) -> None:

@@ -21,7 +21,7 @@ RECIPE = 1  # to be raised when the way of building changes, so that older resul
 
 
 def default_cache() -> Path:
-    """Where finished packages are kept unless told otherwise."""
+    """Where finished packages are kept, unless `--cache` says another folder."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "ros2-mcp" / "interfaces"
 
@@ -32,22 +32,21 @@ def content_name(package: Package, installation: Installation) -> str:
     Raises `BuildError` when the package refers to a type that is not there.
     """
     descriptions = check_references(package, installation)
+    try:
+        numpy_major = metadata.version("numpy").split(".")[0]  # a change of it breaks compiled extensions
+    except metadata.PackageNotFoundError:
+        numpy_major = "none"
+    dependencies = installation.dependencies_of(package).values()
+    # The result holds the paths of those dependencies that were built, too.
+    built = [prefix.name for prefix in dependencies if prefix in installation.built]
     digest = hashlib.sha256()
-    platform = (str(RECIPE), str(sysconfig.get_config_var("SOABI")), _numpy_major())
-    for part in (*platform, *installation.versions, *_built(package, installation)):
+    for part in (str(RECIPE), str(sysconfig.get_config_var("SOABI")), numpy_major, *installation.versions, *built):
         digest.update(part.encode() + b"\0")
-    manifest = package.root / "package.xml"
-    own = [*package.files, manifest] if manifest.is_file() else package.files
-    for file in (*own, *descriptions):
+    manifest = [package.manifest] if package.manifest.is_file() else []
+    for file in (*package.files, *manifest, *descriptions):
         content = file.read_bytes()
         digest.update(f"{file.name} {len(content)}\0".encode() + content)
     return f"{package.name}-{digest.hexdigest()[:16]}"
-
-
-def _built(package: Package, installation: Installation) -> list[str]:
-    """The content names of those dependencies that were built, too: the result holds their paths."""
-    dependencies = installation.dependencies_of(package).values()
-    return [prefix.name for prefix in dependencies if prefix in installation.built]
 
 
 @contextmanager
@@ -62,23 +61,13 @@ def one_builder(cache: Path, name: str) -> Generator[Path]:
     except OSError as error:
         raise BuildError(f"cannot write to the cache {cache}: {error}", "Choose another with --cache.") from error
     with lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        _remove_leftovers(cache, name)
+        fcntl.flock(lock, fcntl.LOCK_EX)  # the system lets go of it when its process ends, however that happens
+        for leftover in cache.glob(f".{name}.*"):
+            if leftover.is_dir():  # not the lock
+                shutil.rmtree(leftover, ignore_errors=True)
+        # Beside its final place, so that the finished package gets there by a rename: whole, or not at all.
         workspace = Path(tempfile.mkdtemp(prefix=f".{name}.", dir=cache))
         try:
             yield workspace
         finally:
             shutil.rmtree(workspace, ignore_errors=True)
-
-
-def _remove_leftovers(cache: Path, name: str) -> None:
-    for path in cache.glob(f".{name}.*"):
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-
-
-def _numpy_major() -> str:
-    try:
-        return metadata.version("numpy").split(".")[0]
-    except metadata.PackageNotFoundError:
-        return "none"

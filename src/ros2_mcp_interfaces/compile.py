@@ -7,13 +7,15 @@ import shlex
 import shutil
 import subprocess
 from collections.abc import Sequence
-from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from pathlib import Path
 
 from ros2_mcp_interfaces.errors import BuildError
 
+# Compilers at once: nearly all of the time goes there, 8 s for a small package. The bounds are chosen, not measured.
 JOBS = max(2, min(4, os.cpu_count() or 2))
+_MOST_LINES_SHOWN = 12
+"""Of a compiler's messages; the first error tells the cause, and what follows from it fills pages. Chosen."""
 
 
 @dataclass(frozen=True)
@@ -23,12 +25,14 @@ class Compiler:
     c: list[str]
     cpp: list[str]
 
-    def submit(self, pool: Executor, source: Path, includes: Sequence[Path]) -> Future[Path]:
-        """Starts compiling one file; the result is its object file, or `BuildError`."""
+    def compile(self, source: Path, includes: Sequence[Path]) -> Path:
+        """The object file of a source file; raises `BuildError`."""
+        target = source.with_suffix(source.suffix + ".o")
+        # -isystem and -w keep warnings about code that nobody here writes out of the error texts.
         command = [*(self.cpp if source.suffix == ".cpp" else self.c), "-O1", "-fPIC", "-w"]
         command += [argument for path in includes for argument in ("-isystem", str(path))]
-        target = source.with_suffix(source.suffix + ".o")
-        return pool.submit(_compiled, [*command, "-c", str(source), "-o", str(target)], source, target)
+        _run([*command, "-c", str(source), "-o", str(target)], f"compiling {source.name}")
+        return target
 
     def link(self, target: Path, inputs: Sequence[Path], search: Sequence[str], keep_all: bool = False) -> None:
         """Links a shared library whose run-time search path is `search`.
@@ -43,22 +47,19 @@ class Compiler:
 
 def find_compiler() -> Compiler:
     """The compilers named by CC and CXX, or else found on the PATH; raises `BuildError` if there is none."""
-    return Compiler(_command("CC", ("gcc", "cc", "clang")), _command("CXX", ("g++", "c++", "clang++")))
+    return Compiler(
+        _command("C", "CC", ("gcc", "cc", "clang")),
+        _command("C++", "CXX", ("g++", "c++", "clang++")),
+    )
 
 
-def _command(variable: str, names: Sequence[str]) -> list[str]:
-    wanted = shlex.split(os.environ.get(variable, ""))
-    for command in [wanted] if wanted else [[name] for name in names]:
+def _command(language: str, variable: str, names: Sequence[str]) -> list[str]:
+    chosen = shlex.split(os.environ.get(variable, ""))
+    for command in [chosen] if chosen else [[name] for name in names]:
         if shutil.which(command[0]):
             return command
-    language = "C" if variable == "CC" else "C++"
-    tried = f"{variable}={wanted[0]}" if wanted else ", ".join(names)
+    tried = f"{variable}={chosen[0]}" if chosen else ", ".join(names)
     raise BuildError(f"no {language} compiler found ({tried})", "sudo apt install build-essential")
-
-
-def _compiled(command: list[str], source: Path, target: Path) -> Path:
-    _run(command, f"compiling {source.name}")
-    return target
 
 
 def _run(command: list[str], what: str) -> None:
@@ -66,4 +67,4 @@ def _run(command: list[str], what: str) -> None:
     if done.returncode != 0:
         lines = done.stderr.splitlines()
         first = next((line for line in lines if "error" in line), f"exit status {done.returncode}")
-        raise BuildError(f"{what} failed: {first}", "\n".join(lines[:12]))
+        raise BuildError(f"{what} failed: {first}", "\n".join(lines[:_MOST_LINES_SHOWN]))

@@ -8,7 +8,7 @@ import contextlib
 import importlib
 import io
 import json
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,14 @@ from ros2_mcp_interfaces.installation import Installation
 from ros2_mcp_interfaces.package import Package
 
 TYPESUPPORTS = ["rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"]
+_STEPS: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
+    ("rosidl_generator_c", "generate_c", ()),
+    ("rosidl_typesupport_fastrtps_c", "generate_typesupport_fastrtps_c", ()),
+    ("rosidl_typesupport_introspection_c", "generate_c", ()),
+    ("rosidl_typesupport_c", "generate_c", (TYPESUPPORTS,)),
+    ("rosidl_generator_py", "generate_py", (["rosidl_typesupport_c"],)),
+)
+"""Module of a generator, its function, and what the function takes after the file of arguments; in order of linking."""
 
 
 @dataclass(frozen=True)
@@ -43,28 +51,24 @@ class Generation:
 
         Raises `BuildError` when a generator refuses the definitions.
         """
-        interfaces = self._write_idl()
+        # The generators belong to the ROS installation: without them this package must still start, and say so.
+        from rosidl_adapter import convert_to_idl
+
+        texts = [Path(file.suffix[1:], file.name) for file in self.package.files]
+        with self._diagnosed("rosidl_adapter"):
+            interfaces = [Path(convert_to_idl(self.share, self.package.name, text, self.share)) for text in texts]
         self._write_descriptions(interfaces)
-        for generator, arguments in _STEPS:
+        for generator, function, arguments in _STEPS:
             directory = self.sources / generator / self.package.name
-            generate = _function_of(generator)
-            with _diagnosed(f"{self.package.name}: {generator}"):
+            generate = getattr(importlib.import_module(generator), function)
+            with self._diagnosed(generator):
                 generate(str(self._arguments(generator, directory, interfaces)), *arguments)
-            _write_visibility_header(self.installation.home, generator, self.package.name, directory)
+            self._write_visibility_header(generator, directory)
             found = sorted(path for path in directory.rglob("*") if path.suffix in (".c", ".cpp"))
             yield Generated(generator, directory, found)
 
-    def _write_idl(self) -> list[Path]:
-        from rosidl_adapter import convert_to_idl
-
-        texts = [self.share / file.suffix[1:] / file.name for file in self.package.files]
-        with _diagnosed(f"{self.package.name}: rosidl_adapter"):
-            return [
-                Path(convert_to_idl(self.share, self.package.name, text.relative_to(self.share), self.share))
-                for text in texts
-            ]
-
     def _write_descriptions(self, interfaces: list[Path]) -> None:
+        """Writes the files with the type hashes, which need those of all types that are contained."""
         from rosidl_generator_type_description import generate_type_hash
 
         shares = [prefix / "share" for prefix in reversed(self.installation.prefixes)]
@@ -73,19 +77,19 @@ class Generation:
         arguments = json.loads(file.read_text(encoding="utf-8"))
         arguments["include_paths"] = [f"{name}:{path}" for name, path in others.items()]
         file.write_text(json.dumps(arguments), encoding="utf-8")
-        with _diagnosed(f"{self.package.name}: rosidl_generator_type_description"):
+        with self._diagnosed("rosidl_generator_type_description"):
             generate_type_hash(str(file))
 
     def _arguments(self, generator: str, output: Path, interfaces: list[Path]) -> Path:
+        """The file of arguments that a generator reads, as CMake would write it."""
         relative = [interface.relative_to(self.share) for interface in interfaces]
+        descriptions = [f"{path.as_posix()}:{(self.share / path).with_suffix('.json')}" for path in relative]
         arguments = {
             "package_name": self.package.name,
             "output_dir": str(output),
-            "template_dir": str(self.installation.home / "share" / generator / "resource"),
+            "template_dir": str(self._resources(generator)),
             "idl_tuples": [f"{self.share}:{path.as_posix()}" for path in relative],
-            "type_description_tuples": [
-                f"{path.as_posix()}:{(self.share / path).with_suffix('.json')}" for path in relative
-            ],
+            "type_description_tuples": descriptions,
             "ros_interface_files": [str(self.share / file.suffix[1:] / file.name) for file in self.package.files],
             "ros_interface_dependencies": [],
             "target_dependencies": [],
@@ -94,41 +98,27 @@ class Generation:
         file.write_text(json.dumps(arguments), encoding="utf-8")
         return file
 
+    def _write_visibility_header(self, generator: str, directory: Path) -> None:
+        """Fills in the header that CMake would configure: the generated code includes it."""
+        name = f"{generator}__visibility_control.h"
+        template = self._resources(generator) / f"{name}.in"
+        if template.is_file():
+            text = template.read_text(encoding="utf-8").replace("@PROJECT_NAME@", self.package.name)
+            text = text.replace("@PROJECT_NAME_UPPER@", self.package.name.upper())
+            (directory / "msg").mkdir(parents=True, exist_ok=True)
+            (directory / "msg" / name).write_text(text, encoding="utf-8")
 
-_STEPS: tuple[tuple[str, tuple[Any, ...]], ...] = (
-    ("rosidl_generator_c", ()),
-    ("rosidl_typesupport_fastrtps_c", ()),
-    ("rosidl_typesupport_introspection_c", ()),
-    ("rosidl_typesupport_c", (TYPESUPPORTS,)),
-    ("rosidl_generator_py", (["rosidl_typesupport_c"],)),
-)
-_FUNCTIONS = {
-    "rosidl_typesupport_fastrtps_c": "generate_typesupport_fastrtps_c",
-    "rosidl_generator_py": "generate_py",
-}
+    def _resources(self, generator: str) -> Path:
+        return self.installation.home / "share" / generator / "resource"
 
-
-def _function_of(generator: str) -> Callable[..., Any]:
-    return getattr(importlib.import_module(generator), _FUNCTIONS.get(generator, "generate_c"))
-
-
-def _write_visibility_header(home: Path, generator: str, package: str, directory: Path) -> None:
-    name = f"{generator}__visibility_control.h"
-    template = home / "share" / generator / "resource" / f"{name}.in"
-    if template.is_file():
-        text = template.read_text(encoding="utf-8")
-        text = text.replace("@PROJECT_NAME@", package).replace("@PROJECT_NAME_UPPER@", package.upper())
-        (directory / "msg").mkdir(parents=True, exist_ok=True)
-        (directory / "msg" / name).write_text(text, encoding="utf-8")
-
-
-@contextlib.contextmanager
-def _diagnosed(step: str) -> Generator[None]:
-    """Keeps the generators from printing, and turns their failures into `BuildError` with what they said."""
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            yield
-    except Exception as error:  # the generators raise errors of many kinds
-        output = "\n".join(said.getvalue().splitlines()[-5:])
-        raise BuildError(f"{step} failed: {type(error).__name__}: {error}", output) from error
+    @contextlib.contextmanager
+    def _diagnosed(self, step: str) -> Generator[None]:
+        """Keeps the generators from printing, and turns their failures into `BuildError` with what they said."""
+        said = io.StringIO()
+        try:
+            with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+                yield
+        except Exception as error:  # the generators raise errors of many kinds
+            output = "\n".join(said.getvalue().splitlines()[-5:])  # the cause comes last
+            message = f"{self.package.name}: {step} failed: {type(error).__name__}: {error}"
+            raise BuildError(message, output) from error

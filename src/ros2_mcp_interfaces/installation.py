@@ -26,15 +26,19 @@ GENERATORS = (
     "rosidl_typesupport_c",
     "rosidl_generator_py",
 )
+# Packages whose types the generators put into every service and action, whatever its definition says.
 _IMPLIED = {
     ".srv": ("builtin_interfaces", "service_msgs"),
     ".action": ("action_msgs", "builtin_interfaces", "service_msgs", "unique_identifier_msgs"),
 }
-_MISLEADING = {
-    "Header": "std_msgs/Header",
-    "time": "builtin_interfaces/Time",
-    "duration": "builtin_interfaces/Duration",
-}
+# What had no package in ROS 1.
+_OF_ROS_1 = {"Header": "std_msgs/Header", "time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
+
+_VERSION = re.compile(r"<version>\s*([^<\s]+)")
+_WHEELS_HINT = (
+    "Interfaces are built against ROS 2 wheels: pip install 'ros2-mcp[jazzy]'. "
+    "For a normal ROS 2 installation use 'colcon build' and source the workspace."
+)
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,9 @@ class Installation:
     @cached_property
     def versions(self) -> list[str]:
         """Name and version of each generator: what decides about the code that is generated."""
-        return [f"{name} {_version(self.home, name)}" for name in GENERATORS]
+        manifests = {name: self.home / "share" / name / "package.xml" for name in GENERATORS}
+        found = {name: _VERSION.search(file.read_text(encoding="utf-8")) for name, file in manifests.items()}
+        return [f"{name} {version[1] if version else 'unknown'}" for name, version in found.items()]
 
     def prefix_of(self, package: str) -> Path | None:
         """The prefix with the interfaces of a package, or None where it is not installed."""
@@ -83,19 +89,17 @@ class Installation:
         folder = prefix / "share" / reference.package / "msg"
         description = folder / f"{reference.type_name}.json"
         if not description.is_file():
-            known = [path.stem for path in folder.glob("*.json")]
-            raise _unknown_type(reference, known)
+            raise _unknown_type(reference, [path.stem for path in folder.glob("*.json")])
         return description
 
     def dependencies_of(self, package: Package) -> dict[str, Path]:
         """The prefix of every package whose libraries this one needs, by package name."""
         names = {reference.package for reference in package.references} - {package.name}
         names.update(name for file in package.files for name in _IMPLIED.get(file.suffix, ()))
-        prefixes = {name: self.prefix_of(name) for name in sorted(names)}
-        missing = sorted(name for name, prefix in prefixes.items() if prefix is None)
-        if missing:
+        prefixes = {name: prefix for name in sorted(names) if (prefix := self.prefix_of(name))}
+        if missing := sorted(names - prefixes.keys()):
             raise BuildError(f"{package.name} needs {', '.join(missing)}, not in {self.home}", _WHEELS_HINT)
-        return {name: prefix for name, prefix in prefixes.items() if prefix is not None}
+        return prefixes
 
 
 def check_references(package: Package, installation: Installation) -> list[Path]:
@@ -111,7 +115,8 @@ def check_references(package: Package, installation: Installation) -> list[Path]
 
 def find_installation() -> Installation:
     """The installation that this Python belongs to; raises `BuildError` where generators are missing."""
-    for home in _candidate_prefixes():
+    sourced = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
+    for home in (Path(sys.prefix), *sourced):
         if all((home / "share" / name / "package.xml").is_file() for name in GENERATORS):
             return Installation(home)
     if os.environ.get("AMENT_PREFIX_PATH") and find_spec("rclpy"):
@@ -135,25 +140,8 @@ def python_headers() -> list[Path]:
     return [python, Path(numpy.get_include())]
 
 
-_WHEELS_HINT = (
-    "Interfaces are built against ROS 2 wheels: pip install 'ros2-mcp[jazzy]'. "
-    "For a normal ROS 2 installation use 'colcon build' and source the workspace."
-)
-
-
-def _candidate_prefixes() -> list[Path]:
-    sourced = [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
-    return [Path(sys.prefix), *sourced]
-
-
-def _version(home: Path, package: str) -> str:
-    text = (home / "share" / package / "package.xml").read_text(encoding="utf-8")
-    found = re.search(r"<version>\s*([^<\s]+)", text)
-    return found.group(1) if found else "unknown"
-
-
-def _unknown_type(reference: Reference, known: list[str]) -> BuildError:
-    near = difflib.get_close_matches(reference.type_name, known, n=1)
-    suggestion = _MISLEADING.get(reference.type_name) or (f"{reference.package}/{near[0]}" if near else "")
+def _unknown_type(reference: Reference, names: list[str]) -> BuildError:
+    near = difflib.get_close_matches(reference.type_name, names, n=1)
+    suggestion = _OF_ROS_1.get(reference.type_name) or (f"{reference.package}/{near[0]}" if near else "")
     hint = f"Did you mean {suggestion}?" if suggestion else ""
     return BuildError(f"{reference}, but {reference.package} has no message {reference.type_name}", hint)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -41,6 +41,11 @@ class Package:
     references: tuple[Reference, ...]
 
     @property
+    def manifest(self) -> Path:
+        """Its package.xml, which may not be there."""
+        return self.root / "package.xml"
+
+    @property
     def messages(self) -> list[str]:
         """The names of the messages that this package defines."""
         return [file.stem for file in self.files if file.suffix == ".msg"]
@@ -55,10 +60,23 @@ def find_packages(directories: Sequence[Path]) -> list[Package]:
     packages: dict[str, Package] = {}
     for root in (root for directory in directories for root in _package_roots(Path(directory).absolute())):
         package = _read_package(root)
-        known = packages.setdefault(package.name, package)
-        if known.root.resolve() != root.resolve():
-            raise BuildError(f"two packages are named {package.name}: {known.root} and {root}")
-    return list(_in_dependency_order(packages))
+        first = packages.setdefault(package.name, package)
+        if first.root.resolve() != root.resolve():
+            raise BuildError(f"two packages are named {package.name}: {first.root} and {root}")
+    ordered: dict[str, Package] = {}
+
+    def place(package: Package, path: tuple[str, ...]) -> None:
+        if package.name in path:
+            raise BuildError(f"packages refer to each other in a circle: {' -> '.join((*path, package.name))}")
+        for name in sorted({reference.package for reference in package.references} - {package.name}):
+            if name in packages and name not in ordered:
+                place(packages[name], (*path, package.name))
+        ordered[package.name] = package
+
+    for package in packages.values():
+        if package.name not in ordered:
+            place(package, ())
+    return list(ordered.values())
 
 
 def _package_roots(directory: Path) -> list[Path]:
@@ -81,21 +99,7 @@ def _definition_files(root: Path) -> list[Path]:
 
 
 def _read_package(root: Path) -> Package:
-    name = _package_name(root)
-    files = _definition_files(root)
-    for file in files:
-        if not _INTERFACE_NAME.fullmatch(file.stem):
-            raise BuildError(
-                f'{file}: "{file.stem}" is not a valid interface name',
-                "Names begin with a capital letter and have letters and digits only, as in NavigateTo.",
-            )
-    references = tuple(reference for file in files for reference in _references(file, name))
-    return Package(name, root, tuple(files), references)
-
-
-def _package_name(root: Path) -> str:
-    manifest = root / "package.xml"
-    name = root.name
+    manifest, name = root / "package.xml", root.name
     if manifest.is_file():
         try:
             name = (ElementTree.parse(manifest).findtext("name") or "").strip()
@@ -106,7 +110,14 @@ def _package_name(root: Path) -> str:
             f'"{name}" ({manifest if manifest.is_file() else root}) is not a valid package name',
             "Names begin with a letter and have lower case letters, digits and single underscores only.",
         )
-    return name
+    files = tuple(_definition_files(root))
+    for file in files:
+        if not _INTERFACE_NAME.fullmatch(file.stem):
+            raise BuildError(
+                f'{file}: "{file.stem}" is not a valid interface name',
+                "Names begin with a capital letter and have letters and digits only, as in NavigateTo.",
+            )
+    return Package(name, root, files, tuple(reference for file in files for reference in _references(file, name)))
 
 
 def _references(file: Path, package: str) -> Iterator[Reference]:
@@ -124,20 +135,3 @@ def read_text(file: Path) -> str:
         return file.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise BuildError(f"{file} is not UTF-8 text: {error}") from error
-
-
-def _in_dependency_order(packages: dict[str, Package]) -> Iterable[Package]:
-    ordered: dict[str, Package] = {}
-
-    def place(package: Package, path: tuple[str, ...]) -> None:
-        if package.name in path:
-            raise BuildError(f"packages refer to each other in a circle: {' -> '.join((*path, package.name))}")
-        for name in sorted({reference.package for reference in package.references} - {package.name}):
-            if name in packages and name not in ordered:
-                place(packages[name], (*path, package.name))
-        ordered[package.name] = package
-
-    for package in packages.values():
-        if package.name not in ordered:
-            place(package, ())
-    return ordered.values()

@@ -8,15 +8,15 @@ import time
 
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from .. import optional
+from ..base import Pose
 from ..simulation import AUTONOMOUS, MANUAL, MODES
 from .convert import diagonal, place, transform
-from .part import OK, WARN, Rhythm, RobotPart
+from .part import OK, WARN, RobotPart
 
 POSE_COVARIANCE = diagonal(6, {0: 1e-3, 1: 1e-3, 2: 1e6, 3: 1e6, 4: 1e6, 5: 3e-3})
 TWIST_COVARIANCE = diagonal(6, {0: 1e-4, 1: 1e6, 2: 1e6, 3: 1e6, 4: 1e6, 5: 4e-4})
@@ -27,17 +27,22 @@ class BaseController(RobotPart):
 
     def __init__(self, robot, namespace):
         super().__init__("base_controller", robot, namespace)
-        self._declare()
-        self._heard_at = -math.inf
-        self._asked = (0.0, 0.0)
-        self._rhythm = Rhythm()
-        self._make_messages()
+        self.declare_number("max_linear_speed", 0.5, 0.0, 1.0, "Fastest driving speed [m/s]")
+        self.declare_number("max_angular_speed", 1.5, 0.0, 3.0, "Fastest turning speed [rad/s]")
+        self.declare_number("cmd_vel_timeout", 0.5, 0.1, 5.0, "Stop when no command came for so long [s]")
+        self.declare_number("odom_rate", 25.0, 1.0, 50.0, "Rate of /odom, /tf and /joint_states [Hz]")
+        self.declare_fact("serial_number", "RB1-000742", "Serial number of the base")
+        self._commanded_at = -math.inf
+        self._commanded = (0.0, 0.0)
+        self._odometry = Odometry(child_frame_id=self.frame("base_link"))
+        self._odometry.pose.covariance = POSE_COVARIANCE
+        self._odometry.twist.covariance = TWIST_COVARIANCE
+        self._joint_state = JointState(name=[self.frame("left_wheel_joint"), self.frame("right_wheel_joint")])
         self._odom = self.create_publisher(Odometry, "odom", 10)
         self._joints = self.create_publisher(JointState, "joint_states", 10)
         self._tf = optional.tf2_msgs and self.create_publisher(optional.tf2_msgs.TFMessage, "/tf", 100)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._mode = self.create_publisher(String, "mode", latched)
-        self._told_mode = None
+        self._mode = self.create_latched_publisher(String, "mode")
+        self._published_mode = None
         self.create_subscription(Twist, "cmd_vel", self._on_command, 10)
         self.create_subscription(Twist, "cmd_vel_nav", self._on_navigation_command, 10)
         self.create_service(Trigger, "reset_odometry", self._reset_odometry)
@@ -45,30 +50,17 @@ class BaseController(RobotPart):
         if optional.demo_services:
             self.create_service(optional.demo_services.SetMode, "set_mode", self._set_mode)
 
-    def _declare(self):
-        self.declare_number("max_linear_speed", 0.5, 0.0, 1.0, "Fastest driving speed [m/s]")
-        self.declare_number("max_angular_speed", 1.5, 0.0, 3.0, "Fastest turning speed [rad/s]")
-        self.declare_number("cmd_vel_timeout", 0.5, 0.1, 5.0, "Stop when no command came for so long [s]")
-        self.declare_number("odom_rate", 25.0, 1.0, 50.0, "Rate of /odom, /tf and /joint_states [Hz]")
-        self.declare_fact("serial_number", "RB1-000742", "Serial number of the base")
-
-    def _make_messages(self):
-        self._odometry = Odometry(child_frame_id=self.frame("base_link"))
-        self._odometry.header.frame_id = self.frame("odom")
-        self._odometry.pose.covariance = POSE_COVARIANCE
-        self._odometry.twist.covariance = TWIST_COVARIANCE
-        self._joint_state = JointState(name=[self.frame("left_wheel_joint"), self.frame("right_wheel_joint")])
-
     def tick(self, stamp):
         """Stop when commands stay away; publish what is due."""
-        timeout = self.setting("cmd_vel_timeout")
-        fresh = time.monotonic() - self._heard_at <= timeout
-        self.robot.wanted = self._limited(*self._asked) if fresh else (0.0, 0.0)
-        if self._rhythm.is_due(self.robot.now, self.setting("odom_rate")):
+        fastest, turning = self.setting("max_linear_speed"), self.setting("max_angular_speed")
+        is_fresh = time.monotonic() - self._commanded_at <= self.setting("cmd_vel_timeout")
+        linear, angular = self._commanded if is_fresh else (0.0, 0.0)
+        self.robot.commanded = max(-fastest, min(fastest, linear)), max(-turning, min(turning, angular))
+        if self.is_due(self.setting("odom_rate")):
             self._publish(stamp)
-        if self.robot.mode != self._told_mode:
-            self._told_mode = self.robot.mode
-            self._mode.publish(String(data=self._told_mode))
+        if self.robot.mode != self._published_mode:
+            self._published_mode = self.robot.mode
+            self._mode.publish(String(data=self._published_mode))
 
     def diagnosis(self):
         """How the base is doing."""
@@ -76,7 +68,7 @@ class BaseController(RobotPart):
         values = {
             "mode": self.robot.mode,
             "motors": "enabled" if self.robot.motors_enabled else "disabled",
-            "commanded speed [m/s]": f"{self.robot.wanted[0]:.2f}",
+            "commanded speed [m/s]": f"{self.robot.commanded[0]:.2f}",
             "speed [m/s]": f"{base.linear:.2f}",
             "travelled [m]": f"{base.travelled:.2f}",
         }
@@ -85,10 +77,6 @@ class BaseController(RobotPart):
         if not self.robot.motors_enabled:
             return WARN, "motors are disabled", values
         return OK, "driving" if self.robot.is_moving() else "standing", values
-
-    def _limited(self, linear, angular):
-        fastest, turning = self.setting("max_linear_speed"), self.setting("max_angular_speed")
-        return max(-fastest, min(fastest, linear)), max(-turning, min(turning, angular))
 
     def _on_command(self, command):
         """A command by hand takes over from navigation."""
@@ -108,12 +96,11 @@ class BaseController(RobotPart):
         reason = self.robot.why_not_driving()
         if reason and (command.linear.x or command.angular.z):
             self.get_logger().warning(f"velocity commands are ignored: {reason}", throttle_duration_sec=5.0)
-        self._asked = (command.linear.x, command.angular.z)
-        self._heard_at = time.monotonic()
+        self._commanded = (command.linear.x, command.angular.z)
+        self._commanded_at = time.monotonic()
 
     def _publish(self, stamp):
-        base, message = self.robot.base, self._odometry
-        message.header.stamp = stamp
+        base, message = self.robot.base, self.headed(self._odometry, stamp, "odom")
         place(message.pose.pose, base.odometry)
         message.twist.twist.linear.x = base.linear
         message.twist.twist.angular.z = base.angular
@@ -128,14 +115,14 @@ class BaseController(RobotPart):
             self._tf.publish(optional.tf2_msgs.TFMessage(transforms=[moved]))
 
     def _reset_odometry(self, _, response):
-        self.robot.base.reset_odometry()
+        self.robot.base.odometry = Pose()
         response.success, response.message = True, "odometry starts again at (0, 0), heading 0"
         return response
 
     def _enable_motors(self, request, response):
         self.robot.motors_enabled = request.data
-        response.success = True
-        response.message = "motors enabled" if request.data else "motors disabled: the base brakes and stays"
+        message = "motors enabled" if request.data else "motors disabled: the base brakes and stays"
+        response.success, response.message = True, message
         return response
 
     def _set_mode(self, request, response):
@@ -143,7 +130,7 @@ class BaseController(RobotPart):
         response.success = request.mode in MODES
         if response.success:
             self.robot.mode = request.mode
-            self._asked = (0.0, 0.0)
+            self._commanded = (0.0, 0.0)
             response.message = f"mode is now {request.mode}"
         else:
             response.message = f"there is no mode {request.mode!r}; the modes are {', '.join(MODES)}"

@@ -8,7 +8,7 @@ import math
 from sensor_msgs.msg import BatteryState
 
 from ..battery import CAPACITY_AH, CELLS
-from .part import ERROR, OK, WARN, Rhythm, RobotPart
+from .part import ERROR, OK, WARN, RobotPart
 
 
 class BatteryMonitor(RobotPart):
@@ -18,13 +18,12 @@ class BatteryMonitor(RobotPart):
         super().__init__("battery_monitor", robot, namespace)
         description = "How many times faster than a real battery it discharges"
         self.declare_number("drain_rate", 1.0, 0.0, 1000.0, description)
-        self._rhythm = Rhythm()
         self._publisher = self.create_publisher(BatteryState, "battery_state", 10)
 
     def tick(self, stamp):
         """Measure when it is time."""
         self.robot.battery.drain_rate = self.setting("drain_rate")
-        if self._rhythm.is_due(self.robot.now, 1.0):
+        if self.is_due(1.0):
             self._publisher.publish(self._message(stamp))
 
     def diagnosis(self):
@@ -40,11 +39,10 @@ class BatteryMonitor(RobotPart):
     def _message(self, stamp):
         battery = self.robot.battery
         message = BatteryState(present=True, location="base", serial_number="BT-3S5000-88")
-        message.header.stamp, message.header.frame_id = stamp, self.frame("base_link")
+        self.headed(message, stamp, "base_link")
         message.voltage, message.current = battery.voltage, -battery.current
-        message.percentage = battery.charge
-        message.charge, message.capacity = battery.charge * CAPACITY_AH, CAPACITY_AH
-        message.design_capacity = CAPACITY_AH
+        message.percentage, message.charge = battery.charge, battery.charge * CAPACITY_AH
+        message.capacity = message.design_capacity = CAPACITY_AH
         message.temperature = 25.0 + battery.current
         message.cell_voltage = [battery.voltage / CELLS] * CELLS
         message.cell_temperature = [math.nan] * CELLS

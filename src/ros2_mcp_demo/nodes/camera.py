@@ -10,9 +10,10 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from .. import optional, picture
 from .convert import octets
-from .part import ERROR, OK, Rhythm, RobotPart
+from .part import ERROR, OK, RobotPart
 
 JPEG_QUALITY = 80
+FRAME = "camera_optical"
 
 
 class Camera(RobotPart):
@@ -23,7 +24,6 @@ class Camera(RobotPart):
         self.declare_switch("enabled", True, "False: the camera is dead and publishes nothing")
         self.declare_number("frame_rate", 10.0, 0.5, 25.0, "Colour pictures per second [Hz]")
         self.declare_number("brightness", 1.0, 0.0, 2.0, "1 is right, 0 is black")
-        self._color_rhythm, self._depth_rhythm = Rhythm(), Rhythm()
         self._raw = self.create_publisher(Image, "camera/image_raw", 5)
         self._info = self.create_publisher(CameraInfo, "camera/camera_info", 5)
         self._depth = self.create_publisher(Image, "camera/depth/image_raw", 5)
@@ -36,9 +36,9 @@ class Camera(RobotPart):
         if not self.setting("enabled"):
             return
         rate = self.setting("frame_rate")
-        if self._color_rhythm.is_due(self.robot.now, rate):
+        if self.is_due(rate, "color"):
             self._publish_color(stamp)
-        if self._depth_rhythm.is_due(self.robot.now, rate / 2) and self._depth.get_subscription_count():
+        if self.is_due(rate / 2, "depth") and self._depth.get_subscription_count():
             depth = self.robot.depth_photo()
             self._depth.publish(self._image(stamp, depth, "32FC1", 4))
 
@@ -54,30 +54,23 @@ class Camera(RobotPart):
             if raw:
                 self._raw.publish(self._image(stamp, photo, "rgb8", 3))
             if jpeg:
-                self._jpeg.publish(self._compressed(stamp, photo))
+                file = io.BytesIO()
+                optional.pillow.fromarray(photo).save(file, "JPEG", quality=JPEG_QUALITY)
+                message = CompressedImage(format="rgb8; jpeg compressed bgr8")
+                message.data.frombytes(file.getvalue())
+                self._jpeg.publish(self.headed(message, stamp, FRAME))
         if raw or jpeg or self._info.get_subscription_count():
             self._info.publish(self._calibration(stamp))
 
-    def _headed(self, stamp, message):
-        message.header.stamp, message.header.frame_id = stamp, self.frame("camera_optical")
-        return message
-
     def _image(self, stamp, pixels, encoding, pixel_bytes):
-        message = self._headed(stamp, Image(height=picture.HEIGHT, width=picture.WIDTH, encoding=encoding))
+        message = Image(height=picture.HEIGHT, width=picture.WIDTH, encoding=encoding)
         message.step = picture.WIDTH * pixel_bytes
         message.data = octets(pixels)
-        return message
-
-    def _compressed(self, stamp, photo):
-        file = io.BytesIO()
-        optional.pillow.fromarray(photo).save(file, "JPEG", quality=JPEG_QUALITY)
-        message = self._headed(stamp, CompressedImage(format="rgb8; jpeg compressed bgr8"))
-        message.data.frombytes(file.getvalue())
-        return message
+        return self.headed(message, stamp, FRAME)
 
     def _calibration(self, stamp):
         focal, x, y = picture.FOCAL, picture.CENTER_X, picture.CENTER_Y
-        message = self._headed(stamp, CameraInfo(height=picture.HEIGHT, width=picture.WIDTH))
+        message = self.headed(CameraInfo(height=picture.HEIGHT, width=picture.WIDTH), stamp, FRAME)
         message.distortion_model, message.d = "plumb_bob", [0.0] * 5
         message.k = [focal, 0.0, x, 0.0, focal, y, 0.0, 0.0, 1.0]
         message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]

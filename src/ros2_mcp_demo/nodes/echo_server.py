@@ -9,7 +9,7 @@ import time
 from rclpy.parameter import Parameter
 
 from .. import optional
-from .part import RobotPart
+from .part import RobotPart, never_called
 
 LONGEST_DELAY_S = 600.0
 MOST_WAITING = 100
@@ -21,11 +21,13 @@ class EchoServer(RobotPart):
     A node without an executor answers nothing else, so it offers nothing else.
     """
 
+    needs_executor = False
+
     def __init__(self, robot, namespace):
         quiet = Parameter("start_type_description_service", value=False)
         super().__init__("echo_server", robot, namespace, start_parameter_services=False, parameter_overrides=[quiet])
         self._type = optional.demo_services.SlowEcho
-        self._service = self.create_service(self._type, "slow_echo", _never_called)
+        self._service = self.create_service(self._type, "slow_echo", never_called)
         self._waiting = []
 
     def tick(self, stamp):  # noqa: ARG002
@@ -49,7 +51,3 @@ class EchoServer(RobotPart):
         arrived = time.monotonic()
         self._waiting.append((arrived + max(0.0, min(delay, LONGEST_DELAY_S)), arrived, request, header))
         return True
-
-
-def _never_called(_request, _response):
-    raise NotImplementedError("requests are taken in tick")

@@ -10,7 +10,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from ..base import approach
-from .part import OK, Rhythm, RobotPart
+from .part import OK, RobotPart
 
 OPEN, CLOSED = 0.08, 0.0
 SPEED = 0.04
@@ -22,9 +22,8 @@ class GripperDriver(RobotPart, LifecycleNode):
 
     def __init__(self, robot, namespace):
         super().__init__("gripper_driver", robot, namespace)
-        self._rhythm = Rhythm()
         self._active = False
-        self._opening = self._wanted = OPEN
+        self._opening = self._target = OPEN
         self._publisher: Any = None
         self._service: Any = None
         self._refuse_impossible_transitions()
@@ -46,22 +45,22 @@ class GripperDriver(RobotPart, LifecycleNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state):  # noqa: ARG002
-        """Take back the topic and the service."""
-        self._withdraw()
+        """Take back the topic and the service, from any state."""
+        self._active = False
+        if self._publisher is not None:
+            self.destroy_lifecycle_publisher(self._publisher)
+            self.destroy_service(self._service)
+        self._publisher = self._service = None
         return TransitionCallbackReturn.SUCCESS
 
-    def on_shutdown(self, state):  # noqa: ARG002
-        """As for a cleanup, from any state."""
-        self._active = False
-        self._withdraw()
-        return TransitionCallbackReturn.SUCCESS
+    on_shutdown = on_cleanup
 
     def tick(self, stamp):
         """Move the fingers and tell where they are."""
-        if not (self._active and self._rhythm.is_due(self.robot.now, RATE)):
+        if not (self._active and self.is_due(RATE)):
             return
         before = self._opening
-        self._opening = approach(self._opening, self._wanted, SPEED / RATE)
+        self._opening = approach(self._opening, self._target, SPEED / RATE)
         message = JointState(name=[self.frame("gripper_joint")])
         message.header.stamp = stamp
         message.position, message.velocity = [self._opening], [(self._opening - before) * RATE]
@@ -90,14 +89,8 @@ class GripperDriver(RobotPart, LifecycleNode):
     def _close(self, request, response):
         response.success = self._active
         if self._active:
-            self._wanted = CLOSED if request.data else OPEN
+            self._target = CLOSED if request.data else OPEN
             response.message = "closing" if request.data else "opening"
         else:
             response.message = "the gripper driver is not active"
         return response
-
-    def _withdraw(self):
-        if self._publisher is not None:
-            self.destroy_lifecycle_publisher(self._publisher)
-            self.destroy_service(self._service)
-        self._publisher = self._service = None

@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from .part import Rhythm, RobotPart
+from .part import RobotPart
 
 
 class Health(RobotPart):
@@ -16,7 +16,6 @@ class Health(RobotPart):
     def __init__(self, robot, namespace, parts):
         super().__init__("health", robot, namespace)
         self._parts = list(parts)
-        self._rhythm = Rhythm()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._heartbeat = self.create_publisher(String, "heartbeat", 10)
         self._levels = {}
@@ -24,7 +23,7 @@ class Health(RobotPart):
 
     def tick(self, stamp):
         """Collect and publish when it is time."""
-        if not self._rhythm.is_due(self.robot.now, 1.0):
+        if not self.is_due(1.0):
             return
         message = DiagnosticArray(status=[*filter(None, map(self._status, self._parts))])
         message.header.stamp = stamp
@@ -34,23 +33,21 @@ class Health(RobotPart):
         self._heartbeat.publish(String(data=text))
 
     def _status(self, part):
+        """What a part says of itself, or None; a change of its level is logged."""
         diagnosis = part.diagnosis()
         if diagnosis is None:
             return None
         level, text, values = diagnosis
-        self._log_change(part, level, text)
-        pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
-        name = f"{part.get_name()}: status"
-        return DiagnosticStatus(level=level, name=name, message=text, hardware_id="ros2_mcp_demo", values=pairs)
-
-    def _log_change(self, part, level, text):
-        """Say in the log when a part's level changes."""
-        if self._levels.get(part.get_name(), DiagnosticStatus.OK) != level:
+        name = part.get_name()
+        if self._levels.get(name, DiagnosticStatus.OK) != level:
             if level == DiagnosticStatus.OK:  # rclpy: a line of code that logs must always log at the same level
                 part.get_logger().info(text)
             else:
                 part.get_logger().warning(text)
-        self._levels[part.get_name()] = level
+        self._levels[name] = level
+        pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+        about = {"name": f"{name}: status", "hardware_id": "ros2_mcp_demo"}
+        return DiagnosticStatus(level=level, message=text, values=pairs, **about)
 
     def _self_test(self, _, response):
         response.success = False

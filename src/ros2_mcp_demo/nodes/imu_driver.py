@@ -7,7 +7,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu
 
 from .convert import diagonal, quaternion
-from .part import ERROR, OK, WARN, Rhythm, RobotPart
+from .part import ERROR, OK, WARN, RobotPart
 
 
 class ImuDriver(RobotPart):
@@ -18,22 +18,19 @@ class ImuDriver(RobotPart):
         self.declare_switch("enabled", True, "False: the unit is dead and publishes nothing")
         self.declare_number("rate", 50.0, 1.0, 50.0, "Samples per second [Hz]")
         self.declare_number("gyro_bias", 0.002, -0.5, 0.5, "Constant error of the yaw rate [rad/s]")
-        self._rhythm = Rhythm()
         self._publisher = self.create_publisher(Imu, "imu", qos_profile_sensor_data)
         self._message = Imu()
-        self._message.header.frame_id = self.frame("imu_link")
         self._message.orientation_covariance = diagonal(3, {0: 1e-4, 1: 1e-4, 2: 4e-6})
         self._message.angular_velocity_covariance = diagonal(3, {0: 9e-6, 1: 9e-6, 2: 9e-6})
         self._message.linear_acceleration_covariance = diagonal(3, {0: 9e-4, 1: 9e-4, 2: 9e-4})
 
     def tick(self, stamp):
         """Measure when it is time."""
-        if not (self.setting("enabled") and self._rhythm.is_due(self.robot.now, self.setting("rate"))):
+        if not (self.setting("enabled") and self.is_due(self.setting("rate"))):
             return
         self.robot.gyro_bias = self.setting("gyro_bias")
         yaw, yaw_rate, acceleration = self.robot.inertia()
-        message = self._message
-        message.header.stamp = stamp
+        message = self.headed(self._message, stamp, "imu_link")
         message.orientation = quaternion(yaw)
         message.angular_velocity.z = yaw_rate
         felt = message.linear_acceleration

@@ -5,17 +5,16 @@ from __future__ import annotations
 
 import array
 import math
-from typing import Any
 
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
 
 from ..simulation import BEAMS, RANGE_MAX, RANGE_MIN
-from .part import ERROR, OK, WARN, Rhythm, RobotPart
+from .part import ERROR, OK, WARN, RobotPart
 
 
 class Lidar(RobotPart):
-    """The driver of the laser scanner. `ranges` is the latest scan, or None from a scanner that is off."""
+    """The driver of the laser scanner."""
 
     def __init__(self, robot, namespace):
         super().__init__("lidar", robot, namespace)
@@ -23,35 +22,32 @@ class Lidar(RobotPart):
         self.declare_number("rate", 10.0, 0.5, 25.0, "Turns per second [Hz]")
         self.declare_number("noise_stddev", 0.01, 0.0, 0.5, "Standard deviation of a range [m]")
         self.declare_fact("serial_number", "LD06-31416", "Serial number of the scanner")
-        self._rhythm = Rhythm()
         self._publisher = self.create_publisher(LaserScan, "scan", qos_profile_sensor_data)
-        self.ranges: Any = None
 
     def tick(self, stamp):
         """Scan when it is time."""
         rate = self.setting("rate")
         if not self.setting("enabled"):
-            self.ranges = None
-        elif self._rhythm.is_due(self.robot.now, rate):
-            self.ranges = self.robot.scan(self.setting("noise_stddev"))
+            self.robot.ranges = None
+        elif self.is_due(rate):
+            self.robot.ranges = self.robot.scan(self.setting("noise_stddev"))
             self._publisher.publish(self._message(stamp, rate))
 
     def diagnosis(self):
         """Whether the scanner turns."""
         values = {"rate [Hz]": f"{self.setting('rate'):g}", "noise [m]": f"{self.setting('noise_stddev'):g}"}
-        if self.ranges is None:
+        if self.robot.ranges is None:
             return ERROR, "no data from the scanner", values
         if self.setting("noise_stddev") > 0.05:
             return WARN, "ranges are noisy", values
         return OK, "scanning", values
 
     def _message(self, stamp, rate):
-        message = LaserScan()
-        message.header.stamp, message.header.frame_id = stamp, self.frame("laser")
+        message = self.headed(LaserScan(), stamp, "laser")
         message.angle_min = -math.pi
         message.angle_increment = 2 * math.pi / BEAMS
         message.angle_max = message.angle_min + (BEAMS - 1) * message.angle_increment
         message.scan_time = 1.0 / rate
         message.range_min, message.range_max = RANGE_MIN, RANGE_MAX
-        message.ranges = array.array("f", self.ranges.tobytes())
+        message.ranges = array.array("f", self.robot.ranges.tobytes())
         return message

@@ -10,7 +10,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from .. import optional
 from ..base import wrapped
 from .convert import diagonal, place, transform
-from .part import Rhythm, RobotPart
+from .part import RobotPart
 
 RATE = 10.0
 
@@ -20,27 +20,23 @@ class Localization(RobotPart):
 
     def __init__(self, robot, namespace):
         super().__init__("localization", robot, namespace)
-        self._rhythm = Rhythm()
         self._publisher = self.create_publisher(PoseWithCovarianceStamped, "pose", 10)
         self._tf = optional.tf2_msgs and self.create_publisher(optional.tf2_msgs.TFMessage, "/tf", 100)
         self._message = PoseWithCovarianceStamped()
-        self._message.header.frame_id = self.frame("map")
         self._message.pose.covariance = diagonal(6, {0: 7e-5, 1: 7e-5, 5: 2e-5})
 
     def tick(self, stamp):
         """Publish when it is time."""
-        if not self._rhythm.is_due(self.robot.now, RATE):
+        if not self.is_due(RATE):
             return
         pose = self.robot.localize()
-        self._message.header.stamp = stamp
+        self.headed(self._message, stamp, "map")
         place(self._message.pose.pose, pose)
         self._publisher.publish(self._message)
         if self._tf:
-            self._tf.publish(optional.tf2_msgs.TFMessage(transforms=[self._map_to_odom(stamp, pose)]))
-
-    def _map_to_odom(self, stamp, pose):
-        odometry = self.robot.base.odometry
-        yaw = wrapped(pose.yaw - odometry.yaw)
-        x = pose.x - math.cos(yaw) * odometry.x + math.sin(yaw) * odometry.y
-        y = pose.y - math.sin(yaw) * odometry.x - math.cos(yaw) * odometry.y
-        return transform(stamp, self.frame("map"), self.frame("odom"), x, y, yaw=yaw)
+            odometry = self.robot.base.odometry
+            yaw = wrapped(pose.yaw - odometry.yaw)
+            x = pose.x - math.cos(yaw) * odometry.x + math.sin(yaw) * odometry.y
+            y = pose.y - math.sin(yaw) * odometry.x - math.cos(yaw) * odometry.y
+            correction = transform(stamp, self.frame("map"), self.frame("odom"), x, y, yaw=yaw)
+            self._tf.publish(optional.tf2_msgs.TFMessage(transforms=[correction]))

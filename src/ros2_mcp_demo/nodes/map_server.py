@@ -6,21 +6,17 @@ from __future__ import annotations
 import array
 
 from nav_msgs.msg import OccupancyGrid
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from ..simulation import MAP_RESOLUTION
 from .part import RobotPart
-
-RESOLUTION = 0.05
 
 
 class MapServer(RobotPart):
-    """Publishes the map once; it is latched. `cells` (int8) and `origin` are the map itself."""
+    """Publishes the map once; it is latched."""
 
     def __init__(self, robot, namespace):
         super().__init__("map_server", robot, namespace)
-        self.cells, self.origin = robot.world.occupancy(RESOLUTION)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._publisher = self.create_publisher(OccupancyGrid, "map", latched)
+        self._publisher = self.create_latched_publisher(OccupancyGrid, "map")
         self._published = False
 
     def tick(self, stamp):
@@ -28,10 +24,10 @@ class MapServer(RobotPart):
         if self._published:
             return
         self._published = True
-        message = OccupancyGrid()
-        message.header.stamp, message.header.frame_id = stamp, self.frame("map")
-        message.info.map_load_time, message.info.resolution = stamp, RESOLUTION
-        message.info.height, message.info.width = self.cells.shape
-        message.info.origin.position.x, message.info.origin.position.y = self.origin
-        message.data = array.array("b", self.cells.tobytes())
+        cells, origin = self.robot.map
+        message = self.headed(OccupancyGrid(), stamp, "map")
+        message.info.map_load_time, message.info.resolution = stamp, MAP_RESOLUTION
+        message.info.height, message.info.width = cells.shape
+        message.info.origin.position.x, message.info.origin.position.y = origin
+        message.data = array.array("b", cells.tobytes())
         self._publisher.publish(message)

@@ -9,16 +9,14 @@ from typing import Any
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Path
-from rclpy.action.server import GoalResponse
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 
 from .. import optional
 from ..drive import Drive, Goal, Surroundings
-from ..simulation import AUTONOMOUS, IDLE
-from .goals import GoalServer
-from .map_server import RESOLUTION
-from .part import OK, Rhythm, RobotPart
+from ..simulation import AUTONOMOUS, IDLE, MAP_RESOLUTION
+from .part import OK, RobotPart, never_called
 
-COMMAND_RATE = 10.0
+COMMAND_RATE = 10.0  # Hz; the base stops after 0.5 s without a command
 FEEDBACK_RATE = 5.0
 SMALLEST_TOLERANCE = 0.05
 
@@ -26,13 +24,12 @@ SMALLEST_TOLERANCE = 0.05
 class Navigator(RobotPart):
     """Drives to one goal at a time; a new goal replaces the old one."""
 
-    def __init__(self, robot, namespace, lidar, map_server):
+    def __init__(self, robot, namespace):
         super().__init__("navigator", robot, namespace)
         self.declare_number("max_linear_speed", 0.4, 0.05, 1.0, "Fastest driving speed [m/s]")
         self.declare_number("max_angular_speed", 1.2, 0.1, 3.0, "Fastest turning speed [rad/s]")
-        self._lidar, self._map = lidar, map_server
-        self._surroundings = Surroundings(map_server.cells, map_server.origin, RESOLUTION)
-        self._command_rhythm, self._feedback_rhythm = Rhythm(), Rhythm()
+        cells, origin = robot.map
+        self._surroundings = Surroundings(cells, origin, MAP_RESOLUTION)
         self._commands = self.create_publisher(Twist, "cmd_vel_nav", 10)
         self._plans = self.create_publisher(Path, "plan", 10)
         self._action = optional.demo_actions.NavigateTo
@@ -47,11 +44,14 @@ class Navigator(RobotPart):
         if self._handle is None:
             return
         if self._handle.is_cancel_requested:
-            self._brake()
+            if self.robot.is_moving() and self.robot.mode == AUTONOMOUS:
+                self._command(0.0, 0.0)
+            else:
+                self._end("canceled", "canceled; the robot stands")
             return
-        if self._command_rhythm.is_due(self.robot.now, COMMAND_RATE):
+        if self.is_due(COMMAND_RATE, "command"):
             self._drive_on(stamp)
-        if self._handle and self._feedback_rhythm.is_due(self.robot.now, FEEDBACK_RATE):
+        if self._handle and self.is_due(FEEDBACK_RATE, "feedback"):
             self._handle.publish_feedback(self._feedback())
 
     def diagnosis(self):
@@ -73,9 +73,9 @@ class Navigator(RobotPart):
             return "tolerance must not be negative"
         if self.robot.mode == IDLE:
             return "the robot is idle; set the mode to manual or autonomous first"
-        row = math.floor((goal.y - self._map.origin[1]) / RESOLUTION)
-        column = math.floor((goal.x - self._map.origin[0]) / RESOLUTION)
-        rows, columns = self._map.cells.shape
+        cells, (x, y) = self.robot.map
+        row, column = math.floor((goal.y - y) / MAP_RESOLUTION), math.floor((goal.x - x) / MAP_RESOLUTION)
+        rows, columns = cells.shape
         if not (0 <= row < rows and 0 <= column < columns):
             return f"({goal.x:g}, {goal.y:g}) is outside the map"
         return None
@@ -83,13 +83,9 @@ class Navigator(RobotPart):
     def _begin(self, handle):
         if self._handle is not None:
             self._end("abort", "replaced by a new goal")
-        wanted = handle.request
-        goal = Goal(
-            wanted.x,
-            wanted.y,
-            wanted.yaw if wanted.use_yaw else None,
-            max(wanted.tolerance, SMALLEST_TOLERANCE),
-        )
+        request = handle.request
+        yaw = request.yaw if request.use_yaw else None
+        goal = Goal(request.x, request.y, yaw, max(request.tolerance, SMALLEST_TOLERANCE))
         self._handle = handle
         self._drive = Drive(goal, self._surroundings, self.robot.now)
         self._started, self._travelled_before = self.robot.now, self.robot.base.travelled
@@ -103,37 +99,28 @@ class Navigator(RobotPart):
         if stopped:
             self._end("abort", stopped)
             return
-        if self._lidar.ranges is not None:
-            self._surroundings.see(self.robot.scan_points(self._lidar.ranges), self.robot.now)
+        if self.robot.ranges is not None:
+            self._surroundings.see(self.robot.scan_points(self.robot.ranges), self.robot.now)
         drive, base = self._drive, self.robot.base
         fastest, turning = self.setting("max_linear_speed"), self.setting("max_angular_speed")
         self._command(*drive.step(base.pose, self.robot.now, base.blocked, fastest, turning))
         if drive.path is not self._shown_path:
-            self._show(drive.path, stamp)
+            self._shown_path = drive.path
+            path = self.headed(Path(), stamp, "map")
+            path.poses = [PoseStamped(header=path.header) for _ in drive.path]
+            for point, (x, y) in zip(path.poses, drive.path):  # noqa: B905 (3.8)
+                point.pose.position.x, point.pose.position.y = float(x), float(y)
+            self._plans.publish(path)
         if drive.outcome:
             self._end("succeed" if drive.outcome[0] else "abort", drive.outcome[1])
-
-    def _brake(self):
-        if self.robot.is_moving() and self.robot.mode == AUTONOMOUS:
-            self._command(0.0, 0.0)
-        else:
-            self._end("canceled", "canceled; the robot stands")
 
     def _end(self, how, reason):
         """Bring the goal to its end: `how` is the goal handle's succeed, abort or canceled."""
         if self.robot.mode == AUTONOMOUS:
             self._command(0.0, 0.0)
-        handle, self._handle = self._handle, None
-        result = self._result(how == "succeed", reason)
-        self._drive = None
-        self.get_logger().info(f"goal ended: {reason}")
-        getattr(handle, how)()
-        self._server.finish(handle, result)
-
-    def _result(self, reached, reason):
         pose = self.robot.base.pose
-        return self._action.Result(
-            reached=reached,
+        result = self._action.Result(
+            reached=how == "succeed",
             reason=reason,
             distance_travelled=self.robot.base.travelled - self._travelled_before,
             duration=self.robot.now - self._started,
@@ -141,6 +128,11 @@ class Navigator(RobotPart):
             final_y=pose.y,
             final_yaw=pose.yaw,
         )
+        handle = self._handle
+        self._handle = self._drive = None
+        self.get_logger().info(f"goal ended: {reason}")
+        getattr(handle, how)()
+        self._server.finish(handle, result)
 
     def _feedback(self):
         pose, drive = self.robot.base.pose, self._drive
@@ -161,15 +153,22 @@ class Navigator(RobotPart):
         command.linear.x, command.angular.z = float(linear), float(angular)
         self._commands.publish(command)
 
-    def _show(self, path, stamp):
-        self._shown_path = path
-        message = Path()
-        message.header.stamp, message.header.frame_id = stamp, self.frame("map")
-        message.poses = [self._waypoint(message.header, x, y) for x, y in path]
-        self._plans.publish(message)
 
-    @staticmethod
-    def _waypoint(header, x, y):
-        point = PoseStamped(header=header)
-        point.pose.position.x, point.pose.position.y = float(x), float(y)
-        return point
+class GoalServer(ActionServer):
+    """Calls `begin(goal_handle)` for every accepted goal; the owner later calls `finish`.
+
+    rclpy would run a callback for as long as a goal takes, and an executor that waits for it would be busy.
+    """
+
+    def __init__(self, node, action_type, name, judge, begin):
+        callbacks = {"goal_callback": judge, "cancel_callback": lambda _: CancelResponse.ACCEPT}
+        super().__init__(node, action_type, name, never_called, **callbacks)
+        self._begin = begin
+
+    def notify_execute(self, goal_handle, execute_callback):  # noqa: ARG002
+        """The goal is now executing."""
+        self._begin(goal_handle)
+
+    def finish(self, goal_handle, result):
+        """Give clients the result of a goal that has succeeded, was aborted or canceled."""
+        super().notify_execute(goal_handle, lambda _: result)

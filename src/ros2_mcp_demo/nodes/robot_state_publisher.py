@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from geometry_msgs.msg import Quaternion
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from .. import optional
@@ -31,9 +30,8 @@ class RobotStatePublisher(RobotPart):
 
     def __init__(self, robot, namespace):
         super().__init__("robot_state_publisher", robot, namespace)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._description = self.create_publisher(String, "robot_description", latched)
-        self._tf = optional.tf2_msgs and self.create_publisher(optional.tf2_msgs.TFMessage, "/tf_static", latched)
+        self._description = self.create_latched_publisher(String, "robot_description")
+        self._tf = optional.tf2_msgs and self.create_latched_publisher(optional.tf2_msgs.TFMessage, "/tf_static")
         self._published = False
 
     def tick(self, stamp):
@@ -46,11 +44,7 @@ class RobotStatePublisher(RobotPart):
             self._tf.publish(optional.tf2_msgs.TFMessage(transforms=self._mounts(stamp)))
 
     def _mounts(self, stamp):
-        base, camera, optical = (
-            self.frame("base_link"),
-            self.frame("camera_link"),
-            self.frame("camera_optical"),
-        )
+        base, camera, optical = map(self.frame, ("base_link", "camera_link", "camera_optical"))
         into_picture = transform(stamp, camera, optical)
         into_picture.transform.rotation = Quaternion(x=-0.5, y=0.5, z=-0.5, w=0.5)
         return [

@@ -52,7 +52,7 @@ def run(simulation, goal, limit_s=60.0, *, lidar=True):
             ranges = simulation.scan(0.01)
             surroundings.see(simulation.scan_points(ranges if lidar else np.full_like(ranges, np.inf)), simulation.now)
             base = simulation.base
-            simulation.wanted = drive.step(base.pose, simulation.now, base.blocked, 0.4, 1.2)
+            simulation.commanded = drive.step(base.pose, simulation.now, base.blocked, 0.4, 1.2)
         simulation.step(0.02)
         least = min(least, simulation.world.clearance(simulation.base.pose.x, simulation.base.pose.y))
         if drive.outcome:

@@ -12,7 +12,7 @@ from ros2_mcp_demo.world import World
 def story(seed):
     """What a robot senses on a short drive."""
     simulation = Simulation(seed)
-    simulation.wanted = (0.3, 0.4)
+    simulation.commanded = (0.3, 0.4)
     for _ in range(100):
         simulation.step(0.02)
     base = simulation.base
@@ -44,7 +44,7 @@ def test_scan_points_lie_on_what_was_seen_although_the_robot_has_turned_since():
 
 def test_an_idle_robot_does_not_drive():
     simulation = Simulation()
-    simulation.mode, simulation.wanted = IDLE, (0.5, 0.0)
+    simulation.mode, simulation.commanded = IDLE, (0.5, 0.0)
     for _ in range(50):
         simulation.step(0.02)
     assert simulation.base.travelled == pytest.approx(0.0)
@@ -52,7 +52,7 @@ def test_an_idle_robot_does_not_drive():
 
 def test_driving_drains_the_battery_faster_than_standing():
     standing, driving = Simulation(), Simulation()
-    driving.wanted = (0.0, 1.5)
+    driving.commanded = (0.0, 1.5)
     for _ in range(500):
         standing.step(0.02)
         driving.step(0.02)
