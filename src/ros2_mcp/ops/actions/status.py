@@ -90,11 +90,11 @@ class KnownGoals:
         return f"{len(self.goals)} goal(s) of {len(self.actions)} action(s). {self.note}".rstrip()
 
 
-async def states_now(robot: Robot, action: str) -> list[GoalState]:
+async def states_now(robot: Robot, action: str, within_s: float = _LATCHED_S) -> list[GoalState]:
     """The newest states; none where the server has not published any."""
     try:
         async with robot.listen(f"{action}/_action/status", STATUS_TYPE, keep="latest") as listening:
-            samples = await listening.take(_LATCHED_S)
+            samples = await listening.take(within_s)
     except NotFound:
         return []
     return states_in(robot, samples[-1]) if samples else []
