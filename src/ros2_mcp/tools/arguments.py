@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
+from ros2_mcp.ops.sources.selection import MAX_MESSAGES
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 
@@ -28,6 +29,7 @@ def _as_text(value: Any) -> Any:
     return str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
 
 
+# NaN and infinities are refused: as a time, a rate or a bound they compare in ways that nobody means.
 Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_no_bool)]
 Flag = Annotated[bool, BeforeValidator(_strictly_bool)]
@@ -38,12 +40,14 @@ MessageType = Annotated[
     Field(description="Type such as sensor_msgs/msg/LaserScan. Leave it out to use the topic's own."),
 ]
 Pattern = Annotated[str, Field(description="Only names that match: a glob such as /camera/*, or any part of a name.")]
+# At most: a result as long as that is cut by its size in characters (`binding.py`) before it is by this number.
 Limit = Annotated[Whole, Field(ge=1, le=2000, description="How many to list at most.")]
 Hidden = Annotated[Flag, Field(description="Also names that ROS hides (a part starting with an underscore).")]
 Fields = Annotated[
     list[str] | None,
     Field(description='Only these parts of a message, such as ["pose.pose.position", "ranges[0:10]"]. Default: all.'),
 ]
+# At most 10,000 elements: with three digits and a comma each that is 40 kB, and a result has 32 kB.
 MaxArray = Annotated[
     Whole,
     Field(ge=0, le=10_000, description="Show arrays up to this length in full; longer ones are summarised."),
@@ -56,7 +60,7 @@ Seconds = Annotated[Number, Field(ge=0, le=MAX_DURATION_S)]
 Duration = Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description="Collect for this long, in seconds.")]
 MessageLimit = Annotated[
     Whole | None,
-    Field(ge=1, le=100_000, description="Stop after this many messages (alone: waiting at most 20 s)."),
+    Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages (alone: waiting at most 20 s)."),
 ]
 NumericFields = Annotated[
     list[str] | None,

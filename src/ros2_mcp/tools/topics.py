@@ -21,6 +21,8 @@ PLACE = 20
 _PUBLISHING_PLACE = 60
 """After everything that only reads, just before `ros2_stop`."""
 
+MAX_MEASURE_S = 600
+"""A time and a size are kept of every message: at 1 kHz these are 600,000 for each topic in ten minutes."""
 MEASURE_S = 3.0
 """Enough for the rate of anything above 1 Hz, and short enough to be asked often."""
 
@@ -28,6 +30,7 @@ Data = Annotated[
     dict[str, Any],
     Field(description='The message\'s fields, such as {"linear": {"x": 0.2}}. Fields left out get their default.'),
 ]
+_SEVERAL = Field(min_length=1, max_length=stats.MAX_TOPICS)
 _HZ = "How often per second, with duration."
 _SECONDS = "For how long, in seconds, with frequency."
 
@@ -85,7 +88,7 @@ async def ros2_topic_subscribe(
 @tool(title="Read several topics", risk="read", recorded=True)
 async def ros2_subscribe_multiple_topics(
     report: Report,
-    topics: Annotated[list[TopicToRead], Field(min_length=1, max_length=20, description="The topics to read.")],
+    topics: Annotated[list[TopicToRead], _SEVERAL, Field(description="The topics to read.")],
     selection: Messages,
     source: Source,
 ) -> subscribe.Readings:
@@ -119,10 +122,10 @@ async def ros2_topic_echo_wait(
 @tool(title="Rate and age of topics", risk="read", recorded=True)
 async def ros2_topic_stats(
     report: Report,
-    topic_names: Annotated[list[str], Field(min_length=1, max_length=20, description="Names of the topics.")],
+    topic_names: Annotated[list[str], _SEVERAL, Field(description="Names of the topics.")],
     duration: Annotated[
         Number | None,
-        Field(gt=0, le=600, description="Measure for this long, in seconds. Default: 3; of a recording all."),
+        Field(gt=0, le=MAX_MEASURE_S, description="Measure for this long, in seconds. Default: 3; of a recording all."),
     ] = None,
     *,
     source: Source,
@@ -157,7 +160,7 @@ async def ros2_topic_publish(
 async def ros2_publish_multiple_topics(
     robot: Robot,
     report: Report,
-    topics: Annotated[list[TopicToPublish], Field(min_length=1, max_length=20, description="What to publish where.")],
+    topics: Annotated[list[TopicToPublish], _SEVERAL, Field(description="What to publish where.")],
 ) -> publish.PublishedSeveral:
     """Publish repeatedly on several topics at the same time, each with its own frequency and duration."""
     requests = [publish.PublishRequest(**dict(topic)) for topic in topics]

@@ -74,12 +74,8 @@ async def _actions(robot: Robot, within_s: float) -> list[str]:
 async def _message_types(robot: Robot, within_s: float) -> list[str]:
     """The types that the topics have, then every other message type that is installed."""
     in_use = sorted({kind for row in await robot.graph.topics(within_s) for kind in row.types})
-    installed = [name for name in await _interfaces(robot, within_s) if "/msg/" in name]
+    installed = [name for name in await robot.graph.interfaces(within_s) if "/msg/" in name]
     return [*in_use, *(name for name in installed if name not in set(in_use))]
-
-
-async def _interfaces(robot: Robot, within_s: float) -> list[str]:
-    return await robot.graph.interfaces(within_s)
 
 
 _LISTS: Mapping[str, Callable[[Robot, float], Awaitable[list[str]]]] = {
@@ -88,5 +84,6 @@ _LISTS: Mapping[str, Callable[[Robot, float], Awaitable[list[str]]]] = {
     "node": _nodes,
     "action": _actions,
     "message_type": _message_types,
-    "interface": _interfaces,
+    "interface": lambda robot, within_s: robot.graph.interfaces(within_s),
 }
+"""Kind of name → the function that lists them, within a time in seconds."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.sources.source import Source
 
 MAX_TOPICS = 20
-"""As many as the tools that read several topics take; each is a subscription."""
+"""Chosen: more than a person compares. Each is a subscription, which the bridge serves beside all others."""
 _SILENCE_S = 0.5
 """A shorter silence at the end is not reported: a slow machine makes one now and then."""
 _OTHER_CLOCK_S = 1e6
