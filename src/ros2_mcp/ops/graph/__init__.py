@@ -1,1 +1,1 @@
-"""The graph as a whole: status, interfaces, names."""
+"""The robot as a whole: status, interfaces, and names for completions."""

@@ -1,1 +1,1 @@
-"""Nodes: which there are, their parameters, their lifecycle."""
+"""Nodes: list, info, parameters, lifecycle."""

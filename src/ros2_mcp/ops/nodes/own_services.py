@@ -35,11 +35,11 @@ async def fields_of_answer(
     not_found: Callable[[Robot, str], Awaitable[NotFound]],
     timeout_s: float = TIMEOUT_S,
 ) -> dict[str, Any]:
-    """The answer of a node in full.
+    """The fields of a node's answer, with errors that speak of the node: the user asked for it, not for a service.
 
     Raises:
-        NotFound: what `not_found` says of the node, if it has no such service.
-        TimedOut: naming the node, which is what can be mended, and not the service.
+        NotFound: made by `not_found`, if the node is not there or has no such service.
+        TimedOut: if it did not answer in time.
     """
     try:
         return robot.fields_of(await answering)

@@ -12,8 +12,8 @@ from ros2_mcp.model import names, parameters
 from ros2_mcp.model.commands import SetParameters
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
 from ros2_mcp.ops.nodes.list import list_nodes
-from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer
-from ros2_mcp.ops.results import or_error
+from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
+from ros2_mcp.ops.results import list_note, or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.translation import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
@@ -116,8 +116,7 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
             continue  # nobody asked for this node, and it has no such parameter
         shown.append(NodeParameters(node.node, node.parameters[:left], node.error))
         left = max(left - len(node.parameters), 0)
-    note = f"{total} parameters match, the first {limit} are shown." if total > limit else ""
-    return ParameterList(shown, note)
+    return ParameterList(shown, list_note(total, limit))
 
 
 async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None) -> Dump:
@@ -139,7 +138,7 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None) -> D
 async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atomic: bool = False) -> SetResult:
     """Sets parameters, after each value has been converted to the declared type; reads them back.
 
-    A read-only parameter may be among them with the value that it has, as in what was read.
+    A read-only parameter with the value that it has is no error: what `dump` has read can be set back as a whole.
 
     Raises:
         NotFound: if the node is not there.
@@ -153,11 +152,12 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
         messages = await _messages(robot, node, values)
     except BadValue as error:
         raise BadValue("", error.message, f"{error.hint} Nothing was set.".lstrip()) from error
+    kind = SET_PARAMETERS_ATOMICALLY if atomic else SET_PARAMETERS
     command = SetParameters(
         principal=robot.principal,
         name=node,
-        through=f"{node}/set_parameters{'_atomically' if atomic else ''}",
-        type=SET_PARAMETERS_ATOMICALLY if atomic else SET_PARAMETERS,
+        through=service_of(node, kind),
+        type=kind,
         value={"parameters": messages},
         parameters={message["name"]: parameters.value_of(message["value"]) for message in messages},
         timeout_s=TIMEOUT_S,
@@ -169,10 +169,10 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
     now = {parameter.name: parameter.value for parameter in await _read(robot, node, list(values))}
     # What was left out of the request: a node would refuse a read-only parameter even with the value that it has.
     kept = {"successful": True, "reason": "it is read-only and has this value"}
-    ones = [
-        SetOne(name, result["successful"], result["reason"], now.get(name))
-        for name, result in ((name, result_of.get(name, kept)) for name in values)
-    ]
+    ones: list[SetOne] = []
+    for name in values:
+        result = result_of.get(name, kept)
+        ones.append(SetOne(name, result["successful"], result["reason"], now.get(name)))
     return SetResult(node, all(one.successful for one in ones), atomic, ones)
 
 

@@ -1,1 +1,1 @@
-"""Services: which there are, and calling them."""
+"""Services: list and call."""

@@ -1,1 +1,1 @@
-"""Topics: which there are, reading, measuring their flow, publishing."""
+"""Topics: list, info, subscribe, stats, publish; a file for each verb."""

@@ -137,7 +137,7 @@ class Repetition(Job):
     most_running = 256
     """More topics than anybody publishes on at once; `ros2_publish_multiple_topics` counts as many as it has topics."""
     patience_s = 1.0
-    """The bridge answers at once when it has ended a repetition, as `ros2_stop` tells it to before it asks the jobs."""
+    """`ros2_stop` ends repetitions in the bridge first and the jobs then; the bridge's answer is under way by then."""
 
     def __init__(self, robot: Robot, command: Repeat) -> None:
         super().__init__(owner=command.principal, moves=[command.name])
@@ -146,7 +146,7 @@ class Repetition(Job):
         self.sent: Sent | None = None
 
     async def run(self) -> None:
-        """Publishes in the bridge until its time is over, or the bridge is told to stop."""
+        """Publishes in the bridge until its time is over or the bridge ends it (`ros2_stop`)."""
         self.begun()
         self.sent = await self._robot.do(self._command)
 
