@@ -112,7 +112,11 @@ class DataBlackBox:
         for request in requests(question, self.generation):
             answered = await asyncio.to_thread(self._read, await self._inquire(request))
             if answered.samples or answered.problem:
-                return _within(answered, question)
+                # The box does not compare fractions of a second exactly. A time of 0 is one that it did not give.
+                start_ns, end_ns = question.start_ns or 0, question.end_ns or 2**63
+                times = range(start_ns, end_ns + 1)
+                inside = [one for one in answered.samples if one.received_ns == 0 or one.received_ns in times]
+                return replace(answered, samples=inside)
         return Answered()
 
     async def _inquire(self, request: Mapping[str, Any]) -> bytes:
@@ -128,7 +132,11 @@ class DataBlackBox:
 
     def _read(self, body: bytes) -> Answered:
         response: Any = self.robot.values.codec.decode(f"{self.service_type}_Response", body)
-        _require_no_error(response, self.generation)
+        # The first generation never sets `success`: only its message tells of an error.
+        failed = response.error_message and (self.generation == 1 or not response.success)
+        if failed or (self.generation == 2 and not response.success and not len(response.messages)):
+            words = response.error_message or "it failed without a reason"
+            raise RobotError(f"The Data Black Box answered with an error: {words}")
         return read_second(response) if self.generation == 2 else self._read_first(response)
 
     def _read_first(self, response: Any) -> Answered:
@@ -351,21 +359,3 @@ def _timed(kind: str, bodies: Sequence[bytes], dates: Sequence[Any]) -> Answered
         times += [0] * (len(bodies) - len(times))
     samples = [Sample(at_ns, 0, None, body) for at_ns, body in zip(times, bodies, strict=True)]
     return Answered(kind, samples if problem else sorted(samples, key=lambda sample: sample.received_ns), problem)
-
-
-def _within(answered: Answered, question: Question) -> Answered:
-    """Without the messages from outside the time: the box does not compare fractions of a second exactly."""
-    start_ns = question.start_ns or 0
-    end_ns = question.end_ns or 2**63
-    inside = [one for one in answered.samples if not one.received_ns or start_ns <= one.received_ns <= end_ns]
-    return replace(answered, samples=inside)
-
-
-def _require_no_error(response: Any, generation: int) -> None:
-    """The first generation never sets `success`: only its message tells of an error."""
-    failed = response.error_message and (generation == 1 or not response.success)
-    if generation == 2 and not response.success and not len(response.messages):
-        failed = True
-    if failed:
-        words = response.error_message or "it failed without a reason"
-        raise RobotError(f"The Data Black Box answered with an error: {words}")

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -24,7 +25,9 @@ COLOURS = (
 NOT_FINITE = "#e00000"
 _TEXT, _GREY, _GRID, _FRAME, _PAPER = "#222222", "#666666", "#e4e4e4", "#888888", "#ffffff"
 _SIZE, _SMALL, _ROW = 15, 14, 21
+"""Pixels: the title's letters, all other letters, and a line of text."""
 _EDGE, _GAP = 14, 12
+"""Pixels: what is left free at the picture's edges, and between panels."""
 _FINE = 2
 """Lines are drawn this many times larger and scaled down, so that they are smooth."""
 _DOTS = 60
@@ -157,14 +160,11 @@ def _frames(figure: Figure, width: int, height: int) -> list[Frame]:
 
 def _equal(frame: Frame) -> Frame:
     """The frame with one of its spans widened, so that both axes have the same scale."""
-    scale = max(frame.x.length / (frame.right - frame.left), frame.y.length / (frame.bottom - frame.top))
-    x, y = _widened(frame.x, scale * (frame.right - frame.left)), _widened(frame.y, scale * (frame.bottom - frame.top))
-    return Frame(frame.left, frame.top, frame.right, frame.bottom, x, y)
-
-
-def _widened(span: Span, length: float) -> Span:
-    more = (length - span.length) / 2
-    return Span(span.low - more, span.high + more)
+    width, height = frame.right - frame.left, frame.bottom - frame.top
+    scale = max(frame.x.length / width, frame.y.length / height)
+    more_x, more_y = (scale * width - frame.x.length) / 2, (scale * height - frame.y.length) / 2
+    x, y = frame.x, frame.y
+    return replace(frame, x=Span(x.low - more_x, x.high + more_x), y=Span(y.low - more_y, y.high + more_y))
 
 
 def _most(pixels: float) -> int:
@@ -222,13 +222,9 @@ def labels(values: Sequence[float]) -> list[str]:
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
     whole = len(f"{largest:.0f}") if largest < 1e15 else _LONGEST_LABEL
     if whole + decimals <= _LONGEST_LABEL:
-        return [_without_minus(f"{value:.{decimals}f}") for value in values]
+        return [f"{value if abs(value) > step / 2 else 0:.{decimals}f}" for value in values]  # never -0.0
     digits = max(0, math.floor(math.log10(largest) + 1e-9) - math.floor(math.log10(step) + 1e-9))
     return ["0" if value == 0 else f"{value:.{digits}e}" for value in values]
-
-
-def _without_minus(label: str) -> str:
-    return label[1:] if label.startswith("-") and not label.strip("-0.") else label
 
 
 # ── lines ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -296,10 +292,10 @@ def _draw_ends(pen: ImageDraw.ImageDraw, frame: Frame, curve: Curve, colour: str
     drawn = np.flatnonzero(_finite(curve))
     if len(drawn):
         ends = drawn[[0, -1]]
-        across, down = frame.pixels(curve.x[ends], curve.y[ends])
-        _dot(pen, (across[1] * _FINE, down[1] * _FINE), 6 * _FINE, colour)
-        _dot(pen, (across[0] * _FINE, down[0] * _FINE), 7 * _FINE, colour)
-        _dot(pen, (across[0] * _FINE, down[0] * _FINE), 4 * _FINE, _PAPER)
+        across, down = (places * _FINE for places in frame.pixels(curve.x[ends], curve.y[ends]))
+        _dot(pen, (across[1], down[1]), 6 * _FINE, colour)
+        _dot(pen, (across[0], down[0]), 7 * _FINE, colour)
+        _dot(pen, (across[0], down[0]), 4 * _FINE, _PAPER)
 
 
 def _dot(pen: ImageDraw.ImageDraw, at: tuple[float, float], radius: float, colour: str) -> None:
@@ -379,10 +375,6 @@ def _width(text: str) -> float:
     return _font(_SMALL).getlength(text)
 
 
+@cache
 def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    if size not in _FONTS:
-        _FONTS[size] = ImageFont.load_default(size)
-    return _FONTS[size]
-
-
-_FONTS: dict[int, ImageFont.FreeTypeFont | ImageFont.ImageFont] = {}
+    return ImageFont.load_default(size)

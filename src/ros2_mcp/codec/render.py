@@ -172,13 +172,13 @@ class _Render:
         return _list_summary(field_type, len(values), first)
 
     def _text(self, text: str, path: str, most: int) -> Any:
-        if len(text) > most:
-            self._cut(path)
-            return _text_summary(text, most)
-        if text.isascii() or is_unicode(text):
+        if len(text) <= most and (text.isascii() or is_unicode(text)):
             return text
         self._cut(path)
-        return _text_problem(text)
+        if len(text) > most:
+            return {SUMMARY: "string", "length": len(text), "first": escaped_bytes(text[:most])}
+        # JSON cannot carry it exactly: it is not UTF-8, or has half a character.
+        return {SUMMARY: "string", "not_utf8": escaped_bytes(text)}
 
     def _follow(self, path: str, steps: tuple[Step, ...], value: Any) -> Any:
         """What a selected path leads to; beyond a slice, a list with what the rest of the path leads to in each."""
@@ -189,28 +189,21 @@ class _Render:
         elif step.pick is not None:
             value = value[step.pick]
             if rest:
-                return self._follow_each(path, rest, value)
-            return self._several(_part_of(field_type), value, path, self._limits.depth, self._limits.slice)
+                first = [self._follow(path, rest, element) for element in value[: self._limits.slice]]
+                if len(first) == len(value):
+                    return first
+                self._cut(path)
+                return _list_summary(FieldType(rest[-1].field.type.base, "sequence"), len(value), first)
+            part = FieldType(field_type.base, "sequence", 0, field_type.text_bound)
+            return self._several(part, value, path, self._limits.depth, self._limits.slice)
         if rest:
             return self._follow(path, rest, value)
         if field_type.arity == "single" and field_type.base in TEXTS:
             return self._text(value, path, self._limits.slice)
         return self._value(field_type, value, path, self._limits.depth)
 
-    def _follow_each(self, path: str, rest: tuple[Step, ...], values: Sequence[Any]) -> Any:
-        most = self._limits.slice
-        first = [self._follow(path, rest, value) for value in values[:most]]
-        if len(values) <= most:
-            return first
-        self._cut(path)
-        return _list_summary(FieldType(rest[-1].field.type.base, "sequence"), len(values), first)
-
     def _cut(self, path: str) -> None:
         self._truncated[path] = None
-
-
-def _part_of(field_type: FieldType) -> FieldType:
-    return FieldType(field_type.base, "sequence", 0, field_type.text_bound)
 
 
 # ── numbers and texts, exactly or as a summary ────────────────────────────────────────────────────────────────────
@@ -252,36 +245,19 @@ def _list_summary(field_type: FieldType, length: int, first: Sequence[Any]) -> d
     return {SUMMARY: str(field_type), "length": length, "first": first, "omitted": length - len(first)}
 
 
-def _text_summary(text: str, first: int) -> dict[str, Any]:
-    """A text as its length in characters and its beginning."""
-    return {SUMMARY: "string", "length": len(text), "first": escaped_bytes(text[:first])}
-
-
-def _text_problem(text: str) -> dict[str, Any]:
-    """A text that JSON cannot carry exactly, because it is not UTF-8 (or has half a character)."""
-    return {SUMMARY: "string", "not_utf8": escaped_bytes(text)}
-
-
 def _statistics(base: str, values: NDArray[Any]) -> dict[str, Any]:
-    if base not in ("float32", "float64"):
-        return _extremes(base, values)
-    finite = values[np.isfinite(values)]
-    result = _extremes(base, finite) if len(finite) else {"min": None, "max": None, "mean": None}
+    finite = values[np.isfinite(values)] if base in FLOATS else values
+    result: dict[str, Any] = {"min": None, "max": None, "mean": None}
+    if len(finite):
+        with np.errstate(over="ignore"):
+            mean = float(f"{finite.mean(dtype=np.float64):.6g}")
+        result["min"] = _json_number(base, finite.min().item())
+        result["max"] = _json_number(base, finite.max().item())
+        result["mean"] = mean if math.isfinite(mean) else str(mean)
     if len(finite) < len(values):
         nan = int(np.count_nonzero(np.isnan(values)))
         result |= {"nan": nan, "inf": len(values) - len(finite) - nan}
     return result
-
-
-def _extremes(base: str, values: NDArray[Any]) -> dict[str, Any]:
-    low, high = values.min().item(), values.max().item()
-    with np.errstate(over="ignore"):
-        mean = float(f"{values.mean(dtype=np.float64):.6g}")
-    return {
-        "min": _json_number(base, low),
-        "max": _json_number(base, high),
-        "mean": mean if math.isfinite(mean) else str(mean),
-    }
 
 
 def _short(value: float) -> float:
