@@ -84,7 +84,7 @@ def _declare_prompts(prompts: argparse.ArgumentParser) -> None:
 def _prompts(arguments: argparse.Namespace) -> int:
     from ros2_mcp.commands.prompts import check_prompts
 
-    settings_from(arguments)  # a wrong option is told here too
+    settings_from(arguments)  # a wrong option is an error here, too
     return check_prompts(arguments.folder)
 
 

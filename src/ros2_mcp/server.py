@@ -40,8 +40,9 @@ _logger = logging.getLogger(__name__)
 INSTRUCTIONS = """\
 These tools are the eyes and hands on a real ROS 2 robot. What they return was measured, not assumed.
 
-Look first: ros2_topic_list, ros2_node_list and ros2_status show what there is; ros2_topic_info shows who speaks to \
-whom. Types and QoS are found by themselves; ros2_get_message_fields gives a value to fill in before you publish.
+Look first: ros2_topic_list, ros2_node_list and ros2_status show what there is; ros2_topic_info shows who publishes \
+and subscribes. Types and QoS are found by themselves; ros2_get_message_fields gives a value to fill in before you \
+publish.
 Read with ros2_topic_subscribe or ros2_topic_echo_wait (choose fields to keep answers small), rates with \
 ros2_topic_stats. Camera topics come back as pictures.
 Writing can move the robot. Start small and slow, then read odometry and sensors to verify what happened: a result \

@@ -219,7 +219,7 @@ class Settings:
     )
     log_level: str = _option(
         "warning", "--log-level", "ROS2_MCP_LOG_LEVEL", _SERVING, _one_of("debug", "info", "warning", "error"),
-        "what is told on stderr; debug has the bridge's own log too",
+        "what is logged on stderr; debug includes the bridge's own log",
     )
 
     prompts: Path | None = _option(
@@ -258,11 +258,11 @@ class Settings:
     # What the disk of a robot's computer can spare without being asked.
     black_box_bytes: int = _option(
         1_000_000_000, "--black-box-bytes", "ROS2_MCP_BLACK_BOX_BYTES", _MEMORY, _number(*_BLACK_BOX_BYTES),
-        "at most so many bytes of it",
+        "most bytes that it keeps",
     )
     black_box_hours: float = _option(
         24.0, "--black-box-hours", "ROS2_MCP_BLACK_BOX_HOURS", _MEMORY, _number(*_BLACK_BOX_HOURS, float, "H"),
-        "at most so many hours of it",
+        "most hours that it keeps",
     )
 
     # fmt: on

@@ -40,8 +40,8 @@ class Toolset:
     ) -> None:
         for group in groups:
             if group not in (*GROUPS, "default", "all"):
-                known = ", ".join(("default", "all", *GROUPS))
-                raise BadInput(f"There is no group of tools {group!r}.", f"Choose from {known}.")
+                choices = ", ".join(("default", "all", *GROUPS))
+                raise BadInput(f"There is no group of tools {group!r}.", f"Choose from {choices}.")
         allowed = [tool for tool in TOOLS if _is_allowed(tool, robot.policy)]
         # Who opens a recording has all that works on one: it is a short list.
         chosen = [tool for tool in allowed if robot.policy.recorded or _is_chosen(tool, groups)]
@@ -79,8 +79,8 @@ class Toolset:
             return await tool.call(arguments, report, robot)
         if name in self.missing:
             raise CallFailed(f"{name} is not offered: {self.missing[name]}.")
-        known = [tool.name for tool in TOOLS]
-        raise CallFailed(f"There is no tool {name}. {did_you_mean(name, known, 'tools/list has them all.')}")
+        names = [tool.name for tool in TOOLS]
+        raise CallFailed(f"There is no tool {name}. {did_you_mean(name, names, 'tools/list has them all.')}")
 
 
 def _is_allowed(tool: ToolDeclaration, policy: Policy) -> bool:

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 # The ROS thread carries the fail-safes out when it leaves its loop, usually at once. If it hangs in the middleware,
-# another thread does it after this time.
+# another thread does it after this time. Chosen so that both fit into GIVE_UP_AFTER_S.
 FAILSAFES_AFTER_S = 0.3
 # From the end of the stream to the end of the process, whatever hangs: time for the fail-safes (0.3 s, and 0.3 s for
-# their arrival) and for leaving ROS. The server waits for half a second more.
+# their arrival) and for leaving ROS. Chosen. The server waits for half a second more.
 GIVE_UP_AFTER_S = 1.0
-# What waits to be written at the end is little, and nobody may be reading any more.
+# What waits to be written at the end is little, and perhaps nobody reads any more. Chosen.
 LAST_WORDS_S = 0.2
 
 

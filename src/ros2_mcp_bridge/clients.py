@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.task import Future
 
-# An answer wakes its request; this is only for noticing that a server has gone or time is up.
+# An answer wakes its request; this is only for noticing that a server has gone or time is up. Chosen.
 POLL_S = 0.1
-# While a server is waited for: nothing tells of its coming.
+# While a server is waited for: rclpy does not notify of its appearance. Chosen.
 APPEARS_POLL_S = 0.005
 # A server that has just come up throws its answer away if it has not discovered our client yet. A server that was there
 # at once, or came within the first of these times, has had time to discover us; any other is given the second. Both are

@@ -49,7 +49,7 @@ class Graph:
             seen, looked_at = current, now
             topics = [name for name, _ in self._node.get_topic_names_and_types()]
             is_quiet = quiet_s >= QUIET_S and not self._has_unknown_nodes(topics)
-            is_whole = self._hears_all() or now - started >= ANNOUNCEMENT_PERIOD_S
+            is_whole = self._all_discovered() or now - started >= ANNOUNCEMENT_PERIOD_S
             self.settled = (is_quiet and is_whole) or now - started >= LONGEST_SETTLING_S
 
     def topics(self, request: Request) -> Steps[TopicsReply]:
@@ -135,7 +135,7 @@ class Graph:
         nodes = sorted(node.get_node_names_and_namespaces())
         return node.get_topic_names_and_types(), node.get_service_names_and_types(), nodes
 
-    def _hears_all(self) -> bool:
+    def _all_discovered(self) -> bool:
         """Whether all participants on this machine have been discovered.
 
         Where participants may be elsewhere too, the kernel cannot count them: then one other node has to be there.

@@ -96,7 +96,7 @@ class Peer:
 async def connected(vitality: Vitality = "unknown") -> tuple[Connection, Peer]:
     """A connection whose peer has said hello."""
     peer = Peer(vitality)
-    connection = Connection(peer, time.monotonic())
+    connection = Connection(peer)
     greeting = asyncio.ensure_future(connection.greet())
     await asyncio.sleep(0)
     peer.say(HELLO)

@@ -19,6 +19,7 @@ from ros2_mcp.link.interfaces import InterfaceCache, build
 from ros2_mcp.model.errors import LinkError, TimedOut
 from ros2_mcp.settings import Settings
 
+# Chosen, with much room: the robot says that it is ready after some seconds, on a loaded machine later.
 READY_S = 60.0
 INTERFACES = Path(__file__).resolve().parents[2] / "ros2_mcp_demo" / "interfaces"
 

@@ -28,7 +28,7 @@ class Carrier(Protocol):
 
     @property
     def start_s(self) -> float:
-        """How long the bridge may take to say hello, from when the carrier was made."""
+        """How long the bridge may take to say hello after `open`."""
         ...
 
     async def open(self, received: Callable[[bytes], None], ended: Callable[[], None]) -> None:

@@ -14,8 +14,8 @@ def start_carrier(settings: Settings, env: Mapping[str, str] = os.environ) -> Ca
     """Starts a bridge and what carries its stream: so far always a child process, in the ROS of this machine.
 
     Raises:
-        RosNotFound: if there is no ROS 2 here, or not the one that was asked for.
+        RosNotFound: if this machine has no ROS 2, or not the distribution that was asked for.
         LinkError: if the bridge cannot be started.
-        BadInput: if the settings name what is not there.
+        BadInput: if the settings name a workspace or a Python that does not exist.
     """
     return start_local(settings, env)

@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any
 
 from ros2_mcp.link.carrier import Carrier
 from ros2_mcp.link.connection import Connection, Hello, Reply
@@ -31,13 +31,6 @@ _DRAIN_S = 0.005
 _KEPT_REASONS = 100
 
 
-class _Life(NamedTuple):
-    """A carrier, and when it began to start (steady clock)."""
-
-    carrier: Carrier
-    started_at: float
-
-
 class Bridge:
     """The connection to one robot: starts a bridge, watches it and starts it again.
 
@@ -53,7 +46,7 @@ class Bridge:
         self.generation = 0
         self.restarts: list[str] = []
         self.nodes: set[str] = set()
-        self._launched: _Life | RobotError | None = None
+        self._launched: Carrier | RobotError | None = None
         self._carrier: Carrier | None = None
         self._supervisor: asyncio.Task[None] | None = None
         self._outcome: asyncio.Future[Connection | RobotError] | None = None
@@ -81,8 +74,8 @@ class Bridge:
         if self._supervisor:
             self._supervisor.cancel()
             await asyncio.wait({self._supervisor})
-        if isinstance(self._launched, _Life):
-            await self._launched.carrier.close(_LEAVE_S)
+        if self._launched and not isinstance(self._launched, RobotError):
+            await self._launched.close(_LEAVE_S)
             self._launched = None
 
     async def __aenter__(self) -> Bridge:
@@ -158,15 +151,14 @@ class Bridge:
 
     # ── its lives ──────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _start(self) -> _Life | RobotError:
+    def _start(self) -> Carrier | RobotError:
         self.generation += 1
-        started_at = time.monotonic()
         try:
             carrier = self._start_carrier()
         except RobotError as error:
             return error
         self._carrier, self.origin = carrier, carrier.origin
-        return _Life(carrier, started_at)
+        return carrier
 
     async def _connected(self) -> Connection:
         """The running bridge; waits for one that starts, and starts one again that failed a while ago."""
@@ -211,10 +203,10 @@ class Bridge:
 
     async def _live(self) -> tuple[bool, RobotError]:
         """One life of the bridge: whether it had begun, and why it ended."""
-        life, self._launched = self._launched or self._start(), None
-        if isinstance(life, RobotError):
-            return False, life
-        connection = Connection(life.carrier, life.started_at)
+        carrier, self._launched = self._launched or self._start(), None
+        if isinstance(carrier, RobotError):
+            return False, carrier
+        connection = Connection(carrier)
         try:
             reason = await connection.greet()
             if reason:
@@ -228,8 +220,8 @@ class Bridge:
         finally:
             connection.fail(BridgeLost("The link to the robot was closed."))
             if not self._closed:
-                life.carrier.kill()
-            await life.carrier.close(_LEAVE_S)
+                carrier.kill()
+            await carrier.close(_LEAVE_S)
 
     def _settle(self, outcome: Connection | RobotError) -> None:
         if self._outcome and not self._outcome.done():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast
@@ -41,12 +40,11 @@ class _Open:
 
 
 class Connection:
-    """Talks with one bridge; `run` returns why it ended. `started_at` is when its start began (steady clock)."""
+    """Talks with one bridge; `run` returns why it ended."""
 
-    def __init__(self, carrier: Carrier, started_at: float) -> None:
+    def __init__(self, carrier: Carrier) -> None:
         loop = asyncio.get_running_loop()
         self.carrier = carrier
-        self._started_at = started_at
         self.hello: Hello | None = None
         self._greeted: asyncio.Future[None] = loop.create_future()
         self._ended: asyncio.Future[LinkError | None] = loop.create_future()
@@ -62,14 +60,12 @@ class Connection:
     async def greet(self) -> LinkError | None:
         """Opens the carrier and waits for its hello; returns what went wrong instead, if something did."""
         await self.carrier.open(self._received, lambda: self._end(None))
-        remaining_s = self._started_at + self.carrier.start_s - time.monotonic()
-        await asyncio.wait(
-            {self._greeted, self._ended}, timeout=max(0.0, remaining_s), return_when=asyncio.FIRST_COMPLETED
-        )
+        start_s = self.carrier.start_s
+        await asyncio.wait({self._greeted, self._ended}, timeout=start_s, return_when=asyncio.FIRST_COMPLETED)
         if self._greeted.done():
             return None
         if not self._ended.done():
-            self._end(LinkError(f"{self._name} was not ready after {self.carrier.start_s:.0f} s.{self._last_words()}"))
+            self._end(LinkError(f"{self._name} was not ready after {start_s:.0f} s.{self._last_words()}"))
         return await self._reason()
 
     async def run(self) -> LinkError:
@@ -201,10 +197,10 @@ class Connection:
         if self._subscriptions.pop(subscription.number or 0, None):
             self._send({"id": next(self._numbers), "op": "unsubscribe", "sub": subscription.number})
 
-    # ── what the bridge says ───────────────────────────────────────────────────────────────────────────────────
+    # ── packets of the bridge ──────────────────────────────────────────────────────────────────────────────────
 
     def _received(self, piece: bytes) -> None:
-        self._heartbeat.heard()
+        self._heartbeat.received()
         if self._ended.done():
             return
         try:

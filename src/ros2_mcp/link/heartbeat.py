@@ -1,4 +1,4 @@
-"""Does the bridge still live? Decided from what was heard of it, never from our own lateness."""
+"""Decides whether the bridge still lives: by what it sends, and never because this process was late."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from collections.abc import Callable
 
 from ros2_mcp.link.carrier import Carrier
 
-# Often enough that a stopped bridge is seen soon after STOPPED_S; every answer is a sign of life.
+# Every answer is a sign of life. Chosen: twice within STOPPED_S, so that a healthy bridge is not silent for that long.
 PING_S = 0.25
 # A healthy bridge can be silent for 1 to 3 s while Fast DDS waits for a mutex in shared memory that a killed process
 # left locked; with 2.5 s, three of about 1,500 kills cost a healthy bridge. See decision 12.
 SILENCE_S = 4.0
-# Who was stopped does not come back by itself, so that there is nothing to wait for but a mistaken look.
+# A stopped process does not go on by itself: nothing is gained by waiting longer (decision 12).
 STOPPED_S = 0.5
 # A machine that is short of processor time gets a second more (decision 12), not for ever.
 STARVED_S = 5.0
 # As SILENCE_S, for a bridge whose reading thread still answers while its ROS thread hangs in the middleware.
 ROS_IDLE_S = 4.0
-# Woken this much later than asked for, it is we who were late: the time is not counted as silence of the bridge.
+# When this process is woken this much too late, the time is not counted as silence of the bridge. Chosen.
 _LATE_S = 0.05
-# The least pause, where a limit is due this instant.
+# The shortest pause, where a limit is due at once. Chosen.
 _PAUSE_S = 0.01
 
 
@@ -31,12 +31,12 @@ class Heartbeat:
     def __init__(self, carrier: Carrier, ping: Callable[[], None]) -> None:
         self._carrier = carrier
         self._ping = ping
-        self._heard_at = time.monotonic()
+        self._received_at = time.monotonic()
         self._ros_idle_s = 0.0
 
-    def heard(self) -> None:
+    def received(self) -> None:
         """Any bytes of the bridge are a sign of life."""
-        self._heard_at = time.monotonic()
+        self._received_at = time.monotonic()
 
     def ponged(self, ros_idle_s: float) -> None:
         """The bridge's answer to a ping: how long ago its ROS thread went round its loop."""
@@ -44,26 +44,26 @@ class Heartbeat:
 
     async def until_silent(self) -> str:
         """Returns when the bridge no longer answers; says what was seen, as the rest of `The bridge …`."""
-        self.heard()
+        self.received()
         next_ping = 0.0
         while True:
             if time.monotonic() >= next_ping:
                 self._ping()
                 next_ping = time.monotonic() + PING_S
             await self._pause(next_ping)
-            verdict = self._verdict(time.monotonic() - self._heard_at)
+            verdict = self._verdict(time.monotonic() - self._received_at)
             if verdict:
                 return verdict
 
     async def _pause(self, next_ping: float) -> None:
-        """Sleeps until there is something to do; being woken late is our fault, so it is not counted as silence."""
+        """Sleeps until there is something to do; if woken late, the delay is not counted as silence."""
         before = time.monotonic()
-        limits = (next_ping, *(self._heard_at + limit for limit in (STOPPED_S, SILENCE_S)))
+        limits = (next_ping, *(self._received_at + limit for limit in (STOPPED_S, SILENCE_S)))
         wait_s = max(_PAUSE_S, min(limit - before for limit in limits if limit > before))
         await asyncio.sleep(wait_s)
         lag_s = time.monotonic() - before - wait_s
         if lag_s > _LATE_S:
-            self._heard_at = min(time.monotonic(), self._heard_at + lag_s)
+            self._received_at = min(time.monotonic(), self._received_at + lag_s)
 
     def _verdict(self, silent_s: float) -> str:
         if self._ros_idle_s > ROS_IDLE_S:

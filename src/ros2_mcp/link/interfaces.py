@@ -13,7 +13,7 @@ from typing import Any
 from ros2_mcp.link.installation import RosInstallation
 from ros2_mcp.model.errors import LinkError
 
-# A package of many interfaces compiles for minutes on a small machine; beyond this it hangs.
+# A package of many interfaces compiles for minutes on a small machine. Chosen: what takes longer hangs.
 BUILD_S = 600.0
 
 

@@ -1,6 +1,6 @@
 """The local carrier: the bridge is a child process in the ROS of this machine, and its pipes carry the stream.
 
-All that is known of processes (signals, exit codes, `/proc`) is known here and nowhere else in the link.
+Only this module of the link deals with processes: signals, exit codes, `/proc`.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from ros2_mcp_bridge.limits import BATCH_BYTES
 PACKAGE = "ros2_mcp_bridge"
 # Enough for a traceback; error texts show the last few lines of it, `doctor` and the log all.
 _KEPT_LINES = 50
-# A line without end (a dump of bytes) must not fill the memory.
+# A line without end (a dump of bytes) must not fill the memory. Chosen.
 _MAX_LINE_BYTES = 2000
-# More than this waiting for a bridge that does not read holds up the next body, so that memory stays bounded.
+# More than this waiting for a bridge that does not read holds up the next body: memory stays bounded. Chosen.
 _WRITE_BUFFER_BYTES = 1024 * 1024
 # A packet of samples fits: fewer wake-ups for pictures than with the 64 kB that a pipe has otherwise.
 _PIPE_BYTES = BATCH_BYTES
-# Popen has no way to await an exit without a thread or a child watcher; ended processes are seen within this time.
+# Popen has no way to await an exit without a thread or a child watcher; an exit is noticed within this time. Chosen.
 _POLL_S = 0.01
-# The end of the pipe usually comes a moment before the exit code can be had: error texts wait for it this long.
+# The end of the pipe usually comes shortly before the exit code can be had: error texts wait for it this long. Chosen.
 _EXIT_CODE_S = 0.5
-# From SIGTERM, on which a bridge leaves as at the end of its stdin, to SIGKILL; it had its time before (`close`).
+# From SIGTERM, on which a bridge leaves as at the end of its stdin, to SIGKILL. Chosen: it had its time in `close`.
 _TERMINATE_S = 0.3
 _SET_PIPE_SIZE = 1031  # F_SETPIPE_SZ of Linux; the fcntl module knows it by name from Python 3.10 on Linux only
 
@@ -76,7 +76,7 @@ class LocalBridge:
             raise LinkError(f"The bridge cannot be started: {error}.", "Run: ros2-mcp doctor") from error
         self.pid = self._process.pid
         self._errors = ErrorLines(pass_stderr)
-        self._input = _InputPipe()
+        self._input = _Pipe(lambda _: None)
         self._pipes: list[asyncio.BaseTransport] = []
         self._writer: asyncio.WriteTransport | None = None
 
@@ -99,9 +99,9 @@ class LocalBridge:
         self._writer, _ = await loop.connect_write_pipe(lambda: self._input, process.stdin)
         self._writer.set_write_buffer_limits(high=_WRITE_BUFFER_BYTES)
         self._pipes.append(self._writer)
-        errors, _ = await loop.connect_read_pipe(lambda: _OutputPipe(self._errors.feed), process.stderr)
+        errors, _ = await loop.connect_read_pipe(lambda: _Pipe(self._errors.feed), process.stderr)
         self._pipes.append(errors)
-        output, _ = await loop.connect_read_pipe(lambda: _OutputPipe(received, ended), process.stdout)
+        output, _ = await loop.connect_read_pipe(lambda: _Pipe(received, ended), process.stdout)
         self._pipes.append(output)
 
     def write(self, data: bytes) -> None:
@@ -111,7 +111,7 @@ class LocalBridge:
 
     async def writable(self) -> None:
         """Waits while more than a megabyte is queued."""
-        await self._input.writable()
+        await self._input.writable.wait()
 
     def alive(self) -> Vitality:
         """What the kernel tells of its threads: one that is stopped or wants to run decides."""
@@ -124,7 +124,13 @@ class LocalBridge:
 
     async def ending(self) -> str:
         """How the process ended, from its exit code."""
-        return describe_exit(await self._exit_code(_EXIT_CODE_S))
+        code = await self._exit_code(_EXIT_CODE_S)
+        if code is None:
+            return "closed its stream"
+        if code >= 0:
+            return f"exited with code {code}"
+        names = {number.value: number.name for number in signal.Signals}
+        return f"died with signal {names.get(-code, -code)}"
 
     def log_tail(self) -> list[str]:
         """The last lines of its stderr."""
@@ -200,38 +206,27 @@ class ErrorLines:
         return [*self._lines, *([_plain(self._begun)] if self._begun.strip() else [])]
 
 
-class _OutputPipe(asyncio.Protocol):
-    """Hands on what arrives on a pipe, and its end."""
+class _Pipe(asyncio.Protocol):
+    """Hands on what arrives on a pipe, and its end; `writable` is set while it takes more."""
 
     def __init__(self, on_bytes: Callable[[bytes], None], on_end: Callable[[], None] = lambda: None) -> None:
+        self.writable = asyncio.Event()
+        self.writable.set()
         self._on_bytes = on_bytes
         self._on_end = on_end
 
     def data_received(self, data: bytes) -> None:
         self._on_bytes(data)
 
-    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
-        self._on_end()
-
-
-class _InputPipe(asyncio.BaseProtocol):
-    """Knows whether the pipe to the child takes more."""
-
-    def __init__(self) -> None:
-        self._free = asyncio.Event()
-        self._free.set()
-
     def pause_writing(self) -> None:
-        self._free.clear()
+        self.writable.clear()
 
     def resume_writing(self) -> None:
-        self._free.set()
+        self.writable.set()
 
     def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
-        self._free.set()
-
-    async def writable(self) -> None:
-        await self._free.wait()
+        self.writable.set()
+        self._on_end()
 
 
 def thread_states(pid: int) -> set[str]:
@@ -241,18 +236,6 @@ def thread_states(pid: int) -> set[str]:
         with contextlib.suppress(OSError):
             states.add(stat.read_text(errors="replace").rpartition(")")[2].split()[0])
     return states
-
-
-def describe_exit(code: int | None) -> str:
-    """How a process ended, in words: `died with signal SIGKILL`, `exited with code 1`."""
-    if code is None:
-        return "closed its stream"
-    if code >= 0:
-        return f"exited with code {code}"
-    try:
-        return f"died with signal {signal.Signals(-code).name}"
-    except ValueError:
-        return f"died with signal {-code}"
 
 
 def _plain(line: bytes) -> str:

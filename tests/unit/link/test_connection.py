@@ -171,7 +171,7 @@ async def test_bytes_that_are_no_packet_end_the_connection() -> None:
 @pytest.mark.parametrize("how", ["failed", "exit"])
 async def test_a_bridge_that_cannot_begin_says_why(how: str) -> None:
     peer = Peer()
-    greeting = asyncio.ensure_future(Connection(peer, time.monotonic()).greet())
+    greeting = asyncio.ensure_future(Connection(peer).greet())
     await asyncio.sleep(0)
     if how == "failed":
         peer.say({"event": "failed", "kind": "no_rclpy", "message": "No module named 'rclpy'"})
