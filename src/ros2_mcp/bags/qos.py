@@ -7,7 +7,6 @@ opening a bag need not pay.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import Enum
 from functools import lru_cache
 from typing import TypeVar
 
@@ -42,37 +41,33 @@ def is_latched(text: str) -> bool:
 
 def _to_rosbags(qos: QoS) -> Qos:
     return Qos(
-        _policy(QosHistory, qos.history),
-        qos.depth or 0,
-        _policy(QosReliability, qos.reliability),
-        _policy(QosDurability, qos.durability),
-        _time(qos.deadline_ns),
-        _time(qos.lifespan_ns),
-        _policy(QosLiveliness, qos.liveliness),
-        _time(qos.liveliness_lease_ns),
+        history=_policy(QosHistory, qos.history),
+        depth=qos.depth or 0,
+        reliability=_policy(QosReliability, qos.reliability),
+        durability=_policy(QosDurability, qos.durability),
+        deadline=_time(qos.deadline_ns),
+        lifespan=_time(qos.lifespan_ns),
+        liveliness=_policy(QosLiveliness, qos.liveliness),
+        liveliness_lease_duration=_time(qos.liveliness_lease_ns),
         avoid_ros_namespace_conventions=False,
     )
 
 
 def _from_rosbags(qos: Qos) -> QoS:
     return QoS(
-        reliability=_word(qos.reliability),
-        durability=_word(qos.durability),
-        history=_word(qos.history),
+        reliability=qos.reliability.name.lower(),
+        durability=qos.durability.name.lower(),
+        history=qos.history.name.lower(),
         depth=qos.depth,
         deadline_ns=_duration_ns(qos.deadline),
         lifespan_ns=_duration_ns(qos.lifespan),
-        liveliness=_word(qos.liveliness),
+        liveliness=qos.liveliness.name.lower(),
         liveliness_lease_ns=_duration_ns(qos.liveliness_lease_duration),
     )
 
 
 def _policy(policies: type[_Policy], word: str) -> _Policy:
     return policies.__members__.get(word.upper(), policies["UNKNOWN"])
-
-
-def _word(policy: Enum) -> str:
-    return policy.name.lower()
 
 
 def _time(duration_ns: int | None) -> QosTime:

@@ -107,7 +107,8 @@ async def ros2_bag_read(
     selection: Messages,
 ) -> bags.BagMessages:
     """Read messages of one topic of a bag: the first ones from start on, or without start the last ones."""
-    return await bags.read(robot, store, bag, topic_name, replace(selection, message_limit=limit), start, end)
+    chosen = replace(selection, message_limit=limit)
+    return await bags.read(robot, store, bag, topic_name, chosen, start=start, end=end)
 
 
 @tool(title="Play a bag", risk="actuate", group="memory", by_default=False)

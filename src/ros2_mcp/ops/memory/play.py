@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import anyio
 from anyio import to_thread
 
+from ros2_mcp.bags.stored import Span, StoredTopic
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import Feed, Play
@@ -25,7 +26,6 @@ from ros2_mcp.robot.jobs import Job
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
-    from ros2_mcp.bags.stored import Span, StoredTopic
 
 _SHORTEST_LOOP_S = 0.1
 """A bag of a single message, looped, would otherwise be published as fast as the processor can."""
@@ -50,7 +50,10 @@ _TOGETHER_S = 0.002
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlayRequest:
-    """What to play; `remaps` gives topics other names. With `force` also onto topics that have a publisher."""
+    """What to play; `remaps` gives topics other names. With `force` also onto topics that have a publisher.
+
+    `rate` is the speed, 1 that of the recording. `start` and `end` bound the part of the bag.
+    """
 
     bag: str
     rate: float = 1.0
@@ -101,7 +104,7 @@ class Playback(Job):
     stopped_by = "ros2_bag_play_stop"
 
     def __init__(
-        self, robot: Robot, bag: Bag, request: PlayRequest, span: Span, topics: Mapping[str, StoredTopic]
+        self, robot: Robot, request: PlayRequest, *, bag: Bag, span: Span, topics: Mapping[str, StoredTopic]
     ) -> None:
         self._destinations = {name: request.remaps.get(name, name) for name in topics}
         super().__init__(owner=robot.principal, moves=list(self._destinations.values()))
@@ -168,7 +171,7 @@ class Playback(Job):
         return f"{self.id}{topic}"
 
     async def _open(self, name: str, topic: StoredTopic) -> None:
-        from ros2_mcp.bags.qos import is_latched
+        from ros2_mcp.bags.qos import is_latched  # imports rosbags: 55 ms that the start of the server need not take
 
         play = Play(
             principal=self.owner,
@@ -254,7 +257,7 @@ async def play(
     robot.jobs.require_room(Playback)
     request = replace(request, remaps={names.absolute(a): names.absolute(b) for a, b in request.remaps.items()})
     bag, span, topics = await to_thread.run_sync(_prepare, store, request)
-    playback = Playback(robot, bag, request, span, topics)
+    playback = Playback(robot, request, bag=bag, span=span, topics=topics)
 
     async def tell() -> None:
         state = playback.report()
@@ -281,7 +284,7 @@ async def stop(robot: Robot, playback_id: str) -> PlaybackState:
 
 
 def _prepare(store: BagStore, request: PlayRequest) -> tuple[Bag, Span, dict[str, StoredTopic]]:
-    from ros2_mcp.bags.bag import Bag
+    from ros2_mcp.bags.bag import Bag  # imports mcap and YAML, a tenth of the time that all tools take to import
 
     bag = Bag(store.find_bag(request.bag))
     try:
