@@ -5,14 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
 from support.agent import Agent, agent_for
-from support.processes import peer_command
+from support.processes import peer_command, running
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +24,7 @@ def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
 @pytest.fixture(scope="module")
 def signals(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
     """The node of `signal_peer`, discovered."""
-    with peer(ros_environment, *peer_command("signal_peer")) as process:
+    with running(ros_environment, *peer_command("signal_peer")) as process:
         agent.knows("/signal", "/signal_late", "/signal_wave", "/signal_copy", "/signal_steady", "/sensor", "/pulse")
         yield process
 
@@ -33,7 +32,7 @@ def signals(ros_environment: dict[str, str], agent: Agent) -> Iterator[subproces
 @pytest.fixture(scope="module")
 def robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
     """The simulated robot, discovered."""
-    with peer(ros_environment, sys.executable, "-m", "ros2_mcp_demo") as process:
+    with running(ros_environment, sys.executable, "-m", "ros2_mcp_demo") as process:
         agent.knows("/scan", "/odom", "/map", "/imu", "/diagnostics")
         while not agent.call("ros2_service_list", pattern="/self_test")["services"]:
             pass
@@ -43,23 +42,5 @@ def robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.
 @pytest.fixture
 def stranger(ros_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
     """The node of `stranger_peer`."""
-    with peer(ros_environment, *peer_command("stranger_peer")) as process:
+    with running(ros_environment, *peer_command("stranger_peer")) as process:
         yield process
-
-
-@contextmanager
-def peer(environment: dict[str, str], *command: str) -> Iterator[subprocess.Popen[str]]:
-    """A process that has said something; asked to end, and killed if it does not."""
-    pipe = subprocess.PIPE
-    process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment)
-    try:
-        assert process.stdout
-        assert process.stdout.readline(), f"{command} died"
-        yield process
-    finally:
-        process.terminate()
-        try:
-            process.communicate(timeout=10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
 from support.agent import Agent, agent_for
-from support.processes import peer_command
+from support.processes import peer_command, running
 
 StartAgent = Callable[..., Agent]
 StartPeer = Callable[..., "subprocess.Popen[str]"]
@@ -34,38 +34,14 @@ def start_agent(ros_environment: dict[str, str], tmp_path: Path) -> Iterator[Sta
 @pytest.fixture
 def start_peer(ros_environment: dict[str, str]) -> Iterator[StartPeer]:
     """Start `memory_peer`; it is ready when this returns."""
-    peers: list[subprocess.Popen[str]] = []
-
-    def begin(*arguments: str) -> subprocess.Popen[str]:
-        command = peer_command("memory_peer", *arguments)
-        pipe = subprocess.PIPE
-        peer = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=ros_environment)
-        peers.append(peer)
-        assert peer.stdout
-        assert peer.stdout.readline() == "ready\n"
-        return peer
-
-    yield begin
-    for peer in peers:
-        end(peer)
+    with ExitStack() as peers:
+        yield lambda *arguments: peers.enter_context(
+            running(ros_environment, *peer_command("memory_peer", *arguments), sigterm=False)
+        )
 
 
 @pytest.fixture
 def robot(ros_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
     """The simulated robot; it is there when this returns."""
-    command = [sys.executable, "-m", "ros2_mcp_demo"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ros_environment)
-    assert process.stdout
-    assert process.stdout.readline()
-    yield process
-    process.terminate()
-    end(process)
-
-
-def end(process: subprocess.Popen[str]) -> None:
-    """Close its stdin and wait until it has left; a peer that does not is no fault of the server's."""
-    try:
-        process.communicate(timeout=10)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.communicate()
+    with running(ros_environment, sys.executable, "-m", "ros2_mcp_demo") as process:
+        yield process
