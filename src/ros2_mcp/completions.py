@@ -11,8 +11,8 @@ from mcp.types import CompleteRequestParams, CompleteResult, Completion, PromptR
 from ros2_mcp.ops.graph.known_names import live_names, topic_types
 from ros2_mcp.robot import Robot
 
+# The protocol allows no more in one answer.
 MAX_VALUES = 100
-"""The protocol allows no more in one answer."""
 _ONE_OF_MANY = {"topics": "topic", "services": "service", "nodes": "node"}
 
 

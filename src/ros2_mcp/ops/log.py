@@ -21,14 +21,14 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.robot.log import LOG_TYPE, MAX_LINES, TOPIC, level_of
 
 LEVELS: Mapping[str, int] = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
+# Characters of one line: a node that logs whole messages must not take the room of all others.
 MAX_TEXT = 2000
-"""Characters of one line: a node that logs whole messages must not take the room of all others."""
+# Nodes send their last lines (`TRANSIENT_LOCAL`) as soon as they have matched, which takes them up to a second.
 _HISTORY_S = 1.0
-"""Nodes send their last lines (`TRANSIENT_LOCAL`) as soon as they have matched, which takes them up to a second."""
+# As long as a bridge may take to start.
 _READY_S = 20.0
-"""As long as a bridge may take to start."""
+# Of a line beside its texts: time, level, and the names of the fields.
 _LINE_BYTES = 100
-"""Of a line beside its texts: time, level, and the names of the fields."""
 _SINCE_HINT = "It is neither seconds nor a time: give seconds ago, such as 30, or a time like 2030-01-31T12:00:00Z."
 _NAMES = {number: name.upper() for name, number in LEVELS.items()}
 
@@ -109,7 +109,14 @@ async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Lo
         notes.append(f"The bridge was lost {robot.log.interruptions} time(s): lines of that time may be missing.")
     if not kept:
         notes.append("No node has said anything on /rosout.")
-    return Log(lines, matched, len(kept), robot.log.dropped, iso_time(robot.log.since_ns), " ".join(notes))
+    return Log(
+        lines=lines,
+        matched=matched,
+        kept=len(kept),
+        dropped=robot.log.dropped,
+        listening_since=iso_time(robot.log.since_ns),
+        note=" ".join(notes),
+    )
 
 
 async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> Log:
@@ -127,8 +134,15 @@ async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> 
     lines, matched = _selected(messages, request, 0, max_bytes)
     if len(lines) < matched:
         note = f"The newest {len(lines)} are shown. {note}".rstrip()
-    received = len(capture.samples)
-    return Log(lines, matched, received, capture.dropped, iso_time(capture.start_ns), note, source.words)
+    return Log(
+        lines=lines,
+        matched=matched,
+        kept=len(capture.samples),
+        dropped=capture.dropped,
+        listening_since=iso_time(capture.start_ns),
+        note=note,
+        source=source.words,
+    )
 
 
 def _selected(messages: Iterable[Any], request: LogRequest, since_ns: int, max_bytes: int) -> tuple[list[LogLine], int]:
@@ -163,13 +177,13 @@ def line_of(robot: Robot, sample: Sample) -> LogLine:
 def _line(message: Any) -> LogLine:
     text = message.msg if len(message.msg) <= MAX_TEXT else f"{message.msg[:MAX_TEXT]}… ({len(message.msg)} characters)"
     return LogLine(
-        iso_time(_stamp_ns(message)),
-        _NAMES.get(message.level, str(message.level)),
-        message.name,
-        text,
-        message.file.rpartition("/")[2],
-        message.function,
-        message.line,
+        time=iso_time(_stamp_ns(message)),
+        level=_NAMES.get(message.level, str(message.level)),
+        node=message.name,
+        text=text,
+        file=message.file.rpartition("/")[2],
+        function=message.function,
+        line=message.line,
     )
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -41,19 +41,19 @@ from ros2_mcp.ops.watch.watchers import Subject, Watcher
 from ros2_mcp.resources.fitting import Content
 from ros2_mcp.robot import Robot
 
+# Names that are asked for; what of them does not fit is cut with the rest of the content.
 MAX_LISTED = 1000
-"""Names that are asked for; what of them does not fit is cut with the rest of the content."""
+# Nodes of the graph whose endpoints are shown: each takes a request to the bridge.
 MAX_NODES = 200
-"""Nodes that are asked what they offer, which takes a request to the bridge for each."""
+# Of the log: 32 kB of lines of 160 bytes.
 MAX_LINES = 200
-"""Of the log: about as many as fit."""
+# How long a topic's next message is waited for, while a client waits for the content.
 SAMPLE_S = 2.0
-"""How long a topic's next message is waited for: most topics with news have one every second, and a reader waits."""
 
 Read = Callable[..., Awaitable[Content]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Declared:
     """One resource, or a template of resources where its URI has variables.
 
@@ -68,7 +68,7 @@ class Declared:
     name: str
     read: Read
     subject: Callable[..., Subject]
-    completes: Mapping[str, str] = field(default_factory=dict[str, str])
+    completes: Mapping[str, str]
 
     @cached_property
     def template(self) -> UriTemplate:
@@ -76,17 +76,25 @@ class Declared:
         return UriTemplate.parse(self.uri)
 
 
+# Every resource, in the order of declaration.
 RESOURCES: list[Declared] = []
-"""Every resource, in the order of declaration."""
 
 
 def resource(uri: str, title: str, subject: Callable[..., Subject], **completes: str) -> Callable[[Read], Read]:
     """Declares a function as the content of a resource."""
 
     def declare(read: Read) -> Read:
-        name = read.__name__.replace("_", "-")
-        description = " ".join((read.__doc__ or "").split())
-        RESOURCES.append(Declared(uri, title, description, name, read, subject, completes))
+        RESOURCES.append(
+            Declared(
+                uri=uri,
+                title=title,
+                description=" ".join((read.__doc__ or "").split()),
+                name=read.__name__.replace("_", "-"),
+                read=read,
+                subject=subject,
+                completes=completes,
+            )
+        )
         return read
 
     return declare

@@ -9,8 +9,8 @@ from typing import Any, cast
 Content = Mapping[str, Any]
 """What a resource says: a JSON object."""
 
+# Of a list or text that is worth shortening; a shorter one is kept, and something else is left out.
 _LEAST_BYTES = 200
-"""Of a list or text that is worth shortening; a shorter one is kept, and something else is left out."""
 
 
 def fitting(content: Content, max_bytes: int) -> str:

@@ -35,11 +35,11 @@ from ros2_mcp.ops.watch.watchers import Subject, Watcher
 from ros2_mcp.resources.catalogue import subject_of
 
 # Several times what any client was seen to watch; each may be a subscription on the robot.
+# Watched by one client.
 MAX_URIS = 200
-"""Watched by one client."""
 # Each costs a task and a mailbox; requests that are never ended must not add up without bound.
+# Open `subscriptions/listen` requests.
 MAX_LISTENING = 256
-"""Open `subscriptions/listen` requests."""
 
 Request = ServerRequestContext[Any, Any]
 
@@ -102,9 +102,9 @@ class Push:
     async def initialized(self, request: Request, _: NotificationParams) -> None:
         """Handshake era; as the answer to `notifications/initialized` it lasts as long as the client is connected.
 
-        The SDK runs the handlers of a connection in one task group, and cancels them with it: that is its only public
-        word of a client's end. A client is known by the parameters of its `initialize`: they are one object for all
-        requests of one connection, and of no other.
+        The SDK runs the handlers of a connection in one task group, and cancels them with it: nothing else public
+        says that a client has gone. A client is recognised by the parameters of its `initialize`: they are one object
+        for all requests of one connection, and of no other.
         """
         client = request.session.client_params
         if id(client) in self._subscribers:

@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     from ros2_mcp.codec.select import FieldPath
     from ros2_mcp.ops.measure.signals import Numbers
 
+# Up to here topics are similar, and different: of the RMS difference, as a share of a field's largest magnitude.
 SIMILAR_PERCENT = 5.0
 DIFFERENT_PERCENT = 50.0
-"""Up to here topics are similar, and different: of the RMS difference, as a share of a field's largest magnitude."""
+# Messages that may be without a partner and topics still be identical: one at each end of the time.
 _EDGES = 2
-"""Messages that may be without a partner and topics still be identical: one at each end of the time."""
+# The same for long captures: the share of the messages that may be without a partner.
 _UNPAIRED_SHARE = 0.1
-"""The same for long captures: the share of the messages that may be without a partner."""
+# Fields that are named in the reasons; all are in the table.
 _MAX_REASONS = 5
-"""Fields whose differences are told as reasons; all are in the table."""
+# Correlation at the best delay from which on the two signals are said to resemble each other.
 _SURE = 0.7
-"""Correlation at the best delay from which on the two signals are said to resemble each other."""
 
 Verdict = Literal["IDENTICAL", "SIMILAR", "DIFFERENT", "VERY DIFFERENT"]
 

@@ -13,8 +13,8 @@ from ros2_mcp.robot import Robot
 
 DIAGNOSTICS = "/diagnostics"
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
+# Components report once a second by convention (`diagnostic_updater`), and matching takes up to 0.2 s.
 LISTEN_S = 1.5
-"""Components report once a second by convention (`diagnostic_updater`), and matching takes up to 0.2 s."""
 
 
 @dataclass(frozen=True, slots=True)

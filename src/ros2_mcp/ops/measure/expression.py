@@ -20,12 +20,12 @@ from ros2_mcp.codec.select import parse_field
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.interfaces import TEXTS
 
+# Characters. Far more than a condition that can still be understood.
 MAX_LENGTH = 1000
-"""Characters. Far more than a condition that can still be understood."""
+# Levels of nesting. Evaluation recurses, and Python's own parser gives up at about 200.
 MAX_DEPTH = 40
-"""Levels of nesting. Evaluation recurses, and Python's own parser gives up at about 200."""
+# Integers above every type of ROS are refused; without a bound a literal of 1000 digits would be computed with.
 _LARGEST = 2**64
-"""Integers above every type of ROS are refused; without a bound a literal of 1000 digits would be computed with."""
 
 Evaluate = Callable[[object], Any]
 
@@ -269,6 +269,7 @@ def _accepts_several(kinds: Sequence[str]) -> bool:
 
 
 _SEVERAL = "Give it one list of numbers, or several numbers."
+# What can be called: what it computes, which kinds of arguments it accepts, and the hint where they are others.
 _FUNCTIONS: Mapping[str, tuple[Callable[..., Any], Callable[[Sequence[str]], bool], str]] = {
     "abs": (abs, lambda kinds: list(kinds) == ["number"], "Give it one number."),
     "min": (partial(_extreme, min), _accepts_several, _SEVERAL),
@@ -276,7 +277,6 @@ _FUNCTIONS: Mapping[str, tuple[Callable[..., Any], Callable[[Sequence[str]], boo
     "len": (len, lambda kinds: len(kinds) == 1 and kinds[0].startswith(("list", "text")), "Give it one list or text."),
     "hypot": (math.hypot, lambda kinds: set(kinds) == {"number"}, "Give it numbers, such as hypot(x - 1, y - 2)."),
 }
-"""What can be called: what it computes, which kinds of arguments it accepts, and the hint where they are others."""
 
 
 def _excerpt(node: ast.expr) -> str:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
 
+# A gap is a period longer than this many times the median one: a message that is missing, and more than jitter.
 GAP_FACTOR = 3.0
-"""A gap is a period longer than this many times the median one: a message that is missing, and more than jitter."""
+# With fewer messages, and so fewer than three periods, no period can be called usual.
 _LEAST_MESSAGES = 4
-"""Fewer messages, and so fewer than three periods, do not tell what is usual."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +48,9 @@ def gaps(times_s: Sequence[float], *edges_s: float) -> list[Gap]:
 
 
 def silence_in(received_ns: Sequence[int], end_ns: int, periods: float, least_s: float) -> Silence | None:
-    """The silence at the end, else the longest one, if it is longer than so many median periods and `least_s`.
+    """The silence at the end, else the longest one, if it is longer than `periods` median periods and than `least_s`.
 
-    None where there are fewer than four messages, which do not tell what is usual.
+    None where there are fewer than four messages.
     """
     if len(received_ns) < _LEAST_MESSAGES:
         return None

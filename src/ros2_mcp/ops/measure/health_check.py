@@ -1,4 +1,4 @@
-"""Health of a robot: what should be there and is not, what is silent or slow, what cannot match, what it says itself.
+"""Health of a robot: what should be there and is not, what is silent or slow, what cannot match, what diagnostics say.
 
 The parts that judge are pure functions on what a source knows; nothing here asks whether it is live or recorded.
 """
@@ -25,24 +25,25 @@ from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import TopicEndpoints
 from ros2_mcp_bridge.limits import MAX_RATE_HZ
 
+# Topics that are listened to, and of those images and clouds: a check must not overload a weak robot.
 MAX_MEASURED = 60
 MAX_LARGE = 4
-"""Topics that are listened to, and of those images and clouds: a check must not be a load that makes a robot ill."""
+# Entries of the result's lists, the worst first, so that the report on a very broken robot fits into a result, too.
 MAX_ROWS = 60
 MAX_FINDINGS = 40
 MAX_STATUSES = 30
 MAX_NAMES = 30
-"""Entries of the result's lists, the worst first, so that the report on a very broken robot fits into a result, too."""
+# Names in the note: which topics were not measured, and which could not be.
 _MAX_SKIPPED = 8
 _MAX_FAILED = 5
-"""Names in the note: which topics were not measured, and which could not be."""
+# A topic is slow below this share of the rate that is expected of it: a few seconds are not whole periods.
 RATE_TOLERANCE = 0.9
-"""A topic is slow below this share of the rate that is expected of it: a few seconds are not whole periods."""
+# A stream is interrupted if nothing came for this many of its median periods, and for this long.
 STOPPED_PERIODS = 10
 STOPPED_S = 1.0
-"""A stream is interrupted if nothing came for so many of its median periods, and for so long."""
 
 LARGE_TYPES = frozenset({"sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CompressedImage"})
+# Types of sensors that stream as long as they live. On any other topic silence may be intended.
 STREAM_TYPES = LARGE_TYPES | {
     "sensor_msgs/msg/CameraInfo",
     "sensor_msgs/msg/Imu",
@@ -54,7 +55,6 @@ STREAM_TYPES = LARGE_TYPES | {
     "sensor_msgs/msg/Range",
     "nav_msgs/msg/Odometry",
 }
-"""Types of sensors that stream as long as they live. On any other topic silence may be intended."""
 _OPTIONAL_TRANSPORT = "/compressedDepth"  # image_transport offers it for every image, and sends it for depth only
 _DIAGNOSTICS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -305,7 +305,7 @@ def _graph_findings(graph: GraphSnapshot) -> Iterator[Finding]:
 
 
 def _diagnostic_findings(table: DiagnosticTable, *, with_past: bool) -> Iterator[Finding]:
-    """What components report; `with_past` also what was over before the end, which live nobody waits for."""
+    """What components report; `with_past` also what was over before the end, of a recording."""
     for row in table.rows:
         if row.level != "OK":
             problem = f"Diagnostics say {row.level}: {row.message}."

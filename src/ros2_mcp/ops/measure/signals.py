@@ -14,31 +14,31 @@ from numpy.typing import NDArray
 
 Numbers: TypeAlias = "NDArray[np.float64]"
 
+# A jump is a step larger than this many times the usual step (a robust standard deviation).
 JUMP_FACTOR = 8.0
-"""A jump is a step larger than this many times the usual step (a robust standard deviation)."""
+# A value is stuck if it stands still this long (samples, and share of all) although it changes otherwise.
 STUCK_SAMPLES = 5
 STUCK_SHARE = 0.1
-"""A value is stuck if it stands still this long (samples, and share of all) although it changes otherwise."""
+# Of fewer steps none is usual, so that none can be unusual.
 _LEAST_STEPS = 3
-"""Of fewer steps none is usual, so that none can be unusual."""
+# Of a value that mostly stands still, one step in a hundred may be a jump; more are its way to move.
 _RARE_STEPS = 100
-"""Of a value that mostly stands still, one step in so many may be a jump; more are how it moves."""
+# Share of the messages outside long rests with which a value must change to be one that changes otherwise.
 _LIVELY = 0.8
-"""Share of the messages outside long rests with which a value must change to be one that changes otherwise."""
+# Share of steps that turn back, above which a value is noisy: of pure noise two in three do, of a smooth one few.
 _NOISY = 0.25
-"""Share of steps that turn back, above which a value is noisy: of pure noise two in three do, of a smooth one few."""
+# From the median absolute deviation to the standard deviation of a normal distribution: 1 / Φ⁻¹(3/4).
 _MAD_TO_SIGMA = 1.4826
-"""From the median absolute deviation to the standard deviation of a normal distribution: 1 / Φ⁻¹(3/4)."""
+# Of fewer points some delay always fits well.
 _LEAST_POINTS = 8
-"""Of fewer points some delay always fits well."""
+# Points at most on which two signals are laid over each other: 0.12 s for one field, measured.
 _GRID = 2000
-"""Points at most on which two signals are laid over each other: 0.12 s for one field, measured."""
+# A peak of this share of the best correlation fits as well: a periodic signal has one for each period.
 _NEAR_BEST = 0.98
-"""A peak of this share of the best correlation fits as well: a periodic signal has one for each period."""
+# Of values scaled to 1 a mean square below this is rounding: doubles are exact to about 1e-16.
 _ROUNDING = 1e-28
-"""Of values scaled to 1 a mean square below this is rounding: doubles are exact to about 1e-16."""
+# A step that is smaller than this part of the largest value is no jump of a robot, but of its arithmetic.
 _ROUNDING_STEP = 1e-5
-"""A step that is smaller than this part of the largest value is no jump of a robot, but of its arithmetic."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +112,9 @@ def stuck(times: Numbers, values: Numbers) -> Stuck | None:
 
 
 def pairs(first: Numbers, second: Numbers) -> list[tuple[int, int]]:
-    """Which of the one belongs to which of the other: both are each other's nearest in time, and not far apart.
+    """Indices of times that belong together: each is the other's nearest in time, and they are not far apart.
 
-    Not far is at most half of the longer of the two median periods (or any time with too few to tell).
+    Not far is at most half of the longer of the two median periods; without a limit where one has fewer than two times.
     """
     if not len(first) or not len(second):
         return []

@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from ros2_mcp.codec.select import FieldPath
     from ros2_mcp.ops.measure.signals import Numbers
 
+# All are subscribed to at the same time, and share the memory that a capture may take.
 MAX_TOPICS = 20
-"""All are subscribed to at the same time, and share the memory that a capture may take."""
+# What one field takes in the result, 13 names and numbers and a short path; for how many there is room.
 _FIELD_BYTES = 350
-"""What one field takes in the result, 13 names and numbers and a short path; for how many there is room."""
+# What a topic takes beside its fields.
 _TOPIC_BYTES = 500
-"""What a topic takes beside its fields."""
+# Fields of each topic that are shown in any case, however small the result has to be.
 _MIN_FIELDS = 3
-"""Fields of each topic that are shown in any case, however small the result has to be."""
+# Jumps that are listed of one field, and half of the gaps of one topic; the others are only counted.
 _MAX_LISTED = 5
-"""Jumps that are listed of one field, and half of the gaps of one topic; the others are only counted."""
 
 
 @dataclass(frozen=True, slots=True)

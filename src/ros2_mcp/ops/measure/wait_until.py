@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from ros2_mcp.codec.cdr import Message
     from ros2_mcp.ops.measure.expression import Condition
 
+# Examined in one go of a thread: some 10 ms, so that a cancelled call ends at once.
 _TURN_SAMPLES = 200
-"""Examined in one go of a thread: some 10 ms, so that a cancelled call ends at once."""
+# Of one field that the condition names; a long list is summarised after its first eight elements.
 _VALUE_BYTES = 2000
-"""Of one field that the condition names; a long list is summarised after its first eight elements."""
+# Characters of a value in the summary, which is one line.
 _SHORT_TEXT = 80
-"""Characters of a value in the summary, which is one line."""
 
 
 @dataclass(frozen=True, slots=True)

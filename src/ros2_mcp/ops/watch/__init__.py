@@ -1,1 +1,1 @@
-"""Watching a robot, so that a client is told when something changes."""
+"""Watching a robot, so that clients are notified when something changes."""

@@ -19,18 +19,18 @@ from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, DiagnosticTable
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.protocol import Keep
 
+# How late a change of the graph is noticed: people take it for at once, and the bridge answers from memory.
 POLL_S = 0.25
-"""How late a change of the graph is noticed: people take it for at once, and the bridge answers from memory."""
+# How often the publishers' QoS is compared with ours: publishers with another QoS are rare, and only heard late.
 _ENDPOINTS_S = 2.0
-"""How often the publishers' QoS is compared with ours: publishers with another QoS are rare, and only heard late."""
+# One wait of the bridge; it is begun anew as long as somebody watches.
 _APPEARS_S = 60.0
-"""One wait of the bridge; it is begun anew as long as somebody watches."""
+# What comes within that time was there before, and is no change: matching takes up to 200 ms on one host. An action's
+# status gets more time, because a goal that had ended before would else count as one that ends now.
 _LATCHED_S = 0.5
 _MATCHING_S = 0.2
-"""What comes within that was there before, and is no change: matching takes up to 200 ms on one host. The status of an
-action, by which goals are seen to end, may be waited for longer: one that is missed there is notified as a change."""
+# Samples that wait while a client is notified, which takes 0.2 s: those of a topic at 5 kHz.
 _MAX_SAMPLES = 1000
-"""Samples that wait while a client is notified, which takes 0.2 s: those of a topic at 5 kHz."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,12 +18,12 @@ import anyio
 from ros2_mcp.model.errors import LinkError, RobotError
 from ros2_mcp.robot import Robot
 
+# Between two notifications of one subject, so that a fast topic floods no client; changes in between count as one.
 MIN_PERIOD_S = 0.2
-"""Between two notifications of one subject, so that a fast topic floods no client; changes in between count as one."""
+# How long a subscription is waited for before a client gets its answer all the same: a topic may not be there yet.
 BEGIN_S = 5.0
-"""How long a subscription is waited for before a client gets its answer all the same: a topic may not be there yet."""
+# Before a watch that failed is begun again, longer with each failure in a row.
 _PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
-"""Before a watch that failed is begun again, longer with each failure in a row."""
 _logger = logging.getLogger(__name__)
 
 Changed = Callable[[], None]
