@@ -19,7 +19,7 @@ def schema_text(interface: Interface) -> str:
 
     Defaults are left out: they say nothing about bytes.
     """
-    parts = [_structure_text(interface.sections[0].structure)]
+    parts = [_structure_text(interface.sides["message"])]
     for name, structure in interface.nested.items():
         package, _, base = name.split("/")
         title = name if is_derived(name) else f"{package}/{base}"

@@ -22,7 +22,6 @@ from ros2_mcp.model.interfaces import (
     Field,
     FieldType,
     Interface,
-    Section,
     Structure,
 )
 from ros2_mcp.model.names import did_you_mean
@@ -105,13 +104,13 @@ class Definitions:
     def interface(self, type_name: str) -> Interface:
         """The whole definition for showing: all sides and everything nested."""
         kind = _kind_of(type_name) if type_name in self._known.texts else "msg"
-        sections = tuple(Section(name, self.structure(type_name + ending)) for name, ending in _SIDES[kind].items())
+        sides = {side: self.structure(type_name + ending) for side, ending in _SIDES[kind].items()}
         nested: dict[str, Structure] = {}
         with self._lock:
-            for section in sections:
-                reachable = self._known.reachable(section.type)
-                nested |= {name: structure for name, structure in reachable.items() if name != section.type}
-        return Interface(type_name, kind, sections, nested)
+            for side in sides.values():
+                reachable = self._known.reachable(side.type)
+                nested |= {name: structure for name, structure in reachable.items() if name != side.type}
+        return Interface(type_name, kind, sides, nested)
 
     def hash(self, type_name: str) -> str:
         """The type's hash as it travels on the wire (`RIHS01_…`); empty where it cannot be computed."""

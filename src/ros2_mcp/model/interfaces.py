@@ -101,48 +101,25 @@ class Structure:
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
-    """One side of an interface: `message`; `request`, `response`; `goal`, `result`, `feedback`."""
-
-    name: str
-    structure: Structure
-
-    @property
-    def type(self) -> str:
-        """The full name of the side's own type, such as `std_srvs/srv/SetBool_Request`."""
-        return self.structure.type
-
-    @property
-    def fields(self) -> tuple[Field, ...]:
-        """The top-level fields."""
-        return self.structure.fields
-
-    @property
-    def constants(self) -> tuple[Constant, ...]:
-        """The constants."""
-        return self.structure.constants
-
-
-@dataclass(frozen=True, slots=True)
 class Interface:
-    """A message, service or action (`kind` is `msg`, `srv` or `action`) with all that it refers to, for showing."""
+    """A message, service or action (`kind` is `msg`, `srv` or `action`) with all that it refers to, for showing.
+
+    `sides` in their order: `message`; or `request` and `response`; or `goal`, `result` and `feedback`.
+    """
 
     type: str
     kind: str
-    sections: tuple[Section, ...]
+    sides: Mapping[str, Structure]
     nested: Mapping[str, Structure]
 
     def text(self) -> str:
         """The definition as a listing: each side, then each nested message once."""
-        return "\n".join(self._lines())
-
-    def _lines(self) -> Iterator[str]:
-        for section in self.sections:
-            yield self.type if section.name == "message" else f"{self.type} {section.name}"
-            yield from _lines_of(section.structure)
+        lines: list[str] = []
+        for side, structure in self.sides.items():
+            lines += [self.type if side == "message" else f"{self.type} {side}", *_lines_of(structure)]
         for name, structure in self.nested.items():
-            yield name
-            yield from _lines_of(structure)
+            lines += [name, *_lines_of(structure)]
+        return "\n".join(lines)
 
 
 def _lines_of(structure: Structure) -> Iterator[str]:

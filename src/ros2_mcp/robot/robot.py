@@ -23,6 +23,12 @@ if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Subscription
     from ros2_mcp.model.qos import Choice
 
+MAX_WAITING = 20_000
+MAX_WAITING_BYTES = 64_000_000
+"""Of the samples of one subscription that nobody has taken yet: 20 s of a topic of 1,000 Hz, or a second of raw camera
+pictures. What is more is dropped, the oldest first, and counted."""
+_DEPTH = 1000
+"""The queue of the middleware bridges the time between two rounds of the bridge (docs/decisions/0007)."""
 _MOST_REMEMBERED = 256
 """Topics of which the last subscription is remembered: more than any robot has that are read again and again."""
 
@@ -111,8 +117,8 @@ class Robot(Core):
         *,
         wait_s: float = 0.0,
         keep: Keep = "all",
-        max_samples: int = 20_000,
-        max_bytes: int = 64_000_000,
+        max_samples: int = MAX_WAITING,
+        max_bytes: int = MAX_WAITING_BYTES,
     ) -> AsyncGenerator[Listening, None]:
         """A subscription that matches every publisher there is.
 
@@ -129,7 +135,7 @@ class Robot(Core):
             TypeConflict: if it has several types and none is given, or not the given one.
         """
         topic = names.absolute(topic)
-        key, depth = (topic, type_name, keep), 1 if keep == "latest" else 1000
+        key, depth = (topic, type_name, keep), 1 if keep == "latest" else _DEPTH
 
         def subscribed(full_type: str, choice: Choice) -> Coroutine[Any, Any, Subscription]:
             qos_request = choice.qos.request()
@@ -170,7 +176,7 @@ class Robot(Core):
         """The same subscription anew, without asking the graph: a new bridge has not discovered anything yet."""
         request = former.choice.qos.request()
         async with await self.bridge.subscribe(
-            former.topic, former.type, request, keep="all", max_samples=20_000, max_bytes=max_bytes
+            former.topic, former.type, request, keep="all", max_samples=MAX_WAITING, max_bytes=max_bytes
         ) as subscription:
             yield Listening(former.topic, former.type, former.choice, former.publishers, subscription)
 

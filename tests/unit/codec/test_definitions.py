@@ -27,10 +27,10 @@ def fields(definitions: Definitions, name: str) -> dict[str, str]:
 
 
 def test_an_interface_tells_fields_defaults_constants_and_comments(definitions: Definitions) -> None:
-    numbers = definitions.interface("odd_msgs/msg/Numbers").sections[0]
-    assert numbers.structure.comment == "Numbers of every kind."
+    numbers = definitions.interface("odd_msgs/msg/Numbers").sides["message"]
+    assert numbers.comment == "Numbers of every kind."
     assert [(f.default, f.comment) for f in numbers.fields if f.name == "i64"] == [(-5, "with a default")]
-    constants = definitions.interface("odd_msgs/msg/Words").sections[0].constants
+    constants = definitions.interface("odd_msgs/msg/Words").sides["message"].constants
     assert [(c.name, c.type, c.value) for c in constants] == [
         ("RED", "uint8", 1), ("BLUE", "uint8", 16), ("NAME", "string", "x y"),
     ]  # fmt: skip
@@ -63,8 +63,8 @@ def test_the_listing_has_every_nested_type_once(definitions: Definitions) -> Non
 
 
 def test_services_and_actions_imply_their_types(definitions: Definitions) -> None:
-    assert [s.name for s in definitions.interface("odd_msgs/srv/Add").sections] == ["request", "response"]
-    assert [s.name for s in definitions.interface("odd_msgs/action/Drive").sections] == ["goal", "result", "feedback"]
+    assert list(definitions.interface("odd_msgs/srv/Add").sides) == ["request", "response"]
+    assert list(definitions.interface("odd_msgs/action/Drive").sides) == ["goal", "result", "feedback"]
     drive = "odd_msgs/action/Drive"
     assert fields(definitions, f"{drive}_SendGoal_Request") == {
         "goal_id": "unique_identifier_msgs/msg/UUID", "goal": f"{drive}_Goal",

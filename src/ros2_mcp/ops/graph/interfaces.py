@@ -72,14 +72,14 @@ async def define(robot: Robot, type_name: str) -> Definition:
     full = await _full_name(robot, type_name)
     await robot.values.learn(full)
     interface = robot.values.definitions.interface(full)
-    fields = {section.name: {field.name: str(field.type) for field in section.fields} for section in interface.sections}
+    fields = {side: {field.name: str(field.type) for field in made.fields} for side, made in interface.sides.items()}
     is_message = interface.kind == "msg"
     return Definition(
         message_type=full,
         kind=interface.kind,
         fields=fields["message"] if is_message else fields,
         text=interface.text(),
-        examples={section.name: robot.values.example(str(section.type)) for section in interface.sections},
+        examples={side: robot.values.example(made.type) for side, made in interface.sides.items()},
         hash=robot.values.definitions.hash(full) if is_message else "",
     )
 
