@@ -15,7 +15,7 @@ from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
 from support.agent import Agent, Refusal, agent_for
-from support.processes import peer_command
+from support.processes import peer_command, running
 from support.standstill import undisturbed
 
 START_NS = 1_700_000_000_000_000_000
@@ -74,15 +74,11 @@ def agent(ros_environment: dict[str, str], tmp_path_factory: pytest.TempPathFact
 
 @pytest.fixture(scope="module")
 def listening(ros_environment: dict[str, str], agent: Agent) -> Iterator[Listener]:
-    command = peer_command("memory_peer", "listen", *HEARD)
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=ros_environment) as process:
-        assert process.stdout and process.stdout.readline() == "ready\n"
+    with running(ros_environment, *peer_command("memory_peer", "listen", *HEARD), sigterm=False) as process:
         agent.knows(*HEARD, "/cmd_vel")
         while "/memory_peer" not in str(agent.call("ros2_topic_info", topic_name="/cmd_vel")):
             pass
         yield Listener(process)
-        process.communicate(timeout=10)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from support.processes import SOURCES
+from support.processes import SOURCES, running
 from support.prompting import PromptAgent, prompt_agent
 from support.raw_server import RawServer
 
@@ -36,14 +36,8 @@ def demo_environment(ros_environment: dict[str, str]) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def demo_robot(demo_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
     """The simulated robot of a file of tests."""
-    command = [sys.executable, "-m", "ros2_mcp_demo"]
-    with subprocess.Popen(
-        command, env=demo_environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as robot:
-        assert robot.stdout
-        assert robot.stdout.readline().startswith("robot ready")
+    with running(demo_environment, sys.executable, "-m", "ros2_mcp_demo") as robot:
         yield robot
-        robot.terminate()
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +51,8 @@ def agent(demo_robot: object, demo_environment: dict[str, str]) -> Iterator[Prom
 @pytest.fixture
 def start_agent(demo_environment: dict[str, str]) -> Iterator[Callable[..., PromptAgent]]:
     """Start a server of this test's own: `start_agent("--prompts", "folder", mode="legacy")`."""
-    with ExitStack() as running:
-        yield lambda *options, mode="auto", **changed: running.enter_context(
+    with ExitStack() as agents:
+        yield lambda *options, mode="auto", **changed: agents.enter_context(
             prompt_agent({**demo_environment, **changed}, *options, mode=mode)
         )
 
