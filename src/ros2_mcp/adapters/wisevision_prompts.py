@@ -1,5 +1,5 @@
 """Prompts in the Python code of users, in the ways of the WiseVision server: installed packages (entry points) or a
-module in a folder. Off by default. Whatever that code does wrong is told, and the server goes on without it.
+module in a folder. Off by default. If that code fails, the user is told, and the server goes on without it.
 
 Such code gives objects of two classes that it imports from `server.prompthandler`, or plain functions, or registers
 functions as on a FastMCP server. Where there is no package `server`, one with these two classes stands in for it.
@@ -100,13 +100,13 @@ def _adopted(thing: Any) -> Prompt:
         return thing
     if isinstance(thing, SdkPrompt):
         arguments = [Argument(a.name, a.description or "", required=a.required) for a in thing.arguments or []]
-        return _prompt(thing, arguments, lambda given: thing.render(given, cast("Any", None)))
+        return _prompt(thing, arguments, lambda texts: thing.render(texts, cast("Any", None)))
     if _describes_itself(thing):
         listed: ListedPrompt = thing.get_prompt_description()
         specs: dict[str, Any] = {spec.name: spec for spec in cast("list[Any]", getattr(thing, "args", None) or [])}
         arguments = [_argument(argument, specs.get(argument.name)) for argument in listed.arguments or []]
         empty = {argument.name: "" for argument in arguments}  # `str.format` needs a value for each
-        return _prompt(listed, arguments, lambda given: thing.render({**empty, **given}))
+        return _prompt(listed, arguments, lambda texts: thing.render({**empty, **texts}))
     if callable(thing):
         return _adopted(SdkPrompt.from_function(cast("Callable[..., str]", thing)))
     raise TypeError(f"{thing!r} is not a prompt")
@@ -135,9 +135,9 @@ def _prompt(described: ListedPrompt | SdkPrompt, arguments: Sequence[Argument], 
     name = described.name
 
     async def write(values: Mapping[str, Any]) -> Sequence[Message]:
-        given = {argument: shown(value) for argument, value in values.items() if value is not None}
+        texts = {argument: shown(value) for argument, value in values.items() if value is not None}
         try:
-            result = await asyncio.to_thread(render, given)  # in a thread, because it may take its time
+            result = await asyncio.to_thread(render, texts)  # in a thread, because it may take its time
             result = await result if inspect.isawaitable(result) else result
             return [_message(message) for message in getattr(result, "messages", result)]
         except Exception as error:  # code of the user can raise anything
@@ -162,8 +162,8 @@ class _Registry:
         """The decorator `@mcp.prompt`, with and without arguments."""
 
         def take(function: Any) -> Any:
-            given = name if isinstance(name, str) else None
-            self.things.append(SdkPrompt.from_function(function, name=given, title=title, description=description))
+            own_name = name if isinstance(name, str) else None
+            self.things.append(SdkPrompt.from_function(function, name=own_name, title=title, description=description))
             return function
 
         return take(name) if callable(name) else take
@@ -206,11 +206,11 @@ class BasePromptHandler:
 
     def render(self, arguments: Mapping[str, Any] | None) -> GetPromptResult:
         """The messages with `{name}` replaced."""
-        given = dict(arguments or {})
+        values = dict(arguments or {})
         return GetPromptResult(
             description=self.description,
             messages=[
-                PromptMessage(role=cast("Any", role), content=TextContent(type="text", text=text.format(**given)))
+                PromptMessage(role=cast("Any", role), content=TextContent(type="text", text=text.format(**values)))
                 for role, text in self.messages_template
             ],
         )

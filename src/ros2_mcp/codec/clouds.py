@@ -63,9 +63,9 @@ def _rows(message: Any) -> NDArray[Any]:
     order = ">" if message.is_bigendian else "<"
     formats = {field.name: order + _kind(field) for field in message.fields}
     offsets = {field.name: field.offset for field in message.fields}
-    beyond = [name for name in formats if offsets[name] + np.dtype(formats[name]).itemsize > point]
-    if beyond:
-        raise BadData(f"The field {beyond[0][:60]!r} of the cloud ends beyond point_step, which is {point}.")
+    outside = [name for name in formats if offsets[name] + np.dtype(formats[name]).itemsize > point]
+    if outside:
+        raise BadData(f"The field {outside[0][:60]!r} of the cloud ends beyond point_step, which is {point}.")
     if row < width * point:
         raise BadData(f"A row of {width} points of {point} bytes takes {width * point} bytes, but row_step is {row}.")
     needed = row * (height - 1) + width * point if height and width else 0

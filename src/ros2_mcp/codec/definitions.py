@@ -71,7 +71,7 @@ class Definitions:
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
-        self._known = _Known(_ALWAYS_KNOWN)
+        self._set = _DefinitionSet(_ALWAYS_KNOWN)
 
     def add(self, texts: Mapping[str, DefinitionText]) -> None:
         """Takes definitions as the robot has them. One that differs from what was known replaces it everywhere.
@@ -79,14 +79,14 @@ class Definitions:
         Nothing is parsed yet. Raises `UnknownInterface` for a name that no interface can have.
         """
         with self._lock:
-            new = {name: text for name, text in texts.items() if self._known.texts.get(name) != text}
+            new = {name: text for name, text in texts.items() if self._set.texts.get(name) != text}
             if new:
-                self._known = self._known.with_texts(new)
+                self._set = self._set.with_texts(new)
 
     def knows(self, type_name: str) -> bool:
         """Whether there is a definition, also of derived types such as `std_srvs/srv/SetBool_Request`."""
-        known = self._known
-        return type_name in known.texts or type_name in known.owners
+        current = self._set
+        return type_name in current.texts or type_name in current.owners
 
     def structure(self, type_name: str) -> Structure:
         """The fields and constants of a message, or of one side of a service or an action.
@@ -94,28 +94,28 @@ class Definitions:
         Raises:
             UnknownInterface: if there is no definition, or it cannot be read.
         """
-        known = self._known
-        found = known.structures.get(type_name)
+        current = self._set
+        found = current.structures.get(type_name)
         if found is not None:
             return found
         with self._lock:
-            return known.load(type_name)
+            return current.load(type_name)
 
     def interface(self, type_name: str) -> Interface:
         """The whole definition for showing: all sides and everything nested."""
-        kind = _kind_of(type_name) if type_name in self._known.texts else "msg"
+        kind = _kind_of(type_name) if type_name in self._set.texts else "msg"
         sides = {side: self.structure(type_name + ending) for side, ending in _SIDES[kind].items()}
         nested: dict[str, Structure] = {}
         with self._lock:
             for side in sides.values():
-                reachable = self._known.reachable(side.type)
+                reachable = self._set.reachable(side.type)
                 nested |= {name: structure for name, structure in reachable.items() if name != side.type}
         return Interface(type_name, kind, sides, nested)
 
     def hash(self, type_name: str) -> str:
         """The type's hash as it travels on the wire (`RIHS01_…`); empty where it cannot be computed."""
         with self._lock:
-            every = self._known.reachable(type_name)
+            every = self._set.reachable(type_name)
         if any(field.type.base == "wstring" for structure in every.values() for field in structure.fields):
             return ""
         return type_hash(type_name, every)
@@ -127,18 +127,18 @@ class Definitions:
 
     def compiled(self, type_name: str) -> MessageStore:
         """A store that can read and write the type."""
-        known = self._known
-        if type_name not in known.compiled:
+        current = self._set
+        if type_name not in current.compiled:
             with self._lock:
-                known.compile(type_name)
-        return known.store
+                current.compile(type_name)
+        return current.store
 
     def message_class(self, type_name: str) -> type:
         """The class of the type's objects; made from one value for each field, in order."""
         return cast("type", self.compiled(type_name).types[type_name])
 
 
-class _Known:
+class _DefinitionSet:
     """One consistent set of texts with what has been made from them so far."""
 
     def __init__(self, texts: Mapping[str, DefinitionText]) -> None:
@@ -148,9 +148,9 @@ class _Known:
         self.compiled: set[str] = set()
         self.store = MessageStore()
 
-    def with_texts(self, new: Mapping[str, DefinitionText]) -> _Known:
+    def with_texts(self, new: Mapping[str, DefinitionText]) -> _DefinitionSet:
         """A set with these texts too. What has been made is kept unless a text that was there changes."""
-        result = _Known({**self.texts, **new})
+        result = _DefinitionSet({**self.texts, **new})
         if not any(name in self.texts for name in new):
             result.structures, result.compiled, result.store = self.structures, self.compiled, self.store
         return result

@@ -159,14 +159,14 @@ async def open_bag(
     may_be_empty: bool = False,
     from_end: bool = False,
 ) -> BagSource:
-    """A bag, or the part of it between two moments (as `times.span_of` reads them), as a `Source`.
+    """A bag, or the part of it between two times (as `times.span_of` reads them), as a `Source`.
 
     Without a start, or with `from_end`, a limit means the last messages.
 
     Raises:
         NotFound: if there is no such bag.
         BadData: if nothing of it can be read.
-        BadValue: if a moment cannot be understood, or (unless it `may_be_empty`) nothing was recorded in that time.
+        BadValue: if a time cannot be understood, or (unless it `may_be_empty`) nothing was recorded in that time.
     """
 
     def opened() -> BagSource:
@@ -197,12 +197,12 @@ class Bags(SourceKind):
     """The bags of this server as a kind of source: what it records itself, its black box among it, and all others."""
 
     async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:
-        """The bag of that name; without one, the recording that stands for the robot, or for moments the black box."""
+        """The bag of that name; without one, the recording that stands for the robot, or for times the black box."""
         name = request.name or store.subject_name
         if not name and (request.start or request.end):
             if BLACK_BOX not in store.own:
                 hint = "Name it with bag; ros2_bag_list shows which there are."
-                raise BadInput("start and end are moments of a recording, and none is named.", hint)
+                raise BadInput("start and end are times in a recording, and none is named.", hint)
             name = BLACK_BOX
         return await open_bag(store, name, request.start, request.end, robot) if name else None
 
@@ -254,14 +254,14 @@ def find_topic(bag: Bag, name: str) -> StoredTopic:
     """A topic of a bag; raises `NotFound` with the nearest name."""
     full = names.absolute(name)
     if full not in bag.topics:
-        known = list(bag.topics)
-        hint = names.did_you_mean(full, known, f"It has {', '.join(sorted(known)[:20])}.")
+        topics = sorted(bag.topics)
+        hint = names.did_you_mean(full, topics, f"It has {', '.join(topics[:20])}.")
         raise NotFound(f"{bag.path.name} has no topic {full}.", hint)
     return bag.topics[full]
 
 
 def span_in(store: BagStore, bag: Bag, start: str, end: str) -> Span:
-    """The time between two moments of a bag."""
+    """The span between two times of a bag."""
     return span_of(start, end, *times_of(store, bag))
 
 

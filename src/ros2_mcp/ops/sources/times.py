@@ -1,4 +1,4 @@
-"""Moments in a recording, as people write them: ISO 8601 with a zone, or relative to the recording."""
+"""Times in a recording, as people write them: ISO 8601 with a zone, or relative to the recording."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _HINT = 'Write it like 2026-11-21T03:00:00Z, 2026-11-21T03:00:00.5+01:00, "last 
 
 
 def span_of(start: str, end: str, first_ns: int, last_ns: int) -> Span:
-    """The time between two moments of a recording from `first_ns` to `last_ns`; empty is its beginning or its end.
+    """The span between two times of a recording from `first_ns` to `last_ns`; empty is its beginning or its end.
 
-    `last 30 s` and `30 s ago` count back from the recording's end; `2 min in` is the moment two minutes after its
+    `last 30 s` and `30 s ago` count back from the recording's end; `2 min in` is the time two minutes after its
     beginning, and so is `first 2 min`. An end that is a time is part of the span: all of the microsecond it names.
 
     Raises:
-        BadValue: if one is not written like a moment, or the end lies before the start.
+        BadValue: if one is not written like a time, or the end lies before the start.
     """
     start_ns = parsed_ns("start", start, first_ns, last_ns) if start.strip() else 0
     if not end.strip():
@@ -38,7 +38,7 @@ def span_of(start: str, end: str, first_ns: int, last_ns: int) -> Span:
 
 
 def parsed_ns(name: str, text: str, first_ns: int | None, last_ns: int) -> int:
-    """One moment as Unix time in nanoseconds, at most 64 bits; raises as `span_of`, also if it needs no `first_ns`."""
+    """One time as Unix time in nanoseconds, at most 64 bits; raises as `span_of`, also if it needs no `first_ns`."""
     relative = _RELATIVE.fullmatch(text.strip())
     found_ns = _relative_ns(name, relative, first_ns, last_ns) if relative else absolute_ns(name, text.strip())
     return min(max(found_ns, _EARLIEST), FOREVER)
