@@ -388,7 +388,9 @@ async def keep_black_box(robot: Robot, store: BagStore, settings: Settings) -> N
     if settings.black_box is None or settings.read_only:
         return
     try:
-        await robot.jobs.start(BlackBox(robot, store, settings))
+        black_box = BlackBox(robot, store, settings)
+        await robot.do(Record(principal=SERVER, name=BLACK_BOX, topics=settings.black_box))
+        await robot.jobs.start(black_box)
     except (RobotError, OSError) as error:
         _logger.warning("the black box keeps nothing: %s", error)
 

@@ -54,7 +54,9 @@ class BagSource(Source):
 
     def __post_init__(self) -> None:
         self.duration_s = (self.span.end_ns - self.span.start_ns) / 1e9
-        self.words = f"bag {self.name}, {self.duration_s:g} s from {iso_time(self.span.start_ns)} on"
+        # Milliseconds: what a person reads; the exact times are in the results.
+        began = f"{iso_time(self.span.start_ns)[:-4]}Z"
+        self.words = f"bag {self.name}, {self.duration_s:.4g} s from {began} on"
         self._codec = self.opened.codec  # this one also when the bag's definitions change while it is read
 
     @property
