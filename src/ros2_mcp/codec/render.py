@@ -1,6 +1,7 @@
 """Message objects → JSON, bounded: what is too long is summarised, never cut in the middle.
 
-Numbers are shown exactly. NaN and the infinities are the strings `"nan"`, `"inf"`, `"-inf"` (see `_json_number`).
+Numbers are shown exactly. NaN and the infinities are the strings `"nan"`, `"inf"`, `"-inf"` (see `_json_number`; the
+texts stand in `NOT_FINITE` of `model/values.py`).
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from ros2_mcp.codec.select import FieldPath, Step, element_at, parse_fields
 from ros2_mcp.codec.store import attribute
 from ros2_mcp.model.interfaces import FLOATS, OCTETS, TEXTS, FieldType
 from ros2_mcp.model.text import escaped_bytes, is_unicode
-from ros2_mcp.model.values import EXACT_INTEGER, SUMMARY
+from ros2_mcp.model.values import EXACT_INTEGER, SUMMARY, not_finite_text
 
 _BYTES_AS_LIST = 64
 """Bytes up to this many are shown as a list, which can be read (a UUID); more as base64, a third as long."""
@@ -213,7 +214,7 @@ def _json_number(base: str, value: Any) -> Any:
     """One boolean or number: not finite as text, a float32 with as few digits as tell it from all others."""
     if base in FLOATS:
         if not math.isfinite(value):
-            return str(value)  # Python writes them as `NOT_FINITE` does, also a NaN with a sign
+            return not_finite_text(value)
         return _short(value) if base == "float32" else value
     return str(value) if base in ("int64", "uint64") and abs(value) > EXACT_INTEGER else value
 
@@ -253,7 +254,7 @@ def _statistics(base: str, values: NDArray[Any]) -> dict[str, Any]:
             mean = float(f"{finite.mean(dtype=np.float64):.6g}")
         result["min"] = _json_number(base, finite.min().item())
         result["max"] = _json_number(base, finite.max().item())
-        result["mean"] = mean if math.isfinite(mean) else str(mean)
+        result["mean"] = mean if math.isfinite(mean) else not_finite_text(mean)
     if len(finite) < len(values):
         nan = int(np.count_nonzero(np.isnan(values)))
         result |= {"nan": nan, "inf": len(values) - len(finite) - nan}
