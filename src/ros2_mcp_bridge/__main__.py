@@ -29,6 +29,10 @@ FAILSAFES_AFTER_S = 0.3
 # From the end of the stream to the end of the process, whatever hangs: time for the fail-safes (0.3 s, and 0.3 s for
 # their arrival) and for leaving ROS. Chosen. The server waits for half a second more.
 GIVE_UP_AFTER_S = 1.0
+# From the start to the end of the process, if ROS does not come up: longer than the server waits (20 s). Once the
+# middleware was seen to spin for ever while a participant was destroyed, with the interpreter's lock held: then no
+# thread of ours sees the end of the stream, and only the kernel's timer still ends the process.
+ROS_IS_UP_WITHIN_S = 30.0
 # What waits to be written at the end is little, and perhaps nobody reads any more. Chosen.
 LAST_WORDS_S = 0.2
 
@@ -39,6 +43,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C goes to the server, which then closes us
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # ends us if all else hangs; it may have been inherited as ignored
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # for sigwait in a thread of ours
+    signal.setitimer(signal.ITIMER_REAL, ROS_IS_UP_WITHIN_S)
     Bridge(incoming, outgoing).run()
 
 
@@ -79,6 +84,10 @@ class Bridge:
             message = f"{type(error).__name__}: {error}"
             self._outbox.send({"event": "failed", "kind": missing, "message": message})
             self._exit(1)
+        if not self._ending.locked():
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            if self._ending.locked():  # the end began in between, and its timer is the one that was taken back
+                signal.setitimer(signal.ITIMER_REAL, GIVE_UP_AFTER_S)
         self._outbox.send(ros.hello(node, executor))
         self._ros_is_up.set()
         self._loop.run(executor)
