@@ -43,7 +43,11 @@ def security(host: str, port: int) -> TransportSecuritySettings:
 def _sse_app(server: Server[Any], guard: TransportSecuritySettings) -> Starlette:
     """The application of the older HTTP transport: a stream of events, and a place for messages to it."""
     sse = SseServerTransport("/messages/", security_settings=guard)
-    routes = [Route("/sse", endpoint=_Stream(server, sse)), Mount("/messages/", app=sse.handle_post_message)]
+    routes = [
+        # A client that tries the newer transport first must be refused its POST, to fall back to this one.
+        Route("/sse", endpoint=_Stream(server, sse), methods=["GET"]),
+        Mount("/messages/", app=sse.handle_post_message),
+    ]
     return Starlette(routes=routes)
 
 

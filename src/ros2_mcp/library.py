@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
+import anyio
+
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
@@ -52,6 +54,11 @@ async def running(robot: Robot, store: BagStore) -> AsyncGenerator[None, None]:
     try:
         yield
     finally:
-        await robot.jobs.close()
-        await store.close()
-        await robot.bridge.close()
+        with anyio.CancelScope(shield=True):  # who is cancelled leaves the robot stopped all the same
+            try:
+                await robot.jobs.close()
+            finally:
+                try:
+                    await store.close()
+                finally:
+                    await robot.bridge.close()

@@ -13,7 +13,9 @@ from mcp.server.context import ServerRequestContext
 from mcp.server.lowlevel import NotificationOptions, Server
 from mcp.server.stdio import stdio_server
 from mcp.server.subscriptions import InMemorySubscriptionBus, ListenHandler
+from mcp.shared.exceptions import MCPError
 from mcp.types import (
+    INVALID_PARAMS,
     CallToolRequestParams,
     CallToolResult,
     ListResourcesResult,
@@ -21,6 +23,8 @@ from mcp.types import (
     ListToolsResult,
     NotificationParams,
     PaginatedRequestParams,
+    ReadResourceRequestParams,
+    ReadResourceResult,
     TextContent,
 )
 from starlette.requests import Request
@@ -85,7 +89,7 @@ def build_server(robot: Robot, toolset: Toolset, catalog: Catalog, *, recording:
         on_get_prompt=prompts.get,
         on_list_resources=resources.list if live else _no_resources,
         on_list_resource_templates=resources.list_templates if live else _no_templates,
-        on_read_resource=resources.read,
+        on_read_resource=resources.read if live else _no_resource,
         on_subscribe_resource=resources.push.subscribe if live else None,
         on_unsubscribe_resource=resources.push.unsubscribe if live else None,
         on_subscriptions_listen=resources.push.listen if live else ListenHandler(events),
@@ -151,6 +155,10 @@ async def _stop_work_of(robot: Robot, context: Context) -> None:
     principal = principal_of(context.request)
     if principal != LOCAL:
         await robot.jobs.stop_owned(principal)
+
+
+async def _no_resource(_: Any, request: ReadResourceRequestParams) -> ReadResourceResult:
+    raise MCPError(INVALID_PARAMS, f"There is no resource {request.uri}.", {"uri": str(request.uri)})
 
 
 async def _no_resources(_: Any, __: Any) -> ListResourcesResult:

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple, TypedDict
 
 # Said in `hello`; the server refuses a bridge of another number. It grows with every change that an older end of the
 # stream would misunderstand.
-PROTOCOL = 1
+PROTOCOL = 2
 
 ErrorKind = Literal[
     "bad_request", "unknown_type", "not_found", "timeout", "cancelled", "server_gone", "ros_error"

@@ -104,7 +104,7 @@ def call(bridge: Client, body: bytes = TRUE, **changed: Any) -> int:
 
 def test_it_says_hello_with_its_node_and_versions(bridge: Client, domain_id: int) -> None:
     assert bridge.hello["event"] == "hello"
-    assert bridge.hello["protocol"] == 1
+    assert bridge.hello["protocol"] == 2
     assert bridge.hello["domain_id"] == domain_id
     assert bridge.hello["pid"] == bridge.process.pid
     assert [bridge.hello["node"][1:], "/"] in bridge.ok("nodes", settle_s=0)["nodes"]

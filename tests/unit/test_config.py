@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from ros2_mcp.cli import CLIENTS
-from ros2_mcp.commands.config import configuration, environment, print_config
+from ros2_mcp.commands.config import absolute_paths, configuration, environment, print_config
 
 COMMAND = "/opt/my tools/bin/ros2-mcp"
 OPTIONS = ["--read-only", "--workspace", '/a "quoted"\\place']
@@ -63,3 +65,16 @@ def test_stdout_is_the_configuration_and_stderr_says_where_it_goes(
     assert "--read-only" in out
     assert f"config {client}" not in out
     assert err.startswith("# ")
+
+
+def test_paths_become_absolute_each_of_several_too_and_links_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "python").symlink_to(sys.executable)
+    given = ["--bridge-python", "python", "--workspace", f"a{os.pathsep}/b", "--domain-id", "7"]
+    assert absolute_paths(given) == [
+        *("--bridge-python", f"{tmp_path}/python"),
+        *("--workspace", f"{tmp_path}/a{os.pathsep}/b"),
+        *("--domain-id", "7"),
+    ]

@@ -163,11 +163,22 @@ class DataBlackBoxSource(Source):
     def __init__(self, box: DataBlackBox, start_ns: int | None, end_ns: int | None, bucket: str = "") -> None:
         self.title = f"the WiseVision Data Black Box (generation {box.generation}, {box.service})"
         self.words = f"{self.title}, from {iso_time(start_ns) if start_ns else 'the beginning'} on"
-        self.duration_s = ((end_ns or time.time_ns()) - (start_ns or 0)) / 1e9
+        # Without a start it goes back as far as the box does, which it does not tell: 0 is not known.
+        self.duration_s = 0.0 if start_ns is None else ((end_ns or time.time_ns()) - start_ns) / 1e9
         self._box = box
         self._start_ns = start_ns
         self._end_ns = end_ns
         self._bucket = bucket
+
+    def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> DataBlackBoxSource:  # noqa: ARG002
+        """Of a longer time its beginning if a start was given, else its end."""
+        if recorded_s is None:
+            return self
+        length_ns = max(round(recorded_s * 1e9), 1)
+        end_ns = time.time_ns() if self._end_ns is None else self._end_ns
+        if self._start_ns is None:
+            return DataBlackBoxSource(self._box, end_ns - length_ns, end_ns, self._bucket)
+        return DataBlackBoxSource(self._box, self._start_ns, min(end_ns, self._start_ns + length_ns), self._bucket)
 
     @property
     def codec(self) -> Codec:
@@ -189,7 +200,7 @@ class DataBlackBoxSource(Source):
         type_name: str = "",
         *,
         limit: int | None = None,
-        every_n: int = 1,  # noqa: ARG002 - the box cannot thin them
+        every_n: int = 1,
         latched: bool = True,  # noqa: ARG002 - the box does not keep QoS
     ) -> AsyncGenerator[Stream, None]:
         """The messages that it has, the last ones with a limit.
@@ -201,7 +212,8 @@ class DataBlackBoxSource(Source):
         topic = names.absolute(topic)
         expected = names.interface_type(type_name, "msg") if type_name else await self._type_now(topic)
         question = Question(topic, expected, self._start_ns, self._end_ns, self._bucket)
-        answered = await self._box.last(question, limit if limit and limit < MAX_MESSAGES else 0)
+        most = (limit or 0) * every_n  # the box cannot thin them: whoever reads does
+        answered = await self._box.last(question, most if most < MAX_MESSAGES else 0)
         kind = answered.type or expected
         if answered.samples and not kind:
             raise UnknownInterface(
@@ -222,7 +234,8 @@ class DataBlackBoxSource(Source):
             received=len(answered.samples),
             note=" ".join(filter(None, (answered.problem, unconfirmed if answered.samples else ""))),
         )
-        stream.batches = in_batches(answered.samples)
+        stream.batches = in_batches(answered.samples[-most:])
+        stream.further = answered.samples[-most - 1] if 0 < most < len(answered.samples) else None
         async with aclosing(stream.batches):
             yield stream
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+import signal
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -32,6 +33,11 @@ def call(settings: Settings, tool: str | None, assignments: Sequence[str], *, as
     from ros2_mcp.assembly import assemble
 
     async def once() -> int:
+        # Python 3.10 would cancel the bridge's supervisor together with this task: the bridge would be killed, and not
+        # stop the robot.
+        this_call = asyncio.current_task()
+        assert this_call
+        asyncio.get_running_loop().add_signal_handler(signal.SIGINT, this_call.cancel)
         assembly = assemble(settings, bridge)
         async with assembly.running():
             tools = assembly.toolset.by_name
@@ -41,7 +47,10 @@ def call(settings: Settings, tool: str | None, assignments: Sequence[str], *, as
                 raise BadInput(f"There is no tool {tool}.", did_you_mean(tool, list(tools), "See: ros2-mcp call"))
             return await _print_answer(tools[tool], arguments, as_json)
 
-    return asyncio.run(once())
+    try:
+        return asyncio.run(once())
+    except asyncio.CancelledError:  # Ctrl-C
+        return 130
 
 
 def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:

@@ -49,9 +49,15 @@ def configuration(client: str, command: str, options: Sequence[str], variables: 
 
 def absolute_paths(options: Sequence[str]) -> list[str]:
     """The options with absolute paths: a client starts the server in a folder of its own."""
-    with_paths = [option.flag for option in OPTIONS.values() if option.kind.is_path]
+    with_paths = {option.flag: option.kind.several for option in OPTIONS.values() if option.kind.is_path}
+
+    def absolute(flag: str, word: str) -> str:
+        paths = word.split(os.pathsep) if with_paths[flag] else [word]
+        # Links are kept: the Python of a virtual environment is one.
+        return os.pathsep.join(str(Path(path).expanduser().absolute()) for path in paths if path)
+
     return [
-        str(Path(word).expanduser().resolve()) if before in with_paths else word
+        absolute(before, word) if before in with_paths else word
         for before, word in zip(("", *options), options, strict=False)
     ]
 

@@ -130,8 +130,12 @@ async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> 
     (capture,) = await source.captures([TOPIC])
     if isinstance(capture, Missing):
         raise capture.error
-    _, messages, note = capture.readable()
-    lines, matched = _selected(messages, request, 0, max_bytes)
+
+    def selected() -> tuple[list[LogLine], int, str]:
+        _, messages, trouble = capture.readable()
+        return *_selected(messages, request, 0, max_bytes), trouble
+
+    lines, matched, note = await asyncio.to_thread(selected)
     if len(lines) < matched:
         note = f"The newest {len(lines)} are shown. {note}".rstrip()
     return Log(

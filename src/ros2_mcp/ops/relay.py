@@ -375,11 +375,10 @@ async def start(robot: Robot, request: RelayRequest) -> RelayState:
 
 async def list_relays(robot: Robot) -> RelayList:
     """Every relay with its counts up to now."""
-    running = robot.jobs.running(Relay)
-    if running:
+    if robot.jobs.running(Relay):
         with suppress(LinkError):  # the bridge is gone: they are about to end, their last counts are what is known
             counts = await robot.graph.relays()
-            for relay in running:
+            for relay in robot.jobs.running(Relay):  # those that have ended meanwhile have their last counts
                 relay.counts = counts.get(relay.id, relay.counts)
     states = [relay.report() for relay in robot.jobs.all(Relay)]
     return RelayList(states, len(robot.jobs.running(Relay)))

@@ -34,11 +34,9 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.ops.watch.watchers import Subject, Watcher
 from ros2_mcp.resources.catalogue import subject_of
 
-# Several times what any client was seen to watch; each may be a subscription on the robot.
-# Watched by one client.
+# Watched by one client: several times what any was seen to watch; each may be a subscription on the robot.
 MAX_URIS = 200
-# Each costs a task and a mailbox; requests that are never ended must not add up without bound.
-# Open `subscriptions/listen` requests.
+# Open `subscriptions/listen` requests: each costs a task and a mailbox, and what is never ended must not add up.
 MAX_LISTENING = 256
 
 Request = ServerRequestContext[Any, Any]
@@ -104,7 +102,8 @@ class Push:
 
         The SDK runs the handlers of a connection in one task group, and cancels them with it: nothing else public
         says that a client has gone. A client is recognised by the parameters of its `initialize`: they are one object
-        for all requests of one connection, and of no other.
+        for all requests of one connection, and of no other. The end of a client that never says that it is
+        initialized is not noticed.
         """
         client = request.session.client_params
         if id(client) in self._subscribers:

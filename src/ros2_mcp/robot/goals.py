@@ -93,6 +93,7 @@ async def send(core: Core, command: SendGoal) -> Answer:
     await core.jobs.start(goal)
     core.failsafes.leave_cancel(command.goal_id, command.name)
     try:
+        await asyncio.sleep(0)  # the fail-safe's task writes first: the stream keeps the order
         answer = await call(core, command)
     except NotFound:
         ended(core, command.goal_id)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from time import monotonic
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import anyio
+
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Choice, Endpoint, still_fits
 from ros2_mcp.model.samples import Counts, Sample
@@ -59,7 +61,8 @@ async def subscribed_while(subscribe: Coroutine[Any, Any, Subscription], other: 
         return await subscribing, result
     except BaseException:  # whatever it is, it is raised again
         subscribing.cancel()  # the link then takes back what is under way
-        await asyncio.wait({subscribing})
-        if not subscribing.cancelled() and not subscribing.exception():
-            await subscribing.result().close()
+        with anyio.CancelScope(shield=True):  # a scope that is cancelled cancels every await again
+            await asyncio.wait({subscribing})
+            if not subscribing.cancelled() and not subscribing.exception():
+                await subscribing.result().close()
         raise

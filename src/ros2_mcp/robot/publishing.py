@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 from ros2_mcp.model.commands import Feed, Play, Publish, Relay, Repeat, Sent
@@ -66,6 +67,7 @@ async def relay(core: Core, command: Relay | Play) -> RelayCounts:
     """A relay in the bridge from its beginning to its end, with a zero at the end of what moves."""
     await core.values.learn(command.type)
     zero = core.failsafes.leave_zero(command.name, command.type, command.qos)
+    await asyncio.sleep(0)  # as in `_prepared`
     arguments: dict[str, Any] = {}
     if isinstance(command, Relay) and command.source:
         arguments = {"source": command.source, "duration_s": command.duration_s or 0.0}
@@ -96,4 +98,5 @@ async def _prepared(core: Core, command: Publish | Repeat) -> tuple[bytes, dict[
     """The checked and encoded message, with the bridge's arguments for its destination; the fail-safe is in force."""
     body = await core.values.encode(command.type, command.value)
     core.failsafes.leave_zero(command.name, command.type, command.choice.qos)
+    await asyncio.sleep(0)  # the fail-safe's task writes first: the stream keeps the order
     return body, {"topic": command.name, "type": command.type, "qos": command.choice.qos.request()}

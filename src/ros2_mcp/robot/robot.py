@@ -144,7 +144,7 @@ class Robot(Core):
             )
 
         subscription: Subscription | None = None
-        former = self._listened.get(key)
+        former = self._listened.pop(key, None)  # remembered again if it was right: a wrong guess fails only once
         if former:  # subscribed as the last time, while the graph is asked whether that is still right: one round trip
             subscription, present = await subscribed_while(subscribed(*former), self.graph.endpoints(topic))
         else:

@@ -30,8 +30,10 @@ async def as_meant(core: Core, command: Command[R]) -> Command[R]:
 
 async def _meaning(core: Core, command: ServiceCall) -> ServiceBorne:
     kind, (subject, _, _) = command.type, command.name.rpartition("/")
-    is_goal = "/action/" in kind and kind.endswith(_SEND_GOAL)
-    if not (is_goal or kind in (SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY, CHANGE_STATE, CANCEL_TYPE)):
+    # By the name, too: a service of such a type that is no action's is called as it was named.
+    is_goal = "/action/" in kind and kind.endswith(_SEND_GOAL) and command.name.endswith("/_action/send_goal")
+    is_cancelling = kind == CANCEL_TYPE and command.name.endswith("/_action/cancel_goal")
+    if not (is_goal or is_cancelling or kind in (SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY, CHANGE_STATE)):
         return command
     body = await core.values.encode(f"{kind}_Request", command.value)
     request = core.values.in_full(f"{kind}_Request", body)

@@ -48,6 +48,7 @@ def results(agent: Agent, signals: subprocess.Popen[str]) -> dict[str, dict[str,
     """What several calls at the same time give, each as if it were alone."""
     calls = {
         "together": ("statistics", {"topic_names": ["/signal_steady", "/signal_copy", "/pulse"], "duration": 2}),
+        "twice": ("statistics", {"topic_names": ["/signal_steady", "signal_steady"], "duration": 2}),
         "gaps": ("statistics", {"topic_names": ["/signal"], "duration": 4.5}),
         "faults": ("statistics", {"topic_names": ["/sensor"], "duration": 5, "fields": ["range"]}),
         "late": ("compare", {"topic1_name": "/signal_wave", "topic2_name": "/signal_late", "duration_sec": 4}),
@@ -59,6 +60,11 @@ def results(agent: Agent, signals: subprocess.Popen[str]) -> dict[str, dict[str,
         return {name: call.result(CALL_S) for name, call in begun.items()}
 
     return undisturbed(measured)
+
+
+def test_a_topic_that_is_named_twice_is_counted_once_each_time(results: dict[str, dict[str, Any]]) -> None:
+    one, other = results["twice"]["topics"]
+    assert one["count"] == pytest.approx(100, abs=8) and other["count"] == pytest.approx(one["count"], abs=2)
 
 
 def test_several_topics_are_measured_over_the_same_time(results: dict[str, dict[str, Any]]) -> None:

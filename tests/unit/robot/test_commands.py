@@ -238,3 +238,14 @@ async def test_a_client_has_a_robot_of_its_own_name_and_nothing_else_of_its_own(
     assert (robot.principal, other.principal.name) == (LOCAL, "session 2")
     assert other.jobs is robot.jobs
     assert other.failsafes is robot.failsafes
+
+
+@pytest.mark.parametrize(
+    ("kind", "service"), [("made/action/Go_SendGoal", "/proxy/send"), ("action_msgs/srv/CancelGoal", "/proxy/cancel")]
+)
+async def test_a_service_of_such_a_type_that_is_no_actions_is_called_as_it_is_named(
+    bridge: Noting, kind: str, service: str
+) -> None:
+    robot = Robot(cast(Bridge, bridge))
+    command = call(kind, service, {})
+    assert await as_meant(robot, command) is command

@@ -131,6 +131,8 @@ def _show(found: _Found, type_name: str, request: SourceRequest, selection: Sele
         notes.append(found.collected.more)
     if type_name not in ("", stream.type):
         notes.append(f"They are {stream.type}, not {type_name}.")
+    if dropped := found.collected.dropped:
+        notes.append(f"{dropped} earlier messages were too much to keep.")
     notes.append(fitted.note)
     if not samples:
         notes.append("None in that time." if request.start or request.end else "It has none of this topic.")

@@ -327,8 +327,8 @@ class Recording(Job):
             except LinkError:
                 joined.former, joined.listening, joined.lost = joined.counts(), None, listening
                 raise
+        joined.former, joined.listening = joined.counts(), None  # before what may raise: the counts are not lost
         recorder.put(name, await listening.take(0.0))
-        joined.former, joined.listening = joined.counts(), None
         if recorder.ended:
             self._is_ending = True
 
@@ -393,6 +393,8 @@ async def keep_black_box(robot: Robot, store: BagStore, settings: Settings) -> N
         await robot.jobs.start(black_box)
     except (RobotError, OSError) as error:
         _logger.warning("the black box keeps nothing: %s", error)
+    except Exception:
+        _logger.exception("the black box keeps nothing")
 
 
 async def status(robot: Robot, recording_id: str = "") -> RecordingStates:

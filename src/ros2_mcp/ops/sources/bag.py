@@ -116,7 +116,8 @@ class BagSource(Source):
                 return find_topic(bag, name)
 
         topic = await asyncio.to_thread(find)
-        if not self._codec.definitions.knows(topic.type):
+        # Another topic of the bag may have brought another definition of the type, or of one that it contains.
+        if topic.definition or not self._codec.definitions.knows(topic.type):
             self._codec.definitions.add(await definitions_of(topic, self.robot))
         return topic
 

@@ -130,24 +130,25 @@ class Live(Source):
 
         async def collect(stream: _LiveStream) -> None:
             async for batch in stream.take_until(deadline):
-                collectors[stream.topic].add(batch)
+                collectors[id(stream)].add(batch)
 
         def progress() -> str:
-            return ", ".join(f"{topic}: {len(found.samples)} messages" for topic, found in collectors.items())
+            return ", ".join(f"{one.topic}: {len(collectors[id(one)].samples)} messages" for one in streams)
 
         async with AsyncExitStack() as subscriptions:
             results = await asyncio.gather(*map(opened, topics))
             streams = [result for result in results if isinstance(result, _LiveStream)]
             await _matched(streams)
             start_ns, deadline = time.time_ns(), monotonic() + self.duration_s
-            collectors = {stream.topic: capturing(len(streams), times_only) for stream in streams}
+            # By stream, not by topic: one topic may be asked for twice, and each is a capture of its own.
+            collectors = {id(stream): capturing(len(streams), times_only) for stream in streams}
             async with reporting(report, self.duration_s, progress):
                 await asyncio.gather(*map(collect, streams))
             end_ns = time.time_ns()
         for stream in streams:  # what was received before the end and sent to us after it
-            collectors[stream.topic].add(await stream.listening.take(0.0))
+            collectors[id(stream)].add(await stream.listening.take(0.0))
         return [
-            self._capture(result, collectors[result.topic], start_ns, end_ns)
+            self._capture(result, collectors[id(result)], start_ns, end_ns)
             if isinstance(result, _LiveStream)
             else result
             for result in results

@@ -147,6 +147,7 @@ class Repetition(Job):
 
     async def run(self) -> None:
         """Publishes in the bridge until its time is over or the bridge ends it (`ros2_stop`)."""
+        await self._robot.values.learn(self._command.type)  # as long as it is starting, a stop ends it at once
         self.begun()
         self.sent = await self._robot.do(self._command)
 

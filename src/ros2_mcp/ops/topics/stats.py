@@ -120,7 +120,7 @@ async def _measure(source: Source, topic: str, report: Report) -> TopicStats:
         breaks_s = [gap.duration_s for gap in gaps(times_s)]
         breaks_s += [silence.duration_s] if silence and silence.is_end else []
         same_clock = bool(ages_s) and abs(statistics.fmean(ages_s)) < _OTHER_CLOCK_S
-        if not stream.publishers:
+        if not stream.publishers and not sizes:
             notes = ["Nobody publishes on it."]
         elif not sizes:
             notes = [f"Published by {stream.nodes[0]}, but silent for {source.duration_s:g} s."]
@@ -140,7 +140,7 @@ async def _measure(source: Source, topic: str, report: Report) -> TopicStats:
             jitter_s=statistics.pstdev(periods) if len(periods) > 1 else None,
             gaps=len(breaks_s),
             longest_gap_s=max(breaks_s, default=None),
-            bytes_per_second=sum(sizes) / max(source.duration_s, _LEAST_S),
+            bytes_per_second=sum(sizes) / max(source.duration_s if source.is_live else stream.covered_s, _LEAST_S),
             mean_size_bytes=statistics.fmean(sizes) if sizes else None,
             age_mean_s=statistics.fmean(ages_s) if same_clock else None,
             age_max_s=max(ages_s) if same_clock else None,

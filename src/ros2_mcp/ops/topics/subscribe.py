@@ -216,6 +216,8 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
     stream = collected.stream
     fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
     images, problem = await asyncio.to_thread(pictures_of, stream.type, fitted)
+    # Fewer than were asked for, and there are more: they were too much to keep.
+    cut = collected.more if len(collected.samples) < (selection.enough or 0) else ""
     return Reading(
         topic_name=stream.topic,
         topic_type=stream.type,
@@ -229,7 +231,7 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
         publishers=stream.nodes,
         qos=stream.qos,
         truncated=fitted.truncated,
-        note=" ".join(filter(None, (stream.note, collected.why_no_more, fitted.note, fitted.hint, problem))),
+        note=" ".join(filter(None, (stream.note, collected.why_no_more, cut, fitted.note, fitted.hint, problem))),
         source=source.words,
         is_live=source.is_live,
         pictures=facts(images),

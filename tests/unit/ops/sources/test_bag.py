@@ -19,6 +19,7 @@ from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import bags
 from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.sources import bag as bag_source
 from ros2_mcp.ops.sources.bag import open_bag
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.ops.sources.source import Capture, Missing, Source
@@ -265,3 +266,25 @@ def test_moments_that_could_mean_something_else_are_refused(text: str, what: str
 def test_where_the_beginning_is_not_known_nothing_counts_from_it(text: str) -> None:
     with pytest.raises(BadValue, match="beginning that is not known"):
         parsed_ns("time_start", text, None, 100)
+
+
+async def test_messages_that_are_too_much_to_keep_are_told(store: BagStore, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bag_source, "MAX_BYTES", 80)  # ten messages of eight bytes
+    found = await reading.read(await open_bag(store, "run"), "/count", "", Selection(message_limit=50))
+    assert found.received == 10 and found.note.startswith("There are earlier ones too: for those, give end ")
+
+
+async def test_topics_of_one_bag_may_have_different_definitions_of_a_type(tmp_path: Path) -> None:
+    (tmp_path / "merged").mkdir()
+    writer = BagWriter(tmp_path / "merged", "merged")
+    for topic, text, body in (("/old", "int32 a\n", number_at(5)), ("/new", "int16 b\nint16 c\n", number_at(5))):
+        writer.add_topic(StoredTopic(topic, "made/msg/State", None, "ros2msg", text))
+        writer.write(topic, Sample(START_NS, START_NS, 1, body))
+    writer.close()
+    merged = BagStore(tmp_path)
+    try:
+        for topic, value in (("/old", {"a": 5}), ("/new", {"b": 5, "c": 0}), ("/old", {"a": 5})):
+            found = await reading.read(await open_bag(merged, "merged"), topic, "", Selection())
+            assert list(found.messages) == [value]
+    finally:
+        await merged.close()
