@@ -101,13 +101,13 @@ class DataBlackBox:
             start_ns = end_ns - reach_ns
             if question.start_ns is not None and start_ns <= question.start_ns:
                 break
-            answered = await self.ask(replace(question, start_ns=start_ns))
+            answered = await self.answer(replace(question, start_ns=start_ns))
             if len(answered.samples) >= number:
                 return replace(answered, samples=answered.samples[-number:])
-        answered = await self.ask(question)
+        answered = await self.answer(question)
         return replace(answered, samples=answered.samples[-number:] if number else answered.samples)
 
-    async def ask(self, question: Question) -> Answered:
+    async def answer(self, question: Question) -> Answered:
         """All messages of the time asked for; raises as `last`."""
         for request in requests(question, self.generation):
             answered = await asyncio.to_thread(self._read, await self._inquire(request))

@@ -393,7 +393,7 @@ async def keep_black_box(robot: Robot, store: BagStore, settings: Settings) -> N
         await robot.jobs.start(black_box)
     except (RobotError, OSError) as error:
         _logger.warning("the black box keeps nothing: %s", error)
-    except Exception:
+    except Exception:  # this runs in the server's task group: what it lets out would end the server
         _logger.exception("the black box keeps nothing")
 
 
