@@ -170,8 +170,10 @@ class Bridge:
             self._outcome = asyncio.get_running_loop().create_future()
             self._retry.set()
         if not self._outcome.done():
+            # A start that has just been asked for has a carrier, which knows how long it may take, only after this.
+            await asyncio.wait({self._outcome}, timeout=_SETTLED_S)
             start_s = self._carrier.start_s if self._carrier else 0.0  # without one, the reason is about to come
-            await asyncio.wait({self._outcome}, timeout=start_s + _SETTLED_S)
+            await asyncio.wait({self._outcome}, timeout=start_s)
             if not self._outcome.done():
                 raise LinkError(f"The bridge was not ready after {start_s:.0f} s.", "Run: ros2-mcp doctor")
         outcome = self._outcome.result()

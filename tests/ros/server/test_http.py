@@ -65,7 +65,6 @@ async def test_clients_of_the_older_transport_list_and_call(port: int) -> None:
         assert (await status(client))["bridge_node"]
 
 
-@pytest.mark.filterwarnings("ignore:resources.subscribe is removed")
 @pytest.mark.parametrize("port", ["sse"], indirect=True)
 def test_the_older_transport_refuses_a_post_so_that_clients_fall_back_to_it(port: int) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
@@ -74,6 +73,7 @@ def test_the_older_transport_refuses_a_post_so_that_clients_fall_back_to_it(port
     connection.close()
 
 
+@pytest.mark.filterwarnings("ignore:resources.subscribe is removed")
 async def test_a_client_that_is_gone_leaves_no_subscription_behind(port: int) -> None:
     async with Client(f"http://127.0.0.1:{port}/mcp", mode="legacy") as stays:
         before = (await status(stays))["subscriptions"]
