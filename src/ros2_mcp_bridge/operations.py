@@ -16,7 +16,7 @@ from .clients import Clients
 from .failsafes import FailSafes
 from .graph import Graph
 from .loop import Loop, log_failure
-from .protocol import Empty, ServicesReply, StatsReply, StopReply
+from .protocol import Empty, RelayStopReply, ServicesReply, StatsReply, StopReply
 from .publishers import Publishers
 from .relay import Relays
 from .request import Answer, OperationError, Request, Steps
@@ -70,7 +70,7 @@ class Operations:
                 "repeat": self._publishers.repeat,
                 "relay": self._relays.relay,
                 "relay_feed": self._relays.feed,
-                "relay_stop": self._stop,
+                "relay_stop": self._relay_stop,
                 "relays": self._relays.counts,
                 "call": self._clients.call,
                 "failsafe_publish": self._publishers.failsafe,
@@ -127,16 +127,20 @@ class Operations:
     def _cancel(self, request: Request) -> Empty:
         target = self._requests.get(int(request.number("request")))
         if target is not None and target.op != "unsubscribe":
-            target.cancel()
+            target.end("cancel")
         return {}
 
-    def _stop(self, request: Request) -> StopReply:
-        """End all repeating and relaying, or one relay by its name."""
+    def _stop(self, _request: Request) -> StopReply:
+        """End all repeating and relaying."""
         chosen = [found for found in self._requests.values() if found.op in ("repeat", "relay")]
-        if request.op == "relay_stop":
-            chosen = [found for found in chosen if found.op == "relay" and found.text("name") == request.text("name")]
-        ended = [found.op for found in chosen if found.cancel()]
-        return {"repeats": ended.count("repeat"), "relays": ended.count("relay")}
+        ended = [found.op for found in chosen if found.end("stop")]
+        return {"repeats": ended.count("repeat"), "relays": ended.count("relay"), "dropped": [], "topics": []}
+
+    def _relay_stop(self, request: Request) -> RelayStopReply:
+        """End one relay by its name."""
+        name = request.text("name")
+        relays = [found for found in self._requests.values() if found.op == "relay" and found.text("name") == name]
+        return {"relays": sum(relay.end("cancel") for relay in relays)}
 
     def _stats(self, _request: Request) -> StatsReply:
         return {

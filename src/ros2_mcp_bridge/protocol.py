@@ -11,10 +11,11 @@ from typing import Literal, NamedTuple, TypedDict
 
 # Said in `hello`; the server refuses a bridge of another number. It grows with every change that an older end of the
 # stream would misunderstand.
-PROTOCOL = 2
+PROTOCOL = 3
 
+# `stopped`: `ros2_stop` or the end of the link lease came after what is refused or ended with it was accepted.
 ErrorKind = Literal[
-    "bad_request", "unknown_type", "not_found", "timeout", "cancelled", "server_gone", "ros_error"
+    "bad_request", "unknown_type", "not_found", "timeout", "cancelled", "stopped", "server_gone", "ros_error"
 ]  # fmt: skip
 
 
@@ -66,6 +67,21 @@ class Samples(Counts):
     samples: list[SampleHead]
 
 
+class FrameChanged(TypedDict):
+    """The `frame` event: the commands of a velocity topic have another frame from now on; their zero keeps it."""
+
+    event: Literal["frame"]
+    topic: str
+    frame_id: str
+
+
+class Lapsed(TypedDict):
+    """The `lapsed` event: the server was silent for longer than its link lease, and all that moved was ended."""
+
+    event: Literal["lapsed"]
+    silent_s: float
+
+
 # ── what several operations share ──────────────────────────────────────────────────────────────────────────────
 
 NamesAndTypes = list[tuple[str, list[str]]]
@@ -101,9 +117,18 @@ class Endpoint(TypedDict):
 
 
 class Cancelled(TypedDict):
-    """Whether the server ended it before its time."""
+    """Whether the server withdrew it."""
 
     cancelled: bool
+
+
+EndedBy = Literal["", "cancel", "stop", "lease"]
+
+
+class Ended(TypedDict):
+    """What ended it before its time: a request `cancel`, the request `stop`, or a link lease that lapsed."""
+
+    ended_by: EndedBy
 
 
 # ── what needs no ROS ──────────────────────────────────────────────────────────────────────────────────────────
@@ -196,7 +221,7 @@ class PublishReply(TypedDict):
     waited_s: float
 
 
-class RepeatReply(Cancelled):
+class RepeatReply(Ended):
     """What was sent."""
 
     sent: int
@@ -207,11 +232,12 @@ class RepeatReply(Cancelled):
 
 
 class RelayCounts(TypedDict):
-    """What became of the messages of a relay."""
+    """What became of the messages of a relay; `refused` are velocities that are not finite or cannot be decoded."""
 
     running: bool
     passed: int
     dropped: int
+    refused: int
     lost: int | None
     publishers: int
     matched: int
@@ -224,7 +250,7 @@ class RelayEnd(RelayCounts):
     final_sent: bool
 
 
-class RelayReply(RelayEnd, Cancelled):
+class RelayReply(RelayEnd, Ended):
     """The same, when it is answered."""
 
 
@@ -240,11 +266,33 @@ class RelaysReply(TypedDict):
     relays: dict[str, RelayCounts]
 
 
-class StopReply(TypedDict):
-    """How many requests were ended."""
+class RelayStopReply(TypedDict):
+    """How many were ended."""
+
+    relays: int
+
+
+class StoppedTopic(TypedDict):
+    """A velocity topic that got its zero; `acked` is None where nobody acknowledges."""
+
+    topic: str
+    type: str
+    matched: int
+    acked: bool | None
+
+
+class ZeroReply(TypedDict):
+    """What became of the zeros."""
+
+    topics: list[StoppedTopic]
+
+
+class StopReply(ZeroReply):
+    """How many requests were ended, and what was accepted before and never left: operation and name of each."""
 
     repeats: int
     relays: int
+    dropped: list[tuple[str, str]]
 
 
 # ── services ───────────────────────────────────────────────────────────────────────────────────────────────────

@@ -182,13 +182,13 @@ class Publishers:
             raise OperationError("bad_request", "repeat: final_size is larger than the body.")
         message, final = request.body[:split_at], request.body[split_at:]
         with self._use(request) as (publisher, created):
-            repeat, cancelled = Repeat(), False
+            repeat, ended_by = Repeat(), ""
             try:
                 yield from publisher.wait_match(created, wait_match_s)
                 with self._failsafes.in_force(request, partial(publisher.publish_last, final)):
                     yield from repeat.run(publisher, message, rate_hz, duration_s)
-            except Cancelled:
-                cancelled = True
+            except Cancelled as cancelled:
+                ended_by = cancelled.ended_by
             finally:
                 request.task = None  # it ends now, and cannot be cancelled any more
                 elapsed_s = round(time.monotonic() - repeat.started, 6)
@@ -201,7 +201,7 @@ class Publishers:
             "elapsed_s": elapsed_s,
             "late": repeat.late,
             "final_sent": bool(final),
-            "cancelled": cancelled,
+            "ended_by": ended_by,
         }
 
     def failsafe(self, request: Request) -> Steps[protocol.Cancelled]:

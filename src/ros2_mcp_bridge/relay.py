@@ -140,6 +140,7 @@ class Relay:
             "running": self.is_running,
             "passed": self.passed,
             "dropped": self.dropped,
+            "refused": 0,
             "lost": subscription.lost if subscription else 0,
             "publishers": subscription.publisher_count() if subscription else 0,
             "matched": self._publisher.matched(),
@@ -184,7 +185,7 @@ class Relays:
 
     def relay(self, request: Request) -> Steps[RelayReply]:
         """Relay until its time is over or the request is cancelled, then send the final message."""
-        name, duration_s, cancelled = request.text("name"), request.number("duration_s", 0.0), False
+        name, duration_s, ended_by = request.text("name"), request.number("duration_s", 0.0), ""
         if name in self._open:
             raise OperationError("bad_request", f"There is a relay {name!r} already.")
         relay = self._open[name] = self._create(request)
@@ -192,15 +193,15 @@ class Relays:
             with self._failsafes.in_force(request, relay.send_final):
                 try:
                     yield from relay.run(request, duration_s)
-                except Cancelled:
-                    cancelled = True
+                except Cancelled as cancelled:
+                    ended_by = cancelled.ended_by
                 finally:
                     request.task = None  # it ends now, and cannot be cancelled any more
                     counts = yield from relay.finish()
         finally:
             self._open.pop(name, None)
             relay.destroy()
-        return {**counts, "cancelled": cancelled}
+        return {**counts, "ended_by": ended_by}
 
     def feed(self, request: Request) -> Steps[RelayFeedReply]:
         """Publish messages through a relay of that name: the body is one after the other, of these sizes."""

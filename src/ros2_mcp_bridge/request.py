@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Union, cast
 from .limits import MAX_RATE_HZ
 
 if TYPE_CHECKING:
-    from .protocol import ErrorKind, Failure
+    from .protocol import EndedBy, ErrorKind, Failure
 
 T = TypeVar("T")
 
@@ -33,11 +33,19 @@ class OperationError(Exception):
         return {"kind": self.kind, "message": self.message, "hint": self.hint}
 
 
-class Cancelled(OperationError):
-    """Thrown into an operation when the server cancels its request."""
+_WHY_ENDED: Mapping[EndedBy, tuple[ErrorKind, str]] = {
+    "cancel": ("cancelled", "The request was cancelled."),
+    "stop": ("stopped", "A stop came after this was accepted: nothing was sent."),
+    "lease": ("stopped", "The server was silent for longer than its link lease: nothing was sent."),
+}
 
-    def __init__(self) -> None:
-        super().__init__("cancelled", "The request was cancelled.")
+
+class Cancelled(OperationError):
+    """Thrown into an operation that is ended before its time, with what ended it."""
+
+    def __init__(self, ended_by: EndedBy = "cancel") -> None:
+        super().__init__(*_WHY_ENDED[ended_by])
+        self.ended_by: EndedBy = ended_by
 
 
 class Work(Protocol):
@@ -72,11 +80,11 @@ class Request:
         if self.task is not None:
             self.task.wake()
 
-    def cancel(self) -> bool:
+    def end(self, ended_by: EndedBy) -> bool:
         """End the operation; returns whether it did. A second time does nothing, it may be finishing its work."""
         task, self.task = self.task, None
         if task is not None:
-            task.throw(Cancelled())
+            task.throw(Cancelled(ended_by))
         return task is not None
 
     def has(self, name: str) -> bool:

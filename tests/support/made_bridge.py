@@ -42,7 +42,7 @@ class MadeBridge(Bridge):
             del self.relays[name]
         if self._is_lost:
             raise BridgeLost("The bridge was lost.")
-        return {"running": False, "passed": 5, "cancelled": True}
+        return {"running": False, "passed": 5, "ended_by": "cancel"}
 
     async def _relay_stop(self, name: str) -> Any:
         self._ended[name].set()

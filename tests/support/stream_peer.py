@@ -11,7 +11,7 @@ from ros2_mcp_bridge.packets import Packet, PacketReader, pack
 
 HELLO = {
     "event": "hello",
-    "protocol": 2,
+    "protocol": 3,
     "python": "3.12.3",
     "distro": "jazzy",
     "rmw": "rmw_fastrtps_cpp",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from ros2_mcp.model.qos import Endpoint
+from ros2_mcp_bridge.protocol import EndedBy
 
 Row = TypeVar("Row")
 
@@ -87,19 +88,20 @@ class RelayCounts:
     """What became of the messages of one relay in the bridge so far.
 
     `lost` is None where the middleware cannot know. `matched` subscribers and `publishers` are the present ones. Of a
-    relay that has ended: `final_sent`, whether its zero command was sent; `cancelled`, whether it ended before its
-    time.
+    relay that has ended: `final_sent`, whether its zero command was sent; `ended_by`, what ended it before its
+    time. `refused` are velocities that are not finite or cannot be decoded.
     """
 
     running: bool = False
     passed: int = 0
     dropped: int = 0
+    refused: int = 0
     lost: int | None = 0
     publishers: int = 0
     matched: int = 0
     elapsed_s: float = 0.0
     final_sent: bool = False
-    cancelled: bool = False
+    ended_by: EndedBy = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

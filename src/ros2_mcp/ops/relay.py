@@ -188,7 +188,7 @@ class Relay(Job):
             group.start_soon(self._feed_until_over if self._in_server else self._until_open)
             self.counts = await self._robot.do(relay)
             group.cancel_scope.cancel()
-        self.outcome = "stopped" if self.counts.cancelled and not self._time_is_over else "ended"
+        self.outcome = "stopped" if self.counts.ended_by and not self._time_is_over else "ended"
 
     async def wind_down(self) -> None:
         """Lets the bridge send the zero, if there is one, and answer with its last counts."""

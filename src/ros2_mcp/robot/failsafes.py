@@ -17,20 +17,12 @@ from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.robot.graph import NO_END_S
 from ros2_mcp_bridge.limits import MAX_FAILSAFES
+from ros2_mcp_bridge.velocity import VELOCITY_TYPES
 
 if TYPE_CHECKING:
     from ros2_mcp.robot.graph import Graph
     from ros2_mcp.robot.values import Values
 
-VELOCITY_TYPES = frozenset(
-    {
-        "geometry_msgs/msg/Twist",
-        "geometry_msgs/msg/TwistStamped",
-        "ackermann_msgs/msg/AckermannDrive",
-        "ackermann_msgs/msg/AckermannDriveStamped",
-    }
-)
-"""Types whose messages keep a robot moving, and whose default value stops it."""
 _DISCOVERED_S = 10.0
 """A new bridge knows the robot after 4 s at most on a quiet network; on a bad one the zero still has to come."""
 _ACKNOWLEDGED_S = 0.5

@@ -59,7 +59,7 @@ async def repeat(core: Core, command: Repeat) -> Sent:
         elapsed_s=reply["elapsed_s"],
         late=reply["late"],
         stopped_with_zero=reply["final_sent"],
-        ended_early=reply["cancelled"],
+        ended_early=bool(reply["ended_by"]),
     )
 
 

@@ -86,8 +86,8 @@ def test_a_request_is_cancelled_once() -> None:
             self.thrown.append(error)
 
     request, work = request_of(), Work()
-    assert not request.cancel()
+    assert not request.end("cancel")
     request.task = work
-    assert request.cancel()
-    assert not request.cancel()
+    assert request.end("cancel")
+    assert not request.end("cancel")
     assert [type(error) for error in work.thrown] == [Cancelled]

@@ -79,7 +79,7 @@ class Noting:
         if op == "relay":
             return Reply({"passed": 1, "final_sent": bool(_body)}, b"")
         told = {"passed": 0, "matched": 1, "acked": True, "waited_s": 0.0, "sent": 1, "elapsed_s": 0.1, "late": 0}
-        return Reply({**told, "final_sent": True, "cancelled": False, **arguments}, self.answer)
+        return Reply({**told, "final_sent": True, "ended_by": "", **arguments}, self.answer)
 
 
 @pytest.fixture
