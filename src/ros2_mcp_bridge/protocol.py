@@ -67,7 +67,7 @@ class Samples(Counts):
     samples: list[SampleHead]
 
 
-class FrameChanged(TypedDict):
+class FrameIdChanged(TypedDict):
     """The `frame` event: the commands of a velocity topic have another frame from now on; their zero keeps it."""
 
     event: Literal["frame"]

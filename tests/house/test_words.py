@@ -46,7 +46,11 @@ def names(path: str, tree: ast.Module) -> Iterator[str]:
 
 
 def words(name: str) -> set[str]:
-    """`_last_Deeds` → last, deed, Deed: each part of a name in the singular, and in lower case too."""
+    """`_last_Deeds` → last, deed, Deed: each part of a name in the singular, and in lower case too.
+
+    `frame_id` is a word of ROS, and always a coordinate frame.
+    """
+    name = re.sub("frame_id|FrameId", "", name)
     parts = {re.sub("[sS]$", "", part) for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
     return parts | {part.lower() for part in parts}
 
