@@ -1,0 +1,415 @@
+"""The independent observer: one JSON list per line in, one JSON value per line out.
+
+It subscribes several times on one topic, keeps what every subscriber got and when, and offers what robots offer:
+services and actions that may come late, sources of messages, a simulated clock. It knows ROS 2 and nothing of this
+project. Times are CLOCK_MONOTONIC in ns, which all processes of a machine share.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import re
+import sys
+import threading
+import time
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import rclpy
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock
+from test_msgs.action import Fibonacci
+
+from support.demo_robot import interface
+
+DEPTH = 20_000
+"""More than any test publishes before the observer takes it: what is lost here would not be judged."""
+STEP_S = 0.02
+"""How often an action looks whether it is cancelled."""
+NUMBERS = ("float", "double", "int", "uint", "byte", "octet")
+
+
+@dataclass
+class Heard:
+    """One message that one subscriber got."""
+
+    by: str
+    topic: str
+    at: int
+    """When it arrived."""
+    sent: int
+    """When its publisher wrote it, as DDS stamped it."""
+    values: list[float]
+    """Every number of the message but those of its header."""
+    stamp: int | None
+    """Of its header in ns; None where its type has none, or it cannot be decoded."""
+    age_s: float | None
+    """By how much the clock of the subscriber's node was ahead of that stamp when it arrived."""
+    frame: str | None
+    size: int
+    """Of the message as it came, in bytes."""
+    fault: str = ""
+    """Why it could not be decoded."""
+
+    @property
+    def moves(self) -> bool:
+        return bool(self.fault) or any(value != 0.0 for value in self.values)
+
+    @property
+    def is_finite(self) -> bool:
+        return not self.fault and all(map(math.isfinite, self.values))
+
+
+@dataclass
+class Goal:
+    """One goal that an action server of ours has got."""
+
+    action: str
+    asked: int
+    ended: int = 0
+    status: str = "executing"
+
+
+class Place:
+    """A node in a participant of its own, and the thread that serves it."""
+
+    def __init__(self, name: str, *, sim_time: bool = False, serves: bool = False) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        overrides = [Parameter("use_sim_time", value=True)] if sim_time else []
+        self.node = Node(
+            re.sub("[^a-z0-9_]", "_", f"observer_{name}"), context=self.context, parameter_overrides=overrides
+        )
+        threads = {"num_threads": 8} if serves else {}
+        self.executor = (MultiThreadedExecutor if serves else SingleThreadedExecutor)(context=self.context, **threads)
+        self.executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self.executor.shutdown(timeout_sec=0.5)
+        self.context.try_shutdown()
+        self._thread.join(1.0)
+        with contextlib.suppress(Exception):
+            self.node.destroy_node()
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            self.executor.spin()
+
+
+@dataclass
+class Subscriber:
+    """One of them; `own` is its place if nobody shares it."""
+
+    handle: Any
+    place: Place
+    own: bool
+
+
+@dataclass
+class Observer:
+    """Its public methods are the commands."""
+
+    heard: list[Heard] = field(default_factory=list)
+    subscribers: dict[str, Subscriber] = field(default_factory=dict)
+    places: dict[str, Place] = field(default_factory=dict)
+    talkers: dict[str, threading.Event] = field(default_factory=dict)
+    publishers: dict[str, Any] = field(default_factory=dict)
+    requests: dict[str, list[int]] = field(default_factory=dict)
+    goals: list[Goal] = field(default_factory=list)
+    ticks: list[tuple[int, int]] = field(default_factory=list)
+    kept: list[Any] = field(default_factory=list)
+
+    def place(self, name: str, **options: bool) -> Place:
+        if name not in self.places:
+            self.places[name] = Place(name, **options)
+        return self.places[name]
+
+    # ── subscribers ────────────────────────────────────────────────────────────────────────────────────────────
+
+    def join(self, by: str, topic: str, kind: str, after_s: float = 0.0, **how: bool) -> None:
+        """Subscribe under a name, now or after a while.
+
+        how: `best_effort`; `apart`: in a participant of its own, which others discover as they would another process;
+        `sim_time`: its node uses the simulated clock.
+        """
+        if after_s:
+            threading.Timer(after_s, self._join, (by, topic, kind), how).start()
+        else:
+            self._join(by, topic, kind, **how)
+
+    def leave(self, by: str) -> None:
+        """Let a subscriber go; what it got is kept."""
+        subscriber = self.subscribers.pop(by)
+        subscriber.place.node.destroy_subscription(subscriber.handle)
+        if subscriber.own:
+            subscriber.place.close()
+
+    def matched(self, by: str) -> int:
+        """How many publishers a subscriber has discovered; -1 while it has not joined."""
+        return self.subscribers[by].handle.get_publisher_count() if by in self.subscribers else -1
+
+    def forget(self) -> None:
+        """Forget what was heard so far, and the requests and goals."""
+        self.heard, self.goals, self.requests = [], [], {name: [] for name in self.requests}
+
+    def messages(self, by: str = "", topic: str = "", after: int = 0) -> list[dict[str, Any]]:
+        """What arrived, in order."""
+        return [asdict(one) for one in self._found(by, topic) if one.at > after]
+
+    def counts(self, topic: str = "") -> dict[str, int]:
+        """How many messages each subscriber has got."""
+        found = dict.fromkeys(self.subscribers, 0)
+        for one in self._found("", topic):
+            found[one.by] = found.get(one.by, 0) + 1
+        return found
+
+    def last(self, topic: str = "") -> dict[str, dict[str, Any]]:
+        """The last message of each subscriber that got any."""
+        return {one.by: asdict(one) for one in self._found("", topic)}
+
+    def moving(self, topic: str = "") -> list[str]:
+        """The subscribers whose last message moves the robot."""
+        last = {one.by: one for one in self._found("", topic)}
+        return sorted(by for by, one in last.items() if one.moves)
+
+    def driven(self, topic: str = "") -> dict[str, int]:
+        """How many messages that move the robot each subscriber has got."""
+        found = dict.fromkeys(self.subscribers, 0)
+        for one in self._found("", topic):
+            found[one.by] = found.get(one.by, 0) + one.moves
+        return found
+
+    def moved(self, sent_after: int = 0, topic: str = "") -> list[dict[str, Any]]:
+        """Messages that move the robot and were written after a time, at most the first hundred."""
+        return [asdict(one) for one in self._found("", topic) if one.moves and one.sent > sent_after][:100]
+
+    def unsound(self, topic: str = "") -> list[str]:
+        """Messages that are not finite or cannot be decoded, as texts (JSON has no infinity), at most a hundred."""
+        return [repr(one) for one in self._found("", topic) if not one.is_finite][:100]
+
+    def misstamped(self, most_s: float, topic: str = "") -> list[str]:
+        """Messages whose stamp is further than that from what the clock of their subscriber's node says."""
+        found = (one for one in self._found("", topic) if one.age_s is not None and abs(one.age_s) > most_s)
+        return [repr(one) for one in found][:100]
+
+    def _found(self, by: str, topic: str) -> list[Heard]:
+        return [one for one in list(self.heard) if by in ("", one.by) and topic in ("", one.topic)]
+
+    def _join(self, by: str, topic: str, kind: str, **how: bool) -> None:
+        sim_time, apart = how.get("sim_time", False), how.get("apart", False)
+        if apart:
+            place = Place(by, sim_time=sim_time)
+        else:
+            place = self.place("sim", sim_time=True) if sim_time else self.place("main")
+        cls, node = interface(kind), place.node
+
+        def hear(data: bytes, info: Any) -> None:
+            self._hear(by, topic, node, cls, data, info)
+
+        handle = node.create_subscription(cls, topic, hear, _profile(how.get("best_effort", False)), raw=True)
+        self.subscribers[by] = Subscriber(handle, place, apart)
+
+    def _hear(self, by: str, topic: str, node: Node, cls: type, data: bytes, info: dict[str, int]) -> None:
+        at, unix_ns, robot_ns = time.monotonic_ns(), time.time_ns(), node.get_clock().now().nanoseconds
+        sent = at - (unix_ns - info["source_timestamp"]) if info["source_timestamp"] else at
+        one = Heard(by, topic, at, sent, [], None, None, None, len(data))
+        try:
+            message = deserialize_message(data, cls)
+        except Exception as error:
+            one.fault = repr(error)
+        else:
+            one.values = _numbers(message)
+            if hasattr(message, "header"):
+                stamp = message.header.stamp
+                one.stamp, one.frame = stamp.sec * 10**9 + stamp.nanosec, message.header.frame_id
+                one.age_s = (robot_ns - one.stamp) / 1e9
+        self.heard.append(one)
+
+    # ── what a robot offers ────────────────────────────────────────────────────────────────────────────────────
+
+    def serve(self, service: str, kind: str, after_s: float = 0.0, delay_s: float = 0.0) -> None:
+        """Offer a service, now or after a while, which answers with defaults after a delay."""
+        self.requests.setdefault(service, [])
+        if after_s:
+            threading.Timer(after_s, self._serve, (service, kind, delay_s)).start()
+        else:
+            self._serve(service, kind, delay_s)
+
+    def asked(self, service: str) -> list[int]:
+        """When each request came to a service."""
+        return self.requests[service]
+
+    def act(self, action: str, think_s: float = 0.0, accepts: bool = True, cancels: bool = True) -> None:
+        """Offer a Fibonacci action: a goal is judged for `think_s` and lasts `order` / 10 s."""
+        place = self.place("servers", serves=True)
+
+        def judge(_request: Any) -> GoalResponse:
+            self.goals.append(Goal(action, time.monotonic_ns()))
+            time.sleep(think_s)
+            return GoalResponse.ACCEPT if accepts else GoalResponse.REJECT
+
+        def execute(handle: Any) -> Any:
+            goal = next(one for one in self.goals if one.action == action and one.status == "executing")
+            goal.status = "running"
+            end = time.monotonic() + handle.request.order / 10
+            while time.monotonic() < end and not handle.is_cancel_requested:
+                time.sleep(STEP_S)
+            handle.canceled() if handle.is_cancel_requested else handle.succeed()
+            goal.status, goal.ended = "canceled" if handle.is_cancel_requested else "succeeded", time.monotonic_ns()
+            return Fibonacci.Result()
+
+        def cancel(_handle: Any) -> CancelResponse:
+            return CancelResponse.ACCEPT if cancels else CancelResponse.REJECT
+
+        server = ActionServer(
+            place.node,
+            Fibonacci,
+            action,
+            execute,
+            goal_callback=judge,
+            cancel_callback=cancel,
+            callback_group=ReentrantCallbackGroup(),
+        )
+        self.kept.append(server)
+
+    def goals_of(self, action: str) -> list[dict[str, Any]]:
+        """The goals that came to an action."""
+        return [asdict(goal) for goal in self.goals if goal.action == action]
+
+    def talk(self, topic: str, kind: str, hz: float, value: float = 0.5) -> None:
+        """Publish a message at a rate, all of whose numbers are the value, until `hush`."""
+        cls, done = interface(kind), threading.Event()
+        publisher = self._publisher(topic, kind)
+        message = cls()
+        _fill(message, value)
+        self.talkers[topic] = done
+
+        def run() -> None:
+            while not done.wait(1.0 / hz):
+                publisher.publish(message)
+
+        threading.Thread(target=run, daemon=True).start()
+
+    def hush(self, topic: str) -> None:
+        """End what `talk` began."""
+        self.talkers.pop(topic).set()
+
+    def offer(self, topic: str, kind: str) -> None:
+        """Have a publisher that says nothing yet."""
+        self._publisher(topic, kind)
+
+    def listeners(self, topic: str) -> int:
+        """How many subscribers a publisher of ours has."""
+        return self.publishers[topic].get_subscription_count()
+
+    def say(self, topic: str, kind: str, bodies: list[str], gap_s: float = 0.0) -> None:
+        """Publish messages that are given as CDR in hexadecimal digits, whatever is in them."""
+        publisher = self._publisher(topic, kind)
+        for body in bodies:
+            publisher.publish(bytes.fromhex(body))
+            time.sleep(gap_s)
+
+    def clock(self, factor: float, hz: float = 200.0, start_s: float = 1000.0) -> None:
+        """Publish `/clock`, which runs so many times as fast as the machine's, until the factor is 0."""
+        if done := self.talkers.pop("/clock", None):
+            done.set()
+        if not factor:
+            return
+        done = self.talkers["/clock"] = threading.Event()
+        publisher, began = self._publisher("/clock", "rosgraph_msgs/msg/Clock"), time.monotonic_ns()
+
+        def run() -> None:
+            while not done.wait(1.0 / hz):
+                now = time.monotonic_ns()
+                told = int(start_s * 1e9 + (now - began) * factor)
+                self.ticks.append((now, told))
+                message = Clock()
+                message.clock.sec, message.clock.nanosec = divmod(told, 10**9)
+                publisher.publish(message)
+
+        threading.Thread(target=run, daemon=True).start()
+
+    def _publisher(self, topic: str, kind: str) -> Any:
+        if topic not in self.publishers:
+            node = self.place("main").node
+            self.publishers[topic] = node.create_publisher(interface(kind), topic, _profile(False))
+        return self.publishers[topic]
+
+    def _serve(self, service: str, kind: str, delay_s: float) -> None:
+        def answer(_request: Any, response: Any) -> Any:
+            self.requests[service].append(time.monotonic_ns())
+            time.sleep(delay_s)
+            return response
+
+        place = self.place("servers", serves=True)
+        cls = interface(kind)
+        self.kept.append(place.node.create_service(cls, service, answer, callback_group=ReentrantCallbackGroup()))
+
+    def close(self) -> None:
+        for done in self.talkers.values():
+            done.set()
+        own = [subscriber.place for subscriber in self.subscribers.values() if subscriber.own]
+        for place in (*own, *self.places.values()):
+            place.close()
+
+
+def _numbers(message: Any) -> list[float]:
+    found: list[float] = []
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if name == "header":
+            continue
+        if hasattr(value, "get_fields_and_field_types"):
+            found += _numbers(value)
+        elif kind.startswith(NUMBERS) and not hasattr(value, "__len__"):
+            found.append(float(value))
+    return found
+
+
+def _fill(message: Any, value: float) -> None:
+    for name, kind in message.get_fields_and_field_types().items():
+        inner = getattr(message, name)
+        if name != "header" and hasattr(inner, "get_fields_and_field_types"):
+            _fill(inner, value)
+        elif kind in ("float", "double"):
+            setattr(message, name, value)
+
+
+def _profile(best_effort: bool) -> QoSProfile:
+    return QoSProfile(
+        depth=DEPTH,
+        reliability=QoSReliabilityPolicy.BEST_EFFORT if best_effort else QoSReliabilityPolicy.RELIABLE,
+        durability=QoSDurabilityPolicy.VOLATILE,
+    )
+
+
+def cdr(kind: str, value: float) -> str:
+    """A message all of whose numbers are the value, as hexadecimal digits."""
+    message = interface(kind)()
+    _fill(message, value)
+    return serialize_message(message).hex()
+
+
+def main() -> None:
+    observer = Observer()
+    lines = sys.stdout
+    print('"ready"', file=lines, flush=True)
+    for line in sys.stdin:
+        command, arguments = json.loads(line)
+        print(json.dumps(getattr(observer, command)(**arguments)), file=lines, flush=True)
+    observer.close()
+
+
+if __name__ == "__main__":
+    main()
