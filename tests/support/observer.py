@@ -88,7 +88,7 @@ class Observer(CommandedProcess):
         until(lambda: sum(count >= number for count in self.driven(topic=topic).values()) >= of)
 
     def comes_to_rest(self, topic: str, within_s: float) -> list[str]:
-        """The subscribers whose last message moves the robot still when that time is over; returns when there are none."""
+        """The subscribers that a last message still moves when that time is over; returns as soon as there are none."""
         end = time.monotonic() + within_s
         while (left := self.moving(topic=topic)) and time.monotonic() < end:
             time.sleep(0.02)

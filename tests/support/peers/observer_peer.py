@@ -226,7 +226,7 @@ class Observer:
         one = Heard(by, topic, at, sent, [], None, None, None, len(data))
         try:
             message = deserialize_message(data, cls)
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - rclpy raises what it likes
             one.fault = repr(error)
         else:
             one.values = _numbers(message)
