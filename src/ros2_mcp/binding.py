@@ -7,14 +7,14 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from inspect import Parameter
-from typing import Any
+from typing import Any, cast
 
 from mcp.types import CallToolResult, ContentBlock, ImageContent, TextContent, Tool, ToolAnnotations
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.names import did_you_mean
-from ros2_mcp.model.text import visible
+from ros2_mcp.model.text import as_sent, visible, visible_json
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report, as_json, at_most_every
 from ros2_mcp.ops.sources.kinds import OWN_KINDS
@@ -32,7 +32,10 @@ _PROGRESS_S = 0.5
 
 
 class CallFailed(Exception):
-    """A call that did not do what was asked; its text is what the model reads."""
+    """A call that did not do what was asked; its text is what the model reads, on one line and with nothing hidden."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(_cut(visible(text)))
 
 
 class StrictArguments(BaseModel):
@@ -79,7 +82,7 @@ class BoundTool:
             made_for = Call(
                 robot=robot or self.robot,
                 store=self.store,
-                report=at_most_every(_PROGRESS_S, report),
+                report=at_most_every(_PROGRESS_S, _visibly(report)),
                 kinds=self.kinds,
                 limitations=self.limitations,
             )
@@ -89,9 +92,10 @@ class BoundTool:
         return answer(result)
 
     def _as_meant(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """The arguments under their own names, and lists and objects that came as text taken apart.
+        """The arguments under their own names, taken apart where they came as text, and with the robot's own texts.
 
-        One desktop client sends a list or an object as a string of JSON, always.
+        One desktop client sends a list or an object as a string of JSON, always. What the model was shown with its
+        hidden characters escaped, and sends back, means those characters.
         """
         meant: dict[str, Any] = {}
         for name, value in arguments.items():
@@ -99,7 +103,7 @@ class BoundTool:
             field = self.arguments.model_fields.get(own_name)
             if isinstance(value, str) and field and field.annotation is not str:
                 value = _parsed(value)  # noqa: PLW2901
-            meant[own_name] = value
+            meant[own_name] = _as_sent(value)
         return meant
 
 
@@ -144,10 +148,16 @@ def bind(
 
 
 def answer(result: Any) -> CallToolResult:
-    """A result as MCP content: one readable line, the values as JSON, pictures, and the same values structured."""
-    structured = as_json(result)
-    text = json.dumps(structured, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    content: list[ContentBlock] = [TextContent(type="text", text=_shown(f"{result.summary()}\n{text}"))]
+    """A result as MCP content: readable lines, the values as JSON, pictures, and the same values structured.
+
+    A summary is one line or a list of lines: a line break within one is shown as what it is, and begins no line.
+    """
+    structured, text = visible_json(as_json(result))
+    summary: str | list[str] = result.summary()
+    lines = [summary] if isinstance(summary, str) else summary
+    content: list[ContentBlock] = [
+        TextContent(type="text", text=_cut("\n".join([*(visible(line) for line in lines), text])))
+    ]
     for image in getattr(result, "images", ()):
         data = base64.b64encode(image.data).decode()
         content.append(ImageContent(type="image", data=data, mime_type=image.mime))
@@ -163,9 +173,28 @@ def _parsed(text: str) -> Any:
     return text if isinstance(value, (str, int, float)) else value
 
 
-def _shown(text: str) -> str:
-    """Text with invisible characters made visible, within the limit of what clients take."""
-    text = visible(text, keep="\n\t")
+def _as_sent(value: Any) -> Any:
+    """An argument as the client means it; see `as_sent`."""
+    if isinstance(value, str):
+        return as_sent(value)
+    if isinstance(value, dict):
+        return {as_sent(name): _as_sent(below) for name, below in cast("dict[str, Any]", value).items()}
+    if isinstance(value, list):
+        return [_as_sent(item) for item in cast("list[Any]", value)]
+    return value
+
+
+def _visibly(report: Report) -> Report:
+    """A `Report` whose lines have nothing hidden."""
+
+    async def shown(done: float, whole: float, line: str) -> None:
+        await report(done, whole, visible(line))
+
+    return shown
+
+
+def _cut(text: str) -> str:
+    """Text within the limit of what clients take."""
     if len(text) <= _MAX_TEXT:
         return text
     return text[:_MAX_TEXT] + f"… (cut after {_MAX_TEXT} characters: ask for less, with a pattern, a limit or fields)"

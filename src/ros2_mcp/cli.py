@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.text import LAYOUT, visible
 from ros2_mcp.settings import OPTIONS, Option, Settings
 
 CLIENTS = ("claude-desktop", "claude-code", "vscode", "cursor", "codex", "gemini")
@@ -115,7 +116,7 @@ def run(argv: Sequence[str]) -> int:
     try:
         return VERBS[arguments.verb or "serve"].run(arguments)
     except RobotError as error:
-        print(f"ros2-mcp: {error}", file=sys.stderr)  # noqa: T201
+        print(f"ros2-mcp: {visible(str(error), keep=LAYOUT)}", file=sys.stderr)  # noqa: T201
         return 1
     except KeyboardInterrupt:
         return 130

@@ -8,6 +8,7 @@ from typing import Any
 
 from mcp.types import CompleteRequestParams, CompleteResult, Completion, PromptReference
 
+from ros2_mcp.model.text import visible
 from ros2_mcp.ops.graph.known_names import live_names, topic_types
 from ros2_mcp.robot import Robot
 
@@ -54,7 +55,7 @@ class Completions:
         values = await self._values(request, argument.value, others) if request else []
         return CompleteResult(
             completion=Completion(
-                values=values[:MAX_VALUES],
+                values=[visible(value) for value in values[:MAX_VALUES]],
                 total=len(values) if request else None,
                 has_more=len(values) > MAX_VALUES if request else None,
             )

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadValue, NotFound, RobotError, TimedOut, UnknownInterface
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import quoted
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.sources.selection import MAX_MESSAGES
@@ -135,7 +136,7 @@ class DataBlackBox:
         # The first generation never sets `success`: only its message tells of an error.
         failed = response.error_message and (self.generation == 1 or not response.success)
         if failed or (self.generation == 2 and not response.success and not len(response.messages)):
-            words = response.error_message or "it failed without a reason"
+            words = quoted(response.error_message) if response.error_message else "it failed without a reason"
             raise RobotError(f"The Data Black Box answered with an error: {words}")
         return read_second(response) if self.generation == 2 else self._read_first(response)
 

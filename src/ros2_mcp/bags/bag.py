@@ -17,6 +17,7 @@ from ros2_mcp.bags.sqlite_file import SqliteFile
 from ros2_mcp.bags.stored import Span, StoredTopic
 from ros2_mcp.model.errors import BadData, NotFound
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import named
 
 StoredFile: TypeAlias = McapFile | SqliteFile
 """One file of a bag. A new kind has what these two have: `topics`, `times`, `count`, `counts`, `messages`, `close`, and
@@ -122,7 +123,7 @@ class Bag:
             raise BadData(f"{self.path.name} cannot be read: {' '.join(self._problems)}")
         if facts:
             missing = {Path(name).name for name in facts.files} - {path.name for path in paths}
-            self._problems += [f"{name} is listed in {METADATA}, but missing." for name in sorted(missing)]
+            self._problems += [f"{named(name)} is listed in {METADATA}, but missing." for name in sorted(missing)]
             counts = [file.count for file in opened]
             count = sum(count or 0 for count in counts)
             if None not in counts and count < facts.count:
@@ -145,10 +146,10 @@ class Bag:
         conflicts = [topic for topics in misfits for topic in topics if topic.count != 0]
         for name in sorted({topic.name for topic in conflicts}):
             now, types = self.topics[name].type, [topic.type for topic in conflicts if topic.name == name]
-            others = sorted({kind if kind != now else f"another definition of {kind}" for kind in types})
+            others = sorted({named(kind) if kind != now else f"another definition of {named(kind)}" for kind in types})
             self._problems.append(
-                f"{name}: its messages in {len(types)} of {len(misfits)} files are left out: they are of "
-                f"{' and '.join(others)}, the newest of {now}."
+                f"{named(name)}: its messages in {len(types)} of {len(misfits)} files are left out: they are of "
+                f"{' and '.join(others)}, the newest of {named(now)}."
             )
         return [frozenset(topic.name for topic in topics) for topics in misfits]
 

@@ -17,6 +17,7 @@ from ros2_mcp.bags.mcap_index import learn_channels, read_index
 from ros2_mcp.bags.stored import Span, StoredTopic
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import named
 
 _MOST_PROBLEMS = 50
 """Of one file. A disk that fails damages thousands of chunks, and nobody reads more than these."""
@@ -104,7 +105,9 @@ class McapFile:
             count = (self._index.counts or {}).get(number, 0)
             same = found.get(channel.topic)
             if same and not _has_type(same, schema):
-                self._note(f"{channel.topic}: {count} messages are left out: they are of another {schema.name}.")
+                self._note(
+                    f"{named(channel.topic)}: {count} messages are left out: they are of another {named(schema.name)}."
+                )
                 continue
             found[channel.topic] = StoredTopic(
                 channel.topic,

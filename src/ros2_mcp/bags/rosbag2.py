@@ -13,6 +13,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.model.text import quoted
 
 METADATA = "metadata.yaml"
 VERSION = 8
@@ -70,7 +71,7 @@ def read_metadata(folder: Path) -> FolderFacts | str:
     except FileNotFoundError:
         return f"{METADATA} is missing: the recording was not closed."
     except (OSError, YAMLError, UnicodeDecodeError, ValueError, TypeError, KeyError, AttributeError) as error:
-        return f"{METADATA} cannot be read: {str(error).splitlines()[0] if str(error) else type(error).__name__}"
+        return f"{METADATA} cannot be read: {quoted(str(error) or type(error).__name__)}"
 
 
 def _information(topics: Sequence[tuple[StoredTopic, str]], files: Sequence[FilePart]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from ros2_mcp.bags.chunks import Damaged, unzstd
 from ros2_mcp.bags.stored import FOREVER, Span, StoredTopic
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import named
 
 _BUSY_S = 1.0
 """How long to wait for a recorder that writes to the file; its transactions take milliseconds."""
@@ -106,7 +107,9 @@ class SqliteFile:
             f"SELECT id, name, type, serialization_format, {qos} FROM topics"
         ):
             if name in topics and topics[name].type != kind:
-                self.problems.append(f"{self.path.name}: {name} has several types; only {topics[name].type} is read.")
+                self.problems.append(
+                    f"{self.path.name}: {named(name)} has several types; only {named(topics[name].type)} is read."
+                )
                 continue
             encoding, text = definitions.get(kind, ("", ""))
             names[number] = name

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.text import named, quoted
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _INTENSITIES = ("intensity", "intensities", "i", "reflectivity")
@@ -16,6 +17,9 @@ _FARTHEST_M = 1e9
 """Some drivers mark missing points with huge numbers as well as with NaN; no sensor sees a million kilometres."""
 _PACKED = ("rgb", "rgba")
 """Fields of three or four colours in one number, as PCL packs them."""
+
+# Fields that a message about a cloud names: enough to see what kind of cloud it is.
+_MAX_NAMED = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +45,9 @@ def cloud_of(message: Any) -> Cloud:
     """
     names = [field.name for field in message.fields]
     if not {"x", "y", "z"} <= set(names):
-        raise BadData(f"The cloud has no x, y and z; its fields are {', '.join(names)[:200] or 'none'}.")
+        raise BadData(
+            f"The cloud has no x, y and z; its fields are {', '.join(map(named, names[:_MAX_NAMED])) or 'none'}."
+        )
     rows = _rows(message)
     xyz = np.stack([rows[name].astype(np.float64).ravel() for name in "xyz"], axis=1)
     finite = (np.abs(xyz) < _FARTHEST_M).all(axis=1)
@@ -65,7 +71,7 @@ def _rows(message: Any) -> NDArray[Any]:
     offsets = {field.name: field.offset for field in message.fields}
     outside = [name for name in formats if offsets[name] + np.dtype(formats[name]).itemsize > point]
     if outside:
-        raise BadData(f"The field {outside[0][:60]!r} of the cloud ends beyond point_step, which is {point}.")
+        raise BadData(f"The field {quoted(outside[0])} of the cloud ends beyond point_step, which is {point}.")
     if row < width * point:
         raise BadData(f"A row of {width} points of {point} bytes takes {width * point} bytes, but row_step is {row}.")
     needed = row * (height - 1) + width * point if height and width else 0
@@ -85,7 +91,7 @@ def _rows(message: Any) -> NDArray[Any]:
 def _kind(field: Any) -> str:
     """The kind of a field's (first) number; packed colours are read as the integers that they are."""
     if field.datatype not in _KINDS:
-        raise BadData(f"The field {field.name[:60]!r} of the cloud has the unknown datatype {field.datatype}.")
+        raise BadData(f"The field {quoted(field.name)} of the cloud has the unknown datatype {field.datatype}.")
     kind = _KINDS[field.datatype]
     return "u4" if field.name in _PACKED and kind.endswith("4") else kind
 

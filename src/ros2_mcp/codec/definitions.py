@@ -25,6 +25,7 @@ from ros2_mcp.model.interfaces import (
     Structure,
 )
 from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.model.text import named, quoted
 
 __all__ = ["DefinitionText", "Definitions"]
 
@@ -159,7 +160,7 @@ class _DefinitionSet:
         owner = self.owners.get(type_name)
         if owner is None:
             raise UnknownInterface(
-                f"No definition of {type_name} is known.", did_you_mean(type_name, list(self.owners))
+                f"No definition of {named(type_name)} is known.", did_you_mean(type_name, list(self.owners))
             )
         if type_name not in self.structures:
             self.structures.update(_structures_of(owner, self.texts[owner]))
@@ -171,7 +172,7 @@ class _DefinitionSet:
             self.store.add(structures)
             self.store.get_msgdef(type_name)
         except (TypesysError, SyntaxError) as error:
-            raise UnknownInterface(f"The definition of {type_name} cannot be used: {error}") from error
+            raise UnknownInterface(f"The definition of {type_name} cannot be used: {quoted(str(error))}") from error
         self.compiled.add(type_name)
 
     def reachable(self, type_name: str) -> dict[str, Structure]:
@@ -203,7 +204,7 @@ def _kind_of(type_name: str) -> str:
     """
     match = _TYPE_NAME.fullmatch(type_name)
     if match is None:
-        raise UnknownInterface(f"{type_name[:80]!r} is not the full name of a type.", "Write it as package/msg/Name.")
+        raise UnknownInterface(f"{quoted(type_name)} is not the full name of a type.", "Write it as package/msg/Name.")
     return match[1]
 
 
@@ -247,7 +248,7 @@ def _read_idl(name: str, text: str) -> dict[str, Structure]:
             for type_name, (constants, fields) in get_types_from_idl(_INCLUDE.sub("", text)).items()
         }
     except (TypesysError, ValueError) as error:
-        raise UnknownInterface(f"The IDL text of {name} cannot be read: {str(error)[:300]}") from error
+        raise UnknownInterface(f"The IDL text of {name} cannot be read: {quoted(str(error))}") from error
 
 
 def _idl_type(field: str, node: Any) -> FieldType:

@@ -15,6 +15,7 @@ from PIL import Image, UnidentifiedImageError
 from ros2_mcp.codec.raster import Pixels, Raster
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import Bounds, Picture
+from ros2_mcp.model.text import named, quoted
 
 _MAX_PIXELS = 64_000_000
 """Largest compressed image that is unpacked: 192 MB as RGB. A file of a few kB may claim far more."""
@@ -42,7 +43,7 @@ def image_raster(message: Any, _: Bounds) -> Raster:
     layout = _LAYOUTS.get(encoding.lower()) or _LAYOUTS.get(encoding)
     if layout is None:
         raise BadData(
-            f"Images with the encoding {encoding[:40]!r} cannot be shown.",
+            f"Images with the encoding {quoted(encoding)} cannot be shown.",
             f"Known are {', '.join(_LAYOUTS)}, nv12, nv21.",
         )
     return layout.show(_rows(message, layout.dtype, layout.channels), encoding)
@@ -57,14 +58,14 @@ def _depth_raster(metres: NDArray[Any], encoding: str) -> Raster:
     share = 1 - float(np.count_nonzero(valid)) / metres.size
     pixels = np.zeros(metres.shape, np.uint8)
     if share == 1:
-        return Raster(pixels, f"Depth ({encoding}): no valid distance at all.", kind="exact")
+        return Raster(pixels, f"Depth ({named(encoding)}): no valid distance at all.", kind="exact")
     distances = metres[valid]
     near, far = (float(bound) for bound in np.percentile(distances, (2, 98)))
     scaled = (np.minimum(np.maximum(distances, near), far) - near) / max(far - near, 1e-9)
     pixels[valid] = np.rint(255 - 205 * scaled).astype(np.uint8)
     note = (
-        f"Depth ({encoding}): {distances.min():.3f} m to {distances.max():.3f} m; white is {near:.3f} m or nearer, "
-        f"dark grey {far:.3f} m or farther, black invalid ({share:.1%})."
+        f"Depth ({named(encoding)}): {distances.min():.3f} m to {distances.max():.3f} m; "
+        f"white is {near:.3f} m or nearer, dark grey {far:.3f} m or farther, black invalid ({share:.1%})."
     )
     return Raster(pixels, note, kind="exact")
 
@@ -73,7 +74,7 @@ def _stretched(values: NDArray[Any], encoding: str) -> Raster:
     """Grey values of more than eight bits, stretched from their least to their greatest."""
     low, high = int(values.min()), int(values.max())
     pixels = np.rint((values.astype(np.float64) - low) * (255 / max(high - low, 1))).astype(np.uint8)
-    return Raster(pixels, f"{encoding}: black is {low}, white is {high}.")
+    return Raster(pixels, f"{named(encoding)}: black is {low}, white is {high}.")
 
 
 def _rows(message: Any, dtype: str, channels: int, rows: int = 0) -> NDArray[Any]:
@@ -118,7 +119,7 @@ def _bayer(red: int, blue: int) -> Callable[[NDArray[Any], str], Raster]:
         one, other = (square[place].astype(np.uint16) for place in range(4) if place not in (red, blue))
         green = ((one + other) // 2).astype(np.uint8)
         return Raster(
-            np.dstack((square[red], green, square[blue])), f"{encoding}, at half its size, simply demosaiced."
+            np.dstack((square[red], green, square[blue])), f"{named(encoding)}, at half its size, simply demosaiced."
         )
 
     return show
@@ -170,7 +171,7 @@ def compressed_raster(message: Any, bounds: Bounds) -> Raster | Picture:
     if "compressedDepth" in described:
         return _compressed_depth(described, data)
     image = _opened(data, described)
-    note = f"{described or image.format}."
+    note = f"{named(described) if described else image.format}."
     if image.mode.startswith("I"):  # grey of more than eight bits
         values, encoding = np.asarray(image), described.partition(";")[0].strip()
         if encoding == "16UC1":
@@ -190,7 +191,7 @@ def _opened(data: bytes, described: str) -> Image.Image:
         image.load()
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise BadData(
-            f"{len(data)} bytes with the format {described[:60]!r} are not a whole picture: {str(error)[:120]}.",
+            f"{len(data)} bytes with the format {quoted(described)} are not a whole picture: {quoted(str(error))}.",
             f"Formats that can be shown are {', '.join(_READ)}.",
         ) from error
     return image

@@ -19,6 +19,7 @@ from ros2_mcp.model.interfaces import (
     Literals,
     Structure,
 )
+from ros2_mcp.model.text import quoted
 
 _TYPE = re.compile(
     r"(?P<base>[A-Za-z]\w*(?:/[A-Za-z]\w*){0,2})(?:<=(?P<text_bound>\d+))?"
@@ -91,7 +92,7 @@ def _read_line(type_name: str, package: str, code: str, comment: str) -> Field |
             return Field(match["name"], field_type, default, comment)
         raise ValueError("neither a field nor a constant")
     except ValueError as error:
-        raise UnknownInterface(f"The definition of {type_name} cannot be read: {code[:80]!r}: {error}.") from error
+        raise UnknownInterface(f"The definition of {type_name} cannot be read: {quoted(code)}: {error}.") from error
 
 
 def read_type(package: str, text: str) -> FieldType:
@@ -130,7 +131,7 @@ def _read_default(field_type: FieldType, text: str) -> Literals:
 def _read_literal(base: str, text: str) -> bool | int | float | str:
     if base == "bool":
         if text.lower() not in _BOOLEANS:
-            raise ValueError(f"{text} is not a boolean")
+            raise ValueError(f"{quoted(text)} is not a boolean")
         return _BOOLEANS[text.lower()]
     if base in INTEGERS:
         value = int(text, 0) if re.match(r"[+-]?0[xXbBoO]", text) else int(text)

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 
 from ros2_mcp.link.diagnosis import Finding, diagnose, probe
 from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.model.text import visible
 from ros2_mcp.settings import OPTIONS, Settings
 
 _MARKS = {True: "ok  ", False: "BAD ", None: "note"}
@@ -41,6 +42,6 @@ def what_is_set(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]
 
 
 def _print(finding: Finding) -> None:
-    print(f"[{_MARKS[finding.ok]}] {finding.title}: {finding.detail}")
+    print(visible(f"[{_MARKS[finding.ok]}] {finding.title}: {finding.detail}"))
     if finding.fix:
-        print(f"       fix: {finding.fix}")
+        print(visible(f"       fix: {finding.fix}"))

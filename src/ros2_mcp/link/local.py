@@ -20,7 +20,6 @@ from ros2_mcp.link.carrier import Vitality
 from ros2_mcp.link.environment import find_ros
 from ros2_mcp.link.installation import RosInstallation
 from ros2_mcp.model.errors import LinkError
-from ros2_mcp.model.text import visible
 from ros2_mcp.settings import Settings
 from ros2_mcp_bridge.limits import BATCH_BYTES
 
@@ -239,7 +238,7 @@ def thread_states(pid: int) -> set[str]:
 
 
 def _plain(line: bytes) -> str:
-    return visible(line[-_MAX_LINE_BYTES:].decode(errors="replace").rstrip(), keep="\t")
+    return line[-_MAX_LINE_BYTES:].decode(errors="replace").rstrip()
 
 
 def _enlarge(pipe: int) -> None:

@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Sequence
 
 from ros2_mcp.model.errors import BadName
+from ros2_mcp.model.text import named
 
 _NAME = re.compile(r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")
 _TYPE = re.compile(r"^(?P<package>[a-z][a-z0-9_]*)/(?:(?P<kind>msg|srv|action)/)?(?P<name>[A-Za-z][A-Za-z0-9_]*)$")
@@ -103,4 +104,4 @@ def nearest(name: str, known: Sequence[str]) -> str:
 def did_you_mean(name: str, known: Sequence[str], otherwise: str = "") -> str:
     """A hint for an unknown name: the nearest known one, or `otherwise`."""
     near = nearest(name, known)
-    return f"Did you mean {near}?" if near else otherwise
+    return f"Did you mean {named(near)}?" if near else otherwise

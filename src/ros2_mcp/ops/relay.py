@@ -113,9 +113,9 @@ class RelayList:
     relays: Sequence[RelayState]
     running: int
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """A line for each."""
-        return "\n".join([f"{self.running} relay(s) running.", *(relay.summary() for relay in self.relays)])
+        return [f"{self.running} relay(s) running.", *(relay.summary() for relay in self.relays)]
 
 
 class Relay(Job):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -14,14 +13,15 @@ from typing import Any, TypeVar, cast
 
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.pictures import Picture
+from ros2_mcp.model.text import in_quotes, named
 
 R = TypeVar("R")
 
+# Values of an object in one line: it is there to be read; all of them stand in the JSON beside it.
+_MAX_IN_WORDS = 12
+
 Report = Callable[[float, float, str], Awaitable[None]]
 """Is called with progress: done so far, the whole, and a readable line."""
-
-_LINE_PART = 120
-"""Characters of one value in a summary: about one line of a terminal. The whole value is in the JSON beside it."""
 
 HIDDEN = {"hidden": True}
 """Metadata of a result's field that is not part of its JSON, such as a picture."""
@@ -129,12 +129,11 @@ def exact_time(unix_ns: int) -> str:
 
 
 def in_words(values: Mapping[str, Any]) -> str:
-    """An object's values as one readable line; long ones are cut."""
-    return ", ".join(f"{name} {_brief(value)}" for name, value in values.items())
+    """The values of an object of the robot as one readable line; texts are quoted, and long ones cut."""
+    first = list(values.items())[:_MAX_IN_WORDS]
+    more = f" and {len(values) - len(first)} more" if len(values) > len(first) else ""
+    return ", ".join(f"{named(name)} {_brief(value)}" for name, value in first) + more
 
 
 def _brief(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.3g}"
-    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= _LINE_PART else f"{text[:_LINE_PART]}…"
+    return f"{value:.3g}" if isinstance(value, float) else in_quotes(value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ros2_mcp.model.text import named
 from ros2_mcp.ops.graph.known_names import is_of_every_node, live_names
 from ros2_mcp.prompts.arguments import Argument, shown
 from ros2_mcp.prompts.prompt import Message, Prompt, step
@@ -86,7 +87,7 @@ def _analyze(topic: str, duration_s: float, analysis: str) -> Sequence[Message]:
         step(number, tool, topic_names=[topic], duration=duration_s) for number, tool in enumerate(chosen, start=1)
     ]
     return _ask(
-        f"Analyze the topic {topic} ({analysis}).",
+        f"Analyze the topic {named(topic)} ({analysis}).",
         *steps,
         f"Then report: {_ECHO_REPORTS[analysis]}. If no message came, say so and look at who publishes it with "
         "ros2_topic_info.",
@@ -98,7 +99,7 @@ def _choose_topic(topics: Sequence[str], duration_s: float) -> Sequence[Message]
     shown_topics = topics[:_MOST_TOPICS]
     more = f" (and {len(topics) - len(shown_topics)} more)" if len(topics) > len(shown_topics) else ""
     return _ask(
-        f"Analyze a topic. None was named, and there are {len(topics)}: {', '.join(shown_topics)}{more}.",
+        f"Analyze a topic. None was named, and there are {len(topics)}: {', '.join(map(named, shown_topics))}{more}.",
         step(1, "ros2_topic_stats", topic_names=shown_topics, duration=duration_s),
         "Then report a table of their rates, say which look unhealthy, and ask which one to analyze with "
         "ros2_topic_statistics.",

@@ -6,6 +6,8 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ros2_mcp.model.text import visible
+
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
@@ -25,5 +27,5 @@ Tell = Callable[[Mistake], None]
 
 def tell_on_stderr(mistake: Mistake) -> None:
     """One line for the person who reads the server's log."""
-    sys.stderr.write(f"ros2-mcp: {mistake}\n")
+    sys.stderr.write(f"ros2-mcp: {visible(str(mistake))}\n")
     sys.stderr.flush()

@@ -21,6 +21,7 @@ from mcp.types import (
 from mcp.types import Prompt as ListedPrompt
 
 from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.text import LAYOUT, visible
 from ros2_mcp.prompts.catalog import Catalog
 from ros2_mcp.prompts.prompt import Prompt
 
@@ -46,10 +47,13 @@ class Prompts:
             messages = await self._catalog.messages(params.name, params.arguments or {})
             description = (await self._catalog.prompt(params.name)).description
         except RobotError as error:
-            raise MCPError(INVALID_PARAMS, str(error)) from error
+            raise MCPError(INVALID_PARAMS, visible(str(error))) from error
         return GetPromptResult(
-            description=description,
-            messages=[PromptMessage(role=m.role, content=TextContent(type="text", text=m.text)) for m in messages],
+            description=visible(description, keep=LAYOUT),
+            messages=[
+                PromptMessage(role=m.role, content=TextContent(type="text", text=visible(m.text, keep=LAYOUT)))
+                for m in messages
+            ],
         )
 
     async def tell_news(self, ctx: ServerRequestContext[Any], call_next: CallNext) -> Any:
@@ -63,12 +67,12 @@ class Prompts:
 def _listed(prompt: Prompt) -> ListedPrompt:
     return ListedPrompt(
         name=prompt.name,
-        title=prompt.title,
-        description=prompt.description,
+        title=visible(prompt.title),
+        description=visible(prompt.description, keep=LAYOUT),
         arguments=[
             PromptArgument(
                 name=argument.name,
-                description=argument.explained(),
+                description=visible(argument.explained(), keep=LAYOUT),
                 required=argument.required and argument.default is None,
             )
             for argument in prompt.arguments

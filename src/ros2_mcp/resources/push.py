@@ -31,6 +31,7 @@ from mcp.types import (
 )
 
 from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.text import visible
 from ros2_mcp.ops.watch.watchers import Subject, Watcher
 from ros2_mcp.resources.catalogue import subject_of
 
@@ -127,7 +128,7 @@ class Push:
         try:
             subject = subject_of(uri)
         except RobotError as error:
-            raise MCPError(INVALID_PARAMS, str(error), data={"uri": uri}) from error
+            raise MCPError(INVALID_PARAMS, visible(str(error)), data={"uri": uri}) from error
         if len(subscriber.watched) >= MAX_URIS:
             raise MCPError(INVALID_PARAMS, f"You are subscribed to {MAX_URIS} resources: unsubscribe from some first.")
         if uri not in subscriber.watched:

@@ -10,6 +10,7 @@ from ros2_mcp.model import names, qos
 from ros2_mcp.model.errors import NotFound, TypeConflict
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Choice
+from ros2_mcp.model.text import named
 
 if TYPE_CHECKING:
     from ros2_mcp.robot.graph import Graph
@@ -110,10 +111,11 @@ def _one_of(types: Collection[str], requested: str, name: str) -> str:
     """The requested type of those in use; any where there is none yet, the only one where none is requested."""
     if requested and types and requested not in types:
         raise TypeConflict(
-            f"{name} has the type {' and '.join(types)}, not {requested}.", "Leave the type out to use the one it has."
+            f"{name} has the type {' and '.join(map(named, types))}, not {requested}.",
+            "Leave the type out to use the one it has.",
         )
     if not requested and len(types) > 1:
-        raise TypeConflict(f"{name} has {len(types)} types: {', '.join(types)}.", "Give the type you mean.")
+        raise TypeConflict(f"{name} has {len(types)} types: {', '.join(map(named, types))}.", "Give the type you mean.")
     return requested or next(iter(types))
 
 

@@ -126,7 +126,7 @@ def test_yuv_pictures_keep_their_colours(definitions: Definitions) -> None:
         ({"height": 480, "width": 640, "step": 1920}, "data has 12 bytes, but step × height is 1920 × 480 = 921600"),
         ({"step": 3}, "A row of 2 pixels (rgb8) takes 6 bytes, but step is 3"),
         ({"width": 0}, "empty: 0 × 2"),
-        ({"encoding": "hologram"}, "encoding 'hologram' cannot be shown"),
+        ({"encoding": "hologram"}, "encoding «hologram» cannot be shown"),
     ],
 )
 def test_an_image_that_does_not_fit_its_description_says_why(
@@ -201,7 +201,7 @@ def test_sixteen_bit_png_by_its_description(definitions: Definitions) -> None:
 @pytest.mark.parametrize(
     ("described", "data", "problem"),
     [
-        ("jpeg", b"", "0 bytes with the format 'jpeg' are not a whole picture"),
+        ("jpeg", b"", "0 bytes with the format «jpeg» are not a whole picture"),
         ("jpeg", saved(colours(*[RED, BLUE] * 40), "JPEG")[:-200], "not a whole picture"),
         ("jpeg", b"\0" * 100, "not a whole picture"),
         ("16UC1; compressedDepth rvl", b"\0" * 100, "RVL"),

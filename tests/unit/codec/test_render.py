@@ -10,7 +10,6 @@ from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.render import Rendered, RenderOptions, example_of, render
 from ros2_mcp.model.errors import BadValue
-from ros2_mcp.model.text import visible
 
 LISTS = "odd_msgs/msg/Lists"
 SCAN = "sensor_msgs/msg/LaserScan"
@@ -166,11 +165,6 @@ def test_an_example_is_whole_and_accepted(codec: Codec) -> None:
     example = example_of(codec.definitions, LISTS)
     assert example["three"] == [1.0, 2.5, -3.0] and example["id"] == [0] * 16 and example["numbers"] == []
     there_and_back(codec, LISTS, example)
-
-
-def test_visible_text_hides_nothing() -> None:
-    assert visible("Grüße, 漢字 😀") == "Grüße, 漢字 😀"
-    assert visible("a\x1b[31m\n\u202eb\u200b\ud83d") == "a\\x1b[31m\\n\\u202eb\\u200b\\ud83d"
 
 
 def test_random_messages_come_back_within_the_bounds_or_say_that_they_were_cut(codec: Codec) -> None:

@@ -33,7 +33,11 @@ def test_what_cannot_be_parted_is_left_out_with_its_size() -> None:
     assert shown["kind"] == "msg"
 
 
-def test_invisible_text_of_a_robot_becomes_visible_and_means_the_same() -> None:
-    text = fitting({"message": "go\u202eback\u200b"}, 1000)
-    assert text.isascii()
-    assert json.loads(text)["message"] == "go\u202eback\u200b"
+def test_hidden_text_of_a_robot_becomes_visible_and_what_is_seen_stays() -> None:
+    text = fitting({"message": "go\u202eback\u200b, Grüße 漢字 😀"}, 1000)
+    assert json.loads(text)["message"] == "go⟦U+202E⟧back⟦U+200B⟧, Grüße 漢字 😀"
+
+
+def test_the_size_is_counted_in_bytes_with_what_was_escaped() -> None:
+    for text in ("漢" * 4000, "\u202e\u200b" * 2000):
+        assert len(fitting({"message": text, "note": ""}, 4000).encode()) <= 4000

@@ -17,6 +17,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.graph import OF_EVERY_NODE
 from ros2_mcp.model.qos import Endpoint
+from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
 from ros2_mcp.ops.measure.flow import Silence, rate_hz, silence_in
 from ros2_mcp.ops.results import Report, iso_time, silent
@@ -121,10 +122,10 @@ class Health:
     source: str
     note: str
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """The verdict, and a line for each finding."""
-        lines = [f"{row.severity}: {row.subject}: {row.problem} {row.recommendation}" for row in self.findings]
-        return "\n".join([f"{self.verdict}. {self.note}".rstrip(), *lines])
+        lines = [f"{row.severity}: {named(row.subject)}: {row.problem} {row.recommendation}" for row in self.findings]
+        return [f"{self.verdict}. {self.note}".rstrip(), *lines]
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,10 +309,10 @@ def _diagnostic_findings(table: DiagnosticTable, *, with_past: bool) -> Iterator
     """What components report; `with_past` also what was over before the end, of a recording."""
     for row in table.rows:
         if row.level != "OK":
-            problem = f"Diagnostics say {row.level}: {row.message}."
+            problem = f"Diagnostics say {row.level}: {quoted(row.message)}."
             yield Finding("critical" if row.level == "ERROR" else "warning", row.name, problem, "See its values.")
     for row in table.past if with_past else ():
-        problem = f"Diagnostics said {row.level} at {row.received_at}: {row.message}."
+        problem = f"Diagnostics said {row.level} at {row.received_at}: {quoted(row.message)}."
         yield Finding("warning", row.name, problem, "It has become better since.")
 
 
@@ -334,12 +335,12 @@ def _note(graph: GraphSnapshot, skipped: Sequence[str], failed: Sequence[Missing
     notes = [] if graph.settled else ["Discovery had not settled: ask again."]
     if skipped:
         more = f" and {len(skipped) - _MAX_SKIPPED} more" if len(skipped) > _MAX_SKIPPED else ""
-        listed = ", ".join(skipped[:_MAX_SKIPPED])
+        listed = ", ".join(map(named, skipped[:_MAX_SKIPPED]))
         notes.append(f"Not measured, to spare the robot: {listed}{more} (expected_topics are always measured).")
     if graph.nodes is None or graph.services is None:
         notes.append("Nodes and services are not known here.")
     if failed:
-        errors = "; ".join(f"{missing.topic}: {missing.error}" for missing in failed[:_MAX_FAILED])
+        errors = "; ".join(f"{named(missing.topic)}: {missing.error}" for missing in failed[:_MAX_FAILED])
         notes.append(f"Could not be measured: {errors}")
     return " ".join(notes)
 

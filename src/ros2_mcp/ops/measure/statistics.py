@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, BadValue, RobotError
+from ros2_mcp.model.text import named
 from ros2_mcp.ops.measure.flow import gaps, rate_hz
 from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.sources.selection import Selection
@@ -79,14 +80,14 @@ class TopicStatistics:
     note: str = ""
     error: str = ""
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """One line, and one for each gap and anomaly."""
         if self.error:
-            return f"{self.topic_name}: {self.error}"
+            return [f"{named(self.topic_name)}: {self.error}"]
         rate = "rate unknown" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
-        line = f"{self.topic_name}: {self.count} message(s), {rate}, {len(self.fields)} field(s). {self.note}".rstrip()
+        line = f"{named(self.topic_name)}: {self.count} message(s), {rate}, {len(self.fields)} field(s). {self.note}"
         anomalies = [f"{row.field}: {anomaly}" for row in self.fields for anomaly in row.anomalies]
-        return "\n  ".join([line, *self.gaps, *anomalies])
+        return [line.rstrip(), *(f"  {finding}" for finding in (*self.gaps, *anomalies))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +97,9 @@ class Statistics:
     source: str
     topics: Sequence[TopicStatistics]
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """Some lines for each topic."""
-        return "\n".join(topic.summary() for topic in self.topics)
+        return [line for topic in self.topics for line in topic.summary()]
 
 
 async def measure(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.errors import BadData, BadValue, NotFound
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import in_quotes
 from ros2_mcp.ops.results import HIDDEN, Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source, Stream
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 _TURN_SAMPLES = 200
 # Of one field that the condition names; a long list is summarised after its first eight elements.
 _VALUE_BYTES = 2000
-# Characters of a value in the summary, which is one line.
-_SHORT_TEXT = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +53,7 @@ class Wait:
         """One line."""
         outcome = "is met" if self.met else "was not met"
         when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}, {self.at}"
-        texts = {path: str(value) for path, value in self.values.items()}
-        values = ", ".join(f"{path} = {text if len(text) <= _SHORT_TEXT else '…'}" for path, text in texts.items())
+        values = ", ".join(f"{path} = {in_quotes(value)}" for path, value in self.values.items())
         line = f"{self.topic_name}: {self.condition} {outcome} {when} ({values or 'no message'})."
         return f"{line} {self.note}".rstrip()
 

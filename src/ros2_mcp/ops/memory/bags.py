@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
+from ros2_mcp.model.text import named
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.sources.bag import is_growing, open_bag
@@ -73,10 +74,10 @@ class BagInfo:
     topics: Sequence[BagTopic]
     problems: Sequence[str]
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """One line, and one for each problem."""
-        line = f"{self.bag}: {self.messages} messages of {len(self.topics)} topics in {self.duration_s:.3f} s."
-        return "\n".join([line, *self.problems])
+        line = f"{named(self.bag)}: {self.messages} messages of {len(self.topics)} topics in {self.duration_s:.3f} s."
+        return [line, *self.problems]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,10 +97,10 @@ class BagMessages:
     problems: Sequence[str]
     note: str
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """One line, and one for each problem."""
-        line = f"{self.bag} {self.topic_name}: {self.count} message(s). {self.note}".rstrip()
-        return "\n".join([line, *self.problems])
+        line = f"{named(self.bag)} {named(self.topic_name)}: {self.count} message(s). {self.note}".rstrip()
+        return [line, *self.problems]
 
 
 async def list_bags(store: BagStore, pattern: str = "", limit: int = 200) -> BagList:

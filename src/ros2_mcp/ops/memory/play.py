@@ -18,6 +18,7 @@ from ros2_mcp.model.commands import Feed, Play
 from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, TypeConflict
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import named
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.sources.bag import find_topic, span_in
@@ -81,7 +82,7 @@ class PlaybackState:
 
     def summary(self) -> str:
         """One line."""
-        what = f"{sum(self.published.values())} messages, {self.progress:.0%} of {self.bag}"
+        what = f"{sum(self.published.values())} messages, {self.progress:.0%} of {named(self.bag)}"
         return f"{self.playback_id} {self.state}: {what}. {self.note}".rstrip()
 
 
@@ -91,9 +92,9 @@ class PlaybackStates:
 
     playbacks: Sequence[PlaybackState]
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """A line for each."""
-        return "\n".join(playback.summary() for playback in self.playbacks) or "Nothing has been played."
+        return [playback.summary() for playback in self.playbacks] or ["Nothing has been played."]
 
 
 class Playback(Job):
@@ -292,13 +293,15 @@ def _prepare(store: BagStore, request: PlayRequest) -> tuple[Bag, Span, dict[str
         topics = {topic.name: topic for topic in chosen}
         unknown = set(request.remaps) - set(topics)
         if unknown:
-            raise BadInput(f"{sorted(unknown)[0]} is remapped, but not played.", f"Played: {', '.join(topics)}.")
+            raise BadInput(
+                f"{sorted(unknown)[0]} is remapped, but not played.", f"Played: {', '.join(map(named, topics))}."
+            )
         types: dict[str, str] = {}
         for name, topic in topics.items():
             destination = request.remaps.get(name, name)
             other = types.setdefault(destination, topic.type)
             if other != topic.type:
-                what = f"{destination} would be both a {topic.type} and a {other}."
+                what = f"{named(destination)} would be both a {named(topic.type)} and a {named(other)}."
                 raise TypeConflict(what, "Give other remaps.")
         return bag, replace(span_in(store, bag, request.start, request.end), topics=frozenset(topics)), topics
     except RobotError:
@@ -316,7 +319,9 @@ async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, Stored
         destination = request.remaps.get(name, name)
         present = await robot.graph.endpoints(destination)
         if present.types and topic.type not in present.types:
-            raise TypeConflict(f"{destination} has the type {present.types[0]}, the bag's {name} is a {topic.type}.")
+            raise TypeConflict(
+                f"{destination} has the type {present.types[0]}, the bag's {named(name)} is a {named(topic.type)}."
+            )
         publishers = [publisher.node for publisher in present.publishers if publisher.node not in own]
         publishers += [ours[destination]] if destination in ours else []
         if publishers:

@@ -132,9 +132,9 @@ class RecordingStates:
 
     recordings: Sequence[RecordingState]
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """A line for each."""
-        return "\n".join(recording.summary() for recording in self.recordings) or "Nothing has been recorded."
+        return [recording.summary() for recording in self.recordings] or ["Nothing has been recorded."]
 
 
 @dataclass(slots=True)

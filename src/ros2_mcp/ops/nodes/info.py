@@ -10,6 +10,7 @@ from typing import Any
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.model.graph import NamedTypes
+from ros2_mcp.model.text import named
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import ask_node, service_of
 from ros2_mcp.robot import Robot
@@ -58,7 +59,7 @@ class NodeInfo:
     def summary(self) -> str:
         """One line."""
         has = "" if self.parameters is None else f" It has {self.parameters} parameters."
-        state = f" Its lifecycle state is {self.lifecycle_state}." if self.lifecycle_state else ""
+        state = f" Its lifecycle state is {named(self.lifecycle_state)}." if self.lifecycle_state else ""
         return (
             f"{self.node} publishes {len(self.publishes)} and subscribes to {len(self.subscribes)} topics, "
             f"offers {len(self.services)} services and {len(self.actions)} actions.{has}{state}"

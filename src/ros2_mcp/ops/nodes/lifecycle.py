@@ -11,6 +11,7 @@ from typing import Any
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import ChangeState
 from ros2_mcp.model.errors import BadInput, NotFound
+from ros2_mcp.model.text import named
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
 from ros2_mcp.ops.results import or_error
 from ros2_mcp.robot import Robot
@@ -31,8 +32,7 @@ class LifecycleState:
 
     def summary(self) -> str:
         """One line."""
-        possible = ", ".join(self.transitions) or "nothing"
-        return f"{self.node}: " + (self.error or f"{self.state}; possible now: {possible}.")
+        return f"{self.node}: " + (self.error or f"{named(self.state)}; possible now: {_listed(self.transitions)}.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +41,9 @@ class LifecycleStates:
 
     nodes: Sequence[LifecycleState]
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """A line for each node."""
-        return "\n".join(node.summary() for node in self.nodes) or "There is no lifecycle node."
+        return [node.summary() for node in self.nodes] or ["There is no lifecycle node."]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +60,7 @@ class Transition:
     def summary(self) -> str:
         """One line."""
         outcome = "done" if self.successful else "failed"
-        return f"{self.node}: {self.transition} {outcome}; {self.state_before} → {self.state}."
+        return f"{self.node}: {self.transition} {outcome}; {named(self.state_before)} → {named(self.state)}."
 
 
 async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
@@ -80,8 +80,8 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
     node = names.absolute(node, "node")
     before = await _state(robot, node)
     if transition not in before.transitions:
-        possible = ", ".join(before.transitions) or "nothing"
-        raise BadInput(f"{node} is {before.state}: {transition!r} is not possible.", f"Possible now: {possible}.")
+        problem = f"{node} is {named(before.state)}: {transition!r} is not possible."
+        raise BadInput(problem, f"Possible now: {_listed(before.transitions)}.")
     available = (await _response(robot, node, "GetAvailableTransitions"))["available_transitions"]
     labelled = [entry["transition"] for entry in available if entry["transition"]["label"] == transition]
     # If it has become impossible in between, the node itself refuses: it goes by the label before the id.
@@ -107,6 +107,10 @@ async def change(robot: Robot, node: str, transition: str) -> Transition:
         state=after.state,
         transitions=after.transitions,
     )
+
+
+def _listed(transitions: Sequence[str]) -> str:
+    return ", ".join(map(named, transitions)) or "nothing"
 
 
 async def _lifecycle_nodes(robot: Robot) -> list[str]:

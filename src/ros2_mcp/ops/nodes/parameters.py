@@ -11,6 +11,7 @@ from typing import Any
 from ros2_mcp.model import names, parameters
 from ros2_mcp.model.commands import SetParameters
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
+from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
 from ros2_mcp.ops.results import list_note, or_error
@@ -50,10 +51,10 @@ class ParameterList:
     nodes: Sequence[NodeParameters]
     note: str
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """A line for each node."""
         lines = [f"{n.node}: {n.error or f'{len(n.parameters)} parameter(s)'}" for n in self.nodes]
-        return "\n".join([*lines, self.note]).rstrip()
+        return [*lines, self.note] if self.note else lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,13 +89,15 @@ class SetResult:
     atomic: bool
     parameters: Sequence[SetOne]
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """One line, and one for each refusal."""
         taken = sum(one.successful for one in self.parameters)
         refused = [
-            f"{one.name}: {one.reason or 'refused without a reason'}" for one in self.parameters if not one.successful
+            f"{named(one.name)}: refused {f'because {quoted(one.reason)}' if one.reason else 'without a reason'}"
+            for one in self.parameters
+            if not one.successful
         ]
-        return "\n".join([f"{self.node}: {taken} of {len(self.parameters)} parameter(s) set.", *refused])
+        return [f"{self.node}: {taken} of {len(self.parameters)} parameter(s) set.", *refused]
 
 
 async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit: int = 200) -> ParameterList:
@@ -206,7 +209,7 @@ def _check_range(name: str, value: Any, allowed: Mapping[str, Any] | None) -> No
 
 
 def _near(name: str, declared: Sequence[str]) -> str:
-    return names.did_you_mean(name, declared, f"It has: {', '.join(declared[:20])}.")
+    return names.did_you_mean(name, declared, f"It has: {', '.join(map(named, declared[:20]))}.")
 
 
 async def _names(robot: Robot, node: str) -> list[str]:

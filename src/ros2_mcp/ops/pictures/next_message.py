@@ -8,6 +8,7 @@ from typing import Any
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import TimedOut, TypeConflict
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import named
 from ros2_mcp.ops.results import Report, reporting
 from ros2_mcp.ops.sources.source import Source
 
@@ -27,7 +28,7 @@ async def next_message(source: Source, topic: str, type_name: str, report: Repor
         source.follow(topic, limit=1) as stream,
     ):
         if stream.type != type_name:
-            raise TypeConflict(f"{topic} is a {stream.type}, not a {type_name}.", "ros2_topic_list shows types.")
+            raise TypeConflict(f"{topic} is a {named(stream.type)}, not a {type_name}.", "ros2_topic_list shows types.")
         async for batch in stream.batches:
             if batch:
                 sample = batch[-1 if source.is_live else 0]

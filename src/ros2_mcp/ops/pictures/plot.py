@@ -66,14 +66,14 @@ class Plot(WithPictures):
     series: Sequence[Series]
     note: str
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """A line for each series."""
         lines = [
             f"{one.name}: {one.count} value(s), {_number(one.min)} to {_number(one.max)}, "
             f"mean {_number(one.mean)}, last {_number(one.last)} {one.unit}".rstrip()
             for one in self.series
         ]
-        return "\n".join([f"Plot, {self.source}. {self.note}".rstrip(), *lines])
+        return [f"Plot, {self.source}. {self.note}".rstrip(), *lines]
 
 
 def _number(value: float | None) -> str:

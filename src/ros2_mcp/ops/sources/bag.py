@@ -18,6 +18,7 @@ from ros2_mcp.model.errors import BadInput, BadValue, NotFound, TypeConflict, Un
 from ros2_mcp.model.interfaces import DefinitionText
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import named
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore, OpenedBag
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.sources.selection import MAX_BYTES
@@ -56,7 +57,7 @@ class BagSource(Source):
         self.duration_s = (self.span.end_ns - self.span.start_ns) / 1e9
         # Milliseconds: what a person reads; the exact times are in the results.
         began = f"{iso_time(self.span.start_ns)[:-4]}Z"
-        self.words = f"bag {self.name}, {self.duration_s:.4g} s from {began} on"
+        self.words = f"bag {named(self.name)}, {self.duration_s:.4g} s from {began} on"
         self._codec = self.opened.codec  # this one also when the bag's definitions change while it is read
 
     @property
@@ -84,7 +85,9 @@ class BagSource(Source):
         """Every sample of a topic in order; raises as `Source.follow`."""
         stored = await self._learn(topic)
         if type_name and names.interface_type(type_name, "msg") != stored.type:
-            raise TypeConflict(f"{stored.name} has the type {stored.type}, not {type_name}.", "Leave the type out.")
+            raise TypeConflict(
+                f"{stored.name} has the type {named(stored.type)}, not {type_name}.", "Leave the type out."
+            )
         publishers = _publishers(stored)
         stream = Stream(
             topic=stored.name,
@@ -181,13 +184,13 @@ async def open_bag(
         if end_ns <= start_ns:
             if not may_be_empty:
                 covers = f"It goes from {iso_time(first_ns)} to {iso_time(last_ns)}."
-                raise BadValue("start" if start else "end", f"{bag} has nothing in that time.", covers)
+                raise BadValue("start" if start else "end", f"{named(bag)} has nothing in that time.", covers)
             end_ns = start_ns
         return BagSource(
             opened=opened,
             span=Span(None, start_ns, end_ns),
             name=bag,
-            title=title or f"the bag {bag}",
+            title=title or f"the bag {named(bag)}",
             covers=(first_ns, last_ns),
             robot=robot,
             from_end=from_end or not start.strip(),
@@ -222,7 +225,7 @@ class Bags(SourceKind):
         candidates = dict.fromkeys([*running, *reversed(own), *subject, *store.opened_names()])
 
         def opening(name: str) -> Callable[[], Awaitable[Source]]:
-            title = f"this server's recording {name}" if name in own else f"the bag {name}"
+            title = f"this server's recording {named(name)}" if name in own else f"the bag {named(name)}"
             return partial(
                 open_bag, store, name, request.start, request.end, robot, title=title, may_be_empty=True, from_end=True
             )
@@ -248,7 +251,7 @@ async def definitions_of(topic: StoredTopic, robot: Robot | None) -> dict[str, D
         if found := definitions_in(topic.type, "ros2msg", text):
             return found
     if robot is None:
-        raise UnknownInterface(f"The bag has no definition of {topic.type}.", "It was recorded without.")
+        raise UnknownInterface(f"The bag has no definition of {named(topic.type)}.", "It was recorded without.")
     await robot.values.learn(topic.type)
     return definitions_in(topic.type, "ros2msg", schema_text(robot.values.definitions.interface(topic.type)))
 
@@ -258,7 +261,7 @@ def find_topic(bag: Bag, name: str) -> StoredTopic:
     full = names.absolute(name)
     if full not in bag.topics:
         topics = sorted(bag.topics)
-        hint = names.did_you_mean(full, topics, f"It has {', '.join(topics[:20])}.")
+        hint = names.did_you_mean(full, topics, f"It has {', '.join(map(named, topics[:20]))}.")
         raise NotFound(f"{bag.path.name} has no topic {full}.", hint)
     return bag.topics[full]
 

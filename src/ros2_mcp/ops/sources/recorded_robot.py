@@ -12,6 +12,7 @@ from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.errors import RosNotFound, UnknownInterface
 from ros2_mcp.model.graph import Rows, TopicEndpoints, TopicRow
 from ros2_mcp.model.names import defining_type, did_you_mean
+from ros2_mcp.model.text import named
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.sources.bag import definitions_of, open_bag
 from ros2_mcp.robot import Robot
@@ -75,7 +76,7 @@ class RecordedValues(Values):
         self.definitions.add(recorded)
         for name in types:
             if not self.definitions.knows(defining_type(name)):
-                hint = did_you_mean(name, list(recorded), f"It has {', '.join(sorted(recorded)[:20])}.")
+                hint = did_you_mean(name, list(recorded), f"It has {', '.join(map(named, sorted(recorded)[:20]))}.")
                 raise UnknownInterface(f"The recording has no definition of {name}.", hint)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from ros2_mcp.model import names, qos
 from ros2_mcp.model.qos import Endpoint
+from ros2_mcp.model.text import named
 from ros2_mcp.robot import Robot
 
 
@@ -36,13 +37,13 @@ class TopicInfo:
     subscribers: Sequence[EndpointInfo]
     mismatches: Sequence[str]
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """One line, and one for each mismatch."""
         line = (
-            f"{self.topic_name} ({', '.join(self.topic_types)}): {len(self.publishers)} publisher(s), "
+            f"{self.topic_name} ({', '.join(map(named, self.topic_types))}): {len(self.publishers)} publisher(s), "
             f"{len(self.subscribers)} subscriber(s)."
         )
-        return "\n".join([line, *self.mismatches])
+        return [line, *self.mismatches]
 
 
 async def topic_info(robot: Robot, topic: str) -> TopicInfo:

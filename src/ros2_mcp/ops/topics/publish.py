@@ -69,9 +69,9 @@ class PublishedSeveral:
 
     topics: Sequence[Published]
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """A line for each topic."""
-        return "\n".join(published.summary() for published in self.topics)
+        return [published.summary() for published in self.topics]
 
 
 async def publish(robot: Robot, request: PublishRequest, report: Report = silent) -> Published:

@@ -80,10 +80,10 @@ class Stats:
     source: str
     is_live: bool = field(default=True, metadata=HIDDEN)
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """A line for each topic, after one that names the recording."""
         lines = [topic.summary() for topic in self.topics]
-        return "\n".join(lines if self.is_live else [f"In {self.source}:", *lines])
+        return lines if self.is_live else [f"In {self.source}:", *lines]
 
 
 async def measure(source: Source, topics: Sequence[str], report: Report = silent) -> Stats:

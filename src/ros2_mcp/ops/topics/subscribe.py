@@ -69,9 +69,9 @@ class Readings(WithPictures):
     topics: Sequence[Reading]
     duration: float
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """A line for each topic."""
-        return "\n".join(reading.summary() for reading in self.topics)
+        return [reading.summary() for reading in self.topics]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

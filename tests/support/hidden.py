@@ -1,0 +1,53 @@
+"""Text that cannot be seen, or makes other text look different from what it is: 40 classes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+HIDDEN: Mapping[str, str] = {
+    "NUL": "\x00",
+    "bell": "\x07",
+    "backspace": "\b\b\b",
+    "carriage return": "\r",
+    "vertical tab, form feed": "\x0b\x0c",
+    "colours of a terminal": "\x1b[8m",
+    "information separators": "\x1c\x1d\x1e\x1f",
+    "delete": "\x7f",
+    "next line": "\x85",
+    "C1 controls": "\x80\x9b\x9d\x9f",
+    "no-break space": "\u00a0",
+    "soft hyphen": "\u00ad",
+    "grapheme joiner": "\u034f",
+    "Arabic letter mark": "\u061c",
+    "Arabic number sign": "\u0600",
+    "Hangul fillers": "\u115f\u1160",
+    "halfwidth and wide Hangul fillers": "\u3164\uffa0",
+    "Ogham space": "\u1680",
+    "Khmer inherent vowels": "\u17b4\u17b5",
+    "Mongolian selectors": "\u180b\u180d\u180e\u180f",
+    "spaces by width": "\u2000\u2003\u2009\u200a",
+    "zero width space": "\u200b",
+    "joiners": "\u200c\u200d",
+    "direction marks": "\u200e\u200f",
+    "line and paragraph separators": "\u2028\u2029",
+    "embeddings of direction": "\u202a\u202b\u202c",
+    "overrides of direction": "\u202d\u202e",
+    "narrow no-break space": "\u202f",
+    "mathematical and ideographic space": "\u205f\u3000",
+    "word joiner and invisible operators": "\u2060\u2061\u2062\u2063\u2064",
+    "isolates of direction": "\u2066\u2067\u2068\u2069",
+    "deprecated format characters": "\u206a\u206f",
+    "Braille blank": "\u2800",
+    "variation selectors": "\ufe00\ufe0e\ufe0f",
+    "byte order mark": "\ufeff",
+    "annotation and object characters": "\ufff9\ufffb\ufffc",
+    "not characters": "\ufdd0\ufffe\uffff",
+    "private use": "\ue000\U000f0000\U0010fffd",
+    "unassigned": "\u0378\U000e1000",
+    "Khitan filler": "\U00016fe4",
+    "shorthand controls": "\U0001bca0\U0001bca3",
+    "musical controls and null notehead": "\U0001d159\U0001d173\U0001d17a",
+    "tags": "\U000e0001\U000e0069\U000e007f",
+    "more variation selectors": "\U000e0100\U000e01ef",
+}
+"""Each class by its name, with some characters of it. Lone surrogates are not among them: no UTF-8 has any."""
