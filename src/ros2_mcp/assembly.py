@@ -12,6 +12,7 @@ from mcp.server.lowlevel import Server
 
 from ros2_mcp.adapters.data_black_box import DataBlackBoxes
 from ros2_mcp.adapters.wisevision_prompts import code_of
+from ros2_mcp.leases import Leases
 from ros2_mcp.library import robot_for, running, store_for
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.ops.memory.bag_store import BagStore
@@ -52,9 +53,14 @@ class Assembly:
         )
 
     @cached_property
+    def leases(self) -> Leases:
+        """Of its clients over HTTP."""
+        return Leases(self.robot)
+
+    @cached_property
     def server(self) -> Server[Any]:
         """The MCP server."""
-        return build_server(self.robot, self.toolset, self.catalog, recording=self.store.subject_name)
+        return build_server(self.robot, self.toolset, self.catalog, self.leases, recording=self.store.subject_name)
 
     def running(self) -> AbstractAsyncContextManager[None]:
         """While it is entered the bridge is there, if there is a robot; at the end all work of this server is ended."""

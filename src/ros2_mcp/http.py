@@ -4,28 +4,43 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import anyio
 import uvicorn
 from mcp.server.sse import SseServerTransport
 from mcp.server.transport_security import TransportSecuritySettings
 from starlette.applications import Starlette
 from starlette.routing import Mount, Route
 
+from ros2_mcp.presence import Connections, Presence
+
 if TYPE_CHECKING:
     from mcp.server.lowlevel import Server
     from starlette.types import Receive, Scope, Send
 
+    from ros2_mcp.leases import Leases
     from ros2_mcp.settings import Settings
 
 
-async def serve_http(server: Server[Any], settings: Settings) -> None:
+async def serve_http(server: Server[Any], leases: Leases, settings: Settings) -> None:
     """Serves `/mcp` (streamable HTTP) or `/sse`, until cancelled."""
     guard = security(settings.host, settings.port)
     if settings.transport == "sse":
         app = _sse_app(server, guard)
     else:
         app = server.streamable_http_app(host=settings.host, transport_security=guard)
-    config = uvicorn.Config(app, host=settings.host, port=settings.port, log_level=settings.log_level)
-    await uvicorn.Server(config).serve()
+    connections = Connections()
+    config = uvicorn.Config(
+        Presence(app, leases, connections),
+        host=settings.host,
+        port=settings.port,
+        log_level=settings.log_level,
+        http=connections.protocol(),
+        proxy_headers=False,  # they say what the client likes, and connections are found by their real addresses
+    )
+    async with anyio.create_task_group() as tasks:
+        tasks.start_soon(leases.keep)
+        await uvicorn.Server(config).serve()
+        tasks.cancel_scope.cancel()
 
 
 def security(host: str, port: int) -> TransportSecuritySettings:

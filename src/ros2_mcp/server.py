@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 from functools import partial
 from importlib.metadata import version
@@ -27,11 +26,10 @@ from mcp.types import (
     ReadResourceResult,
     TextContent,
 )
-from starlette.requests import Request
 
 from ros2_mcp.binding import CallFailed
 from ros2_mcp.completions import CompletionRequest, Completions
-from ros2_mcp.model.commands import LOCAL, Principal
+from ros2_mcp.leases import Leases, principal_of
 from ros2_mcp.model.text import quoted, visible
 from ros2_mcp.prompts.arguments import shown
 from ros2_mcp.prompts.catalog import Catalog
@@ -69,12 +67,14 @@ _ANNOUNCED = NotificationOptions(prompts_changed=True)
 Context = ServerRequestContext[Any, Any]
 
 
-def build_server(robot: Robot, toolset: Toolset, catalog: Catalog, *, recording: str = "") -> Server[Any]:
+def build_server(
+    robot: Robot, toolset: Toolset, catalog: Catalog, leases: Leases, *, recording: str = ""
+) -> Server[Any]:
     """The MCP server for one robot; `recording` is the name of the bag that stands for it, if one does."""
     events = InMemorySubscriptionBus()
-    tools = Tools(robot, toolset)
+    tools = Tools(robot, toolset, leases)
     prompts = Prompts(catalog, events)
-    resources = Resources(robot, events, partial(_stop_work_of, robot))
+    resources = Resources(robot, events)
     completions = Completions(robot, of_prompt=partial(_of_prompt, catalog), of_template=_of_template)
     # Nothing in a recording changes while it is looked at: its server has no resources, and nobody can subscribe.
     live = not recording
@@ -96,6 +96,7 @@ def build_server(robot: Robot, toolset: Toolset, catalog: Catalog, *, recording:
         on_subscriptions_listen=resources.push.listen if live else ListenHandler(events),
         on_completion=completions.complete,
     )
+    server.middleware.append(leases.note)
     server.middleware.append(prompts.tell_news)
     if live:
         server.add_notification_handler("notifications/initialized", NotificationParams, resources.push.initialized)
@@ -105,9 +106,10 @@ def build_server(robot: Robot, toolset: Toolset, catalog: Catalog, *, recording:
 class Tools:
     """Answers `tools/list` and `tools/call`."""
 
-    def __init__(self, robot: Robot, toolset: Toolset) -> None:
+    def __init__(self, robot: Robot, toolset: Toolset, leases: Leases) -> None:
         self._robot = robot
         self._toolset = toolset
+        self._leases = leases
         self._listed = ListToolsResult(tools=[tool.listed for tool in toolset.by_name.values()])
 
     async def list(self, _: Any, __: PaginatedRequestParams | None) -> ListToolsResult:
@@ -125,41 +127,23 @@ class Tools:
         async def report(done: float, whole: float, line: str) -> None:
             await context.session.report_progress(done, whole, line)
 
-        robot = self._robot.acting_for(principal_of(context.request))
-        try:
-            return await self._toolset.call(params.name, params.arguments or {}, report, robot)
-        except CallFailed as error:
-            _logger.info("%s failed: %r", params.name, str(error))
-            failed = error
-        except Exception as error:  # a fault of ours; without an answer the model would believe that it went well
-            _logger.exception("%s raised an unexpected exception", params.name)
-            failed = CallFailed(f"{params.name} failed by a fault of this server: {type(error).__name__}: {error}")
+        robot = self._robot.acting_for(principal_of(context))
+        failed: CallFailed | None = None
+        with self._leases.attended(context) as attended:
+            try:
+                return await self._toolset.call(params.name, params.arguments or {}, report, robot)
+            except CallFailed as error:
+                _logger.info("%s failed: %r", params.name, str(error))
+                failed = error
+            except Exception as error:  # a fault of ours; without an answer the model would believe that it went well
+                _logger.exception("%s raised an unexpected exception", params.name)
+                failed = CallFailed(f"{params.name} failed by a fault of this server: {type(error).__name__}: {error}")
+        failed = failed or CallFailed(attended.end_reason)
         return CallToolResult(content=[TextContent(type="text", text=str(failed))], is_error=True)
 
 
-def principal_of(request: Request | None) -> Principal:
-    """Who asks: the one client over stdio, or a session over HTTP.
-
-    HTTP requests of the modern era belong to no session: all that come without one are the same principal.
-    """
-    if request is None:
-        return LOCAL
-    session = request.headers.get("mcp-session-id") or request.query_params.get("session_id")
-    if not session:
-        return Principal(name="http", transport="http")
-    # Who knows the id of a session can use it: it is named by a hash of it.
-    return Principal(name=f"http_{hashlib.sha256(session.encode()).hexdigest()[:8]}", transport="http")
-
-
-async def _stop_work_of(robot: Robot, context: Context) -> None:
-    """Stops what a client over HTTP left in motion; the one client of stdio ends with the server, which stops all."""
-    principal = principal_of(context.request)
-    if principal != LOCAL:
-        await robot.jobs.stop_owned(principal)
-
-
 async def _no_resource(_: Any, request: ReadResourceRequestParams) -> ReadResourceResult:
-    raise MCPError(INVALID_PARAMS, visible(f"There is no resource {request.uri}."), {"uri": visible(str(request.uri))})
+    raise MCPError(INVALID_PARAMS, visible(f"There is no resource {request.uri}."), {"uri": str(request.uri)})
 
 
 async def _no_resources(_: Any, __: Any) -> ListResourcesResult:

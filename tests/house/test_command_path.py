@@ -26,7 +26,8 @@ EXECUTORS = {"core", "failsafes", "goals", "publishing", "services", "translatio
 SPEAKING = {"ask", "query", "request", "subscribe"}
 OF_MCP = {
     "src/ros2_mcp/resources/push.py": {"self._bus.subscribe"},
-    "src/ros2_mcp/server.py": {"resources.push.subscribe", "context.request"},
+    "src/ros2_mcp/server.py": {"resources.push.subscribe"},
+    "src/ros2_mcp/leases.py": {"context.request"},
 }
 """Who is subscribed with, or has made a request, is a client of ours, and no robot."""
 FAILSAFES = {"leave_zero", "leave_cancel", "withdraw"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from support.processes import peer_command
@@ -13,9 +13,13 @@ from support.processes import peer_command
 class CommandedProcess:
     """The commands of a script, each a method: `peer.listen(topic="/said", kind="std_msgs/msg/String")`."""
 
-    def __init__(self, script: str, environment: dict[str, str]) -> None:
+    def __init__(self, script: str, environment: dict[str, str], before: Sequence[str] = ()) -> None:
         self._process = subprocess.Popen(
-            peer_command(script), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+            [*before, *peer_command(script)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment,
         )
         assert self._answer() == "ready"
 
@@ -27,6 +31,11 @@ class CommandedProcess:
             return self._answer()
 
         return ask
+
+    @property
+    def pid(self) -> int:
+        """Of its process."""
+        return self._process.pid
 
     def end(self) -> None:
         """Let it go, and see that it went."""

@@ -6,6 +6,9 @@ import json
 import re
 import textwrap
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from uuid import UUID
 
 import pytest
 from mcp import Client
@@ -16,12 +19,14 @@ from ros2_mcp.assembly import assemble
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.cli import run
+from ros2_mcp.leases import principal_of, principal_of_session
 from ros2_mcp.model.commands import LOCAL
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.server import principal_of
 from ros2_mcp.settings import Settings
 from support.made_windows import encoded
+
+SESSION = UUID(int=0xC0FFEE)
 
 
 @pytest.fixture
@@ -76,12 +81,19 @@ def test_what_the_library_offers_is_there(name: str) -> None:
     assert getattr(ros2_mcp, name).__doc__
 
 
-def test_who_asks_is_one_over_stdio_and_one_for_each_session_over_http() -> None:
-    def principal(headers: dict[str, str], query: str = "") -> str:
+def test_who_asks_is_one_over_stdio_and_one_for_each_session_or_program_over_http() -> None:
+    def principal(headers: dict[str, str], query: str = "", program: str = "a", address: str = "10.0.0.1") -> str:
         raw = [(name.encode(), value.encode()) for name, value in headers.items()]
-        return principal_of(Request({"type": "http", "headers": raw, "query_string": query.encode()})).name
+        scope = {"type": "http", "headers": raw, "query_string": query.encode(), "client": (address, 4711)}
+        params = SimpleNamespace(client_info=SimpleNamespace(name=program, version="1"))
+        asked: Any = SimpleNamespace(request=Request(scope), session=SimpleNamespace(client_params=params))
+        return principal_of(asked).name
 
-    assert principal_of(None) == LOCAL
+    asked: Any = SimpleNamespace(request=None)
+    assert principal_of(asked) == LOCAL
     mine, yours = principal({"mcp-session-id": "a"}), principal({"mcp-session-id": "b"})
-    assert len({mine, yours, principal({}), principal({}, "session_id=c")}) == 4
+    older = principal({}, f"session_id={SESSION.hex}")
+    programs = principal({}), principal({}, program="b"), principal({}, address="10.0.0.2")
+    assert len({mine, yours, older, *programs}) == 6
     assert principal({"mcp-session-id": "a"}) == mine
+    assert principal({}, f"session_id={str(SESSION).upper()}") == older == principal_of_session(SESSION.hex).name

@@ -71,7 +71,7 @@ async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None) -
     else:
         from ros2_mcp.http import serve_http  # brings uvicorn, which stdio does not need
 
-        serving = serve_http(assembly.server, settings)
+        serving = serve_http(assembly.server, assembly.leases, settings)
     gc.freeze()
     gc.enable()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable
 from typing import Any
 
 from mcp.server.subscriptions import SubscriptionBus
@@ -26,7 +25,7 @@ from ros2_mcp.model.text import visible
 from ros2_mcp.ops.watch.watchers import Watcher
 from ros2_mcp.resources.catalogue import RESOURCES, matching
 from ros2_mcp.resources.fitting import fitting
-from ros2_mcp.resources.push import Push, Request
+from ros2_mcp.resources.push import Push
 from ros2_mcp.robot import Robot
 
 _MIME_TYPE = "application/json"
@@ -36,12 +35,10 @@ _logger = logging.getLogger(__name__)
 class Resources:
     """Answers what clients ask of resources; `push` answers their subscriptions."""
 
-    def __init__(
-        self, robot: Robot, bus: SubscriptionBus, client_has_gone: Callable[[Request], Awaitable[object]]
-    ) -> None:
+    def __init__(self, robot: Robot, bus: SubscriptionBus) -> None:
         self._robot = robot
         self._watcher = Watcher(robot)
-        self.push = Push(self._watcher, bus, client_has_gone)
+        self.push = Push(self._watcher, bus)
 
     async def list(self, _: Any, __: PaginatedRequestParams | None) -> ListResourcesResult:
         """The resources without variables."""
@@ -81,12 +78,10 @@ class Resources:
             chosen = {**dict.fromkeys(resource.template.query_variable_names, ""), **variables}
             text = fitting(await resource.read(self._robot, self._watcher, **chosen), self._robot.result_bytes)
         except (NotFound, BadInput) as error:
-            raise MCPError(INVALID_PARAMS, visible(str(error)), {"uri": visible(uri)}) from error
+            raise MCPError(INVALID_PARAMS, visible(str(error)), {"uri": uri}) from error
         except RobotError as error:
-            raise MCPError(
-                INTERNAL_ERROR, visible(f"{type(error).__name__}: {error}"), {"uri": visible(uri)}
-            ) from error
+            raise MCPError(INTERNAL_ERROR, visible(f"{type(error).__name__}: {error}"), {"uri": uri}) from error
         except Exception as error:  # a fault of ours: its traceback is for the log, not for the client
             _logger.exception("reading %s failed", uri)
-            raise MCPError(INTERNAL_ERROR, visible(f"Error reading resource {uri}"), {"uri": visible(uri)}) from error
+            raise MCPError(INTERNAL_ERROR, visible(f"Error reading resource {uri}"), {"uri": uri}) from error
         return ReadResourceResult(contents=[TextResourceContents(uri=uri, text=text, mime_type=_MIME_TYPE)])

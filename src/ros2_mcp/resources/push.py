@@ -6,11 +6,10 @@ A client that does not read is notified once, later: each has a mailbox in which
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any
 
-import anyio
 from mcp.server.context import ServerRequestContext
 from mcp.server.session import ServerSession
 from mcp.server.subscriptions import SUBSCRIPTION_ID_META_KEY, ResourceUpdated, ServerEvent, SubscriptionBus
@@ -89,12 +88,9 @@ class Subscriber:
 class Push:
     """Answers the subscription methods of both eras."""
 
-    def __init__(
-        self, watcher: Watcher, bus: SubscriptionBus, client_has_gone: Callable[[Request], Awaitable[object]]
-    ) -> None:
+    def __init__(self, watcher: Watcher, bus: SubscriptionBus) -> None:
         self._watcher = watcher
         self._bus = bus
-        self._client_has_gone = client_has_gone
         self._subscribers: dict[int, Subscriber] = {}
         self._listening = 0
 
@@ -103,8 +99,7 @@ class Push:
 
         The SDK runs the handlers of a connection in one task group, and cancels them with it: nothing else public
         says that a client has gone. A client is recognised by the parameters of its `initialize`: they are one object
-        for all requests of one connection, and of no other. The end of a client that never says that it is
-        initialized is not noticed.
+        for all requests of one connection, and of no other. What it keeps moving ends by `leases.py`.
         """
         client = request.session.client_params
         if id(client) in self._subscribers:
@@ -115,8 +110,6 @@ class Push:
         finally:
             subscriber.leave()
             del self._subscribers[id(client)]
-            with anyio.CancelScope(shield=True):  # the connection ends only now; nothing else will stop its work
-                await self._client_has_gone(request)
 
     async def subscribe(self, request: Request, params: SubscribeRequestParams) -> EmptyResult:
         """Handshake era; answers when nothing that happens from now on is missed.
@@ -128,7 +121,7 @@ class Push:
         try:
             subject = subject_of(uri)
         except RobotError as error:
-            raise MCPError(INVALID_PARAMS, visible(str(error)), data={"uri": visible(uri)}) from error
+            raise MCPError(INVALID_PARAMS, visible(str(error)), data={"uri": uri}) from error
         if len(subscriber.watched) >= MAX_URIS:
             raise MCPError(INVALID_PARAMS, f"You are subscribed to {MAX_URIS} resources: unsubscribe from some first.")
         if uri not in subscriber.watched:

@@ -265,8 +265,8 @@ class Observer:
             end = time.monotonic() + handle.request.order / 10
             while time.monotonic() < end and not handle.is_cancel_requested:
                 time.sleep(STEP_S)
-            handle.canceled() if handle.is_cancel_requested else handle.succeed()
             goal.status, goal.ended = "canceled" if handle.is_cancel_requested else "succeeded", time.monotonic_ns()
+            handle.canceled() if handle.is_cancel_requested else handle.succeed()
             return Fibonacci.Result()
 
         def cancel(_handle: Any) -> CancelResponse:

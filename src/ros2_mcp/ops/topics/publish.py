@@ -143,6 +143,7 @@ class Repetition(Job):
         super().__init__(owner=command.principal, moves=[command.name])
         self._robot = robot
         self._command = command
+        self.is_motion = command.type in VELOCITY_TYPES
         self.sent: Sent | None = None
 
     async def run(self) -> None:
@@ -150,6 +151,11 @@ class Repetition(Job):
         await self._robot.values.learn(self._command.type)  # as long as it is starting, a stop ends it at once
         self.begun()
         self.sent = await self._robot.do(self._command)
+
+    async def stop_for(self, reason: str) -> None:
+        """Ends it with its zero; the answer of its call gives the reason. Raises as `Robot.zero` and `stop`."""
+        self.stop_reason = reason
+        await self.stop()
 
     async def wind_down(self) -> None:
         """Does nothing: the bridge ends the repetition, and its answer with what was sent is still awaited."""

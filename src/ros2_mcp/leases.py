@@ -1,0 +1,315 @@
+"""Client leases: what a client over HTTP keeps moving ends, with its zero, when that client has gone.
+
+A client that closes an open response is gone at once, unless it has another one open. Of one whose network has gone
+nothing is heard: its lease is over 2 s after its last sign of life, which is a request, or an open response whose
+bytes it acknowledges (`presence.py`). stdio needs no lease: the end of the stream is enough.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+from collections.abc import Awaitable, Callable, Generator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from time import monotonic
+from typing import Any, Protocol
+from uuid import UUID
+
+import anyio
+from anyio.abc import TaskGroup
+from mcp.server.context import CallNext, ServerRequestContext
+from mcp.shared.message import ServerMessageMetadata
+from mcp.types import EmptyResult, PingRequest
+from starlette.requests import Request
+
+from ros2_mcp.model.commands import LOCAL, Principal
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.ops.topics.publish import Repetition
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.jobs import Job
+
+CLIENT_LEASE_S = 2.0
+"""Without a sign of life. A lost packet is sent again within 0.2 s, then 0.4 s: four signs may fail on a bad wireless
+network before a robot is stopped, and one at walking pace has gone 2 m at most."""
+UNRENEWED_REPEAT_S = 10.0
+"""How long a repeat of motion lasts without a request or an answered ping: the kernel of a client that is stopped or
+hangs acknowledges for it, so that an open response does not show that anybody is there."""
+ALIVE_S = 0.5
+"""Between two comments on an open event stream while its client moves something: four of them in a lease."""
+PING_S = 2.0
+"""Between two pings: four may go unanswered before a repeat is ended."""
+_LOOK_S = 0.05
+"""Between two looks at the leases: how late the end of one may be noticed, of the 0.3 s that a zero may take."""
+_LATE_S = 0.5
+"""A look that comes so much too late shows that this process did not run: the silence was its own."""
+RESPONSE = "ros2_mcp.response"
+"""The key of a request's scope under which its `OpenResponse` is found."""
+
+Context = ServerRequestContext[Any, Any]
+_logger = logging.getLogger(__name__)
+
+
+class OpenResponse(Protocol):
+    """The response to one HTTP request, from its arrival on."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is neither complete nor closed."""
+        ...
+
+    def heard_at(self) -> float:
+        """When its client last acknowledged or sent anything (monotonic, s); now, where nobody can tell."""
+        ...
+
+    async def show_alive(self) -> None:
+        """Sends something that says nothing, so that its client has something to acknowledge."""
+        ...
+
+
+@dataclass(eq=False)
+class Call:
+    """One call of a tool that is under way, and the response that carries its result."""
+
+    scope: anyio.CancelScope
+    response: OpenResponse | None
+    ping: Callable[[], Awaitable[object]] | None
+    pinged_at: float = 0.0
+    end_reason: str = ""
+
+    def end(self, reason: str) -> None:
+        """Cancels it: nobody awaits its result."""
+        self.end_reason = reason
+        self.scope.cancel()
+
+
+@dataclass(eq=False)
+class Client:
+    """One client over HTTP. Times are monotonic, in s."""
+
+    principal: Principal
+    asked_at: float
+    granted_at: float = 0.0
+    """Its lease is not over sooner than this and the lease's length: set when it begins to move something."""
+    shown_alive_at: float = 0.0
+    responses: set[OpenResponse] = field(default_factory=set[OpenResponse])
+    calls: set[Call] = field(default_factory=set[Call])
+    is_moving: bool = False
+    is_ending: bool = False
+
+    def lease_ends_at(self) -> float:
+        """When its lease is over, unless it is heard of again."""
+        heard = (response.heard_at() for response in self.responses)
+        return max(self.asked_at, self.granted_at, *heard) + CLIENT_LEASE_S
+
+
+class Leases:
+    """The clients over HTTP that were heard of lately, and the end of what those keep moving that have gone."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._clients: dict[Principal, Client] = {}
+        self._asked = asyncio.Event()
+        self._tasks: TaskGroup | None = None
+
+    async def keep(self) -> None:
+        """Watches the leases, until cancelled. Rests while no client asks for anything and none moves anything."""
+        async with anyio.create_task_group() as self._tasks:
+            while True:
+                await self._asked.wait()
+                self._asked.clear()
+                looked_at = monotonic()
+                while self._look(looked_at):
+                    looked_at = monotonic()
+                    await anyio.sleep(_LOOK_S)
+
+    # ── what is heard of clients ───────────────────────────────────────────────────────────────────────────────
+
+    async def note(self, ctx: Context, call_next: CallNext) -> Any:
+        """As a middleware of the server: notes who asks, and that he does."""
+        if (principal := principal_of(ctx)) != LOCAL:
+            self.asked(principal, _response_of(ctx))
+        return await call_next(ctx)
+
+    def asked(self, principal: Principal, response: OpenResponse | None = None) -> None:
+        """Notes a request of a client, which renews its lease, and the response that is open for it."""
+        client = self._clients.setdefault(principal, Client(principal, monotonic()))
+        client.asked_at = monotonic()
+        if response and response.is_open:
+            client.responses.add(response)
+        self._asked.set()
+
+    def finished(self, response: OpenResponse) -> None:
+        """Notes that a response is complete."""
+        for client in self._clients.values():
+            client.responses.discard(response)
+
+    def closed(self, response: OpenResponse) -> None:
+        """Notes that a client has closed a response: ends its call, and all it moves if no other one is open."""
+        for client in [client for client in self._clients.values() if response in client.responses]:
+            client.responses.discard(response)
+            for call in client.calls:
+                if call.response is response:
+                    call.end("The client closed the response that was to carry the result.")
+            if not client.responses:
+                self._begin_end(client, "it closed its last open response")
+
+    def left(self, principal: Principal) -> None:
+        """Notes that a client has ended its session."""
+        if client := self._clients.get(principal):
+            self._begin_end(client, "it ended its session")
+
+    @contextmanager
+    def attended(self, context: Context) -> Generator[Call]:
+        """The block is a call of a client: it is cancelled, and says why, when that client has gone."""
+        with anyio.CancelScope() as scope:
+            principal = principal_of(context)
+            if principal == LOCAL:
+                yield Call(scope, None, None)
+                return
+            call = Call(scope, _response_of(context), _ping(context))
+            client = self._clients.setdefault(principal, Client(principal, monotonic()))
+            client.calls.add(call)
+            try:
+                yield call
+            finally:
+                client.calls.discard(call)
+
+    # ── the watch ──────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _look(self, looked_at: float) -> bool:
+        """Ends what must end; whether there is anything to watch."""
+        now = monotonic()
+        is_late = now - looked_at > _LATE_S
+        for client in list(self._clients.values()):
+            was_moving, client.is_moving = client.is_moving, _moves(self._robot, client.principal)
+            if is_late or (client.is_moving and not was_moving):
+                client.granted_at = now
+            if client.is_moving and not client.is_ending:
+                self._watch(client, now)
+            elif not client.calls and not client.responses and now > client.lease_ends_at():
+                del self._clients[client.principal]
+        return any(
+            client.is_moving or client.calls or client.asked_at + CLIENT_LEASE_S > now
+            for client in self._clients.values()
+        )
+
+    def _watch(self, client: Client, now: float) -> None:
+        assert self._tasks
+        if now > client.lease_ends_at():
+            self._begin_end(client, f"nothing was heard of it for {CLIENT_LEASE_S:g} s (the client lease)")
+            return
+        if now - client.shown_alive_at >= ALIVE_S:
+            client.shown_alive_at = now
+            for response in client.responses:
+                self._tasks.start_soon(_attempt, response.show_alive)
+        repeats = [
+            job for job in self._robot.jobs.running(Repetition) if job.owner == client.principal and job.is_motion
+        ]
+        for call in client.calls if repeats else ():
+            if call.ping and now - call.pinged_at >= PING_S:
+                call.pinged_at = now
+                self._tasks.start_soon(_attempt, call.ping)
+        for repeat in repeats:
+            unrenewed_s = min(now - client.asked_at, repeat.elapsed_s)
+            if unrenewed_s > UNRENEWED_REPEAT_S and not repeat.is_stopping:
+                self._tasks.start_soon(_end_repeat, repeat)
+
+    def _begin_end(self, client: Client, reason: str) -> None:
+        if self._tasks and not client.is_ending:
+            client.is_ending = True
+            self._tasks.start_soon(self._end, client, reason)
+
+    async def _end(self, client: Client, reason: str) -> None:
+        """Ends the calls of a client that has gone, and what it keeps moving."""
+        for call in client.calls:
+            call.end(f"This call was ended, and what it moved was stopped: the client seemed to have gone, {reason}.")
+        try:
+            if _moves(self._robot, client.principal):
+                _logger.warning("what %s keeps moving is stopped: %s", client.principal.name, reason)
+            await self._robot.jobs.stop_owned(client.principal)
+        except RobotError as error:
+            _logger.warning("what %s keeps moving could not be stopped: %s", client.principal.name, error)
+        finally:
+            client.is_ending = False
+
+
+def _response_of(context: Context) -> OpenResponse | None:
+    request: Request[Any] | None = context.request
+    return request.scope.get(RESPONSE) if request else None
+
+
+def _moves(robot: Robot, principal: Principal) -> bool:
+    return any(job.owner == principal and job.moves for job in robot.jobs.running(Job))
+
+
+async def _end_repeat(repeat: Repetition) -> None:
+    try:
+        await repeat.stop_for(
+            f"Over HTTP a repeat of motion lasts at most {UNRENEWED_REPEAT_S:g} s unless its client asks for something "
+            "or answers a ping meanwhile, and this one has not."
+        )
+    except RobotError as error:
+        _logger.warning("%s did not end in good order: %s", repeat.id, error)
+
+
+def _ping(context: Context) -> Callable[[], Awaitable[object]] | None:
+    """Sends a ping on the response of a call; None in the modern era, in which a server asks nothing of clients."""
+    session = context.session
+    if not session.can_send_request:
+        return None
+
+    async def ping() -> None:  # its answer is a request of the client, which renews the lease
+        on_this_response = ServerMessageMetadata(related_request_id=context.request_id)
+        await session.send_request(PingRequest(), EmptyResult, UNRENEWED_REPEAT_S, on_this_response)
+
+    return ping
+
+
+async def _attempt(sign: Callable[[], Awaitable[object]]) -> None:
+    """A comment or a ping; that it does not arrive is noticed by what is not heard."""
+    try:
+        await sign()
+    except Exception as error:  # noqa: BLE001 - whatever a dying connection raises must not end the watch over others
+        _logger.debug("a sign of life was not sent: %r", error)
+
+
+# ── who asks ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def principal_of(context: Context) -> Principal:
+    """Who asks: the one client over stdio, a session over HTTP, or a program of that name at an address.
+
+    HTTP requests of the modern era belong to no session. What tells their clients apart is the address they come from
+    and what they call themselves: two that run the same program on one machine are the same principal.
+    """
+    request: Request[Any] | None = context.request
+    if request is None:
+        return LOCAL
+    if session := session_of(request):
+        return principal_of_session(session)
+    params = context.session.client_params
+    program = f"{params.client_info.name} {params.client_info.version}" if params else ""
+    return _named(f"{request.client.host if request.client else ''} {program}")
+
+
+def session_of(request: Request[Any]) -> str:
+    """The id of the session that a request names; empty where it names none."""
+    if session := request.headers.get("mcp-session-id"):
+        return session
+    try:
+        return UUID(
+            hex=request.query_params.get("session_id", "")
+        ).hex  # as `/messages/` reads it: several ways to write it
+    except ValueError:
+        return ""
+
+
+def principal_of_session(session: str) -> Principal:
+    """The client of a session. Who knows the session's id can use it: the principal is named by a hash of it."""
+    return _named(f"session {session}")
+
+
+def _named(text: str) -> Principal:
+    return Principal(name=f"http_{hashlib.sha256(text.encode()).hexdigest()[:8]}", transport="http")

@@ -1,0 +1,230 @@
+"""However a client over HTTP goes, what it keeps moving stops: judged by an observer in another process.
+
+The clients of these tests are on the far side of a network of two, which can be taken away.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from support.agent import FULL, until
+from support.commanded import CommandedProcess
+from support.networks import Network, NotPermitted, network
+from support.observer import TWIST, Observer, observing
+from support.ports import listening
+from support.standstill import undisturbed
+
+ROUNDS = 200 if FULL else 5
+TOGETHER = 5
+"""So many clients of each transport vanish, or are stopped, at the same time: a round each."""
+TRANSPORTS = ("handshake", "modern", "sse")
+MOTIONS = ("repeat", "relay", "goal", "playback")
+CLOSED_S, SILENT_S, STOPPED_S = 0.3, 2.0 + 0.3, 10.0 + 1.5
+"""What is promised: after a close, after the last packet, and for a repeat whose client answers nothing any more."""
+STILL_S = 0.3
+"""How long nothing may move afterwards: several periods of what drove."""
+ARRIVES_S = 0.05
+"""Between a zero's publishing and the observer's time for it, on a busy machine."""
+MOVING = {"linear": {"x": 0.5}}
+_numbers = itertools.count(1)
+
+
+@dataclass(frozen=True)
+class Field:
+    """What the tests of this file share. `ports` are those of the servers, by transport."""
+
+    observer: Observer
+    ports: dict[str, int]
+    host: str
+    network: Network | None
+    environment: dict[str, str]
+
+
+@pytest.fixture(scope="module")
+def field(ros_environment: dict[str, str]) -> Iterator[Field]:
+    """Two servers, which serve three transports, and the observer."""
+    try:
+        with network() as two:
+            yield from _field(ros_environment, two.host, two)
+    except NotPermitted:
+        yield from _field(ros_environment, "127.0.0.1", None)
+
+
+def _field(environment: dict[str, str], host: str, two: Network | None) -> Iterator[Field]:
+    with ExitStack() as stack:
+        observer = stack.enter_context(observing(environment))
+        observer.talk(topic="/talk", kind=TWIST, hz=20)
+        ports: dict[str, int] = {}
+        for transport, served in (("streamable-http", ("handshake", "modern")), ("sse", ("sse",))):
+            port, _ = stack.enter_context(listening(environment, transport, "--tools", "all", host=host))
+            ports |= dict.fromkeys(served, port)
+        yield Field(observer, ports, host, two, environment)
+
+
+@pytest.fixture
+def clients(field: Field) -> Iterator[CommandedProcess]:
+    """The process of this test's clients."""
+    process = CommandedProcess("http_peer", field.environment, field.network.beside if field.network else ())
+    yield process
+    process.kill()
+
+
+@dataclass
+class Driver:
+    """One client that moves something, and how to see it."""
+
+    field: Field
+    clients: CommandedProcess
+    transport: str
+    motion: str
+
+    def __post_init__(self) -> None:
+        self.name = f"driver{next(_numbers)}"
+        self.topic, self.action = f"/{self.name}/cmd_vel", f"/{self.name}/count"
+
+    def drive(self) -> None:
+        """Begins, and waits until the observer has seen it move."""
+        observer = self.field.observer
+        port = self.field.ports[self.transport]
+        self.clients.join(name=self.name, transport=self.transport, host=self.field.host, port=port)
+        if self.motion == "goal":
+            observer.act(action=self.action)
+            asked = {"action_name": self.action, "action_type": "test_msgs/action/Fibonacci"}
+            goal = {**asked, "goal_fields": {"order": 600}}
+            until(lambda: not self._called("ros2_send_action_goal", goal).get("isError"))  # it has yet to be discovered
+            until(lambda: any(goal["status"] == "running" for goal in observer.goals_of(action=self.action)))
+            return
+        for by, best_effort in (("reliable", False), ("best effort", True)):
+            observer.join(by=f"{self.name} {by}", topic=self.topic, kind=TWIST, best_effort=best_effort)
+        if self.motion == "relay":
+            ends = {"source_topic": "/talk", "destination_topic": self.topic, "message_type": TWIST}
+            relayed = self._called("ros2_relay_start", {**ends, "duration_sec": 0})
+            assert not relayed.get("isError"), relayed
+        else:
+            repeat = {"topic_name": self.topic, "message_type": TWIST, "data": MOVING, "frequency": 20, "duration": 60}
+            self.clients.begin(name=self.name, tool="ros2_topic_publish", arguments=repeat)
+        observer.until_driven(self.topic, 5, 2)
+
+    def rests_after(self, went: int, within_s: float) -> float:
+        """Seconds from `went` (monotonic, ns) until the zero, or the end of the goal, after which nothing moves."""
+        observer = self.field.observer
+        if self.motion == "goal":
+            ended = until(lambda: [goal["ended"] for goal in observer.goals_of(action=self.action) if goal["ended"]])
+            (goal,) = observer.goals_of(action=self.action)
+            assert goal["status"] == "canceled"
+            return (ended[0] - went) / 1e9
+        assert observer.comes_to_rest(self.topic, within_s + 3.0) == []
+        time.sleep(STILL_S)
+        zeros: list[int] = []
+        for by in ("reliable", "best effort"):
+            heard = observer.messages(by=f"{self.name} {by}", topic=self.topic)
+            last = max(number for number, one in enumerate(heard) if any(one["values"]))
+            assert len(heard) > last + 1, f"{by}: no zero"
+            zeros.append(heard[last + 1]["at"])
+        for by in ("reliable", "best effort"):
+            observer.leave(by=f"{self.name} {by}")
+        return (max(zeros) - went) / 1e9
+
+    def _called(self, tool: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        return self.clients.call(name=self.name, tool=tool, arguments=arguments)
+
+
+def told(what: str, seconds: list[float]) -> None:
+    print(f"{what}: {len(seconds)} rounds, zero after at most {max(seconds) * 1000:.0f} ms")
+
+
+@pytest.mark.timeout(3600 if FULL else 240)
+@pytest.mark.parametrize("way", ["close", "reset"])
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_a_client_that_closes_leaves_nothing_moving(
+    field: Field, clients: CommandedProcess, transport: str, way: str
+) -> None:
+    def seconds(motion: str) -> float:
+        driver = Driver(field, clients, transport, motion)
+        driver.drive()
+        return driver.rests_after(clients.go(name=driver.name, resetting=way == "reset"), CLOSED_S)
+
+    taken: list[float] = []
+    for number in range(ROUNDS):
+        motion = MOTIONS[number % 3]
+        taken.append(undisturbed(lambda motion=motion: seconds(motion)))
+        assert taken[-1] <= CLOSED_S + ARRIVES_S, motion
+    told(f"{transport} {way}", taken)
+
+
+def driving(field: Field, clients: CommandedProcess, motions: Callable[[int], str]) -> list[Driver]:
+    """Several clients of every transport that move something."""
+    drivers = [
+        Driver(field, clients, transport, motions(number)) for transport in TRANSPORTS for number in range(TOGETHER)
+    ]
+    for driver in drivers:
+        driver.drive()
+    return drivers
+
+
+def worst(drivers: list[Driver], went: int, within_s: float) -> dict[str, float]:
+    """For each transport the latest rest of all its clients."""
+    return {
+        transport: max(driver.rests_after(went, within_s) for driver in drivers if driver.transport == transport)
+        for transport in TRANSPORTS
+    }
+
+
+@pytest.mark.timeout(3600 if FULL else 240)
+def test_a_client_that_vanishes_with_its_network_leaves_nothing_moving(field: Field, clients: CommandedProcess) -> None:
+    """Every packet is lost from then on, nobody is told, and every stream looks open."""
+    if field.network is None:
+        pytest.skip("this user or machine may not make network namespaces, so that no network can be taken away")
+    two = field.network
+
+    def seconds() -> dict[str, float]:
+        drivers = driving(field, clients, lambda number: MOTIONS[number % 3])
+        went = time.monotonic_ns()
+        two.set_link("down")
+        try:
+            return worst(drivers, went, SILENT_S)
+        finally:
+            two.set_link("up")
+            for driver in drivers:
+                clients.go(name=driver.name, resetting=True)
+
+    taken: dict[str, list[float]] = {transport: [] for transport in TRANSPORTS}
+    for _ in range(ROUNDS // TOGETHER):
+        for transport, rested_s in undisturbed(seconds).items():
+            taken[transport].append(rested_s)
+            assert rested_s <= SILENT_S + ARRIVES_S, transport
+    for transport, each in taken.items():
+        told(f"{transport} silence (x {TOGETHER} clients)", each)
+
+
+@pytest.mark.timeout(3600 if FULL else 240)
+def test_a_repeat_of_a_stopped_client_ends_by_itself(field: Field, clients: CommandedProcess) -> None:
+    """Its kernel acknowledges for it: it cannot be told from one that waits."""
+
+    def seconds() -> dict[str, float]:
+        drivers = driving(field, clients, lambda _: "repeat")
+        went = time.monotonic_ns()
+        os.kill(clients.pid, signal.SIGSTOP)
+        try:
+            return worst(drivers, went, STOPPED_S)
+        finally:
+            os.kill(clients.pid, signal.SIGCONT)
+            for driver in drivers:
+                clients.go(name=driver.name, resetting=True)
+
+    taken: dict[str, list[float]] = {transport: [] for transport in TRANSPORTS}
+    for _ in range(ROUNDS // TOGETHER):
+        for transport, rested_s in undisturbed(seconds).items():
+            taken[transport].append(rested_s)
+            assert rested_s <= STOPPED_S + ARRIVES_S, transport
+    for transport, each in taken.items():
+        told(f"{transport} stopped (x {TOGETHER} clients)", each)
