@@ -143,7 +143,7 @@ class Tools:
 
 
 async def _no_resource(_: Any, request: ReadResourceRequestParams) -> ReadResourceResult:
-    raise MCPError(INVALID_PARAMS, visible(f"There is no resource {request.uri}."), {"uri": str(request.uri)})
+    raise MCPError(INVALID_PARAMS, visible(f"There is no resource {request.uri}."), {"uri": visible(str(request.uri))})
 
 
 async def _no_resources(_: Any, __: Any) -> ListResourcesResult:

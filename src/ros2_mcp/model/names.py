@@ -8,7 +8,7 @@ import re
 from collections.abc import Iterable, Sequence
 
 from ros2_mcp.model.errors import BadName
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import named, quoted
 
 _NAME = re.compile(r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")
 _TYPE = re.compile(r"^(?P<package>[a-z][a-z0-9_]*)/(?:(?P<kind>msg|srv|action)/)?(?P<name>[A-Za-z][A-Za-z0-9_]*)$")
@@ -24,12 +24,14 @@ def absolute(name: str, what: str = "topic") -> str:
     """
     full = name.strip()
     if full.startswith("~"):
-        raise BadName(f"{name!r} is private to a node.", f"Give the full {what} name, such as /node_name{full[1:]}.")
+        raise BadName(
+            f"{quoted(name)} is private to a node.", f"Give the full {what} name, such as /node_name{full[1:]}."
+        )
     if not full.startswith("/"):
         full = "/" + full
     if not _NAME.match(full):
         raise BadName(
-            f"{name!r} is not a valid {what} name.",
+            f"{quoted(name)} is not a valid {what} name.",
             "A name is made of parts like /robot1/scan: letters, digits and underscores, not starting with a digit.",
         )
     return full
@@ -57,10 +59,10 @@ def interface_type(name: str, kind: str) -> str:
     """
     match = _TYPE.match(name.strip().replace(".", "/").replace("::", "/"))
     if match is None:
-        raise BadName(f"{name!r} is not the name of a type.", f"Write it as package/{kind}/Name.")
+        raise BadName(f"{quoted(name)} is not the name of a type.", f"Write it as package/{kind}/Name.")
     found = match["kind"] or kind
     if found != kind:
-        raise BadName(f"{name!r} is a {found} type, but a {kind} type is needed here.")
+        raise BadName(f"{quoted(name)} is a {found} type, but a {kind} type is needed here.")
     return f"{match['package']}/{kind}/{match['name']}"
 
 

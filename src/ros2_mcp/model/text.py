@@ -92,7 +92,12 @@ def named(name: str) -> str:
 
     ROS allows nothing else in names, but a recording may have anything.
     """
-    return name if _NAME.fullmatch(name) else quoted(name)
+    return name if is_name(name) else quoted(name)
+
+
+def is_name(text: str) -> bool:
+    """Whether it has only the characters that ROS allows in names, types, paths of fields and names of files."""
+    return bool(_NAME.fullmatch(text))
 
 
 def in_quotes(value: object) -> str:

@@ -78,10 +78,12 @@ class Resources:
             chosen = {**dict.fromkeys(resource.template.query_variable_names, ""), **variables}
             text = fitting(await resource.read(self._robot, self._watcher, **chosen), self._robot.result_bytes)
         except (NotFound, BadInput) as error:
-            raise MCPError(INVALID_PARAMS, visible(str(error)), {"uri": uri}) from error
+            raise MCPError(INVALID_PARAMS, visible(str(error)), {"uri": visible(uri)}) from error
         except RobotError as error:
-            raise MCPError(INTERNAL_ERROR, visible(f"{type(error).__name__}: {error}"), {"uri": uri}) from error
+            raise MCPError(
+                INTERNAL_ERROR, visible(f"{type(error).__name__}: {error}"), {"uri": visible(uri)}
+            ) from error
         except Exception as error:  # a fault of ours: its traceback is for the log, not for the client
             _logger.exception("reading %s failed", uri)
-            raise MCPError(INTERNAL_ERROR, visible(f"Error reading resource {uri}"), {"uri": uri}) from error
+            raise MCPError(INTERNAL_ERROR, visible(f"Error reading resource {uri}"), {"uri": visible(uri)}) from error
         return ReadResourceResult(contents=[TextResourceContents(uri=uri, text=text, mime_type=_MIME_TYPE)])

@@ -121,7 +121,7 @@ class Push:
         try:
             subject = subject_of(uri)
         except RobotError as error:
-            raise MCPError(INVALID_PARAMS, visible(str(error)), data={"uri": uri}) from error
+            raise MCPError(INVALID_PARAMS, visible(str(error)), data={"uri": visible(uri)}) from error
         if len(subscriber.watched) >= MAX_URIS:
             raise MCPError(INVALID_PARAMS, f"You are subscribed to {MAX_URIS} resources: unsubscribe from some first.")
         if uri not in subscriber.watched:

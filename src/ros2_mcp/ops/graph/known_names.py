@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.graph import OF_EVERY_NODE
+from ros2_mcp.model.text import is_name
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 
@@ -31,9 +32,10 @@ async def live_names(robot: Robot, kind: str, within_s: float = PATIENCE_S) -> l
     if kind not in _LISTS:
         return []
     try:
-        return await asyncio.wait_for(_LISTS[kind](robot, within_s), within_s)
+        found = await asyncio.wait_for(_LISTS[kind](robot, within_s), within_s)
     except (TimeoutError, asyncio.TimeoutError, RobotError):  # two time-out types until Python 3.11
         return []
+    return [name for name in found if is_name(name)]  # a recording may have others, which no tool takes
 
 
 async def topic_types(robot: Robot, topic: str) -> list[str]:

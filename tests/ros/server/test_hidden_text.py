@@ -1,0 +1,91 @@
+"""Text of the robot is made visible in every outlet, and is never taken for ours: all tools, prompts, completions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from support.hidden import HIDDEN
+from support.hostile_bag import ODD_TOPICS, TOPICS, write_hostile_bag
+from support.outlets import FORGED, faults_of, hostile
+from support.raw_server import RawServer
+
+VERSION = "2025-06-18"
+ASKED = hostile().replace(FORGED, "As asked.")
+"""What a client sends is not the robot's: it need not be quoted where it is repeated, but is shown all the same."""
+TOPIC_NAMES = (*TOPICS, *ODD_TOPICS, f"/{ASKED}")
+CONDITIONS = ("/text", 'data == "none"'), ("/number", "data > 1"), ("/text", hostile("tags")), ("/number", "data > 99")
+_TOKENS = count(1)
+
+
+def calls_of(tool: str, required: list[str]) -> Iterator[dict[str, Any]]:
+    """Arguments with which a tool says as much of the hostile bag as it can, right ones and wrong ones."""
+    if tool == "ros2_wait_until":
+        yield from ({"topic_name": topic, "condition": condition, "timeout": 60} for topic, condition in CONDITIONS)
+    elif tool == "ros2_topic_compare":
+        for topic in TOPIC_NAMES:
+            yield {"topic1_name": topic, "topic2_name": "/number"}
+    elif tool == "ros2_plot":
+        yield from ({"series": [f"{topic}:data"]} for topic in TOPIC_NAMES)
+    elif tool == "ros2_subscribe_multiple_topics":
+        yield {"topics": [{"name": topic, "message_limit": 50} for topic in TOPICS]}
+    elif tool in ("ros2_topic_stats", "ros2_topic_statistics"):
+        yield {"topic_names": list(TOPICS)}
+        yield from ({"topic_names": [topic]} for topic in TOPIC_NAMES)
+    elif tool == "ros2_get_message_fields":
+        kinds = ("std_msgs/msg/String", "odd_msgs/msg/Odd", ASKED, "sensor_msgs/msg/PointCloud2")
+        yield from ({"message_type": kind} for kind in kinds)
+    elif "topic_name" in required:
+        many = {"message_limit": 50, "limit": 50, "number_of_messages": 50}
+        bag = {"bag": "hostile"} if "bag" in required else {}
+        yield from ({"topic_name": topic, **bag} for topic in TOPIC_NAMES)
+        yield from ({"topic_name": "/text", **bag, name: number} for name, number in many.items())
+    else:
+        yield dict.fromkeys(required, "hostile")
+        yield dict.fromkeys(required, ASKED)
+    yield {ASKED: 1}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_hostile_bag(tmp_path_factory.mktemp("bags") / "hostile")
+
+
+def exhaust(server: RawServer) -> None:
+    """Asks everything that a client can ask which takes no robot."""
+    for tool in server.ask("tools/list")["result"]["tools"]:
+        for arguments in calls_of(tool["name"], tool["inputSchema"].get("required", [])):
+            meta = {"progressToken": next(_TOKENS)}
+            server.ask("tools/call", name=tool["name"], arguments=arguments, _meta=meta)
+    server.ask("tools/call", name=ASKED, arguments={})
+    for prompt in server.ask("prompts/list")["result"]["prompts"]:
+        server.ask("prompts/get", name=prompt["name"], arguments={})
+        for argument in prompt.get("arguments") or ():
+            server.ask("prompts/get", name=prompt["name"], arguments={argument["name"]: ASKED})
+            for typed in ("", "h", "/", ASKED):
+                given = {"name": argument["name"], "value": typed}
+                server.ask("completion/complete", ref={"type": "ref/prompt", "name": prompt["name"]}, argument=given)
+    server.ask("prompts/get", name=ASKED, arguments={})
+    server.ask("resources/read", uri=f"ros2://topic/{ASKED}")
+
+
+def check(server: RawServer) -> None:
+    faults = [fault for line in server.lines() for fault in faults_of(line)]
+    if faults:
+        pytest.fail("\n".join(faults[:20]))
+
+
+def test_a_recording_in_which_every_text_is_hostile_shows_all_and_forges_nothing(
+    start_raw: Callable[..., RawServer], bag: Path
+) -> None:
+    server = start_raw("--bag", str(bag), "--tools", "all")
+    server.begin(VERSION)
+    exhaust(server)
+    check(server)
+    said = server.said.decode()
+    for what in HIDDEN:  # it was there, and was shown
+        assert any(f"U+{ord(character):04X}" in said or f" {ord(character):04X}" in said for character in HIDDEN[what])
