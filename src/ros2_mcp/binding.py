@@ -22,7 +22,7 @@ from ros2_mcp.ops.sources.source import SourceKind
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import ToolDeclaration
 from ros2_mcp.tools.injection import Call
-from ros2_mcp.tools.schema import argument_schema, result_schema
+from ros2_mcp.tools.schema import argument_schema, result_schema, text_for_number
 
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
 # About 10,000 tokens: one terminal client refuses more than 25,000, and text costs the model's attention before that.
@@ -73,7 +73,9 @@ class BoundTool:
             CallFailed: with the text that the model reads.
         """
         try:
-            checked = self.arguments.model_validate(self._as_meant(arguments))
+            meant = self._as_meant(arguments)
+            self._refuse_texts(meant)
+            checked = self.arguments.model_validate(meant)
         except ValidationError as error:
             raise CallFailed(_explain(self.name, error, self.listed.input_schema)) from error
         # One level only: an argument that is an object stays the model that the tool declared.
@@ -102,9 +104,18 @@ class BoundTool:
             own_name = self.declaration.aliases.get(name, name)
             field = self.arguments.model_fields.get(own_name)
             if isinstance(value, str) and field and field.annotation is not str:
-                value = _parsed(value)  # noqa: PLW2901
+                value = _parsed(value, acts=self._acts)  # noqa: PLW2901
             meant[own_name] = _as_sent(value)
         return meant
+
+    @property
+    def _acts(self) -> bool:
+        return self.declaration.risk != "read"
+
+    def _refuse_texts(self, arguments: Mapping[str, Any]) -> None:
+        """Where the tool acts a text is no number: pydantic would take "1 " for one, and the robot would act on it."""
+        if self._acts and (path := text_for_number(self.listed.input_schema, arguments)):
+            raise CallFailed(f"BadInput: {path}: a text is given, a number is expected. Write it without quotes.")
 
 
 def bind(
@@ -164,13 +175,17 @@ def answer(result: Any) -> CallToolResult:
     return CallToolResult(content=content, structured_content=structured)
 
 
-def _parsed(text: str) -> Any:
-    """What a text says in JSON, if that is a list, an object or null; the text itself otherwise."""
+def _parsed(text: str, *, acts: bool) -> Any:
+    """What a text says in JSON, if that is a list, an object or null; the text itself otherwise.
+
+    For a tool that acts only if there is something in it: "{}" would become a message of defaults, which moves a robot
+    to places that nobody named.
+    """
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):
         return text
-    return text if isinstance(value, (str, int, float)) else value
+    return text if isinstance(value, (str, int, float)) or (acts and not value) else value
 
 
 def _as_sent(value: Any) -> Any:

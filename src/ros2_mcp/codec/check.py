@@ -248,6 +248,8 @@ def _text(field_type: FieldType, value: object, path: str) -> str:
         raise _wrong(path, value, str(field_type), "Write it in quotes." if isinstance(value, (int, float)) else "")
     if not is_unicode(value):
         raise BadValue(path, f"{excerpt(value)} has half a character (a lone surrogate), which cannot be encoded.")
+    if field_type.base == "string" and "\0" in value:  # of a wstring the length counts
+        raise BadValue(path, f"{excerpt(value)} has a NUL character, at which ROS would cut it.", "Leave it out.")
     length = len(value.encode()) if field_type.base == "string" else len(value.encode("utf-16-le")) // 2
     if field_type.text_bound and length > field_type.text_bound:
         unit = "bytes" if field_type.base == "string" else "characters"

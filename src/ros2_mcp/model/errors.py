@@ -11,6 +11,7 @@ Every error carries a message that says what was wrong and a hint that says what
     ├── TypeConflict          several types, or another type than the one asked for
     ├── TimedOut              a bounded wait ended
     ├── Refused               the policy of this server forbids it
+    ├── AllFailed             everything that one call asked for failed
     ├── BadData               bytes from the robot that do not fit their definition
     └── LinkError             between this server and the robot
         ├── RosNotFound       no ROS 2 installation to run the bridge with
@@ -67,6 +68,10 @@ class TimedOut(RobotError):
 
 class Refused(RobotError):
     """The policy of this server forbids it."""
+
+
+class AllFailed(RobotError):
+    """Everything that one call asked for failed, such as each of several topics."""
 
 
 class BadData(RobotError):

@@ -9,13 +9,14 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from datetime import datetime, timezone
 from functools import cache
 from time import monotonic
-from typing import Any, TypeVar, cast
+from typing import Any, Protocol, TypeVar, cast
 
-from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.errors import AllFailed, RobotError
 from ros2_mcp.model.pictures import Picture
 from ros2_mcp.model.text import in_quotes, named
 
 R = TypeVar("R")
+OneOfSeveral = TypeVar("OneOfSeveral", bound="Outcome")
 
 # Values of an object in one line: it is there to be read; all of them stand in the JSON beside it.
 _MAX_IN_WORDS = 12
@@ -50,6 +51,30 @@ async def or_error(work: Awaitable[R], failed: Callable[..., R]) -> R:
         return await work
     except RobotError as error:
         return failed(error=str(error))
+
+
+class Outcome(Protocol):
+    """One of several results; `error` is empty if it did not fail."""
+
+    @property
+    def error(self) -> str:
+        """What went wrong, in words."""
+        ...
+
+    def summary(self) -> str | list[str]:
+        """The result in readable words."""
+        ...
+
+
+def unless_all_failed(results: Sequence[OneOfSeveral]) -> Sequence[OneOfSeveral]:
+    """The results of `or_error`, as long as one of them is none.
+
+    Raises:
+        AllFailed: with every error.
+    """
+    if all(result.error for result in results):
+        raise AllFailed(" ".join(str(result.summary()) for result in results))
+    return results
 
 
 def list_note(matching: int, limit: int, settled: bool = True) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any, cast, get_args, get_origin, get_type_hints
 
@@ -44,6 +44,24 @@ def result_schema(kind: Any) -> Schema:
     if origin in (dict, Mapping):
         return {"type": "object", "additionalProperties": True}
     return {"type": _SCALARS[origin]} if origin in _SCALARS else dict(_ANY_VALUE)
+
+
+def text_for_number(schema: Mapping[str, Any], value: Any, path: str = "") -> str:
+    """Where a value, or something in it, is a text although the schema has a number there; empty if nowhere."""
+    if isinstance(value, str):
+        return path if schema.get("type") in ("number", "integer") else ""
+    below: Iterable[tuple[str, Any, Any]] = ()
+    if isinstance(value, list):
+        items = enumerate(cast("list[Any]", value))
+        below = ((f"{path}[{index}]", schema.get("items"), item) for index, item in items)
+    elif isinstance(value, dict):
+        properties, others = schema.get("properties", {}), schema.get("additionalProperties")
+        below = (
+            (f"{path}.{name}" if path else name, properties.get(name, others), inner)
+            for name, inner in cast("dict[str, Any]", value).items()
+        )
+    found = (text_for_number(cast("Schema", part), inner, at) for at, part, inner in below if isinstance(part, dict))
+    return next(filter(None, found), "")
 
 
 def _plain(node: Mapping[str, Any], definitions: Mapping[str, Any]) -> Schema:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from ros2_mcp.ops.results import Report
 from ros2_mcp.ops.services.call import ServiceAnswer, call
@@ -15,6 +15,11 @@ from ros2_mcp.tools.declare import tool
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 PLACE = 80
+
+
+def _empty_request(value: Any) -> Any:
+    """One desktop client sends objects as texts. Here an empty one may be: nothing is called without its fields."""
+    return {} if isinstance(value, str) and value.strip() == "{}" else value
 
 
 @tool(title="List services", risk="read", group="services")
@@ -30,7 +35,11 @@ async def ros2_service_call(
     robot: Robot,
     report: Report,
     service_name: Annotated[str, Field(description="Name of the service, such as /set_mode.")],
-    fields: Annotated[dict[str, Any], Field(description='The request\'s fields, such as {"data": true}.')],
+    fields: Annotated[
+        dict[str, Any],
+        BeforeValidator(_empty_request),
+        Field(description='The request\'s fields, such as {"data": true}.'),
+    ],
     service_type: Annotated[
         str, Field(description="Type such as std_srvs/srv/SetBool. Leave it out to use the service's own.")
     ] = "",

@@ -109,3 +109,25 @@ def test_a_publish_without_a_type_waits_for_a_subscriber_that_is_coming_up(agent
         assert sent.result(20)["status"] == "published"
         assert peer.texts(topic=topic, expected=1) == ["x"]
         peer.forget(topic=topic)
+
+
+def test_an_object_that_comes_as_text_is_published_and_an_empty_one_is_not(agent, peer) -> None:
+    peer.listen(topic="/as_text", kind=STRING)
+    agent.knows("/as_text")
+    assert "object is expected" in agent.refusal("ros2_topic_publish", topic_name="/as_text", data="{}")
+    assert agent.call("ros2_topic_publish", topic_name="/as_text", data='{"data": "x"}')["subscribers"] == 1
+    assert peer.texts(topic="/as_text", expected=1) == ["x"]
+    peer.forget(topic="/as_text")
+
+
+def test_a_call_on_several_topics_of_which_all_fail_is_an_error(agent, peer) -> None:
+    peer.offer(topic="/is_there", kind=STRING, seed=1, latched=True)
+    agent.knows("/is_there")
+    wrong = [{"topic_name": "/is_there", "data": {"no_such": 1}}, {"topic_name": "/nowhere_at_all", "data": {}}]
+    said = agent.refusal("ros2_publish_multiple_topics", topics=wrong)
+    assert said.startswith("AllFailed: ") and "no_such" in said and "/nowhere_at_all" in said
+    missing = [{"name": "/nowhere_at_all", "duration": 0.1}]
+    assert "/nowhere_at_all" in agent.refusal("ros2_subscribe_multiple_topics", topics=missing)
+    assert "/nowhere_at_all" in agent.refusal("ros2_topic_stats", topic_names=["/nowhere_at_all"], duration=0.1)
+    one_of_two = agent.call("ros2_subscribe_multiple_topics", topics=[*missing, {"name": "/is_there"}])["topics"]
+    assert [bool(read["error"]) for read in one_of_two] == [True, False]

@@ -99,6 +99,11 @@ def test_bounds_of_texts_count_what_is_encoded(definitions: Definitions) -> None
     assert "half a character" in problem(definitions, TEXTS, {"free": "\ud83d"}).message
 
 
+def test_a_text_that_ros_would_cut_is_refused(definitions: Definitions) -> None:
+    assert "NUL" in problem(definitions, TEXTS, {"short": "a\0b"}).message
+    assert check(definitions, TEXTS, {"narrow": "a\0b"}).narrow == "a\0b"  # rclpy keeps it in a wstring
+
+
 def test_bytes_may_be_a_list_or_base64(codec: Codec) -> None:
     def encoded(value: object) -> bytes:
         return codec.encode(LISTS, check(codec.definitions, LISTS, {"blob": value}))

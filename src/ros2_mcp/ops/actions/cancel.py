@@ -63,16 +63,18 @@ async def cancel(
     """Asks the server to cancel one goal, all goals, or all that were accepted up to a stamp.
 
     Raises:
-        BadValue: if there is neither a goal id nor `cancel_all`.
+        BadValue: if there is neither a goal id nor `cancel_all`, or what is given is no goal id.
         NotFound: if no such action is there.
         TimedOut: if the server did not answer.
     """
     action = names.absolute(action, "action")
     if not goal_id and not cancel_all:
         raise BadValue("goal_id_hex", "no goal is named.", "Give its id, or set cancel_all to cancel every goal.")
-    goal_id = "" if cancel_all else goal_id_hex(goal_id_bytes(goal_id))
+    chosen = goal_id_hex(goal_id_bytes(goal_id)) if goal_id else ""
     await robot.types.action(action)
-    command = CancelGoals(principal=robot.principal, name=action, goal_id=goal_id, stamp=stamp, timeout_s=timeout_s)
+    command = CancelGoals(
+        principal=robot.principal, name=action, goal_id="" if cancel_all else chosen, stamp=stamp, timeout_s=timeout_s
+    )
     response = robot.fields_of(await robot.do(command))
     code = int(response["return_code"])
     goals = [CancelledGoal(goal_id_hex(goal["goal_id"]["uuid"]), goal["stamp"]) for goal in response["goals_canceling"]]

@@ -12,7 +12,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import Publish, Repeat
 from ros2_mcp.model.errors import BadInput, LinkError
-from ros2_mcp.ops.results import Report, or_error, silent
+from ros2_mcp.ops.results import Report, or_error, silent, unless_all_failed
 from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import VELOCITY_TYPES, Robot, Sent
 from ros2_mcp.robot.jobs import Job
@@ -120,14 +120,19 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
 async def publish_several(
     robot: Robot, requests: Sequence[PublishRequest], report: Report = silent
 ) -> PublishedSeveral:
-    """Publishes on several topics at the same time; the `error` of one does not end the others."""
+    """Publishes on several topics at the same time; the `error` of one does not end the others.
+
+    Raises:
+        BadInput: if there are no topics.
+        AllFailed: if nothing could be published on any.
+    """
     if not requests:
         raise BadInput("No topics are given.", 'Give a list of {"topic_name", "message_type", "data"}.')
     publications = [
         or_error(publish(robot, request, report), partial(Published, status="failed", topic_name=request.topic_name))
         for request in requests
     ]
-    return PublishedSeveral(await asyncio.gather(*publications))
+    return PublishedSeveral(unless_all_failed(await asyncio.gather(*publications)))
 
 
 class Repetition(Job):

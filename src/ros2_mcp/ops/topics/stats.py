@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.samples import header_stamp_ns
 from ros2_mcp.ops.measure.flow import GAP_FACTOR, Silence, gaps, rate_hz, silence_in
-from ros2_mcp.ops.results import HIDDEN, Report, iso_time, or_error, reporting, silent
+from ros2_mcp.ops.results import HIDDEN, Report, iso_time, or_error, reporting, silent, unless_all_failed
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.sources.source import Source
@@ -91,12 +91,13 @@ async def measure(source: Source, topics: Sequence[str], report: Report = silent
 
     Raises:
         BadInput: if there are no topics, or too many.
+        AllFailed: if none could be measured.
     """
     if not 1 <= len(topics) <= MAX_TOPICS:
         raise BadInput(f"{len(topics)} topics are given.", f"Give 1 to {MAX_TOPICS}.")
     started = monotonic()
     measuring = [or_error(_measure(source, topic, report), partial(TopicStats, topic_name=topic)) for topic in topics]
-    results = await asyncio.gather(*measuring)
+    results = unless_all_failed(await asyncio.gather(*measuring))
     duration_s = monotonic() - started if source.is_live else source.duration_s
     return Stats(results, round(duration_s, 6), source.words, source.is_live)
 

@@ -15,7 +15,18 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Picture
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import HIDDEN, Report, WithPictures, exact_time, facts, iso_time, or_error, reporting, silent
+from ros2_mcp.ops.results import (
+    HIDDEN,
+    Report,
+    WithPictures,
+    exact_time,
+    facts,
+    iso_time,
+    or_error,
+    reporting,
+    silent,
+    unless_all_failed,
+)
 from ros2_mcp.ops.sources.selection import Collector, Fitted, Selection, fit, spread_indices
 
 if TYPE_CHECKING:
@@ -173,7 +184,12 @@ async def read(source: Source, topic: str, type_name: str, selection: Selection,
 async def read_several(
     source: Source, topics: Sequence[tuple[str, str, Selection]], report: Report = silent
 ) -> Readings:
-    """Messages of several topics (name, type or "", selection), at the same time; the `error` of one ends no other."""
+    """Messages of several topics (name, type or "", selection), at the same time; the `error` of one ends no other.
+
+    Raises:
+        BadInput: if there are no topics.
+        AllFailed: if none could be read.
+    """
     if not topics:
         raise BadInput("No topics are given.", 'Give a list such as [{"name": "/odom", "duration": 2}].')
 
@@ -185,7 +201,7 @@ async def read_several(
         or_error(read(source, topic, kind, share(selection), report), partial(Reading, topic_name=topic))
         for topic, kind, selection in topics
     ]
-    readings = await asyncio.gather(*reads)
+    readings = unless_all_failed(await asyncio.gather(*reads))
     images = [image for reading in readings for image in reading.images]
     return Readings(readings, monotonic() - started, pictures=facts(images), images=images)
 
