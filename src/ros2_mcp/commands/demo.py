@@ -6,10 +6,13 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shlex
 import time
+from dataclasses import replace
 from pathlib import Path
 
-from ros2_mcp.commands.simulation import Graph, simulated_robot, with_interfaces
+from ros2_mcp.commands.config import executable
+from ros2_mcp.commands.simulation import Graph, reach_of_this_machine, simulated_robot, with_interfaces
 from ros2_mcp.link.environment import find_ros
 from ros2_mcp.settings import Settings
 
@@ -30,6 +33,18 @@ def demo(settings: Settings, *, robot_only: bool, output: Path | None) -> int:
 
 
 def run_robot(settings: Settings) -> int:
-    """Becomes the simulated robot, in the graph of this shell, until Ctrl-C."""
-    command = find_ros(with_interfaces(settings)).command("ros2_mcp_demo")
-    os.execvpe(command.argv[0], list(command.argv), dict(command.env))
+    """Becomes the simulated robot until Ctrl-C: in the domain that was asked for, else in one of its own."""
+    domain_id = Graph.private().domain_id if settings.domain_id is None else settings.domain_id
+    installation = find_ros(with_interfaces(replace(settings, domain_id=domain_id)))
+    reach = reach_of_this_machine(installation.distro, os.environ)
+    command = installation.command("ros2_mcp_demo")
+    ours = shlex.join([executable(), "--domain-id", str(domain_id)])
+    where = f"ROS domain {domain_id}" + (", on this machine only" if reach else "")
+    print(
+        f"A simulated robot starts in {where}. Ctrl+C ends it.\n"
+        "What configures a client for it (others than claude-code: config --help), and a look without one:\n"
+        f"  {ours} config claude-code\n"
+        f"  {ours} call ros2_topic_list",
+        flush=True,
+    )
+    os.execvpe(command.argv[0], list(command.argv), {**command.env, **reach})

@@ -9,7 +9,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,20 +24,46 @@ READY_S = 60.0
 INTERFACES = Path(__file__).resolve().parents[2] / "ros2_mcp_demo" / "interfaces"
 
 
+# DDS counts its UDP ports from here, by domain; so the ports that are bound tell which domains are in use.
+_FIRST_PORT, _PORTS_OF_A_DOMAIN = 7400, 250
+# The last domain all of whose ports Linux leaves to those who ask for them: from 32768 on it gives them to anybody.
+_LAST_OWN_DOMAIN = 100
+# These know no ROS_AUTOMATIC_DISCOVERY_RANGE.
+_BEFORE_DISCOVERY_RANGES = ("foxy", "galactic", "humble")
+
+
 @dataclass(frozen=True, slots=True)
 class Graph:
-    """A ROS graph of our own, on this machine only, so that a tour never meets a real robot."""
+    """A ROS graph of our own, on this machine only, so that a simulated robot never meets a real one."""
 
     domain_id: int
 
     @classmethod
     def private(cls) -> Graph:
-        """A domain that is probably free: one of 1 to 99, by this process's number."""
-        return cls(os.getpid() % 99 + 1)
+        """The highest of the domains 100 to 1 in which nobody on this machine is: mostly the same one each time."""
+        used = {(port - _FIRST_PORT) // _PORTS_OF_A_DOMAIN for port in _bound_udp_ports()}
+        return cls(next((domain for domain in range(_LAST_OWN_DOMAIN, 0, -1) if domain not in used), _LAST_OWN_DOMAIN))
 
     def variables(self) -> Mapping[str, str]:
         """What a process needs in its environment to be in this graph."""
         return {"ROS_DOMAIN_ID": str(self.domain_id), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def _bound_udp_ports() -> Iterator[int]:
+    """The local ports of all UDP sockets of this network namespace."""
+    for table in (Path("/proc/net/udp"), Path("/proc/net/udp6")):
+        lines = table.read_text("ascii").splitlines()[1:] if table.exists() else []
+        # The second column is the local address: "0100007F:1CE8".
+        yield from (int(line.split()[1].rpartition(":")[2], 16) for line in lines)
+
+
+def reach_of_this_machine(distro: str, env: Mapping[str, str]) -> Mapping[str, str]:
+    """What keeps a robot of that distribution on this machine; nothing where the environment says how far it goes."""
+    if env.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or env.get("ROS_LOCALHOST_ONLY"):
+        return {}
+    if distro in _BEFORE_DISCOVERY_RANGES:
+        return {"ROS_LOCALHOST_ONLY": "1"}
+    return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 def with_interfaces(settings: Settings) -> Settings:

@@ -1,0 +1,77 @@
+"""`ros2-mcp demo --robot` meets no real robot unless it is told to, and says how a client reaches it."""
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from support.raw_server import RawServer
+
+CHOOSES_GRAPH = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY")
+SERVER = [sys.executable, "-m", "ros2_mcp"]
+
+
+@pytest.fixture
+def start_alone(prefixes):
+    """Start the robot as a user does, with these variables of its graph and no others."""
+    started = []
+
+    def start(*options, **variables):
+        environment = {name: value for name, value in os.environ.items() if name not in CHOOSES_GRAPH}
+        command = [*SERVER, *options, "demo", "--robot"]
+        process = subprocess.Popen(command, env={**environment, **variables}, stdout=subprocess.PIPE, text=True)
+        started.append(process)
+        told = [process.stdout.readline() for _ in range(5)]
+        assert told[-1].startswith("robot ready"), told
+        process.told = told
+        return process
+
+    yield start
+    for process in started:
+        process.terminate()
+        process.communicate(timeout=20)
+
+
+def graph_of(process):
+    """What the kernel says of a process's graph: the robot is the process that was started."""
+    entries = Path(f"/proc/{process.pid}/environ").read_bytes().decode().split("\0")
+    variables = dict(entry.split("=", 1) for entry in entries if "=" in entry)
+    return {name: variables[name] for name in CHOOSES_GRAPH if name in variables}
+
+
+def test_it_keeps_to_itself_and_the_line_that_it_prints_leads_a_client_to_it(start_alone):
+    robot = start_alone()
+    graph = graph_of(robot)
+    assert graph["ROS_DOMAIN_ID"] != "0"
+    assert graph["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert f"domain {graph['ROS_DOMAIN_ID']}, on this machine only" in robot.told[0]
+
+    line = shlex.split(robot.told[2])
+    assert line[1:] == ["--domain-id", graph["ROS_DOMAIN_ID"], "config", "claude-code"]
+    bare = {"PATH": os.environ["PATH"], "HOME": os.environ["HOME"]}
+    printed = subprocess.run([*line[:-1], "cursor"], env=bare, capture_output=True, text=True, check=True)
+    entry = json.loads(printed.stdout)["mcpServers"]["ros2"]
+    client = RawServer({**bare, **entry["env"]}, *entry["args"], command=[entry["command"]])
+    try:
+        client.begin("2025-11-25")
+        answer = client.ask("tools/call", name="ros2_node_list", arguments={})
+        assert "/base_controller" in answer["result"]["content"][0]["text"]
+    finally:
+        client.end()
+
+
+def test_a_second_robot_on_this_machine_does_not_meet_the_first(start_alone):
+    assert graph_of(start_alone())["ROS_DOMAIN_ID"] != graph_of(start_alone())["ROS_DOMAIN_ID"]
+
+
+def test_the_domain_and_the_range_that_were_asked_for_are_kept(start_alone, domain_id):
+    asked = {"ROS_DOMAIN_ID": str(domain_id), "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}
+    robot = start_alone(**asked)
+    assert graph_of(robot) == asked
+    assert robot.told[0] == f"A simulated robot starts in ROS domain {domain_id}. Ctrl+C ends it.\n"
+    by_option = start_alone("--domain-id", str(domain_id + 1), ROS_AUTOMATIC_DISCOVERY_RANGE="OFF")
+    assert graph_of(by_option)["ROS_DOMAIN_ID"] == str(domain_id + 1)
