@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Any
 import anyio
 import uvicorn
 from mcp.server.sse import SseServerTransport
-from mcp.server.transport_security import TransportSecuritySettings
+from mcp.server.transport_security import TransportSecurityMiddleware, TransportSecuritySettings
 from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import Response
 from starlette.routing import Mount, Route
 
 from ros2_mcp.presence import Connections, Presence
 
 if TYPE_CHECKING:
     from mcp.server.lowlevel import Server
-    from starlette.types import Receive, Scope, Send
+    from starlette.types import ASGIApp, Receive, Scope, Send
 
     from ros2_mcp.leases import Leases
     from ros2_mcp.settings import Settings
@@ -30,7 +32,7 @@ async def serve_http(server: Server[Any], leases: Leases, settings: Settings) ->
         app = server.streamable_http_app(host=settings.host, transport_security=guard)
     connections = Connections()
     config = uvicorn.Config(
-        Presence(app, leases, connections),
+        _KnownHosts(Presence(app, leases, connections), guard),
         host=settings.host,
         port=settings.port,
         log_level=settings.log_level,
@@ -53,6 +55,24 @@ def security(host: str, port: int) -> TransportSecuritySettings:
         allowed_hosts=[f"{name}:{port}" for name in named],
         allowed_origins=[f"http://{name}:{port}" for name in named],
     )
+
+
+class _KnownHosts:
+    """Refuses a request with a foreign Host or Origin, whatever its path and method, before anything else sees it."""
+
+    def __init__(self, app: ASGIApp, settings: TransportSecuritySettings) -> None:
+        self._app = app
+        self._security = TransportSecurityMiddleware(settings)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        answer: ASGIApp | None = None
+        if scope["type"] == "http":
+            request = Request(scope)
+            if any(len(request.headers.getlist(name)) > 1 for name in ("host", "origin")):
+                answer = Response("Host or Origin is given twice", status_code=400)  # the SDK looks at the first alone
+            else:
+                answer = await self._security.validate_request(request)
+        await (answer or self._app)(scope, receive, send)
 
 
 def _sse_app(server: Server[Any], guard: TransportSecuritySettings) -> Starlette:

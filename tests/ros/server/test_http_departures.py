@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import pytest
@@ -91,11 +92,11 @@ class Driver:
         self.name = f"driver{next(_numbers)}"
         self.topic, self.action = f"/{self.name}/cmd_vel", f"/{self.name}/count"
 
-    def drive(self) -> None:
+    def drive(self, *, keeps_stream: bool = True) -> None:
         """Begins, and waits until the observer has seen it move."""
         observer = self.field.observer
-        port = self.field.ports[self.transport]
-        self.clients.join(name=self.name, transport=self.transport, host=self.field.host, port=port)
+        at = {"host": self.field.host, "port": self.field.ports[self.transport]}
+        self.clients.join(name=self.name, transport=self.transport, keeps_stream=keeps_stream, **at)
         if self.motion == "goal":
             observer.act(action=self.action)
             asked = {"action_name": self.action, "action_type": "test_msgs/action/Fibonacci"}
@@ -143,15 +144,17 @@ def told(what: str, seconds: list[float]) -> None:
 
 
 @pytest.mark.timeout(3600 if FULL else 240)
-@pytest.mark.parametrize("way", ["close", "reset"])
-@pytest.mark.parametrize("transport", TRANSPORTS)
+@pytest.mark.parametrize(
+    ("transport", "way"), [*itertools.product(TRANSPORTS, ("close", "reset")), ("handshake", "DELETE")]
+)
 def test_a_client_that_closes_leaves_nothing_moving(
     field: Field, clients: CommandedProcess, transport: str, way: str
 ) -> None:
     def seconds(motion: str) -> float:
         driver = Driver(field, clients, transport, motion)
         driver.drive()
-        return driver.rests_after(clients.go(name=driver.name, resetting=way == "reset"), CLOSED_S)
+        leave = clients.end_session if way == "DELETE" else partial(clients.go, resetting=way == "reset")
+        return driver.rests_after(leave(name=driver.name), CLOSED_S)
 
     taken: list[float] = []
     for number in range(ROUNDS):
@@ -228,3 +231,30 @@ def test_a_repeat_of_a_stopped_client_ends_by_itself(field: Field, clients: Comm
             assert rested_s <= STOPPED_S + ARRIVES_S, transport
     for transport, each in taken.items():
         told(f"{transport} stopped (x {TOGETHER} clients)", each)
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_a_client_that_waits_at_an_open_stream_keeps_its_relay(
+    field: Field, clients: CommandedProcess, transport: str
+) -> None:
+    """The call that began it was answered long ago, and nothing has been asked since."""
+    driver = Driver(field, clients, transport, "relay")
+    driver.drive()
+    time.sleep(2 * SILENT_S)
+    assert field.observer.moved(sent_after=time.monotonic_ns() - 200_000_000, topic=driver.topic)
+    driver.rests_after(clients.go(name=driver.name, resetting=False), CLOSED_S)
+
+
+@pytest.mark.parametrize("transport", ["handshake", "modern"])
+def test_a_client_without_an_open_stream_that_asks_for_nothing_keeps_its_relay_for_a_lease(
+    field: Field, clients: CommandedProcess, transport: str
+) -> None:
+    def seconds() -> float:
+        driver = Driver(field, clients, transport, "relay")
+        driver.drive(keeps_stream=False)
+        asked = time.monotonic_ns()
+        clients.call(name=driver.name, tool="ros2_relay_list", arguments={})
+        return driver.rests_after(asked, SILENT_S)
+
+    rested_s = undisturbed(seconds)
+    assert 1.9 < rested_s <= SILENT_S + ARRIVES_S

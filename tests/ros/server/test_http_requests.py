@@ -1,0 +1,232 @@
+"""What a server over HTTP refuses: foreign Host and Origin headers on every path, and bodies that are no requests."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from support.ports import listening
+
+PATIENCE_S = 30.0
+MODERN, HANDSHAKE = "2026-07-28", "2025-11-25"
+CLIENT = {"name": "requests by hand", "version": "1"}
+INITIALIZE = {"protocolVersion": HANDSHAKE, "capabilities": {}, "clientInfo": CLIENT}
+PREFIX = "io.modelcontextprotocol/"
+META = {f"{PREFIX}protocolVersion": MODERN, f"{PREFIX}clientInfo": CLIENT, f"{PREFIX}clientCapabilities": {}}
+PATHS = {
+    "streamable-http": [("POST", "/mcp"), ("GET", "/mcp"), ("DELETE", "/mcp"), ("GET", "/"), ("GET", "/nothing")],
+    "sse": [("GET", "/sse"), ("POST", "/messages/"), ("POST", "/messages"), ("GET", "/nothing")],
+}
+TOO_LARGE = 4 * 1024 * 1024 + 1
+"""The SDK takes 4 MiB."""
+
+
+@pytest.fixture(scope="module")
+def ports(ros_environment: dict[str, str]) -> Iterator[dict[str, int]]:
+    """Of a server for each transport."""
+    with (
+        listening(ros_environment, "streamable-http") as (streamable, _),
+        listening(ros_environment, "sse") as (sse, _),
+    ):
+        yield {"streamable-http": streamable, "sse": sse}
+
+
+def answer(port: int, method: str, path: str, headers: list[tuple[str, str]], body: bytes = b"") -> tuple[int, bytes]:
+    """Status and first bytes of the answer to a request whose headers are sent as they are."""
+    lines = [f"{method} {path} HTTP/1.1", *(f"{name}: {value}" for name, value in headers)]
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as connection:
+        connection.sendall("\r\n".join([*lines, "", ""]).encode("latin-1"))
+        for start in range(0, len(body), 1 << 16):
+            try:
+                connection.sendall(body[start : start + (1 << 16)])
+            except (BrokenPipeError, ConnectionResetError):
+                break  # it has refused the rest
+        received = b""
+        while b"\r\n\r\n" not in received:
+            part = connection.recv(65536)
+            assert part, "closed without an answer"
+            received += part
+        if b"application/json" in received:
+            connection.settimeout(0.2)
+            try:
+                while part := connection.recv(65536):
+                    received += part
+            except TimeoutError:
+                pass
+    head, _, rest = received.partition(b"\r\n\r\n")
+    return int(head.split()[1]), rest
+
+
+def usual(port: int, method: str = "POST", **more: str) -> list[tuple[str, str]]:
+    """The headers of an honest client."""
+    kind = [("Content-Type", "application/json")] if method == "POST" else []
+    return [
+        ("Host", f"127.0.0.1:{port}"),
+        ("Accept", "application/json, text/event-stream"),
+        *kind,
+        *((name.replace("_", "-"), value) for name, value in more.items()),
+    ]
+
+
+def with_host(headers: list[tuple[str, str]], *hosts: str) -> list[tuple[str, str]]:
+    return [*(("Host", host) for host in hosts), *headers[1:]]
+
+
+def request(method: str, params: dict[str, Any]) -> bytes:
+    return json.dumps({"jsonrpc": "2.0", "id": 1, "method": method, "params": params}).encode()
+
+
+def sized(headers: list[tuple[str, str]], body: bytes) -> list[tuple[str, str]]:
+    return [*headers, ("Content-Length", str(len(body)))]
+
+
+def is_well(port: int) -> bool:
+    """Whether an honest client of the modern era is served."""
+    body = request("tools/list", {"_meta": META})
+    headers = sized(usual(port, Mcp_Protocol_Version=MODERN, Mcp_Method="tools/list"), body)
+    status, text = answer(port, "POST", "/mcp", headers, body)
+    return status == 200 and b"ros2_topic_list" in text
+
+
+def everywhere() -> list[tuple[str, str, str]]:
+    return [(transport, method, path) for transport, paths in PATHS.items() for method, path in paths]
+
+
+@pytest.mark.parametrize(("transport", "method", "path"), everywhere())
+def test_a_foreign_host_is_refused_on_every_path(ports: dict[str, int], transport: str, method: str, path: str) -> None:
+    port = ports[transport]
+    foreign = (
+        f"robot.example:{port}",
+        f"127.0.0.1.robot.example:{port}",
+        f"localhost.robot.example:{port}",
+        f"localhost.:{port}",
+        f"127.0.0.2:{port}",
+        f"0.0.0.0:{port}",
+        f"localhost:{port + 1}",
+        f"localhost:{port}@robot.example",
+        "localhost",
+        "",
+    )
+    for host in foreign:
+        body = request("initialize", INITIALIZE) if method == "POST" else b""
+        headers = sized(with_host(usual(port, method), host), body)
+        assert answer(port, method, path, headers, body)[0] == 421, host
+
+
+@pytest.mark.parametrize(("transport", "method", "path"), everywhere())
+def test_a_foreign_origin_is_refused_on_every_path(
+    ports: dict[str, int], transport: str, method: str, path: str
+) -> None:
+    port = ports[transport]
+    foreign = (
+        "null",
+        "http://robot.example",
+        f"http://robot.example:{port}",
+        f"https://localhost:{port}",
+        f"http://localhost:{port + 1}",
+        f"http://localhost:{port}.robot.example",
+        f"http://localhost:{port}/",
+        "http://localhost",
+        "file://",
+    )
+    for origin in foreign:
+        body = request("initialize", INITIALIZE) if method == "POST" else b""
+        headers = sized(usual(port, method, Origin=origin), body)
+        assert answer(port, method, path, headers, body)[0] == 403, origin
+
+
+@pytest.mark.parametrize(("transport", "method", "path"), everywhere())
+def test_a_doubled_host_or_origin_is_refused_on_every_path(
+    ports: dict[str, int], transport: str, method: str, path: str
+) -> None:
+    """Also if one of them, or the first, is ours."""
+    port = ports[transport]
+    own, foreign = f"127.0.0.1:{port}", f"robot.example:{port}"
+    for first, second in ((own, foreign), (foreign, own), (own, own)):
+        assert answer(port, method, path, sized(with_host(usual(port, method), first, second), b""))[0] == 400
+        origins = [("Origin", f"http://{first}"), ("Origin", f"http://{second}")]
+        assert answer(port, method, path, sized([*usual(port, method), *origins], b""))[0] == 400
+
+
+def test_own_names_and_a_missing_origin_are_accepted(ports: dict[str, int]) -> None:
+    port, body = ports["streamable-http"], request("initialize", INITIALIZE)
+    for name in ("127.0.0.1", "localhost", "[::1]"):
+        own = with_host(usual(port), f"{name}:{port}")
+        assert answer(port, "POST", "/mcp", sized(own, body), body)[0] == 200
+        assert answer(port, "POST", "/mcp", sized([*own, ("Origin", f"http://{name}:{port}")], body), body)[0] == 200
+    for name in ("127.0.0.1", "localhost"):
+        own = with_host(usual(ports["sse"], "GET"), f"{name}:{ports['sse']}")
+        assert answer(ports["sse"], "GET", "/sse", own)[0] == 200
+
+
+DEEP = b"[" * 100_000
+BAD_BODIES = {
+    "empty": b"",
+    "no JSON": b"{",
+    "no UTF-8": b'{"jsonrpc": "2.0", "id": 1, "method": "\xff"}',
+    "deep": DEEP,
+    "a number": b"7",
+    "a batch": b'[{"jsonrpc": "2.0", "id": 1, "method": "ping"}]',
+    "no method": b'{"jsonrpc": "2.0", "id": 1}',
+    "another version": b'{"jsonrpc": "1.0", "id": 1, "method": "ping"}',
+    "an id that is none": b'{"jsonrpc": "2.0", "id": {}, "method": "ping"}',
+    "a long number": b'{"jsonrpc": "2.0", "id": ' + b"9" * 5000 + b', "method": "ping"}',
+}
+
+
+@pytest.mark.parametrize("what", BAD_BODIES)
+def test_a_body_that_is_no_request_is_refused(ports: dict[str, int], what: str) -> None:
+    """In both eras; and the server goes on."""
+    port, body = ports["streamable-http"], BAD_BODIES[what]
+    for era in ({}, {"Mcp_Protocol_Version": HANDSHAKE}, {"Mcp_Protocol_Version": MODERN, "Mcp_Method": "ping"}):
+        assert answer(port, "POST", "/mcp", sized(usual(port, **era), body), body)[0] == 400
+    assert is_well(port)
+
+
+def test_a_body_that_is_no_request_is_refused_over_sse_and_the_stream_goes_on(ports: dict[str, int]) -> None:
+    port = ports["sse"]
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream, stream.makefile("rb") as lines:
+        stream.sendall(f"GET /sse HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+        path = next(line for line in lines if line.startswith(b"data: ")).split()[1].decode()
+        for what, body in BAD_BODIES.items():
+            taken = (
+                202 if what == "an id that is none" else 400
+            )  # here the SDK takes it for a notification, and drops it
+            assert answer(port, "POST", path, sized(usual(port), body), body)[0] == taken, what
+        body = request("initialize", INITIALIZE)
+        assert answer(port, "POST", path, sized(usual(port), body), body)[0] == 202
+        assert b"ros2-mcp" in next(line for line in lines if line.startswith(b"data: ") and b'"id":1' in line)
+
+
+@pytest.mark.parametrize("transport", PATHS)
+def test_a_body_that_is_too_large_is_refused(ports: dict[str, int], transport: str) -> None:
+    """Whether its size is declared or not, and long before all of it has come."""
+    port, path = ports[transport], "/mcp" if transport == "streamable-http" else "/messages/"
+    for era in ({}, {"Mcp_Protocol_Version": MODERN}):
+        declared = [*usual(port, **era), ("Content-Length", str(10**12))]
+        assert answer(port, "POST", path, declared, b"[")[0] == 413
+        chunk = b"10000\r\n" + b" " * 0x10000 + b"\r\n"
+        chunked = [*usual(port, **era), ("Transfer-Encoding", "chunked")]
+        assert answer(port, "POST", path, chunked, chunk * (TOO_LARGE // 0x10000 + 1))[0] == 413
+    assert is_well(ports["streamable-http"])
+
+
+def test_a_page_cannot_post_without_asking_first(ports: dict[str, int]) -> None:
+    """What browsers send to foreign servers unasked has one of these types, and nothing allows them more."""
+    for transport, path in (("streamable-http", "/mcp"), ("sse", "/messages/")):
+        port, body = ports[transport], request("initialize", INITIALIZE)
+        for kind in (
+            "text/plain",
+            "application/x-www-form-urlencoded",
+            "multipart/form-data",
+            "text/plain;application/json",
+        ):
+            headers = [line for line in usual(port) if line[0] != "Content-Type"]
+            refused, _ = answer(port, "POST", path, sized([*headers, ("Content-Type", kind)], body), body)
+            assert refused == 400, kind
+        asked = [("Access-Control-Request-Method", "POST"), ("Origin", "http://robot.example")]
+        assert answer(port, "OPTIONS", path, [*usual(port, "OPTIONS"), *asked])[0] == 403
