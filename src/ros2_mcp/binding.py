@@ -27,6 +27,8 @@ from ros2_mcp.tools.schema import argument_schema, result_schema, text_for_numbe
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
 # About 10,000 tokens: one terminal client refuses more than 25,000, and text costs the model's attention before that.
 _MAX_TEXT = 40_000
+# What of a recording is damaged or missing, in every answer made from it; results with `problems` say it there.
+_DAMAGE = "damage"
 # Twice a second looks alive, and does not fill the client's log during a minute's wait.
 _PROGRESS_S = 0.5
 
@@ -80,18 +82,20 @@ class BoundTool:
             raise CallFailed(_explain(self.name, error, self.listed.input_schema)) from error
         # One level only: an argument that is an object stays the model that the tool declared.
         values = {name: getattr(checked, name) for name in self.arguments.model_fields}
-        try:
-            made_for = Call(
-                robot=robot or self.robot,
-                store=self.store,
-                report=at_most_every(_PROGRESS_S, _visibly(report)),
-                kinds=self.kinds,
-                limitations=self.limitations,
-            )
-            result = await self.declaration.perform(made_for, values)
-        except RobotError as error:
-            raise CallFailed(f"{type(error).__name__}: {error}") from error
-        return answer(result)
+        with self.store.noting_damage() as damage:
+            try:
+                made_for = Call(
+                    robot=robot or self.robot,
+                    store=self.store,
+                    report=at_most_every(_PROGRESS_S, _visibly(report)),
+                    kinds=self.kinds,
+                    limitations=self.limitations,
+                )
+                result = await self.declaration.perform(made_for, values)
+            except RobotError as error:
+                told = [f"{type(error).__name__}: {error}", *(f"Damage: {line}" for line in damage())]
+                raise CallFailed(" ".join(told)) from error
+            return answer(result, damage())
 
     def _as_meant(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """The arguments under their own names, taken apart where they came as text, and with the robot's own texts.
@@ -147,6 +151,9 @@ def bind(
             open_world_hint=True,
         ),
     )
+    results: Mapping[str, Any] = listed.output_schema or {}
+    if declaration.recorded and "problems" not in results["properties"]:
+        results["properties"][_DAMAGE] = {"type": "array", "items": {"type": "string"}}  # only where there is some
     return BoundTool(
         declaration=declaration,
         listed=listed,
@@ -158,14 +165,19 @@ def bind(
     )
 
 
-def answer(result: Any) -> CallToolResult:
+def answer(result: Any, damage: Sequence[str] = ()) -> CallToolResult:
     """A result as MCP content: readable lines, the values as JSON, pictures, and the same values structured.
 
     A summary is one line or a list of lines: a line break within one is shown as what it is, and begins no line.
+    `damage` says of the bags that were read for it what of them is damaged or missing.
     """
-    structured, text = visible_json(as_json(result))
+    value: Any = as_json(result)
     summary: str | list[str] = result.summary()
     lines = [summary] if isinstance(summary, str) else summary
+    if damage and not hasattr(result, "problems"):  # those say it themselves
+        value[_DAMAGE] = list(damage)
+        lines = [*lines, *(f"Damage: {line}" for line in damage)]
+    structured, text = visible_json(value)
     content: list[ContentBlock] = [
         TextContent(type="text", text=_cut("\n".join([*(visible(line) for line in lines), text])))
     ]

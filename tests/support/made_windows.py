@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
@@ -13,7 +14,8 @@ from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions, DefinitionText
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.qos import Endpoint, QoS
-from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Missing, Source, Stream, in_batches
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, K, Keep, Source, Stream, in_batches
 
 START_NS = 1_700_000_000_000_000_000
 NODE = Endpoint("/node", "", "", "", QoS())
@@ -31,7 +33,56 @@ def _definitions() -> Definitions:
 CODEC = Codec(_definitions())
 
 
-Make = Callable[..., Capture]
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """All samples of one topic between two times."""
+
+    topic: str
+    type: str
+    codec: Codec
+    samples: Sequence[Sample]
+    start_ns: int
+    end_ns: int
+    publishers: Sequence[str] = ()
+    holes: Sequence[tuple[int, int]] = ()
+
+    @property
+    def duration_s(self) -> float:
+        return (self.end_ns - self.start_ns) / 1e9
+
+    def stream(self) -> Stream:
+        """As it is followed."""
+        stream = Stream(
+            topic=self.topic,
+            type=self.type,
+            codec=self.codec,
+            publishers=[NODE],
+            start_ns=self.start_ns,
+            until_ns=self.end_ns,
+            received=len(self.samples),
+        )
+        stream.batches = in_batches(self.samples)
+        return stream
+
+    def captured(self, keep: Keep[K]) -> Capture[K]:
+        """What is kept of it."""
+        kept = keep(self.stream())
+        kept.add(self.samples)
+        return Capture(
+            topic=self.topic,
+            type=self.type,
+            codec=self.codec,
+            kept=kept,
+            start_ns=self.start_ns,
+            end_ns=self.end_ns,
+            received=len(self.samples),
+            publishers=self.publishers,
+            source="made",
+            holes=self.holes,
+        )
+
+
+Make = Callable[..., Window]
 
 
 def encoded(type_name: str, value: Mapping[str, Any]) -> bytes:
@@ -48,7 +99,7 @@ class Recorded(Source):
     title = words = "made"
     duration_s = 1.0
 
-    def __init__(self, captures: Sequence[Capture], graph: GraphSnapshot | None = None) -> None:
+    def __init__(self, captures: Sequence[Window], graph: GraphSnapshot | None = None) -> None:
         self._captures = {capture.topic: capture for capture in captures}
         self._graph = graph or GraphSnapshot({})
         if captures:
@@ -63,26 +114,12 @@ class Recorded(Source):
 
     @asynccontextmanager
     async def follow(self, topic: str, type_name: str = "", **_: Any) -> AsyncGenerator[Stream, None]:  # noqa: ARG002
-        capture = self._capture(topic)
-        stream = Stream(
-            topic=topic,
-            type=capture.type,
-            codec=CODEC,
-            publishers=[NODE],
-            start_ns=capture.start_ns,
-            until_ns=capture.end_ns,
-            received=len(capture.samples),
-        )
-        stream.batches = in_batches(capture.samples)
-        yield stream
-
-    async def captures(self, topics: Sequence[str], *_: Any, **__: Any) -> list[Capture | Missing]:
-        return [self._captures.get(topic) or Missing(topic, NotFound(f"no {topic}")) for topic in topics]
+        yield self._capture(topic).stream()
 
     async def graph(self) -> GraphSnapshot:
         return self._graph
 
-    def _capture(self, topic: str) -> Capture:
+    def _capture(self, topic: str) -> Window:
         if topic not in self._captures:
             raise NotFound(f"There is no topic {topic}.")
         return self._captures[topic]

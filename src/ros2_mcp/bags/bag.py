@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import heapq
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from time import monotonic
 from typing import TypeAlias
 
 from ros2_mcp.bags.mcap_file import McapFile
-from ros2_mcp.bags.rosbag2 import METADATA, read_metadata
+from ros2_mcp.bags.rosbag2 import METADATA, NOT_CLOSED, read_metadata
 from ros2_mcp.bags.schema import bare
 from ros2_mcp.bags.sqlite_file import SqliteFile
-from ros2_mcp.bags.stored import Span, StoredTopic
+from ros2_mcp.bags.stored import FOREVER, Hole, Span, StoredTopic
 from ros2_mcp.model.errors import BadData, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 
 StoredFile: TypeAlias = McapFile | SqliteFile
-"""One file of a bag. A new kind has what these two have: `topics`, `times`, `count`, `counts`, `messages`, `close`, and
-`problems`, which grows while damage is found; damage never makes what is read wrong."""
+"""One file of a bag. A new kind has what these two have: `topics`, `times`, `count`, `counts`, `messages`, `check`,
+`close`, and `problems` with their `holes`, which grow while damage is found; damage never makes what is read wrong.
+`unfinished` are the problems that a file has while it is being written."""
 SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".mcap.zstd")
 
 
@@ -40,6 +42,8 @@ class Bag:
     def __init__(self, path: Path, former: Bag | None = None) -> None:
         self.path = path
         self._problems: list[str] = []
+        self._unfinished: list[str] = []
+        self._holes: list[Hole] = []
         self._files = self._open(former)
         self.topics = self._merged_topics()
         self._left_out = self._misfits()
@@ -47,7 +51,25 @@ class Bag:
     @property
     def problems(self) -> list[str]:
         """What is damaged or missing, as far as it is known yet."""
-        return [*self._problems, *(problem for file in self._files for problem in file.problems)]
+        return [*self._unfinished, *self._problems, *(problem for file in self._files for problem in file.problems)]
+
+    @property
+    def unfinished(self) -> list[str]:
+        """The problems that are none as long as it is being recorded."""
+        return [*self._unfinished, *(problem for file in self._files for problem in file.unfinished)]
+
+    @property
+    def holes(self) -> list[Hole]:
+        """The times of messages that are lost, as far as it is known yet; at the end only up to the last message."""
+        begins_ns = [file.times[0] for file in self._files if file.times]
+        found: list[Hole] = []
+        for hole in (*self._holes, *(hole for file in self._files for hole in file.holes)):
+            later_ns = [at_ns for at_ns in begins_ns if at_ns > hole.start_ns]
+            if hole.end_ns < FOREVER:
+                found.append(hole)
+            elif later_ns:  # it ends where the next file begins
+                found.append(replace(hole, end_ns=min(later_ns)))
+        return found
 
     @property
     def times(self) -> tuple[int, int] | None:
@@ -88,6 +110,11 @@ class Bag:
                     total[name] = total.get(name, 0) + count
         return total
 
+    def check(self, for_s: float) -> bool:
+        """Reads on, to find damage, for so long; whether all has been read. What was read once is not read again."""
+        until_s = monotonic() + for_s
+        return all(file.check(until_s) for file in self._files)
+
     def known_files(self) -> dict[Path, McapFile]:
         """The MCAP files that were looked through. What SQLite files say may change while they stay the same."""
         return {file.path: file for file in self._files if isinstance(file, McapFile)}
@@ -108,7 +135,7 @@ class Bag:
         paths = _files_of(self.path)
         facts = read_metadata(self.path) if self.path.is_dir() else None
         if isinstance(facts, str):
-            self._problems.append(facts)
+            (self._unfinished if facts == NOT_CLOSED else self._problems).append(facts)
             facts = None
         former_files = former.known_files() if former else {}
         opened: list[StoredFile] = []
@@ -121,9 +148,14 @@ class Bag:
                 self._problems.append(f"{path.name}: {error}" if isinstance(error, OSError) else str(error))
         if not opened:
             raise BadData(f"{self.path.name} cannot be read: {' '.join(self._problems)}")
+        readable = {file.path for file in opened}
+        self._holes += [_hole_of(path, opened) for path in paths if path not in readable]
         if facts:
             missing = {Path(name).name for name in facts.files} - {path.name for path in paths}
-            self._problems += [f"{named(name)} is listed in {METADATA}, but missing." for name in sorted(missing)]
+            for name in sorted(missing, key=lambda name: _order(Path(name))):
+                hole = _hole_of(Path(name), opened)
+                self._holes.append(hole)
+                self._problems.append(f"{named(name)} is listed in {METADATA}, but missing: its {hole.words}.")
             counts = [file.count for file in opened]
             count = sum(count or 0 for count in counts)
             if None not in counts and count < facts.count:
@@ -167,6 +199,14 @@ def _open_file(path: Path, compression: str) -> StoredFile:
     if path.name.endswith(".mcap.zstd"):
         raise BadData(f"{path.name} is compressed as a whole: unpack it with `unzstd` first.")
     return SqliteFile(path, "file" if path.suffix == ".zstd" else compression.replace("file", ""))
+
+
+def _hole_of(missing: Path, opened: Sequence[StoredFile]) -> Hole:
+    """What a file had that is missing: between what the files before and after it have."""
+    before = [file.times[1] for file in opened if file.times and _order(file.path) < _order(missing)]
+    after = [file.times[0] for file in opened if file.times and _order(file.path) > _order(missing)]
+    start_ns = max(before, default=0)
+    return Hole(start_ns, max(min(after, default=FOREVER), start_ns))
 
 
 def is_bag(path: Path) -> bool:

@@ -7,6 +7,7 @@ import os
 import weakref
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from time import monotonic
 from typing import TypeAlias
 
 from mcap.opcode import Opcode
@@ -14,13 +15,11 @@ from mcap.opcode import Opcode
 from ros2_mcp.bags import chunks
 from ros2_mcp.bags.chunks import HEAD, UNKNOWN, ChunkPlace, Damaged, Schema
 from ros2_mcp.bags.mcap_index import learn_channels, read_index
-from ros2_mcp.bags.stored import Span, StoredTopic
+from ros2_mcp.bags.stored import MOST_PROBLEMS, Hole, Span, StoredTopic
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 
-_MOST_PROBLEMS = 50
-"""Of one file. A disk that fails damages thousands of chunks, and nobody reads more than these."""
 _Key: TypeAlias = tuple[int, int, int, int]
 _Item: TypeAlias = "tuple[_Key, ChunkPlace, str, Sample | None]"
 
@@ -46,6 +45,9 @@ class McapFile:
             raise BadData(f"{path.name} cannot be read: {damage}.") from damage
         for problem in self._index.problems:
             self._note(problem)
+        self.unfinished = [f"{path.name}: {problem}" for problem in self._index.unfinished]
+        self._holes: dict[int, Hole] = {}  # by the place of the chunk
+        self._read: set[int] = set()  # the places of chunks that have been read once, and what is wrong with them noted
         self._places = [*self._index.chunks, *self._index.loose]
         first_ns = min((place.start_ns for place in self._places), default=0)
         last_ns = max((place.end_ns for place in self._places), default=0)
@@ -56,6 +58,11 @@ class McapFile:
     def is_current(self) -> bool:
         """Whether the file is still as it was when its index was read."""
         return _version(self.path.stat()) == self._version
+
+    @property
+    def holes(self) -> list[Hole]:
+        """The times of messages that are lost, as far as it is known yet."""
+        return [*self._index.holes, *self._holes.values()]
 
     @property
     def count(self) -> int | None:
@@ -94,6 +101,15 @@ class McapFile:
                 key = (sign * sample.received_ns, 1, sign * place.offset, sign * number)
                 heapq.heappush(heap, (key, place, topic, sample))
 
+    def check(self, until_s: float) -> bool:
+        """Reads what has not been read yet, to find damage, until that steady time; whether all has been read."""
+        for place in self._places:
+            if place.offset not in self._read:
+                if monotonic() >= until_s:
+                    return False
+                self._messages_at(place, Span(()))
+        return True
+
     def close(self) -> None:
         """Closes the file."""
         self._file.close()
@@ -122,10 +138,14 @@ class McapFile:
 
     def _messages_at(self, place: ChunkPlace, span: Span) -> list[tuple[str, Sample]]:
         """The messages of a chunk that are asked for, in the order they were written; none if it is damaged."""
+        self._read.add(place.offset)
         try:
             records = self._records_at(place)
         except Damaged as damage:
-            self._note(f"Damage at byte {place.offset}: {damage}; its messages are lost.")
+            topics = {channel.topic for number, channel in self._index.channels.items() if number in place.channels}
+            hole = Hole(place.start_ns, place.end_ns, frozenset(topics) or None)
+            self._holes[place.offset] = hole
+            self._note(f"Damage at byte {place.offset}: {damage}; {hole.words}.")
             return []
         found: list[tuple[str, Sample]] = []
         for number, sample in records:
@@ -158,7 +178,7 @@ class McapFile:
 
     def _note(self, problem: str) -> None:
         text = f"{self.path.name}: {problem}"
-        if len(self.problems) < _MOST_PROBLEMS and text not in self.problems:
+        if len(self.problems) < MOST_PROBLEMS and text not in self.problems:
             self.problems.append(text)
 
 

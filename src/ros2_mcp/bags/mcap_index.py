@@ -13,6 +13,7 @@ from mcap.records import Channel
 
 from ros2_mcp.bags import chunks
 from ros2_mcp.bags.chunks import HEAD, MAGIC, MESSAGE_HEAD_BYTES, ChunkPlace, Damaged, Schema
+from ros2_mcp.bags.stored import FOREVER, Hole
 
 _FOOTER = struct.Struct("<QQI")  # where the summary and its offsets are, checksum
 _FOOTER_LENGTH = 20
@@ -32,7 +33,8 @@ _OVERLAP_BYTES = 64
 class Index:
     """What a file holds. `loose` are places of messages outside of chunks; `counts` goes by channel.
 
-    `problems` say in words what is damaged or missing.
+    `problems` say in words what is damaged or missing, of which `unfinished` are those that every file has while it is
+    being written. `holes` are the times of lost messages.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict[int, Schema])
@@ -41,6 +43,8 @@ class Index:
     loose: list[ChunkPlace] = field(default_factory=list[ChunkPlace])
     counts: dict[int, int] | None = None
     problems: list[str] = field(default_factory=list[str])
+    unfinished: list[str] = field(default_factory=list[str])
+    holes: list[Hole] = field(default_factory=list[Hole])
 
 
 def read_index(file: BinaryIO, size: int) -> Index:
@@ -52,7 +56,7 @@ def read_index(file: BinaryIO, size: int) -> Index:
     try:
         found = _from_summary(file, size)
     except Damaged as damage:
-        found = _Search(file, size, f"No index: {damage}.").index
+        found = _Search(file, size, f"No index: {damage}.", is_cut=isinstance(damage, _Cut)).index
     if not (found.channels or found.chunks) and _at(file, 0, len(MAGIC)) != MAGIC:
         raise Damaged("it does not begin like an MCAP file, and nothing in it is one")
     return found
@@ -67,7 +71,7 @@ def _from_summary(file: BinaryIO, size: int) -> Index:
         or tail[-len(MAGIC) :] != MAGIC
         or chunks.head(tail) != (Opcode.FOOTER, _FOOTER_LENGTH)
     ):
-        raise Damaged("the end of the file is missing")
+        raise _Cut("the end of the file is missing")
     start, _, crc = _FOOTER.unpack_from(tail, HEAD)
     if not len(MAGIC) <= start <= end or end - start > _MAX_SUMMARY:
         raise Damaged("the file was written without one" if start == 0 else "its place is wrong")
@@ -111,15 +115,21 @@ def learn_channels(index: Index, inside: bytes) -> None:
             _learn(index, kind, inside[start:end])
 
 
+class _Cut(Damaged):
+    """The end of the file is missing, as it is of every file while it is being written."""
+
+
 class _Search:
     """Looks through a file from its beginning; after damage it goes on with the next chunk that is whole."""
 
-    def __init__(self, file: BinaryIO, size: int, reason: str) -> None:
+    def __init__(self, file: BinaryIO, size: int, reason: str, is_cut: bool) -> None:
         self._file = file
         self._size = size
         self._counts: dict[int, int] = {}
-        self.index = Index(counts=self._counts, problems=[reason])
+        self.index = Index(counts=self._counts, problems=[reason], unfinished=[reason] if is_cut else [])
         self._ended = False
+        self._newest_ns = 0
+        self._lost: tuple[int, str, int] | None = None  # where damage began, what it is, and after which time
         if _at(file, 0, len(MAGIC)) != MAGIC:
             self._note_damage(0, "the file does not begin like an MCAP file")
         place = len(MAGIC)
@@ -130,6 +140,13 @@ class _Search:
                 following = self._next_chunk(place + 1)
                 self._note_damage(place, f"{damage}; {following - place} bytes are lost")
                 place = following
+        if self._lost:
+            self._note_hole(FOREVER)
+        elif not self._ended:
+            hole = Hole(self._newest_ns, FOREVER)
+            self.index.unfinished.append(f"It was not closed: {hole.words}.")
+            self.index.problems.append(self.index.unfinished[-1])
+            self.index.holes.append(hole)
 
     def _take_record(self, place: int) -> int:
         """Takes in the record at that place; the place of the next one. Raises `Damaged`."""
@@ -174,6 +191,9 @@ class _Search:
             self._counts[channel] = self._counts.get(channel, 0) + 1
         if keys:
             times = [at_ns for _, at_ns in keys]
+            if self._lost:
+                self._note_hole(min(times))
+            self._newest_ns = max(self._newest_ns, *times)
             channels = frozenset(channel for channel, _ in keys)
             places.append(ChunkPlace(place, HEAD + length, min(times), max(times), channels))
 
@@ -202,7 +222,18 @@ class _Search:
         return self._size
 
     def _note_damage(self, place: int, what: str) -> None:
-        self.index.problems.append(f"Damage at byte {place}: {what}.")
+        """Damage from that place on; which times are lost is known when the next messages are found."""
+        if self._lost:
+            place, what = self._lost[0], f"{self._lost[1]}, and at byte {place}: {what}"
+        self._lost = place, what, self._newest_ns
+
+    def _note_hole(self, next_ns: int) -> None:
+        if self._lost:
+            place, what, since_ns = self._lost
+            hole = Hole(since_ns, max(next_ns, since_ns))
+            self.index.holes.append(hole)
+            self.index.problems.append(f"Damage at byte {place}: {what}; {hole.words}.")
+            self._lost = None
 
 
 def _at(file: BinaryIO, place: int, size: int) -> bytes:

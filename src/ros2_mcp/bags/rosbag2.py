@@ -16,6 +16,7 @@ from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.model.text import quoted
 
 METADATA = "metadata.yaml"
+NOT_CLOSED = f"{METADATA} is missing: the recording was not closed."
 VERSION = 8
 """Of the metadata: the one of Iron, whose integers for QoS every later distribution reads too."""
 
@@ -69,7 +70,7 @@ def read_metadata(folder: Path) -> FolderFacts | str:
         files = [str(path) for path in raw["relative_file_paths"]]
         return FolderFacts(files, int(raw["message_count"]), str(raw.get("compression_mode") or "").lower())
     except FileNotFoundError:
-        return f"{METADATA} is missing: the recording was not closed."
+        return NOT_CLOSED
     except (OSError, YAMLError, UnicodeDecodeError, ValueError, TypeError, KeyError, AttributeError) as error:
         return f"{METADATA} cannot be read: {quoted(str(error) or type(error).__name__)}"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timezone
@@ -11,11 +12,12 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model.errors import BadInput, BadValue
+from ros2_mcp.model.errors import BadData, BadInput, BadValue
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import iso_time
-from ros2_mcp.ops.sources.source import Missing, Source
+from ros2_mcp.ops.sources.selection import undecodable
+from ros2_mcp.ops.sources.source import Missing, Source, Stream
 from ros2_mcp.ops.sources.times import absolute_ns
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.log import LOG_TYPE, MAX_LINES, TOPIC, level_of
@@ -127,25 +129,56 @@ async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> 
         NotFound: if /rosout was not recorded.
     """
     level_number(request.level)  # raises before anything is read
-    (capture,) = await source.captures([TOPIC])
+    (capture,) = await source.captures([TOPIC], lambda stream: _Matching(stream, request))
     if isinstance(capture, Missing):
         raise capture.error
-
-    def selected() -> tuple[list[LogLine], int, str]:
-        _, messages, trouble = capture.readable()
-        return *_selected(messages, request, 0, max_bytes), trouble
-
-    lines, matched, note = await asyncio.to_thread(selected)
-    if len(lines) < matched:
-        note = f"The newest {len(lines)} are shown. {note}".rstrip()
+    found = capture.kept
+    lines, _ = _selected(found.messages, request, 0, max_bytes)
+    notes = [f"The newest {len(lines)} are shown."] if len(lines) < found.matched else []
+    if found.undecodable:
+        notes.append(undecodable(found.undecodable, found.trouble))
     return Log(
         lines=lines,
-        matched=matched,
-        kept=len(capture.samples),
+        matched=found.matched,
+        kept=capture.received,
         dropped=capture.dropped,
         listening_since=iso_time(capture.start_ns),
-        note=note,
+        note=" ".join(notes),
         source=source.words,
+    )
+
+
+class _Matching:
+    """The newest messages of a stream that are meant, at most the limit of the request; `matched` counts all."""
+
+    def __init__(self, stream: Stream, request: LogRequest) -> None:
+        self.messages: deque[Any] = deque(maxlen=request.limit)
+        self.matched = 0
+        self.undecodable = 0
+        self.trouble = ""
+        self._stream = stream
+        self._request = request
+
+    def add(self, samples: Sequence[Sample]) -> None:
+        """Takes in messages, in the order of time."""
+        for sample in samples:
+            try:
+                message = self._stream.codec.decode(self._stream.type, sample.data)
+            except BadData as error:
+                self.undecodable += 1
+                self.trouble = self.trouble or str(error)
+                continue
+            if _is_meant(message, self._request, 0):
+                self.matched += 1
+                self.messages.append(message)
+
+
+def _is_meant(message: Any, request: LogRequest, since_ns: int) -> bool:
+    return (
+        message.level >= level_number(request.level)
+        and _stamp_ns(message) >= since_ns
+        and is_node(message.name, request.node)
+        and has_text(message.msg, request.pattern)
     )
 
 
@@ -154,15 +187,7 @@ def _selected(messages: Iterable[Any], request: LogRequest, since_ns: int, max_b
 
     Not evenly spread, as `ops/sources/selection.fit` does: what a log says last is what matters.
     """
-    least = level_number(request.level)
-    matching = [
-        message
-        for message in messages
-        if message.level >= least
-        and _stamp_ns(message) >= since_ns
-        and is_node(message.name, request.node)
-        and has_text(message.msg, request.pattern)
-    ]
+    matching = [message for message in messages if _is_meant(message, request, since_ns)]
     lines: list[LogLine] = []
     for message in reversed(matching[-request.limit :]):
         line = _line(message)

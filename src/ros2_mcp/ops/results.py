@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
-from datetime import datetime, timezone
 from functools import cache
 from time import monotonic
 from typing import Any, Protocol, TypeVar, cast
@@ -14,6 +13,7 @@ from typing import Any, Protocol, TypeVar, cast
 from ros2_mcp.model.errors import AllFailed, RobotError
 from ros2_mcp.model.pictures import Picture
 from ros2_mcp.model.text import in_quotes, named
+from ros2_mcp.model.times import iso_time
 
 R = TypeVar("R")
 OneOfSeveral = TypeVar("OneOfSeveral", bound="Outcome")
@@ -140,12 +140,6 @@ def as_json(value: Any) -> Any:
 @cache
 def _shown_fields(kind: type[Any]) -> tuple[str, ...]:
     return tuple(field.name for field in fields(kind) if not field.metadata.get("hidden"))
-
-
-def iso_time(unix_ns: int) -> str:
-    """A Unix time in nanoseconds as ISO 8601 in UTC with microseconds."""
-    date = datetime.fromtimestamp(unix_ns // 1000 / 1e6, tz=timezone.utc)
-    return date.isoformat(timespec="microseconds").replace("+00:00", "Z")
 
 
 def exact_time(unix_ns: int) -> str:

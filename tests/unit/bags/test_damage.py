@@ -22,6 +22,7 @@ from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.times import iso_time
 
 OpenBag = Callable[[Path], Bag]
 FLIPS = 10_000 if os.environ.get("ROS2_MCP_FULL") else 300
@@ -255,7 +256,8 @@ def test_a_sqlite_bag_is_read_with_compressed_messages_and_says_which_file_is_mi
     assert list(bag.messages()) == messages
     assert bag.last("/second", 2) == [messages[57][1], messages[59][1]]
     assert bag.problems == [
-        "run_1.db3 is listed in metadata.yaml, but missing.",
+        "run_1.db3 is listed in metadata.yaml, but missing: its messages after 1970-01-01T00:00:00.000001Z are lost, "
+        "if there were more.",
         "metadata.yaml counts 100 messages, 60 are there.",
     ]
 
@@ -294,3 +296,62 @@ def test_a_flipped_byte_in_a_compressed_message_costs_that_message_only(tmp_path
                 read = list(bag.messages())
             assert [each for each in read if each[1].received_ns != messages[1][1].received_ns] == messages[::2]
             assert len(read) == 3 or any("cannot be read" in problem for problem in bag.problems)
+
+
+def test_a_damaged_chunk_is_told_with_its_times(tmp_path: Path, open_bag: OpenBag) -> None:
+    path, messages = written(tmp_path / "run", closed=True)
+    damage_in_the_middle(path)
+    bag = open_bag(tmp_path / "run")
+    read = list(bag.messages())
+    lost = sorted(sample.received_ns for _, sample in messages if (_, sample) not in read)
+    (hole,) = bag.holes
+    assert len(lost) == 20
+    assert (hole.start_ns, hole.end_ns, hole.topics) == (lost[0], lost[-1], frozenset(TOPICS))
+    (problem,) = bag.problems
+    assert f"from {iso_time(lost[0])} to {iso_time(lost[-1])} are lost" in problem
+
+
+def test_damage_in_a_file_without_an_index_is_told_with_the_times_around_it(tmp_path: Path, open_bag: OpenBag) -> None:
+    path, messages = written(tmp_path / "run", closed=False)
+    damage_in_the_middle(path)
+    bag = open_bag(tmp_path / "run")
+    read = {sample.received_ns for _, sample in bag.messages()}
+    lost = sorted(sample.received_ns for _, sample in messages if sample.received_ns not in read)
+    (hole,) = bag.holes
+    assert (hole.start_ns, hole.end_ns) == (lost[0] - 1_000_000, lost[-1] + 1_000_000)
+    assert any(iso_time(hole.start_ns) in text and iso_time(hole.end_ns) in text for text in bag.problems)
+
+
+def test_a_file_that_was_cut_is_told_with_the_time_of_its_last_message(tmp_path: Path, open_bag: OpenBag) -> None:
+    path, _ = written(tmp_path / "run", closed=True)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    bag = open_bag(tmp_path / "run")
+    assert any(f"after {iso_time(bag.times[1])} are lost" in text for text in bag.problems)  # type: ignore[index]
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_a_damaged_page_of_a_database_costs_the_messages_in_it_only(
+    tmp_path: Path, open_bag: OpenBag, newest_first: bool
+) -> None:
+    messages = database(tmp_path / "run_0.db3", 3000)
+    whole = bytearray((tmp_path / "run_0.db3").read_bytes())
+    page = len(whole) // 2 // 4096 * 4096
+    whole[page : page + 4096] = bytes(4096)
+    (tmp_path / "run_0.db3").write_bytes(whole)
+    bag = open_bag(tmp_path / "run_0.db3")
+    read = sorted(bag.messages(newest_first=newest_first), key=lambda message: message[1].received_ns)
+    assert len(messages) - 10 < len(read) < len(messages)
+    lost = [sample.received_ns for _, sample in messages if sample not in {each for _, each in read}]
+    (hole,) = bag.holes
+    assert hole.start_ns <= lost[0] <= lost[-1] <= hole.end_ns
+    assert any("are lost" in text for text in bag.problems)
+
+
+def damage_in_the_middle(path: Path) -> None:
+    """Flips a byte in the middle of the chunk in the middle of the messages."""
+    whole = bytearray(path.read_bytes())
+    summary = whole.rfind(b"\x0f\x04\0\0\0\0\0\0\0")  # the record that ends the messages
+    middle = (summary if summary > 0 else len(whole)) // 2
+    whole[middle] ^= 0xFF
+    path.write_bytes(whole)

@@ -9,8 +9,7 @@ import pytest
 
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.sources.source import Capture
-from support.made_windows import CODEC, START_NS, Make, encoded
+from support.made_windows import CODEC, START_NS, Make, Window, encoded
 
 
 @pytest.fixture
@@ -28,20 +27,18 @@ def window() -> Make:
         messages: Iterable[tuple[float, Mapping[str, Any]]],
         duration_s: float = 5.0,
         **more: Any,
-    ) -> Capture:
+    ) -> Window:
         samples = [
             Sample(START_NS + round(at * 1e9), 0, None, encoded(type_name, value)) for at, value in messages
         ]  # fmt: skip
         end_ns = START_NS + round(duration_s * 1e9)
-        return Capture(
+        return Window(
             topic=topic,
             type=type_name,
             codec=CODEC,
             samples=samples,
             start_ns=START_NS,
             end_ns=end_ns,
-            received=len(samples),
-            source="made",
             **more,
         )
 

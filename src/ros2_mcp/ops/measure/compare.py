@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Literal
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.ops.results import Report, silent
-from ros2_mcp.ops.sources.source import Capture, Missing, Source
+from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.definitions import Definitions
     from ros2_mcp.codec.select import FieldPath
+    from ros2_mcp.ops.measure.columns import Column
+    from ros2_mcp.ops.measure.paired import Paired
     from ros2_mcp.ops.measure.signals import Numbers
 
 # Up to here topics are similar, and different: of the RMS difference, as a share of a field's largest magnitude.
@@ -108,14 +110,27 @@ async def compare(
         raise BadInput(f"{topics[0]} is given twice.", "Give two topics.")
     types = [await source.type_of(topic) for topic in topics]
     common_fields(source.codec.definitions, types, fields)  # before any time is spent on listening
-    captures: list[Capture] = []
-    for capture in await source.captures(topics, report):
+    captures: list[Capture[Paired]] = []
+    for capture in await source.captures(topics, keeping(types, fields), report):
         if isinstance(capture, Missing):
             raise capture.error
         captures.append(capture)
-    return await asyncio.to_thread(
-        evaluate, *captures, fields=fields, tolerance_percent=tolerance_percent, by_stamp=by_stamp
-    )
+    return await asyncio.to_thread(evaluate, *captures, tolerance_percent=tolerance_percent, by_stamp=by_stamp)
+
+
+def keeping(types: Sequence[str], fields: Sequence[str]) -> Callable[[Stream], Paired]:
+    """What keeps the fields that both types have, for `Source.captures`; raises as `common_fields`."""
+    from ros2_mcp.ops.measure.columns import Room
+    from ros2_mcp.ops.measure.paired import Paired
+
+    room = Room()
+
+    def keep(stream: Stream) -> Paired:
+        side = 0 if stream.type == types[0] else 1
+        common = [pair[side] for pair in common_fields(stream.codec.definitions, types, fields)]
+        return Paired(stream.codec, stream.type, common, room, whole_lists=True)
+
+    return keep
 
 
 def common_fields(
@@ -137,39 +152,37 @@ def common_fields(
 
 
 def evaluate(
-    first: Capture,
-    second: Capture,
-    fields: Sequence[str] = (),
-    *,
-    tolerance_percent: float = 0.1,
-    by_stamp: bool = True,
+    first: Capture[Paired], second: Capture[Paired], *, tolerance_percent: float = 0.1, by_stamp: bool = True
 ) -> Comparison:
-    """Compares two captures; raises as `compare`, and `BadData` if no message of one is what its type says."""
-    from ros2_mcp.ops.measure.series import seconds
+    """Compares two captures of the same fields; raises `BadData` if no message of one is what its type says."""
+    from ros2_mcp.ops.measure.columns import seconds
     from ros2_mcp.ops.measure.signals import pairs
 
-    common = common_fields(first.definitions, (first.type, second.type), fields)
-    first, first_messages, first_trouble = first.readable()
-    second, second_messages, second_trouble = second.readable()
+    for capture in (first, second):
+        capture.kept.check()
     times, paired_by = _pairing_times(first, second, by_stamp)
     partners = pairs(*times)
-    messages, received = (first_messages, second_messages), (seconds(first), seconds(second))
-    compared = [_compare_field(paths, messages, received, partners) for paths in common]
-    delays_ns = [second.samples[j].received_ns - first.samples[i].received_ns for i, j in partners]
+    received_ns = first.kept.read_ns, second.kept.read_ns
+    received = seconds(received_ns[0], first.start_ns), seconds(received_ns[1], second.start_ns)
+    columns = zip(first.kept.columns, second.kept.columns, strict=True)
+    compared = [_compare_field(one, other, received, partners) for one, other in columns]
+    delays_ns = [int(received_ns[1][j] - received_ns[0][i]) for i, j in partners]
     delays_s = sorted(row.delay_s for row in compared if row.delay_s is not None)
     verdict, reasons = _judge(first, second, len(partners), compared, tolerance_percent)
-    troubles = ((first.topic, first_trouble), (second.topic, second_trouble))
+    for capture in (first, second):
+        troubles = (capture.kept.skipped, capture.kept.bounds("Compared are those"))
+        reasons += [f"{capture.topic}: {trouble}" for trouble in troubles if trouble]
     return Comparison(
         topic1=first.topic,
         topic2=second.topic,
         verdict=verdict,
-        reasons=[*reasons, *(f"{topic}: {trouble}" for topic, trouble in troubles if trouble)],
+        reasons=reasons,
         tolerance_percent=tolerance_percent,
         paired_by=paired_by,
-        count1=len(first.samples),
-        count2=len(second.samples),
+        count1=first.kept.decoded,
+        count2=second.kept.decoded,
         pairs=len(partners),
-        equal_messages=sum(first.samples[i].data == second.samples[j].data for i, j in partners),
+        equal_messages=sum(first.kept.marks[i] == second.kept.marks[j] for i, j in partners),
         receive_delay_s=sum(delays_ns) / len(delays_ns) / 1e9 if delays_ns else None,
         delay_s=delays_s[len(delays_s) // 2] if delays_s else None,
         fields=compared,
@@ -177,12 +190,14 @@ def evaluate(
     )
 
 
-def _pairing_times(first: Capture, second: Capture, by_stamp: bool) -> tuple[tuple[Numbers, Numbers], str]:
+def _pairing_times(
+    first: Capture[Paired], second: Capture[Paired], by_stamp: bool
+) -> tuple[tuple[Numbers, Numbers], str]:
     """The times by which messages are paired, in seconds, and in words which these are."""
-    from ros2_mcp.ops.measure.series import seconds
+    from ros2_mcp.ops.measure.columns import seconds
     from ros2_mcp.ops.measure.signals import flat
 
-    stamps = (first.stamps_ns(), second.stamps_ns()) if by_stamp else (None, None)
+    stamps = (first.kept.stamps_ns, second.kept.stamps_ns) if by_stamp else (None, None)
     reason = ""
     if stamps[0] is None or stamps[1] is None:
         reason = ": not both have a header" if by_stamp else ""
@@ -197,12 +212,14 @@ def _pairing_times(first: Capture, second: Capture, by_stamp: bool) -> tuple[tup
         origin = stamps[0][0]
         first_s, second_s = (flat([(at - origin) / 1e9 for at in own]) for own in stamps if own)
         return (first_s, second_s), "stamp"
-    return (seconds(first), seconds(second)), f"nearest time of receipt{reason}"
+    sides = (first, second)
+    first_s, second_s = (seconds(capture.kept.read_ns, capture.start_ns) for capture in sides)
+    return (first_s, second_s), f"nearest time of receipt{reason}"
 
 
 def _compare_field(
-    fields: tuple[FieldPath, FieldPath],
-    messages: tuple[Sequence[object], Sequence[object]],
+    one_side: Column,
+    other_side: Column,
     times: tuple[Numbers, Numbers],
     partners: Sequence[tuple[int, int]],
 ) -> FieldComparison:
@@ -210,12 +227,9 @@ def _compare_field(
     import numpy as np
 
     from ros2_mcp.ops.measure import signals
-    from ros2_mcp.ops.measure.series import value_of
 
-    first, second = (
-        [signals.flat(() if (value := value_of(field, message)) is None else value) for message in own]
-        for field, own in zip(fields, messages, strict=True)
-    )
+    path = one_side.path
+    first, second = one_side.by_row(len(times[0])), other_side.by_row(len(times[1]))
     same_length = [(i, j) for i, j in partners if len(first[i]) == len(second[j])]
     # behind an empty array, because NumPy does not join none
     one = np.concatenate([signals.flat([]), *(first[i] for i, _ in same_length)])
@@ -224,9 +238,9 @@ def _compare_field(
     not_compared = int(np.count_nonzero(~both & ~alike)) + len(partners) - len(same_length)
     one, other = one[both], other[both]
     if not len(one):
-        return FieldComparison(fields[0].path, 0, not_compared=not_compared)
+        return FieldComparison(path.path, 0, not_compared=not_compared)
     delay_s = None
-    if not fields[0].is_list:
+    if not path.is_list:
         delay_s, score = signals.delay(*_finite(times[0], first), *_finite(times[1], second))
         delay_s = delay_s if score is not None and score >= _SURE else None
     # of numbers at the end of their range a difference may be infinite, which is shown as null; squares of shares
@@ -237,7 +251,7 @@ def _compare_field(
         unit = scale or 1.0
         largest, rms = float(np.abs(difference).max()), float(np.sqrt(np.mean((difference / unit) ** 2))) * unit
         return FieldComparison(
-            field=fields[0].path,
+            field=path.path,
             compared=len(one),
             mean_difference=signals.number(difference.mean()),
             max_difference=signals.number(largest),
@@ -259,13 +273,19 @@ def _finite(times: Numbers, values: Sequence[Numbers]) -> tuple[Numbers, Numbers
     return flat([at for at, _ in points]), flat([value for _, value in points])
 
 
+def _in_holes(capture: Capture[Paired], partner: Capture[Paired]) -> int:
+    """How many messages have no partner because what their partner is in cannot be read."""
+    times_ns = capture.kept.read_ns
+    return sum(int(((times_ns >= begin) & (times_ns <= end)).sum()) for begin, end in partner.holes)
+
+
 def _judge(
-    first: Capture, second: Capture, pairs: int, compared: Sequence[FieldComparison], tolerance: float
+    first: Capture[Paired], second: Capture[Paired], pairs: int, compared: Sequence[FieldComparison], tolerance: float
 ) -> tuple[Verdict, list[str]]:
     """The verdict as `Comparison` says, and its reasons, the largest differences first."""
-    counts = len(first.samples), len(second.samples)
+    counts = first.kept.rows, second.kept.rows
     if not pairs:
-        silent_topics = [capture.topic for capture in (first, second) if not capture.samples]
+        silent_topics = [capture.topic for capture in (first, second) if not capture.kept.rows]
         why = f"{' and '.join(silent_topics)} sent nothing." if silent_topics else "No two messages are near in time."
         return "VERY DIFFERENT", [why]
 
@@ -282,7 +302,7 @@ def _judge(
     ]
     if len(differing) > _MAX_REASONS:
         reasons.append(f"{len(differing) - _MAX_REASONS} more fields differ.")
-    unpaired = max(counts) - pairs
+    unpaired = max(counts) - pairs - max(_in_holes(first, second), _in_holes(second, first))
     if unpaired > max(_EDGES, _UNPAIRED_SHARE * max(counts)):
         reasons.append(f"{unpaired} messages have no partner ({counts[0]} and {counts[1]} came).")
     if not_compared := sum(row.not_compared for row in compared):

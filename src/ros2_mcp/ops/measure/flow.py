@@ -1,11 +1,23 @@
-"""How messages flow, from the times of their receipt alone: rate, gaps, and where a stream fell silent."""
+"""How messages flow, from the times of their receipt alone: rate, gaps, and where a stream fell silent.
+
+Times are Unix times in nanoseconds that rise, as arrays. `holes` are times between which a recording cannot be read: a
+period that lies over one says nothing of the robot, and counts nowhere. NumPy is imported where it is used, because
+listing the tools must not wait for it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from statistics import median
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Times: TypeAlias = "NDArray[np.int64]"
+
+Holes: TypeAlias = "Sequence[tuple[int, int]]"
 
 # A gap is a period longer than this many times the median one: a message that is missing, and more than jitter.
 GAP_FACTOR = 3.0
@@ -15,10 +27,11 @@ _LEAST_MESSAGES = 4
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A time without messages: from the message before it (or the beginning), `duration_s` long."""
+    """A time without messages, from the message before it (or the beginning) on; `in_hole`: some may be lost."""
 
-    at_s: float
+    from_ns: int
     duration_s: float
+    in_hole: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,34 +43,64 @@ class Silence:
     is_end: bool
 
 
-def rate_hz(times_s: Sequence[float]) -> float | None:
+def over_holes(times_ns: Times, holes: Holes) -> NDArray[np.bool_]:
+    """For each period between two times whether it lies over a hole, or a part of one."""
+    import numpy as np
+
+    found = np.zeros(max(len(times_ns) - 1, 0), np.bool_)
+    for start_ns, end_ns in holes:
+        first = max(int(np.searchsorted(times_ns, start_ns, side="right")) - 1, 0)
+        last = int(np.searchsorted(times_ns, max(end_ns, start_ns + 1), side="left"))
+        found[first:last] = True
+    return found
+
+
+def periods_s(times_ns: Times, holes: Holes = ()) -> NDArray[Any]:
+    """The periods between messages, in seconds, without those over holes."""
+    import numpy as np
+
+    return np.diff(times_ns)[~over_holes(times_ns, holes)] / 1e9
+
+
+def rate_hz(times_ns: Times, holes: Holes = ()) -> float | None:
     """Messages per second between the first and the last; None where there are not two different times."""
-    span_s = float(times_s[-1] - times_s[0]) if len(times_s) > 1 else 0.0
-    return (len(times_s) - 1) / span_s if span_s > 0 else None
+    import numpy as np
+
+    periods_ns = np.diff(times_ns)[~over_holes(times_ns, holes)]
+    span_s = int(periods_ns.sum()) / 1e9
+    return len(periods_ns) / span_s if span_s > 0 else None
 
 
-def gaps(times_s: Sequence[float], *edges_s: float) -> list[Gap]:
+def gaps(times_ns: Times, holes: Holes = (), edges_ns: tuple[int, ...] = ()) -> list[Gap]:
     """Periods longer than three times the median one; with both edges of a time also before the first and after the
     last message.
     """
-    if len(times_s) < _LEAST_MESSAGES:
+    import numpy as np
+
+    usual_s = periods_s(times_ns, holes)
+    if len(times_ns) < _LEAST_MESSAGES or not len(usual_s):
         return []
-    limit_s = GAP_FACTOR * median(later - earlier for earlier, later in pairwise(times_s))
-    bounded = sorted([*times_s, *edges_s]) if edges_s else times_s
-    return [Gap(earlier, later - earlier) for earlier, later in pairwise(bounded) if later - earlier > limit_s]
+    limit_ns = GAP_FACTOR * float(np.median(usual_s)) * 1e9
+    bounded = np.sort(np.concatenate((times_ns, np.array(edges_ns, np.int64)))) if edges_ns else times_ns
+    long, lost = np.diff(bounded), over_holes(bounded, holes)
+    return [Gap(int(bounded[at]), int(long[at]) / 1e9, bool(lost[at])) for at in np.flatnonzero(long > limit_ns)]
 
 
-def silence_in(received_ns: Sequence[int], end_ns: int, periods: float, least_s: float) -> Silence | None:
+def silence_in(times_ns: Times, end_ns: int, periods: float, least_s: float, holes: Holes = ()) -> Silence | None:
     """The silence at the end, else the longest one, if it is longer than `periods` median periods and than `least_s`.
 
     None where there are fewer than four messages.
     """
-    if len(received_ns) < _LEAST_MESSAGES:
+    import numpy as np
+
+    usual_s = periods_s(times_ns, holes)
+    if len(times_ns) < _LEAST_MESSAGES or not len(usual_s):
         return None
-    silences = [((later - earlier) / 1e9, earlier) for earlier, later in pairwise(received_ns)]
-    limit_s = max(periods * median(duration_s for duration_s, _ in silences), least_s)
-    since_last_s = (end_ns - received_ns[-1]) / 1e9
-    if since_last_s > limit_s:
-        return Silence(received_ns[-1], since_last_s, is_end=True)
-    longest_s, from_ns = max(silences)
-    return Silence(from_ns, longest_s, is_end=False) if longest_s > limit_s else None
+    limit_s = max(periods * float(np.median(usual_s)), least_s)
+    bounded = np.append(times_ns, end_ns)
+    silences = np.where(over_holes(bounded, holes), 0, np.diff(bounded))
+    if (since_last_s := int(silences[-1]) / 1e9) > limit_s:
+        return Silence(int(times_ns[-1]), since_last_s, is_end=True)
+    longest = int(np.argmax(silences[:-1]))
+    longest_s = int(silences[longest]) / 1e9
+    return Silence(int(times_ns[longest]), longest_s, is_end=False) if longest_s > limit_s else None

@@ -9,22 +9,26 @@ import asyncio
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.graph import OF_EVERY_NODE
 from ros2_mcp.model.qos import Endpoint
+from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
-from ros2_mcp.ops.measure.flow import Silence, rate_hz, silence_in
+from ros2_mcp.ops.measure.flow import Silence, periods_s, rate_hz, silence_in
 from ros2_mcp.ops.results import Report, iso_time, silent
-from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Missing, Source
+from ros2_mcp.ops.sources.selection import undecodable
+from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Missing, Source, Stream
 from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import TopicEndpoints
 from ros2_mcp_bridge.limits import MAX_RATE_HZ
+
+if TYPE_CHECKING:
+    from ros2_mcp.ops.measure.columns import Arrivals
 
 # Topics that are listened to, and of those images and clouds: a check must not overload a weak robot.
 MAX_MEASURED = 60
@@ -133,12 +137,14 @@ class Flow:
     """What came on one topic in the time of measuring.
 
     `most_hz` is the highest rate that its silences allow. `silence` is where a stream stopped or was interrupted.
+    `until_ns` is up to when that was looked for, where the times of all messages were too many to keep.
     """
 
     count: int
     rate_hz: float | None
     most_hz: float
     silence: Silence | None = None
+    until_ns: int = 0
 
 
 async def check_health(source: Source, expected: Expectations, report: Report = silent) -> Health:
@@ -158,13 +164,19 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
     graph = await source.graph()
     chosen, skipped = to_measure(graph, expected) if expected.check_rates else ([], [])
     has_diagnostics = DIAGNOSTICS in graph.topics and bool(graph.topics[DIAGNOSTICS].publishers)
+    from ros2_mcp.ops.measure.columns import Arrivals, Room
+
+    room = Room()
     measured, reported = await asyncio.gather(
-        source.captures(chosen, report, times_only=True),
-        source.captures([DIAGNOSTICS] if has_diagnostics else []),
+        source.captures(chosen, lambda _: Arrivals(room), report, times_only=True),
+        source.captures([DIAGNOSTICS] if has_diagnostics else [], _Statuses),
     )
     if any(_missing(graph, expected)):  # it may only just have appeared
         graph = await source.graph()
-    diagnostics, trouble = await asyncio.to_thread(_diagnostics_in, reported)
+    diagnostics, trouble = DiagnosticTable(), ""
+    for capture in reported:
+        if isinstance(capture, Capture):
+            diagnostics, trouble = capture.kept.table, capture.kept.trouble
     flows = {capture.topic: flow(capture) for capture in measured if isinstance(capture, Capture)}
     failed = [missing for missing in measured if isinstance(missing, Missing)]
     rows = [_row(graph, name, flows.get(name), expected) for name in sorted({*graph.topics, *expected.topics})]
@@ -196,7 +208,7 @@ async def check_health(source: Source, expected: Expectations, report: Report = 
             "diagnostics": len(diagnostics.rows),
         },
         source=source.words,
-        note=f"{_note(graph, skipped, failed)} {trouble}".strip(),
+        note=" ".join(filter(None, (_note(graph, skipped, failed), trouble, _bounds(flows)))),
     )
 
 
@@ -215,13 +227,20 @@ def to_measure(graph: GraphSnapshot, expected: Expectations) -> tuple[list[str],
     return chosen[:MAX_MEASURED], [*large[MAX_LARGE:], *chosen[MAX_MEASURED:]]
 
 
-def flow(capture: Capture) -> Flow:
+def flow(capture: Capture[Arrivals]) -> Flow:
     """The rate of a capture's messages, the highest that its longest silence allows, and where it was interrupted."""
-    times = [(sample.received_ns - capture.start_ns) / 1e9 for sample in capture.samples]
-    longest = max(later - earlier for earlier, later in pairwise([0.0, *times, capture.duration_s]))
-    received_ns = [sample.received_ns for sample in capture.samples]
-    silence = silence_in(received_ns, capture.end_ns, STOPPED_PERIODS, STOPPED_S)
-    return Flow(len(times), rate_hz(times), 1 / longest if longest > 0 else 0.0, silence)
+    import numpy as np
+
+    kept, holes = capture.kept, capture.holes
+    end_ns = capture.end_ns if kept.all_kept else kept.last_ns
+    bounded = np.sort(np.concatenate((kept.times_ns, np.array([capture.start_ns, end_ns], np.int64))))
+    longest_s = float(periods_s(bounded, holes).max(initial=0.0))
+    if not kept.all_kept:  # of the beginning only, and that is said
+        end_ns = int(kept.times_ns[-1]) if len(kept.times_ns) else capture.start_ns
+    silence = silence_in(kept.times_ns, end_ns, STOPPED_PERIODS, STOPPED_S, holes)
+    rate = rate_hz(kept.times_ns, holes) if kept.all_kept else kept.rate_hz
+    until_ns = 0 if kept.all_kept else max(end_ns, 1)
+    return Flow(kept.count, rate, 1 / longest_s if longest_s > 0 else 0.0, silence, until_ns)
 
 
 def _row(graph: GraphSnapshot, name: str, measured: Flow | None, expected: Expectations) -> TopicRow:
@@ -316,19 +335,27 @@ def _diagnostic_findings(table: DiagnosticTable, *, with_past: bool) -> Iterator
         yield Finding("warning", row.name, problem, "It has become better since.")
 
 
-def _diagnostics_in(captures: Sequence[Capture | Missing]) -> tuple[DiagnosticTable, str]:
-    """What the components reported; and in words, what of it could not be decoded."""
-    table, trouble = DiagnosticTable(), ""
-    for capture in captures:
-        if isinstance(capture, Missing) or capture.type != _DIAGNOSTICS_TYPE:
-            continue
-        try:
-            readable, messages, trouble = capture.readable()
-        except BadData as error:
-            return table, f"Diagnostics cannot be read: {error}"
-        for sample, message in zip(readable.samples, messages, strict=True):
-            table.add(message, sample.received_ns)
-    return table, trouble
+class _Statuses:
+    """What the components report, message by message; and in words, what of it could not be decoded."""
+
+    def __init__(self, stream: Stream) -> None:
+        self.table = DiagnosticTable()
+        self._stream = stream
+        self._undecodable = 0
+        self._first_trouble = ""
+
+    def add(self, samples: Sequence[Sample]) -> None:
+        """Takes in messages, in the order of time; those of another type say nothing."""
+        for sample in samples if self._stream.type == _DIAGNOSTICS_TYPE else ():
+            try:
+                self.table.add(self._stream.codec.decode(self._stream.type, sample.data), sample.received_ns)
+            except BadData as error:
+                self._undecodable += 1
+                self._first_trouble = self._first_trouble or str(error)
+
+    @property
+    def trouble(self) -> str:
+        return f"{DIAGNOSTICS}: {undecodable(self._undecodable, self._first_trouble)}" if self._undecodable else ""
 
 
 def _note(graph: GraphSnapshot, skipped: Sequence[str], failed: Sequence[Missing]) -> str:
@@ -343,6 +370,12 @@ def _note(graph: GraphSnapshot, skipped: Sequence[str], failed: Sequence[Missing
         errors = "; ".join(f"{named(missing.topic)}: {missing.error}" for missing in failed[:_MAX_FAILED])
         notes.append(f"Could not be measured: {errors}")
     return " ".join(notes)
+
+
+def _bounds(flows: Mapping[str, Flow]) -> str:
+    """Up to when topics were looked at for silences, where that is not the end."""
+    cut = [f"{name} up to {iso_time(flow.until_ns)}" for name, flow in flows.items() if flow.until_ns]
+    return f"Silences were looked for only in: {', '.join(cut)}: more times were too much to keep." if cut else ""
 
 
 def _nodes_of(endpoints: Sequence[Endpoint]) -> str:

@@ -43,8 +43,9 @@ _ROUNDING_STEP = 1e-5
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """A step much larger than the usual ones."""
+    """A step much larger than the usual ones, from the value at `since_s` to the next one at `at_s`."""
 
+    since_s: float
     at_s: float
     before: float
     after: float
@@ -65,13 +66,6 @@ def number(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def slope(times: Numbers, values: Numbers) -> float | None:
-    """The change per second of the straight line that fits best (least squares)."""
-    centred = times - times.mean() if len(times) else times
-    spread = float(centred @ centred)
-    return number(centred @ (values - values.mean()) / spread) if spread > 0 else None
-
-
 def jumps(times: Numbers, values: Numbers) -> list[Jump]:
     """Steps far out of the usual. A value that mostly stands still has one only if it moves once."""
     steps = np.diff(values)
@@ -85,7 +79,10 @@ def jumps(times: Numbers, values: Numbers) -> list[Jump]:
         large = size > 0
         if np.count_nonzero(large) > max(1, len(steps) // _RARE_STEPS):
             return []
-    return [Jump(float(times[i + 1]), float(values[i]), float(values[i + 1])) for i in np.flatnonzero(large)]
+    return [
+        Jump(float(times[i]), float(times[i + 1]), float(values[i]), float(values[i + 1]))
+        for i in np.flatnonzero(large)
+    ]
 
 
 def stuck(times: Numbers, values: Numbers) -> Stuck | None:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, BadValue, RobotError
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.measure.flow import gaps, rate_hz
+from ros2_mcp.ops.measure.flow import gaps, periods_s, rate_hz
 from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.sources.selection import Selection
-from ros2_mcp.ops.sources.source import Capture, Missing, Source
+from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.select import FieldPath
-    from ros2_mcp.ops.measure.signals import Numbers
+    from ros2_mcp.ops.measure.columns import Column, Columns
 
 # All are subscribed to at the same time, and share the memory that a capture may take.
 MAX_TOPICS = 20
@@ -120,18 +120,38 @@ async def measure(
         raise BadInput(f"{', '.join(twice)} is given twice.", "Give each topic once.")
     if selection.fields:
         await _check_fields(source, topics, selection.fields)
-    captures = await source.captures(topics, report)
+    from ros2_mcp.ops.measure.columns import Columns, Room
+
+    room = Room()
+
+    def keep(stream: Stream) -> Columns:
+        return Columns(stream.codec, stream.type, measured_fields(stream, selection.fields), room)
+
+    captures = await source.captures(topics, keep, report)
     most_fields = max((selection.max_bytes // len(topics) - _TOPIC_BYTES) // _FIELD_BYTES, _MIN_FIELDS)
 
-    def evaluated(capture: Capture | Missing) -> TopicStatistics:
+    def evaluated(capture: Capture[Columns] | Missing) -> TopicStatistics:
         if isinstance(capture, Missing):
             return TopicStatistics(capture.topic, error=str(capture.error))
         try:
-            return evaluate(capture, selection.fields, most_fields)
+            return evaluate(capture, most_fields)
         except RobotError as error:
-            return TopicStatistics(capture.topic, capture.type, count=len(capture.samples), error=str(error))
+            return TopicStatistics(capture.topic, capture.type, count=capture.kept.count, error=str(error))
 
     return Statistics(source.words, await asyncio.to_thread(lambda: list(map(evaluated, captures))))
+
+
+def measured_fields(stream: Stream, chosen: Sequence[str]) -> list[FieldPath]:
+    """The chosen fields, or all numeric ones; a chosen one that this type does not have is left out."""
+    from ros2_mcp.codec.select import measurable
+
+    if not chosen:
+        return measurable(stream.codec.definitions, stream.type)
+    found: list[FieldPath] = []
+    for path in chosen:
+        with suppress(BadValue):  # another of the topics has it
+            found += measurable(stream.codec.definitions, stream.type, [path])
+    return found
 
 
 async def _check_fields(source: Source, topics: Sequence[str], fields: Sequence[str]) -> None:
@@ -153,43 +173,40 @@ async def _check_fields(source: Source, topics: Sequence[str], fields: Sequence[
             raise errors[0]
 
 
-def evaluate(capture: Capture, fields: Sequence[str] = (), most_fields: int = 80) -> TopicStatistics:
-    """The statistics of one capture; a chosen field that this type does not have is left out.
+def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistics:
+    """The statistics of one capture.
 
     Raises:
         BadData: if no message is what the type says.
     """
     import numpy as np
 
-    from ros2_mcp.codec.select import measurable
-    from ros2_mcp.ops.measure.series import seconds
-
-    found = [] if fields else measurable(capture.definitions, capture.type)
-    for path in fields:
-        with suppress(BadValue):  # another of the topics has it
-            found += measurable(capture.definitions, capture.type, [path])
-    readable, messages, trouble = capture.readable() if found else (capture, [], "")
-    times = seconds(capture)
-    periods = np.diff(times)
-    notes = [trouble]
-    if not found:
+    kept, holes = capture.kept, capture.holes
+    kept.check()
+    periods = periods_s(kept.times_ns, holes)
+    notes = [kept.skipped, kept.bounds("Jumps and stuck values are looked for in those")]
+    if not kept.all_kept:
+        until = iso_time(int(kept.times_ns[-1])) if len(kept.times_ns) else "its beginning"
+        notes.append(f"Periods and gaps are those up to {until}: more times were too much to keep.")
+    if not kept.columns:
         notes.insert(0, "It has no numbers to measure; choose fields for bytes, booleans and stamps.")
-    elif len(found) > most_fields:
-        left_out = len(found) - most_fields
-        notes.insert(0, f"{left_out} more fields are not shown: choose fields, from {found[most_fields].path} on.")
-    if not capture.samples:
+    elif len(kept.columns) > most_fields:
+        left_out = len(kept.columns) - most_fields
+        first = kept.columns[most_fields].path.path
+        notes.insert(0, f"{left_out} more fields are not shown: choose fields, from {first} on.")
+    if not kept.count:
         notes.insert(0, "Silent in this time." if capture.publishers else "Nobody published on it.")
     elif capture.dropped:
         notes.insert(0, f"{capture.dropped} messages were too much to keep; the newest are counted.")
     return TopicStatistics(
         capture.topic,
         capture.type,
-        count=len(times),
-        rate_hz=rate_hz(times.tolist()),
+        count=kept.count,
+        rate_hz=rate_hz(kept.times_ns, holes) if kept.all_kept else kept.rate_hz,
         period_median_s=float(np.median(periods)) if len(periods) else None,
         period_std_s=float(periods.std()) if len(periods) > 1 else None,
-        gaps=_gap_lines(times.tolist(), capture.duration_s),
-        fields=[_field_statistics(field, messages, seconds(readable)) for field in found[:most_fields]],
+        gaps=_gap_lines(capture),
+        fields=[_field_statistics(column, capture) for column in kept.columns[:most_fields]],
         started_at=iso_time(capture.start_ns),
         duration=capture.duration_s,
         received=capture.received,
@@ -200,67 +217,70 @@ def evaluate(capture: Capture, fields: Sequence[str] = (), most_fields: int = 80
     )
 
 
-def _gap_lines(times_s: Sequence[float], duration_s: float) -> list[str]:
-    found = sorted(gaps(times_s, 0.0, duration_s), key=lambda gap: -gap.duration_s)
-    shown = sorted(found[: 2 * _MAX_LISTED], key=lambda gap: gap.at_s)
-    lines = [f"nothing for {gap.duration_s:.3f} s from {gap.at_s:.3f} s on" for gap in shown]
+def _gap_lines(capture: Capture[Columns]) -> list[str]:
+    kept = capture.kept
+    end_ns = capture.end_ns if kept.all_kept else int(kept.times_ns[-1]) if len(kept.times_ns) else capture.start_ns
+    found = gaps(kept.times_ns, capture.holes, (capture.start_ns, end_ns))
+    found.sort(key=lambda gap: -gap.duration_s)
+    shown = sorted(found[: 2 * _MAX_LISTED], key=lambda gap: gap.from_ns)
+    lines = [
+        f"nothing for {gap.duration_s:.3f} s from {(gap.from_ns - capture.start_ns) / 1e9:.3f} s on"
+        f"{': damage, it cannot be read there' if gap.in_hole else ''}"
+        for gap in shown
+    ]
     return lines + ([f"{len(found) - len(shown)} shorter gaps"] if len(found) > len(shown) else [])
 
 
-def _field_statistics(field: FieldPath, messages: Sequence[object], times: Numbers) -> FieldStatistics:
-    """The statistics of one field over messages that were received at `times`.
+def _field_statistics(column: Column, capture: Capture[Columns]) -> FieldStatistics:
+    """The statistics of one field: of a list all elements of all messages count together."""
+    from ros2_mcp.ops.measure.signals import number
 
-    `numbers` are all its values, of a list all elements of all messages. `series` has one finite value at each time
-    `when`: the value itself, of a list the mean of its finite elements.
-    """
+    totals, path = column.totals, column.path
+    anomalies: list[str] = []
+    if totals.not_finite:
+        anomalies.append(f"{totals.not_finite} of {totals.total} values are not finite ({totals.nan} NaN)")
+    if not totals.count:
+        return FieldStatistics(path.path, path.is_list, 0, not_finite=totals.not_finite, anomalies=anomalies)
+    return FieldStatistics(
+        path.path,
+        path.is_list,
+        count=totals.count,
+        min=number(totals.min),
+        max=number(totals.max),
+        mean=number(totals.mean),
+        std=number(totals.std),
+        first=number(column.first),
+        last=number(column.last),
+        slope=number(column.line.slope),
+        constant=column.messages > 1 and column.is_constant,
+        not_finite=totals.not_finite,
+        anomalies=[] if path.is_list else [*anomalies, *_anomalies(column, capture)],
+    )
+
+
+def _anomalies(column: Column, capture: Capture[Columns]) -> list[str]:
+    """Jumps and the time that the value stood still, in words; what lies over a hole is no jump."""
     import numpy as np
 
     from ros2_mcp.ops.measure import signals
-    from ros2_mcp.ops.measure.series import present
+    from ros2_mcp.ops.measure.columns import seconds
 
-    when, values = present(field, messages, times)
-    with np.errstate(over="ignore", invalid="ignore"):  # numbers at the end of their range; a result of inf is null
-        if field.is_list:
-            arrays = [signals.flat(value) for value in values]
-            numbers = np.concatenate(arrays) if arrays else signals.flat([])
-            finite_parts = [array[np.isfinite(array)] for array in arrays]
-            when = when[[len(part) > 0 for part in finite_parts]]
-            series = signals.flat([part.mean() for part in finite_parts if len(part)])
-            constant = len(arrays) > 1 and all(np.array_equal(array, arrays[0], equal_nan=True) for array in arrays)
-        else:
-            numbers = signals.flat(values)
-            when, series = when[np.isfinite(numbers)], numbers[np.isfinite(numbers)]
-            constant = len(numbers) > 1 and bool((numbers == numbers[0]).all())
-        finite = numbers[np.isfinite(numbers)]
-        not_finite, nan = len(numbers) - len(finite), int(np.count_nonzero(np.isnan(numbers)))
-        anomalies = [f"{not_finite} of {len(numbers)} values are not finite ({nan} NaN)"] if not_finite else []
-        if not len(finite):
-            return FieldStatistics(field.path, field.is_list, 0, not_finite=not_finite, anomalies=anomalies)
-        return FieldStatistics(
-            field.path,
-            field.is_list,
-            count=len(finite),
-            min=signals.number(finite.min()),
-            max=signals.number(finite.max()),
-            mean=signals.number(finite.mean()),
-            std=signals.number(finite.std()),
-            first=signals.number(series[0]),
-            last=signals.number(series[-1]),
-            slope=signals.slope(when, series),
-            constant=constant,
-            not_finite=not_finite,
-            anomalies=[] if field.is_list else [*anomalies, *_anomalies(when, series)],
-        )
+    values = column.values
+    finite = np.isfinite(values)
+    times, values = seconds(capture.kept.read_ns[column.rows], capture.start_ns)[finite], values[finite]
+    holes = [((begin - capture.start_ns) / 1e9, (end - capture.start_ns) / 1e9) for begin, end in capture.holes]
 
+    def is_over_hole(since_s: float, until_s: float) -> bool:
+        return any(since_s < end_s and until_s > begin_s for begin_s, end_s in holes)
 
-def _anomalies(times: Numbers, values: Numbers) -> list[str]:
-    """Jumps and the time that the value stood still, in words."""
-    from ros2_mcp.ops.measure import signals
-
-    found = signals.jumps(times, values)
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers at the end of their range
+        jumps, still = signals.jumps(times, values), signals.stuck(times, values)
+    found = [jump for jump in jumps if not is_over_hole(jump.since_s, jump.at_s)]
     lines = [f"jump from {jump.before:g} to {jump.after:g} at {jump.at_s:.3f} s" for jump in found[:_MAX_LISTED]]
     if len(found) > _MAX_LISTED:
         lines.append(f"{len(found) - _MAX_LISTED} more jumps")
-    if still := signals.stuck(times, values):
+    if still:
         lines.append(f"stuck at {still.value:g} for {still.duration_s:.3f} s from {still.at_s:.3f} s on")
+        if is_over_hole(still.at_s, still.at_s + still.duration_s):
+            lines[-1] += " (damage: a part of that time cannot be read)"
     return lines

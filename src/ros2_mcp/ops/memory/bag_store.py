@@ -6,6 +6,7 @@ import os
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +26,12 @@ _DEEPEST = 4
 BLACK_BOX = "black-box"
 """The name of the server's own black box among the bags."""
 _BLACK_BOX_WORDS = ("black box", "black_box", "blackbox")
+
+
+_MOST_TOLD = 10
+"""Lines about damage in one answer; ros2_bag_info has up to 50 of each file."""
+_read_in_call: ContextVar[dict[Path, OpenedBag] | None] = ContextVar("_read_in_call", default=None)
+"""The bags that are read on behalf of one call, in whatever task or thread: so that no reader can forget damage."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +71,8 @@ class OpenedBag:
         """
         from ros2_mcp.bags.bag import Bag  # imports mcap and YAML, a tenth of the time that all tools take to import
 
+        if (noted := _read_in_call.get()) is not None:
+            noted[self._path] = self
         with self.lock:
             mark = _mark(self._path)
             if self.bag is None or mark != self._mark:
@@ -104,6 +113,39 @@ class BagStore:
             if opened.bag:
                 opened.bag.close()
         self._opened.clear()
+
+    @contextmanager
+    def noting_damage(self) -> Generator[Callable[[], list[str]], None, None]:
+        """While it is entered, the bags that are read are noted; what it gives says what of them is damaged or missing.
+
+        It has at most ten lines. Damage is told as far as it is known, which is all in the part that was read.
+        """
+        noted: dict[Path, OpenedBag] = {}
+        token = _read_in_call.set(noted)
+
+        def told() -> list[str]:
+            lines = [text for opened in noted.values() if opened.bag for text in self.problems_of(opened.bag)]
+            more = len(lines) - _MOST_TOLD
+            return [*lines[:_MOST_TOLD], *([f"{more} more: see ros2_bag_info."] if more > 0 else [])]
+
+        try:
+            yield told
+        finally:
+            _read_in_call.reset(token)
+
+    def is_growing(self, bag: Bag) -> bool:
+        """Whether this server is recording it."""
+        own = list(self.own.values())  # at once: this is a thread, and recordings begin in another
+        folders = [written.folder.resolve() for written in own if written.is_growing()]
+        return any(bag.path.resolve().is_relative_to(folder) for folder in folders)
+
+    def problems_of(self, bag: Bag) -> list[str]:
+        """What is damaged or missing; that the end is not written yet is no damage while it is being recorded."""
+        problems = bag.problems
+        if self.is_growing(bag):
+            unfinished = set(bag.unfinished)
+            problems = [text for text in problems if text not in unfinished]
+        return problems
 
     def bag_names(self) -> dict[str, Path]:
         """Every bag that may be read, by its name: its path below the folder."""

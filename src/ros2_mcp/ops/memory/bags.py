@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import bounded
@@ -12,7 +13,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import iso_time
-from ros2_mcp.ops.sources.bag import is_growing, open_bag
+from ros2_mcp.ops.sources.bag import open_bag
 from ros2_mcp.ops.sources.selection import Selection, fit
 from ros2_mcp.ops.topics.subscribe import collect
 from ros2_mcp.robot import Robot
@@ -20,10 +21,12 @@ from ros2_mcp.robot import Robot
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
 
+_CHECK_S = 10.0
+"""How long a bag is looked through for damage: some 5 GB from memory, 1 GB from a slow disk. Clients wait 30 s."""
+_CHECK_TURN_S = 0.2
+"""For so long nobody else can read the bag."""
 MAX_MESSAGES = 10_000
 """Of one call: more than that cannot be shown in any result."""
-_UNFINISHED = ("the recording was not closed.", "the end of the file is missing.")
-"""How the problems of a bag end that is still being recorded: not damage then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +66,10 @@ class BagTopic:
 
 @dataclass(frozen=True, slots=True)
 class BagInfo:
-    """What is in a bag; `problems` say what is damaged or missing. `start` and `end` may be empty."""
+    """What is in a bag; `problems` say what is damaged or missing. `start` and `end` may be empty.
+
+    `note` says whether all of it was read to find damage.
+    """
 
     bag: str
     start: str
@@ -73,11 +79,12 @@ class BagInfo:
     bytes: int
     topics: Sequence[BagTopic]
     problems: Sequence[str]
+    note: str
 
     def summary(self) -> list[str]:
         """One line, and one for each problem."""
         line = f"{named(self.bag)}: {self.messages} messages of {len(self.topics)} topics in {self.duration_s:.3f} s."
-        return [line, *self.problems]
+        return [f"{line} {self.note}", *self.problems]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,7 +136,11 @@ async def info(store: BagStore, bag: str) -> BagInfo:
         BadData: if nothing of it can be read.
     """
 
-    def read_info() -> BagInfo:
+    def checked() -> bool:
+        with store.reading(bag) as found:
+            return found.check(_CHECK_TURN_S)
+
+    def read_info(is_checked: bool) -> BagInfo:
         with store.reading(bag) as found:
             counts = found.counts()
             first_ns, last_ns = found.times or (0, 0)
@@ -145,9 +156,15 @@ async def info(store: BagStore, bag: str) -> BagInfo:
                     for name, topic in sorted(found.topics.items())
                 ],
                 problems=_problems(store, found),
+                note="All of it was read."
+                if is_checked
+                else f"Not all of it was read in {_CHECK_S:g} s: damage may be found when more is.",
             )
 
-    return await asyncio.to_thread(read_info)
+    until_s, is_checked = monotonic() + _CHECK_S, False
+    while not is_checked and monotonic() < until_s:
+        is_checked = await asyncio.to_thread(checked)
+    return await asyncio.to_thread(read_info, is_checked)
 
 
 async def read(
@@ -188,7 +205,4 @@ async def read(
 
 
 def _problems(store: BagStore, bag: Bag) -> Sequence[str]:
-    """What is damaged or missing; that the end is not written yet is no damage."""
-    if not is_growing(store, bag):
-        return bag.problems
-    return ["It is still being recorded.", *(text for text in bag.problems if not text.endswith(_UNFINISHED))]
+    return [*(["It is still being recorded."] if store.is_growing(bag) else []), *store.problems_of(bag)]

@@ -8,18 +8,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ros2_mcp.codec.cdr import Message
+from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.plot import COLOURS, Curve, Figure, Panel, Span
-from ros2_mcp.codec.select import measurable
+from ros2_mcp.codec.select import FieldPath, measurable
 from ros2_mcp.codec.units import unit_of
-from ros2_mcp.model.errors import BadInput, BadValue
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.ops.measure.columns import Columns, seconds
 from ros2_mcp.ops.measure.flow import GAP_FACTOR
-from ros2_mcp.ops.measure.signals import Numbers, flat, pairs
+from ros2_mcp.ops.measure.signals import Numbers, pairs
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.sources.source import Capture
 
@@ -52,36 +52,29 @@ class FieldValues:
         return not bool((self.finite != self.finite[:1]).any())
 
 
-def values_of(
-    capture: Capture, messages: Sequence[Message], path: str, max_fields: int | None = None
-) -> Iterator[FieldValues]:
-    """The values of each number that a path stands for; of a list, of each of its first elements.
+def drawn_fields(definitions: Definitions, type_name: str, path: str, most: int | None = None) -> list[FieldPath]:
+    """The fields that a path stands for; without a path every number that is not in a list. At most so many."""
+    fields = measurable(definitions, type_name, [path] if path else ())
+    return [field for field in fields if path or not field.is_list][:most]
 
-    Without a path: of every number that is not in a list. At most `max_fields` of them.
-    """
-    fields = measurable(capture.definitions, capture.type, [path] if path else ())
-    if not path:
-        fields = [field for field in fields if not field.is_list]
-    times = [max(sample.received_ns - capture.start_ns, 0) / 1e9 for sample in capture.samples]
-    for field in fields[:max_fields]:
-        unit = unit_of(capture.definitions, capture.type, field.path)
-        points: list[tuple[float, Any]] = []
-        for time, message in zip(times, messages, strict=True):
-            try:
-                points.append((time, field.value_in(message)))
-            except BadValue:
-                continue  # the list in this message is too short to have the element
-        curves = {field.path: points}
-        if field.is_list:
-            # One element more than can be drawn, so that it is seen and said that some are not shown.
-            longest = min(max((len(value) for _, value in points), default=0), MAX_CURVES + 1)
-            curves = {
-                f"{field.path}[{index}]": [(time, value[index]) for time, value in points if index < len(value)]
-                for index in range(longest)
-            }
-        for name, curve in curves.items():
-            at, values = flat([time for time, _ in curve]), flat([value for _, value in curve])
-            yield FieldValues(capture.topic, name, unit, at, values)
+
+def values_of(capture: Capture[Columns], fields: Sequence[FieldPath]) -> Iterator[FieldValues]:
+    """The values of each of these fields; of a list, of each of its first elements."""
+    kept = capture.kept
+    times = np.maximum(seconds(kept.read_ns, capture.start_ns), 0.0)
+    by_path = {column.path.path: column for column in kept.columns}
+    for path in dict.fromkeys(field.path for field in fields):
+        column, unit = by_path[path], unit_of(capture.definitions, capture.type, path)
+        at, values = times[column.rows], column.values
+        if not column.path.is_list:
+            yield FieldValues(capture.topic, path, unit, at, values)
+            continue
+        lengths = column.lengths
+        begins = np.cumsum(lengths) - lengths
+        # One element more than can be drawn, so that it is seen and said that some are not shown.
+        for index in range(min(int(lengths.max(initial=0)), MAX_CURVES + 1)):
+            has = lengths > index
+            yield FieldValues(capture.topic, f"{path}[{index}]", unit, at[has], values[begins[has] + index])
 
 
 def breaks(times: Numbers) -> NDArray[np.bool_]:
@@ -91,7 +84,7 @@ def breaks(times: Numbers) -> NDArray[np.bool_]:
     return np.concatenate(([False], periods > GAP_FACTOR * usual))[: len(times)]
 
 
-def over_time(values: Sequence[FieldValues], capture: Capture, title: str) -> Figure:
+def over_time(values: Sequence[FieldValues], capture: Capture[Columns], title: str) -> Figure:
     """A panel for each unit, over the time of the capture."""
     units = [value.unit for value in values]
     panels = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,13 +12,16 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.pictures import MAX_SIDE
 from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
-from ros2_mcp.ops.sources.source import Capture, Missing, Source
+from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
+    from ros2_mcp.ops.measure.columns import Columns
     from ros2_mcp.ops.pictures.curves import FieldValues
 
 _PANEL_PIXELS = 140
 """The least height of a panel in which a curve and the labels of its axis can be read."""
+_XY_FIELDS = 2
+"""Of a message that stands for its x and y."""
 _LISTED = 8
 """How many series that are not shown are named; a message may have hundreds."""
 
@@ -99,12 +102,29 @@ async def plot(source: Source, request: PlotRequest, report: Report = silent) ->
         raise BadInput("Nothing to plot is given.", 'Give series such as ["/odom:twist.twist.linear.x"].')
     topics = list(dict.fromkeys(topic for topic, _ in parts))
     await _check_fields(source, parts)
-    captures = {found.topic: found for found in await source.captures(topics, report)}
+    captures = {found.topic: found for found in await source.captures(topics, _keeping(parts, request), report)}
     missing = {topic: found.error for topic, found in captures.items() if isinstance(found, Missing)}
     if len(missing) == len(topics) or (missing and request.kind == "xy"):
         raise next(iter(missing.values()))
     found = [(capture, field) for topic, field in parts if isinstance(capture := captures[topic], Capture)]
     return await asyncio.to_thread(_drawn, source.words, found, request, [str(error) for error in missing.values()])
+
+
+def _keeping(parts: Sequence[tuple[str, str]], request: PlotRequest) -> Callable[[Stream], Columns]:
+    """What keeps the fields that are drawn of each topic, for `Source.captures`."""
+    from ros2_mcp.ops.measure.columns import Columns, Room
+    from ros2_mcp.ops.pictures.curves import drawn_fields
+
+    room = Room()
+
+    def keep(stream: Stream) -> Columns:
+        paths = [field for topic, field in parts if topic == stream.topic]
+        most = _XY_FIELDS if request.kind == "xy" else None
+        fields = [one for path in paths for one in drawn_fields(stream.codec.definitions, stream.type, path, most)]
+        unique = list({field.path: field for field in fields}.values())
+        return Columns(stream.codec, stream.type, unique, room, whole_lists=True)
+
+    return keep
 
 
 async def _check_fields(source: Source, parts: Sequence[tuple[str, str]]) -> None:
@@ -120,20 +140,22 @@ async def _check_fields(source: Source, parts: Sequence[tuple[str, str]]) -> Non
             measurable(source.codec.definitions, type_name, [field])
 
 
-def _drawn(title: str, found: Sequence[tuple[Capture, str]], request: PlotRequest, notes: list[str]) -> Plot:
+def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: PlotRequest, notes: list[str]) -> Plot:
     from ros2_mcp.codec.plot import plotted
     from ros2_mcp.ops.pictures import curves
 
     is_xy, first = request.kind == "xy", found[0][0]
     captures = {capture.topic: capture for capture, _ in found}
-    readable = {topic: capture.readable() for topic, capture in captures.items()}
-    by_name = {
-        value.name: value
-        for capture, field in found
-        for value in curves.values_of(*readable[capture.topic][:2], field, 2 if is_xy else None)
-    }
+    most = _XY_FIELDS if is_xy else None
+    by_name: dict[str, FieldValues] = {}
+    for capture, path in found:
+        capture.kept.check()
+        fields = curves.drawn_fields(capture.definitions, capture.type, path, most)
+        by_name |= {value.name: value for value in curves.values_of(capture, fields)}
     values = list(by_name.values())
-    notes += [f"{topic}: {trouble}" for topic, (_, _, trouble) in readable.items() if trouble]
+    for topic, capture in captures.items():
+        troubles = capture.kept.skipped, capture.kept.bounds("Drawn are those")
+        notes += [f"{topic}: {trouble}" for trouble in troubles if trouble]
     if not is_xy and len(values) > curves.MAX_CURVES:
         shown = ([value for value in values if not value.is_constant] or values)[: curves.MAX_CURVES]
         left_out = [value.name for value in values if value.name not in {one.name for one in shown}]
@@ -144,7 +166,7 @@ def _drawn(title: str, found: Sequence[tuple[Capture, str]], request: PlotReques
         most = 2 * curves.MAX_CURVES
         raise BadInput(f"{len(values)} series are too many for one picture.", f"Give at most {most}.")
     series = [_series(value) for value in values]
-    notes += [f"{topic} was silent." for topic, capture in captures.items() if not capture.samples]
+    notes += [f"{topic} was silent." for topic, capture in captures.items() if not capture.kept.count]
     notes += [
         f"{topic}: {one.dropped} messages were too much to keep." for topic, one in captures.items() if one.dropped
     ]

@@ -9,20 +9,31 @@ from contextlib import aclosing, asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic
 
 from ros2_mcp.bags.schema import definitions_in, schema_text
-from ros2_mcp.bags.stored import Span, StoredTopic
+from ros2_mcp.bags.stored import Span, StoredTopic, joined
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadInput, BadValue, NotFound, TypeConflict, UnknownInterface
+from ros2_mcp.model.errors import BadInput, BadValue, NotFound, RobotError, TypeConflict, UnknownInterface
 from ros2_mcp.model.interfaces import DefinitionText
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore, OpenedBag
-from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.sources.selection import MAX_BYTES
-from ros2_mcp.ops.sources.source import GraphSnapshot, Source, SourceKind, SourceRequest, Stream
+from ros2_mcp.ops.sources.source import (
+    Capture,
+    GraphSnapshot,
+    K,
+    Keep,
+    Missing,
+    Source,
+    SourceKind,
+    SourceRequest,
+    Stream,
+    captured,
+)
 from ros2_mcp.ops.sources.times import is_relative, span_of
 from ros2_mcp.robot import Robot, TopicEndpoints
 
@@ -36,6 +47,33 @@ _BATCH_BYTES = 8_000_000
 _TO_DISK_NS = 1_000_000_000
 """Messages that are being recorded reach the disk up to a second after they came (`recorder.FLUSH_S`)."""
 _RECORDED = "(recorded)"
+
+
+@dataclass(kw_only=True)
+class _BagStream(Stream):
+    """A topic of a bag, which knows what of it cannot be read."""
+
+    opened: OpenedBag
+
+    @property
+    def holes(self) -> Sequence[tuple[int, int]]:
+        bag, topics = self.opened.bag, (self.topic,)
+        return joined(hole for hole in bag.holes if hole.touches(topics, self.start_ns, self.until_ns)) if bag else ()
+
+
+@dataclass
+class _Part(Generic[K]):
+    """What is kept of one of several topics that are read together, and how many messages that were."""
+
+    stored: StoredTopic
+    stream: Stream
+    kept: K
+    received: int = 0
+
+    def add(self, samples: Sequence[Sample]) -> None:
+        self.received += len(samples)
+        if samples:
+            self.kept.add(samples)
 
 
 @dataclass(kw_only=True)
@@ -88,8 +126,54 @@ class BagSource(Source):
             raise TypeConflict(
                 f"{stored.name} has the type {named(stored.type)}, not {type_name}.", "Leave the type out."
             )
+        stream = self._stream(stored, limited=limit is not None)
+        stream.batches = self._batches(stream, stored, limit, every_n, latched)
+        async with aclosing(stream.batches):
+            yield stream
+
+    async def captures(
+        self,
+        topics: Sequence[str],
+        keep: Keep[K],
+        report: Report = silent,
+        *,
+        times_only: bool = False,  # noqa: ARG002 - reading the bytes is what finds damage
+    ) -> Sequence[Capture[K] | Missing]:
+        """All topics in one go through the bag, however large it is: nothing is kept but what `keep` makes of it."""
+        found: list[_Part[K] | Missing] = []
+        for topic in topics:
+            try:
+                stored = await self._learn(topic)
+                stream = self._stream(stored, limited=False)
+                found.append(_Part(stored, stream, keep(stream)))
+            except RobotError as error:
+                found.append(Missing(topic, error))
+        parts = [part for part in found if isinstance(part, _Part)]
+        wanted = replace(self.span, topics=frozenset(part.stored.name for part in parts))
+
+        def begin() -> Iterator[tuple[str, Sample]]:
+            with self.opened.reading() as bag:
+                for part in parts:
+                    part.add(_latched_before(bag, part.stored, replace(self.span, topics=(part.stored.name,))))
+                return bag.messages(wanted)
+
+        def further() -> int | None:
+            """Reads a batch; how far it has come, None at the end."""
+            with self.opened.lock:
+                batch = _batch(messages)
+            for part in parts:
+                part.add([sample for topic, sample in batch if topic == part.stored.name])
+            return batch[-1][1].received_ns if batch else None
+
+        messages = await asyncio.to_thread(begin)
+        while (reached_ns := await asyncio.to_thread(further)) is not None:
+            done_s = (reached_ns - self.span.start_ns) / 1e9
+            await report(done_s, self.duration_s, f"read {done_s:.0f} of {self.duration_s:.0f} s")
+        return [captured(self, one.stream, one.kept, one.received) if isinstance(one, _Part) else one for one in found]
+
+    def _stream(self, stored: StoredTopic, *, limited: bool) -> _BagStream:
         publishers = _publishers(stored)
-        stream = Stream(
+        return _BagStream(
             topic=stored.name,
             type=stored.type,
             codec=self._codec,
@@ -97,12 +181,10 @@ class BagSource(Source):
             qos=f"{publishers[0].qos.durability}, as it was recorded",
             start_ns=self.span.start_ns,
             until_ns=self.span.end_ns,
-            from_end=limit is not None and self.from_end,
-            thinned=limit is not None,
+            from_end=limited and self.from_end,
+            thinned=limited,
+            opened=self.opened,
         )
-        stream.batches = self._batches(stream, stored, limit, every_n, latched)
-        async with aclosing(stream.batches):
-            yield stream
 
     async def graph(self) -> GraphSnapshot:
         """The topics with what their publishers offered; nodes and services are not in a bag."""
@@ -130,20 +212,20 @@ class BagSource(Source):
         """Of the bag as it is at the beginning, although it may grow meanwhile."""
         span = replace(self.span, topics=(stored.name,))
 
-        def begin() -> Iterator[Sample]:
+        def begin() -> Iterator[tuple[str, Sample]]:
             with self.opened.reading() as bag:
-                before = _latched_before(bag, stored, span) if latched else []
-                messages = (sample for _, sample in bag.messages(span, newest_first=stream.from_end))
+                before = [(stored.name, one) for one in _latched_before(bag, stored, span)] if latched else []
+                messages = bag.messages(span, newest_first=stream.from_end)
                 ordered = chain(messages, before[::-1]) if stream.from_end else chain(before, messages)
                 if limit is None:
                     return ordered
                 # All at once: what is thinned and limited fits into memory, and the newest first cannot be streamed.
-                found, stream.received, stream.further = _taken(ordered, limit, every_n)
-                return iter(found[::-1] if stream.from_end else found)
+                found, stream.received, stream.further = _taken((sample for _, sample in ordered), limit, every_n)
+                return ((stored.name, sample) for sample in (found[::-1] if stream.from_end else found))
 
         def following() -> list[Sample]:
             with self.opened.lock:
-                return _batch(samples)
+                return [sample for _, sample in _batch(samples)]
 
         samples = await asyncio.to_thread(begin)
         while batch := await asyncio.to_thread(following):
@@ -277,16 +359,9 @@ def times_of(store: BagStore, bag: Bag) -> tuple[int, int]:
     As messages are on their way to the disk for up to a second, now is a second ago where there is no later one.
     """
     first_ns, last_ns = bag.times or (0, 0)
-    if bag.times and is_growing(store, bag):
+    if bag.times and store.is_growing(bag):
         last_ns = max(last_ns, time.time_ns() - _TO_DISK_NS)
     return first_ns, last_ns
-
-
-def is_growing(store: BagStore, bag: Bag) -> bool:
-    """Whether this server is recording it."""
-    own = list(store.own.values())  # at once: this is a thread, and recordings begin in another
-    folders = [written.folder.resolve() for written in own if written.is_growing()]
-    return any(bag.path.resolve().is_relative_to(folder) for folder in folders)
 
 
 def end_note(source: Source, *texts: str) -> str:
@@ -313,12 +388,12 @@ def _taken(samples: Iterable[Sample], limit: int, every_n: int) -> tuple[list[Sa
     return found, passed + 1 if found else 0, None
 
 
-def _batch(messages: Iterator[Sample]) -> list[Sample]:
-    found: list[Sample] = []
+def _batch(messages: Iterator[tuple[str, Sample]]) -> list[tuple[str, Sample]]:
+    found: list[tuple[str, Sample]] = []
     size = 0
-    for sample in islice(messages, _BATCH):
-        found.append(sample)
-        size += len(sample.data)
+    for message in islice(messages, _BATCH):
+        found.append(message)
+        size += len(message[1].data)
         if size >= _BATCH_BYTES:
             break
     return found

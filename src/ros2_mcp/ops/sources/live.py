@@ -20,13 +20,14 @@ from ros2_mcp.ops.sources.selection import Collector
 from ros2_mcp.ops.sources.source import (
     Capture,
     GraphSnapshot,
+    K,
+    Keep,
     Missing,
     Source,
     SourceKind,
     SourceRequest,
     Stream,
     captured,
-    capturing,
 )
 from ros2_mcp.robot import Listening, Robot, TopicEndpoints
 from ros2_mcp_bridge.limits import MAX_DURATION_S
@@ -40,6 +41,12 @@ _TURN_S = 1.0
 """The longest single wait for samples; the empty batch after it is the sign of life that a stream gives."""
 _NAMES_S = 1.0
 """Fast DDS tells a node's name up to half a second after its endpoints."""
+MAX_BYTES = 192_000_000
+"""Of all topics that are measured together: a minute of a raw camera at 3 MB/s, and affordable beside a robot."""
+MAX_SAMPLES = 200_000
+"""Of one topic: an IMU at 1 kHz for three minutes."""
+_TURN_SAMPLES = 200
+"""Decoded in one go of a thread: some 10 ms, so that a cancelled call ends at once."""
 _UNNAMED = names.full_node_name("_NODE_NAME_UNKNOWN_", "/")
 _ASKED_AT_ONCE = 32
 """Questions to the bridge that are under way together; it answers one after the other."""
@@ -118,8 +125,8 @@ class Live(Source):
         return type_name
 
     async def captures(
-        self, topics: Sequence[str], report: Report = silent, *, times_only: bool = False
-    ) -> Sequence[Capture | Missing]:
+        self, topics: Sequence[str], keep: Keep[K], report: Report = silent, *, times_only: bool = False
+    ) -> Sequence[Capture[K] | Missing]:
         """Listens to all topics over truly the same time, which begins when every subscription has been matched."""
 
         async def opened(topic: str) -> _LiveStream | Missing:
@@ -141,18 +148,26 @@ class Live(Source):
             await _matched(streams)
             start_ns, deadline = time.time_ns(), monotonic() + self.duration_s
             # By stream, not by topic: one topic may be asked for twice, and each is a capture of its own.
-            collectors = {id(stream): capturing(len(streams), times_only) for stream in streams}
+            most_bytes = MAX_BYTES // max(len(streams), 1)
+            collectors = {
+                id(stream): Collector(max_samples=MAX_SAMPLES, max_bytes=most_bytes, times_only=times_only)
+                for stream in streams
+            }
             async with reporting(report, self.duration_s, progress):
                 await asyncio.gather(*map(collect, streams))
             end_ns = time.time_ns()
         for stream in streams:  # what was received before the end and sent to us after it
             collectors[id(stream)].add(await stream.listening.take(0.0))
-        return [
-            self._capture(result, collectors[id(result)], start_ns, end_ns)
-            if isinstance(result, _LiveStream)
-            else result
-            for result in results
-        ]
+        found: list[Capture[K] | Missing] = []
+        for result in results:
+            try:
+                if isinstance(result, Missing):
+                    found.append(result)
+                else:
+                    found.append(await self._capture(result, keep(result), collectors[id(result)], start_ns, end_ns))
+            except RobotError as error:
+                found.append(Missing(result.topic, error))
+        return found
 
     @asynccontextmanager
     async def follow(
@@ -220,13 +235,18 @@ class Live(Source):
             asked_at=asked_at,
         )
 
-    def _capture(self, stream: _LiveStream, collector: Collector, start_ns: int, end_ns: int) -> Capture:
+    async def _capture(
+        self, stream: _LiveStream, kept: K, collector: Collector, start_ns: int, end_ns: int
+    ) -> Capture[K]:
         """What was received between both times; of a latched topic also what was there before."""
         latched = stream.listening.choice.qos.durability == "transient_local"
-        whole = captured(self, stream, collector, start_ns)
         earliest_ns = 0 if latched else start_ns
-        samples = [sample for sample in whole.samples if earliest_ns <= sample.received_ns <= end_ns]
-        return replace(whole, samples=samples, end_ns=end_ns, received=len(samples) + whole.dropped)
+        samples = [sample for sample in collector.samples if earliest_ns <= sample.received_ns <= end_ns]
+        for begin in range(0, len(samples), _TURN_SAMPLES):
+            await asyncio.to_thread(kept.add, samples[begin : begin + _TURN_SAMPLES])
+        whole = captured(self, stream, kept, len(samples))
+        dropped = whole.dropped + collector.dropped
+        return replace(whole, start_ns=start_ns, end_ns=end_ns, received=len(samples) + dropped, dropped=dropped)
 
 
 async def _matched(streams: Sequence[_LiveStream]) -> None:

@@ -5,49 +5,57 @@ Operations that read take a `Source`. `is_live` tells live sources from recorded
 
 from __future__ import annotations
 
+import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Generic, Protocol, TypeAlias, TypeVar
 
-from ros2_mcp.model.errors import BadData, RobotError
+from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.qos import Endpoint
-from ros2_mcp.model.samples import Counts, Sample, header_stamp_ns
+from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report, silent
-from ros2_mcp.ops.sources.selection import Collector, undecodable
 from ros2_mcp.robot import Robot, TopicEndpoints
 
 if TYPE_CHECKING:
-    from ros2_mcp.codec.cdr import Codec, Message
+    from ros2_mcp.codec.cdr import Codec
     from ros2_mcp.codec.definitions import Definitions
 
-MAX_BYTES = 192_000_000
-"""Of all topics that are measured together: a minute of a raw camera at 3 MB/s, and affordable beside a robot."""
-MAX_SAMPLES = 200_000
-"""Of one topic: an IMU at 1 kHz for three minutes."""
 ANSWER_S = 15.0
 """How long a source may take to answer. A question to a database over a day takes some seconds; if one hangs, there
 must be time left to ask the other sources before clients give the call up."""
-_STAMP_END = 12
-"""A message that begins with a header has its stamp in bytes 4 to 11, after the header of CDR."""
+
+
+class Kept(Protocol):
+    """What is kept of the messages of one topic while they pass. It is asked from one thread at a time."""
+
+    def add(self, samples: Sequence[Sample]) -> None:
+        """Takes in messages, in the order of time."""
+        ...
+
+
+K = TypeVar("K", bound=Kept)
+Keep: TypeAlias = "Callable[[Stream], K]"
+"""Makes what keeps the messages of a stream; raises `RobotError` where that cannot be done with its type."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Capture:
-    """The samples of one topic between two times, in the order of receipt, with what is needed to read them.
+class Capture(Generic[K]):
+    """What was `kept` of the messages of one topic between two times, with what is needed to understand it.
 
     `start_ns` and `end_ns` are Unix times by the receiver's clock; only a latched message may be older.
-    `received` counts all that came in that time, of which `dropped` are not among the samples because of memory
+    `received` counts all that came in that time, of which `dropped` were not looked at because of memory
     bounds; `lost` never came, or None where that cannot be known. `publishers` are names of nodes, empty where they
-    are not known. `source` says in words where the samples are from.
+    are not known. `source` says in words where the messages are from. `holes` are the times of which a recording
+    cannot be read: a silence or a step over one is none of the robot's.
     """
 
     topic: str
     type: str
     codec: Codec
-    samples: Sequence[Sample]
+    kept: K
     start_ns: int
     end_ns: int
     received: int
@@ -55,6 +63,7 @@ class Capture:
     lost: int | None = None
     publishers: Sequence[str] = ()
     source: str = ""
+    holes: Sequence[tuple[int, int]] = ()
 
     @property
     def duration_s(self) -> float:
@@ -63,40 +72,8 @@ class Capture:
 
     @property
     def definitions(self) -> Definitions:
-        """The definitions that the samples were written with."""
+        """The definitions that the messages were written with."""
         return self.codec.definitions
-
-    def decode(self, sample: Sample) -> Message:
-        """The values of one of the samples; raises `BadData` where its bytes do not fit the type."""
-        return self.codec.decode(self.type, sample.data)
-
-    def readable(self) -> tuple[Capture, list[Message], str]:
-        """Without the samples that are not what their type says; the messages of the others; and in words how many.
-
-        Raises:
-            BadData: if none can be decoded.
-        """
-        samples: list[Sample] = []
-        messages: list[Message] = []
-        trouble: BadData | None = None
-        for sample in self.samples:
-            try:
-                messages.append(self.decode(sample))
-                samples.append(sample)
-            except BadData as error:
-                trouble = trouble or error
-        if trouble is None:
-            return self, messages, ""
-        if not samples:
-            raise trouble
-        bad = len(self.samples) - len(samples)
-        return replace(self, samples=samples), messages, undecodable(bad, str(trouble))
-
-    def stamps_ns(self) -> list[int] | None:
-        """The header's stamp of each sample; None where the type does not begin with a header."""
-        if not self.definitions.starts_with_header(self.type):
-            return None
-        return [header_stamp_ns(sample.data) if len(sample.data) >= _STAMP_END else 0 for sample in self.samples]
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +130,11 @@ class Stream:
     def end_ns(self) -> int:
         """How far it has come, as Unix time."""
         return self.until_ns
+
+    @property
+    def holes(self) -> Sequence[tuple[int, int]]:
+        """The times of which nothing of it can be read, in order, as far as that is known when it has been read."""
+        return ()
 
     async def why_no_more(self, last: Sample | None) -> str:
         """In words, why no sample came after `last`; None where none came at all."""
@@ -245,21 +227,27 @@ class Source(ABC):
         return GraphSnapshot({})
 
     async def captures(
-        self, topics: Sequence[str], report: Report = silent, *, times_only: bool = False
-    ) -> Sequence[Capture | Missing]:
-        """A capture of each topic, all over the same time: its newest samples, as far as they fit in memory.
+        self,
+        topics: Sequence[str],
+        keep: Keep[K],
+        report: Report = silent,
+        *,
+        times_only: bool = False,  # noqa: ARG002 - of what was kept by others, messages come as they are
+    ) -> Sequence[Capture[K] | Missing]:
+        """What `keep` makes of every message of each topic, all over the same time.
 
-        With `times_only` the samples have no bytes.
+        With `times_only` the samples need no bytes.
         """
-        found: list[Capture | Missing] = []
+        found: list[Capture[K] | Missing] = []
         for number, topic in enumerate(topics):
             await report(float(number), float(len(topics)), f"reading {topic}")
-            collector = capturing(len(topics), times_only)
             try:
                 async with self.follow(topic) as stream:
+                    kept, received = keep(stream), 0
                     async for batch in stream.batches:
-                        collector.add(batch)
-                    found.append(captured(self, stream, collector))
+                        received += len(batch)
+                        await asyncio.to_thread(kept.add, batch)
+                    found.append(captured(self, stream, kept, received))
             except RobotError as error:
                 found.append(Missing(topic, error))
         return found
@@ -282,27 +270,22 @@ class SourceKind:
         return ()
 
 
-def capturing(topics: int, times_only: bool) -> Collector:
-    """A collector for one topic of `topics` that are measured together and share the memory."""
-    return Collector(max_samples=MAX_SAMPLES, max_bytes=MAX_BYTES // max(topics, 1), times_only=times_only)
-
-
-def captured(source: Source, stream: Stream, collector: Collector, start_ns: int | None = None) -> Capture:
-    """What a stream gave, as a capture that begins with the stream or at `start_ns`."""
+def captured(source: Source, stream: Stream, kept: K, received: int) -> Capture[K]:
+    """What was kept of a stream that has ended, of which so many samples came."""
     counts = stream.counts
-    dropped = collector.dropped + counts.dropped
     return Capture(
         topic=stream.topic,
         type=stream.type,
         codec=stream.codec,
-        samples=list(collector.samples),
-        start_ns=stream.start_ns if start_ns is None else start_ns,
+        kept=kept,
+        start_ns=stream.start_ns,
         end_ns=stream.end_ns,
-        received=len(collector.samples) + dropped,
-        dropped=dropped,
+        received=received + counts.dropped,
+        dropped=counts.dropped,
         lost=counts.lost,
         publishers=stream.nodes if source.is_live else (),
         source=source.words,
+        holes=stream.holes,
     )
 
 

@@ -6,21 +6,21 @@ Of a message nothing but the header's stamp is decoded, so that fast topics and 
 from __future__ import annotations
 
 import asyncio
-import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import pairwise
 from time import monotonic
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput
-from ros2_mcp.model.samples import header_stamp_ns
-from ros2_mcp.ops.measure.flow import GAP_FACTOR, Silence, gaps, rate_hz, silence_in
+from ros2_mcp.ops.measure.flow import GAP_FACTOR, Silence, gaps, periods_s, rate_hz, silence_in
 from ros2_mcp.ops.results import HIDDEN, Report, iso_time, or_error, reporting, silent, unless_all_failed
+from ros2_mcp.ops.sources.source import Capture, Missing, captured
 
 if TYPE_CHECKING:
+    from ros2_mcp.model.qos import Endpoint
     from ros2_mcp.ops.sources.source import Source
+    from ros2_mcp.ops.topics.arrivals import AgedArrivals
 
 MAX_TOPICS = 20
 """Chosen: more than a person compares. Each is a subscription, which the bridge serves beside all others."""
@@ -28,8 +28,6 @@ _SILENCE_S = 0.5
 """A shorter silence at the end is not reported: a slow machine makes one now and then."""
 _OTHER_CLOCK_S = 1e6
 """A stamp that is eleven days off is not of this clock: simulated time begins at zero."""
-_STAMP_END = 12
-"""Bytes up to the end of a header's stamp: 4 of the CDR encapsulation, 4 of seconds, 4 of nanoseconds."""
 _LEAST_S = 1e-3
 """A recording of a single message has no duration; bytes per second are then counted over this."""
 
@@ -96,59 +94,85 @@ async def measure(source: Source, topics: Sequence[str], report: Report = silent
     if not 1 <= len(topics) <= MAX_TOPICS:
         raise BadInput(f"{len(topics)} topics are given.", f"Give 1 to {MAX_TOPICS}.")
     started = monotonic()
-    measuring = [or_error(_measure(source, topic, report), partial(TopicStats, topic_name=topic)) for topic in topics]
-    results = unless_all_failed(await asyncio.gather(*measuring))
+    if source.is_live:
+        measuring = [or_error(_live(source, topic, report), partial(TopicStats, topic_name=topic)) for topic in topics]
+        results = unless_all_failed(await asyncio.gather(*measuring))
+    else:
+        results = unless_all_failed(await _recorded(source, topics, report))
     duration_s = monotonic() - started if source.is_live else source.duration_s
     return Stats(results, round(duration_s, 6), source.words, source.is_live)
 
 
-async def _measure(source: Source, topic: str, report: Report) -> TopicStats:
-    received_ns: list[int] = []
-    sizes: list[int] = []
-    ages_s: list[float] = []
+async def _live(source: Source, topic: str, report: Report) -> TopicStats:
+    """Each topic for the whole time, which begins when the topic is there."""
+    from ros2_mcp.ops.measure.columns import Room
+    from ros2_mcp.ops.topics.arrivals import AgedArrivals
+
     async with source.follow(topic, latched=False) as stream:
-        has_header = stream.codec.definitions.starts_with_header(stream.type)
-        async with reporting(report, source.duration_s, lambda: f"{topic}: {len(sizes)} messages"):
+        kept = AgedArrivals(stream, Room())
+        async with reporting(report, source.duration_s, lambda: f"{topic}: {kept.count} messages"):
             async for batch in stream.batches:
-                for sample in batch:
-                    received_ns.append(sample.received_ns)
-                    sizes.append(len(sample.data))
-                    if has_header and len(sample.data) >= _STAMP_END:
-                        ages_s.append((sample.received_ns - header_stamp_ns(sample.data)) / 1e9)
-        times_s = [(at_ns - received_ns[0]) / 1e9 for at_ns in received_ns]
-        periods = [later - earlier for earlier, later in pairwise(times_s)]
-        silence = silence_in(received_ns, stream.end_ns, GAP_FACTOR, _SILENCE_S)
-        breaks_s = [gap.duration_s for gap in gaps(times_s)]
-        breaks_s += [silence.duration_s] if silence and silence.is_end else []
-        same_clock = bool(ages_s) and abs(statistics.fmean(ages_s)) < _OTHER_CLOCK_S
-        if not stream.publishers and not sizes:
-            notes = ["Nobody publishes on it."]
-        elif not sizes:
-            notes = [f"Published by {stream.nodes[0]}, but silent for {source.duration_s:g} s."]
-        else:
-            notes = [_in_words(silence)] if silence else []
-            if ages_s and not same_clock:
-                notes.append("Its stamps are not from this clock (simulated time?), so ages are left out.")
-        return TopicStats(
-            topic_name=stream.topic,
-            topic_type=stream.type,
-            publishers=len(stream.publishers),
-            count=len(sizes),
-            rate_hz=rate_hz(times_s),
-            period_mean_s=statistics.fmean(periods) if periods else None,
-            period_min_s=min(periods, default=None),
-            period_max_s=max(periods, default=None),
-            jitter_s=statistics.pstdev(periods) if len(periods) > 1 else None,
-            gaps=len(breaks_s),
-            longest_gap_s=max(breaks_s, default=None),
-            bytes_per_second=sum(sizes) / max(source.duration_s if source.is_live else stream.covered_s, _LEAST_S),
-            mean_size_bytes=statistics.fmean(sizes) if sizes else None,
-            age_mean_s=statistics.fmean(ages_s) if same_clock else None,
-            age_max_s=max(ages_s) if same_clock else None,
-            lost=stream.counts.lost,
-            dropped=stream.counts.dropped,
-            note=" ".join(notes),
-        )
+                kept.add(batch)
+        return _measured(source, captured(source, stream, kept, kept.count), stream.publishers)
+
+
+async def _recorded(source: Source, topics: Sequence[str], report: Report) -> list[TopicStats]:
+    """All topics in one go through the recording."""
+    from ros2_mcp.ops.measure.columns import Room
+    from ros2_mcp.ops.topics.arrivals import AgedArrivals
+
+    room = Room()
+    captures = await source.captures(topics, lambda stream: AgedArrivals(stream, room), report)
+    return [
+        TopicStats(topic_name=capture.topic, error=str(capture.error))
+        if isinstance(capture, Missing)
+        else _measured(source, capture, capture.kept.publishers)
+        for capture in captures
+    ]
+
+
+def _measured(source: Source, capture: Capture[AgedArrivals], publishers: Sequence[Endpoint]) -> TopicStats:
+    import numpy as np
+
+    kept, holes = capture.kept, capture.holes
+    times_ns = kept.times_ns
+    end_ns = capture.end_ns if kept.all_kept or not len(times_ns) else int(times_ns[-1])
+    periods = periods_s(times_ns, holes)
+    silence = silence_in(times_ns, end_ns, GAP_FACTOR, _SILENCE_S, holes)
+    breaks_s = [gap.duration_s for gap in gaps(times_ns, holes) if not gap.in_hole]
+    breaks_s += [silence.duration_s] if silence and silence.is_end else []
+    same_clock = bool(kept.aged) and abs(kept.age_mean_s) < _OTHER_CLOCK_S
+    if not publishers and not kept.count:
+        notes = ["Nobody publishes on it."]
+    elif not kept.count:
+        notes = [f"Published by {publishers[0].node}, but silent for {source.duration_s:g} s."]
+    else:
+        notes = [_in_words(silence)] if silence else []
+        if kept.aged and not same_clock:
+            notes.append("Its stamps are not from this clock (simulated time?), so ages are left out.")
+    if not kept.all_kept:
+        notes.append(f"Periods and gaps are those up to {iso_time(end_ns)}: more times were too much to keep.")
+    over_s = capture.duration_s if not source.is_live else source.duration_s
+    return TopicStats(
+        topic_name=capture.topic,
+        topic_type=capture.type,
+        publishers=len(publishers),
+        count=kept.count,
+        rate_hz=rate_hz(times_ns, holes) if kept.all_kept else kept.rate_hz,
+        period_mean_s=float(periods.mean()) if len(periods) else None,
+        period_min_s=float(periods.min()) if len(periods) else None,
+        period_max_s=float(periods.max()) if len(periods) else None,
+        jitter_s=float(np.std(periods)) if len(periods) > 1 else None,
+        gaps=len(breaks_s),
+        longest_gap_s=max(breaks_s, default=None),
+        bytes_per_second=kept.bytes / max(over_s, _LEAST_S),
+        mean_size_bytes=kept.bytes / kept.count if kept.count else None,
+        age_mean_s=kept.age_mean_s if same_clock else None,
+        age_max_s=kept.age_max_s if same_clock else None,
+        lost=capture.lost,
+        dropped=capture.dropped,
+        note=" ".join(notes),
+    )
 
 
 def _in_words(silence: Silence) -> str:

@@ -8,12 +8,19 @@ import numpy as np
 import pytest
 
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
-from ros2_mcp.ops.measure.compare import compare, evaluate
-from support.made_windows import Make, Recorded
+from ros2_mcp.ops.measure import compare as comparing
+from ros2_mcp.ops.measure.compare import Comparison, compare
+from support.made_windows import Make, Recorded, Window
 
 FLOAT = "std_msgs/msg/Float64"
 POINT = "geometry_msgs/msg/PointStamped"
 TIMES = np.arange(0.01, 5, 0.02)
+
+
+def evaluate(first: Window, second: Window, fields=(), **more) -> Comparison:
+    sides = (first, second)
+    captures = [side.captured(comparing.keeping([first.type, second.type], fields)) for side in sides]
+    return comparing.evaluate(*captures, **more)
 
 
 def floats(window: Make, topic: str, times, values):

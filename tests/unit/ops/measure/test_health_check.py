@@ -9,9 +9,9 @@ import pytest
 
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.measure.health_check import Expectations, Health, check_health, to_measure
-from ros2_mcp.ops.sources.source import Capture, GraphSnapshot
+from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.robot import TopicEndpoints
-from support.made_windows import Make, Recorded
+from support.made_windows import Make, Recorded, Window
 
 SCAN = "sensor_msgs/msg/LaserScan"
 TWIST = "geometry_msgs/msg/Twist"
@@ -26,7 +26,7 @@ def topic(name: str, publishers: Sequence[Endpoint] = (), subscribers: Sequence[
     return TopicEndpoints(name, publishers, subscribers)
 
 
-async def check(present: Sequence[TopicEndpoints], windows: Sequence[Capture], **expected: Any) -> Health:
+async def check(present: Sequence[TopicEndpoints], windows: Sequence[Window], **expected: Any) -> Health:
     scene = GraphSnapshot({each.topic: each for each in present}, ["/lidar", "/nav"], ["/reset"])
     source = Recorded(windows, scene)
     source.is_live = True

@@ -8,15 +8,24 @@ import numpy as np
 import pytest
 
 from ros2_mcp.model.errors import BadInput, BadValue
-from ros2_mcp.ops.measure.statistics import FieldStatistics, evaluate, measure
+from ros2_mcp.ops.measure import statistics
+from ros2_mcp.ops.measure.columns import Columns, Room
+from ros2_mcp.ops.measure.statistics import FieldStatistics, TopicStatistics, measure
 from ros2_mcp.ops.sources.selection import Selection
-from support.made_windows import Make, Recorded
+from support.made_windows import Make, Recorded, Window
 
 FLOAT = "std_msgs/msg/Float64"
 
 
 def floats(window: Make, times, values, **more):
     return window("/x", FLOAT, [(t, {"data": float(v)}) for t, v in zip(times, values, strict=True)], **more)
+
+
+def evaluate(window: Window, fields=(), most_fields: int = 80) -> TopicStatistics:
+    def keep(stream):
+        return Columns(stream.codec, stream.type, statistics.measured_fields(stream, fields), Room())
+
+    return statistics.evaluate(window.captured(keep), most_fields)
 
 
 def only(window, fields=()) -> FieldStatistics:
@@ -162,7 +171,7 @@ async def test_a_topic_that_is_not_there_leaves_the_others(window: Make) -> None
     source = Recorded([floats(window, [0, 1], [1, 2])])
     there, missing = (await measure(source, ["/x", "/y"], Selection())).topics
     assert there.count == 2 and not there.error
-    assert missing.error == "no /y"
+    assert missing.error == "There is no topic /y."
 
 
 async def test_a_field_that_no_topic_has_is_refused_before_measuring(window: Make) -> None:

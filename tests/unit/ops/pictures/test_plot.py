@@ -97,7 +97,7 @@ async def test_one_series_alone_is_no_trajectory(window: Make) -> None:
 
 async def test_a_missing_topic_leaves_the_others_and_is_named(window: Make) -> None:
     found = await plotted([floats(window, "/a", TIMES)], ["/a:data", "/b:data"])
-    assert (len(found.series), found.note) == (1, "no /b")
+    assert (len(found.series), found.note) == (1, "There is no topic /b.")
     with pytest.raises(NotFound):
         await plotted([floats(window, "/a", TIMES)], ["/b:data"])
 

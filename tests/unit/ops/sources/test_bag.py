@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import sqlite3
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.sources import bag as bag_source
 from ros2_mcp.ops.sources.bag import open_bag
 from ros2_mcp.ops.sources.selection import Selection
-from ros2_mcp.ops.sources.source import Capture, Missing, Source
+from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 from ros2_mcp.ops.sources.times import parsed_ns, span_of
 from ros2_mcp.ops.topics import stats as timing
 from ros2_mcp.ops.topics import subscribe as reading
@@ -54,11 +53,21 @@ async def store(tmp_path: Path, anyio_backend: str) -> AsyncIterator[BagStore]:
     await opened.close()
 
 
-async def captures_of(store: BagStore, start: str, *topics: str) -> list[Capture | Missing]:
+class All:
+    """Keeps every message."""
+
+    def __init__(self, _: Stream) -> None:
+        self.samples: list[Sample] = []
+
+    def add(self, samples: Sequence[Sample]) -> None:
+        self.samples += samples
+
+
+async def captures_of(store: BagStore, start: str, *topics: str) -> list[Capture[All] | Missing]:
     source: Source = await open_bag(store, "run", start)
     assert abs(source.duration_s - 2.0) < 1e-6
     assert (await source.graph()).topics.keys() == {"/count", "/mode"}
-    found = list(await source.captures(topics, lambda *_: asyncio.sleep(0)))
+    found = list(await source.captures(topics, All))
     async with source.follow("/count") as stream:
         numbers = [number async for batch in stream.batches for number in batch]
     assert len(numbers) == 21
@@ -68,10 +77,10 @@ async def captures_of(store: BagStore, start: str, *topics: str) -> list[Capture
 async def test_a_window_of_a_bag_has_its_time_and_the_latched_message_before(store: BagStore) -> None:
     count, mode, missing = await captures_of(store, "last 2 s", "/count", "/mode", "/other")
     assert isinstance(count, Capture) and isinstance(mode, Capture) and isinstance(missing, Missing)
-    values = [count.decode(sample).data for sample in count.samples]  # type: ignore[attr-defined]
+    values = [count.codec.decode(count.type, sample.data).data for sample in count.kept.samples]  # type: ignore[attr-defined]
     assert values == list(range(80, 101))
     assert (count.received, count.dropped) == (21, 0)
-    assert [mode.decode(sample).data for sample in mode.samples] == [7]  # type: ignore[attr-defined]
+    assert [mode.codec.decode(mode.type, sample.data).data for sample in mode.kept.samples] == [7]  # type: ignore[attr-defined]
     assert isinstance(missing.error, NotFound)
 
 
