@@ -32,7 +32,9 @@ async def ros2_wait_until(
         str,
         Field(
             description="Over the message's fields, such as: pose.pose.position.x > 1.0 and twist.twist.linear.x == 0. "
-            "With and, or, not, + - * /, comparisons, in, abs(), min(), max(), len(), hypot(), [index]."
+            "With and, or, not, + - * /, comparisons, in, abs(), min(), max(), len(), hypot(), [index] (not met where "
+            "the list is shorter). Of all elements: max(status[*].level) == 2; with the fields of one: "
+            'any(status, name == "imu" and level > 1), all().'
         ),
     ],
     timeout: Annotated[
@@ -44,7 +46,7 @@ async def ros2_wait_until(
 ) -> waiting.Wait:
     """Wait until a message of a topic meets a condition. Every message is looked at; returns the one that met it.
 
-    In a recording: the first one that met it.
+    Hidden topics too, such as /navigate_to_pose/_action/status. In a recording: the first one that met it.
     """
     lasting = source.lasting(timeout)
     return await waiting.wait_until(lasting, topic_name, condition, report, max_bytes=selection.max_bytes)

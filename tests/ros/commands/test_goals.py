@@ -133,6 +133,16 @@ def test_a_cancelled_call_cancels_a_goal_that_is_accepted_only_then(agent, robot
     wait_until(lambda: robot.count(name="canceled") > cancelled)
 
 
+def test_goals_are_waited_for_on_the_hidden_topics_of_their_action(agent, robot) -> None:
+    action = robot.name("count")
+    ended = "any(status_list, status == STATUS_SUCCEEDED)"
+    for topic, condition in (("feedback", "len(feedback.sequence) > 2"), ("status", ended)):
+        waiting = agent.begin("ros2_wait_until", topic_name=f"{action}/_action/{topic}", condition=condition)
+        while not waiting.done():  # whoever listens late misses the feedback of one goal
+            send(agent, action, 5, wait_for_result=True)
+        assert waiting.result()["met"]
+
+
 def test_goals_of_another_client_are_followed_and_cancelled(agent, robot, start_peer) -> None:
     action, other = robot.name("count"), start_peer()
     assert other.reaches(service=robot.name("there"))

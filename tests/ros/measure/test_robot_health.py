@@ -91,3 +91,10 @@ def test_a_condition_on_the_moving_robot_is_met(agent: Agent, robot: subprocess.
     found = waiting.result(CALL_S)
     driving.cancel()
     assert found["met"] and found["values"]["pose.pose.position.x"] > 0
+
+
+def test_an_element_of_a_list_is_waited_for_by_its_name(agent: Agent, robot: subprocess.Popen[str]) -> None:
+    dead = 'max(status[*].level) == 2 and any(status, name == "lidar: status" and level == ERROR)'
+    with setting(agent, "lidar.enabled", False, True):
+        found = agent.call("ros2_wait_until", topic_name="/diagnostics", condition=dead)
+    assert found["met"] and "lidar: status" in found["values"]["status[*].name"]

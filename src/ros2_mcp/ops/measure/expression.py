@@ -1,5 +1,8 @@
 """Conditions on a message's fields: `pose.pose.position.x > 1.0 and twist.twist.linear.x == 0`.
 
+`status[*].level` are the levels of all elements, and `any(status, name == "imu" and level > 1)` looks at one after the
+other: the names in its condition are those of an element.
+
 Python's grammar is used to read them, and nothing of Python to run them: each permitted piece of syntax becomes a small
 function of our own, every name is checked against the definition, and every kind against its operator.
 """
@@ -9,6 +12,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +20,7 @@ from functools import partial
 from typing import Any
 
 from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.select import parse_field
+from ros2_mcp.codec.select import FieldPath, parse_field
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.model.interfaces import TEXTS
 
@@ -48,9 +52,11 @@ _COMPARISONS: Mapping[type[ast.cmpop], tuple[str, Callable[[Any, Any], bool]]] =
 _CONSTANTS = {"true": True, "false": False, "nan": math.nan, "inf": math.inf}
 _ALLOWED = (
     "A condition is made of fields, numbers, texts, comparisons, and, or, not, + - * /, parentheses, "
-    "in, abs(), min(), max(), len() and hypot()."
+    "in, abs(), min(), max(), len(), hypot(), any() and all(); status[*].level are the levels of all elements."
 )
 _COMPARE_IT = "Compare it, such as: … > 1.0."
+# What Python cannot read, `[*]`, or a text, in which nothing is replaced.
+_ALL_ELEMENTS = re.compile(r"""('(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*")|\[\s*\*\s*\]""")
 
 
 class Undecided(Exception):
@@ -95,7 +101,7 @@ def _parse(text: str) -> ast.expr:
     try:
         with warnings.catch_warnings():  # Python warns of `1 is 1` and the like on stderr; we refuse them ourselves
             warnings.simplefilter("ignore")
-            tree = ast.parse(text.strip(), mode="eval").body
+            tree = ast.parse(_ALL_ELEMENTS.sub(lambda found: found[1] or "[:]", text.strip()), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         hint = _ALLOWED
         if "&&" in text or "||" in text or "!" in text.replace("!=", ""):
@@ -137,18 +143,22 @@ class _Term:
         """How to use it, where it cannot be compared or computed with as it is."""
         hints = {
             "message": "Name one of its fields.",
-            "list": "Pick an element, such as [0], or use min(), max() or len().",
+            "list": "Pick an element, such as [0], or use min(), max(), len(), any() or all().",
         }
         return hints.get(self.kind, "")
 
 
 @dataclass(slots=True)
 class _Compiler:
-    """Makes terms of syntax; `fields` are the paths that were met so far, in order (the values mean nothing)."""
+    """Makes terms of syntax; `fields` are the paths that were met so far, in order (the values mean nothing).
+
+    `within` is the path of the list whose elements the condition is about, with a dot; empty for a whole message.
+    """
 
     definitions: Definitions
     type_name: str
     fields: dict[str, None] = field(default_factory=dict[str, None])
+    within: str = ""
 
     def term(self, node: ast.expr) -> _Term:
         """The term of any node; raises `BadInput` for syntax that is not permitted."""
@@ -189,8 +199,12 @@ class _Compiler:
 
     def _call(self, node: ast.Call) -> _Term:
         name = node.func.id if isinstance(node.func, ast.Name) else ""
+        if name in _QUANTIFIERS and node.args and not node.keywords:
+            return self._quantified(node, _QUANTIFIERS[name])
         if name not in _FUNCTIONS or node.keywords or not node.args:
-            raise BadInput(f"{_excerpt(node)} cannot be called here.", f"There are {', '.join(_FUNCTIONS)}.")
+            raise BadInput(
+                f"{_excerpt(node)} cannot be called here.", f"There are {', '.join((*_FUNCTIONS, *_QUANTIFIERS))}."
+            )
         arguments = [self.term(argument) for argument in node.args]
         compute, accepts, hint = _FUNCTIONS[name]
         if not accepts([f"{term.kind} {term.element}".strip() for term in arguments]):
@@ -198,30 +212,43 @@ class _Compiler:
             raise BadInput(f"{_excerpt(node)}: {name}() does not take {kinds}.", hint)
         return _Term("number", lambda message: compute(*(term.evaluate(message) for term in arguments)))
 
+    def _quantified(self, node: ast.Call, decisive: bool) -> _Term:
+        """`any` or `all` of a list of booleans, or of the elements of a list of messages, each asked the condition."""
+        subject, conditions = node.args[0], node.args[1:]
+        if not conditions:
+            flags = self.term(subject)
+            if (flags.kind, flags.element) == ("list", "truth"):
+                decide = any if decisive else all
+                return _Term("truth", lambda message: decide(flags.evaluate(message)))
+        elif len(conditions) == 1 and isinstance(subject, ast.Name | ast.Attribute | ast.Subscript):
+            path = self._path(subject)
+            if path.is_list and path.type.is_message:
+                prefix = f"{self.within}{path.path}{'[*]' * (path.type.arity != 'single')}."
+                inner = _Compiler(self.definitions, path.type.base, self.fields, prefix)
+                asked, elements = inner._of_kind(conditions[0], "truth"), _reading(path)
+                return _Term("truth", lambda message: _decided(asked, elements(message), decisive))
+        raise BadInput(f"{_excerpt(node)} cannot be read.", _QUANTIFIED)
+
+    def _path(self, node: ast.expr) -> FieldPath:
+        return parse_field(self.definitions, self.type_name, _text_of(node))
+
     def _field(self, node: ast.expr) -> _Term:
         if isinstance(node, ast.Name):
             structure = self.definitions.structure(self.type_name)
             constants = {**_CONSTANTS, **{constant.name: constant.value for constant in structure.constants}}
             if node.id in constants and node.id not in {field.name for field in structure.fields}:
                 return _constant(constants[node.id])
-        path = parse_field(self.definitions, self.type_name, _text_of(node))
-        self.fields[path.path] = None
+        path = self._path(node)
+        self.fields[self.within + path.path] = None
         single = path.type.element if path.is_list else path.type
         kind = "text" if single.base in TEXTS else "number"
         if single.is_message or single.base == "bool":
             kind = "message" if single.is_message else "truth"
-        is_truth = kind == "truth" and not path.is_list
-
-        def read(message: object) -> Any:
-            try:
-                value = path.value_in(message)
-            except BadValue as error:
-                raise Undecided from error
-            return bool(value) if is_truth else value
-
+        read = _reading(path)
         if path.is_list:
             return _Term("list", read, str(path.type), kind, is_single=True)
-        return _Term(kind, read, str(path.type), is_single=True)
+        evaluate: Evaluate = (lambda message: bool(read(message))) if kind == "truth" else read
+        return _Term(kind, evaluate, str(path.type), is_single=True)
 
     def _of_kind(self, node: ast.expr, kind: str) -> Evaluate:
         term = self.term(node)
@@ -230,6 +257,36 @@ class _Compiler:
             return term.evaluate
         needed, hint = ("a condition", _COMPARE_IT) if kind == "truth" else ("a number", "")
         raise BadInput(f"{_excerpt(node)} is {term.words}, but {needed} is needed here.", term.hint or hint)
+
+
+def _reading(path: FieldPath) -> Evaluate:
+    """What reads the value at a path; raises `Undecided` where a list is too short."""
+
+    def read(message: object) -> Any:
+        try:
+            return path.value_in(message)
+        except BadValue as error:
+            raise Undecided from error
+
+    return read
+
+
+def _decided(asked: Evaluate, elements: Sequence[object], decisive: bool) -> bool:
+    """`decisive` as soon as the condition is so for one element (true decides `any`, false decides `all`).
+
+    Raises:
+        Undecided: if no element decides, and of one it cannot be said.
+    """
+    undecided = False
+    for element in elements:
+        try:
+            if bool(asked(element)) is decisive:
+                return decisive
+        except (Undecided, ArithmeticError):
+            undecided = True
+    if undecided:
+        raise Undecided
+    return not decisive
 
 
 def _constant(value: object) -> _Term:
@@ -277,6 +334,12 @@ _FUNCTIONS: Mapping[str, tuple[Callable[..., Any], Callable[[Sequence[str]], boo
     "len": (len, lambda kinds: len(kinds) == 1 and kinds[0].startswith(("list", "text")), "Give it one list or text."),
     "hypot": (math.hypot, lambda kinds: set(kinds) == {"number"}, "Give it numbers, such as hypot(x - 1, y - 2)."),
 }
+# What can be asked of the elements of a list, and which answer of one element decides it.
+_QUANTIFIERS: Mapping[str, bool] = {"any": True, "all": False}
+_QUANTIFIED = (
+    "Give it a list of messages and a condition on the fields of one, "
+    'such as any(status, name == "imu" and level > 1), or one list of booleans.'
+)
 
 
 def _excerpt(node: ast.expr) -> str:
@@ -286,6 +349,6 @@ def _excerpt(node: ast.expr) -> str:
 
 def _text_of(node: ast.expr) -> str:
     try:
-        return ast.unparse(node)
+        return ast.unparse(node).replace("[:]", "[*]")
     except ValueError:  # some f-strings
         return "…"

@@ -16,11 +16,18 @@ from support.made_windows import decoded
 ODOMETRY = "nav_msgs/msg/Odometry"
 JOINTS = "sensor_msgs/msg/JointState"
 STATE = "odd_msgs/msg/State"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 POSE = {
     "pose": {"pose": {"position": {"x": 1.5, "y": -2.0}}},
     "twist": {"twist": {"linear": {"x": 0.0}}},
     "child_frame_id": "base_link",
+}
+SICK = {
+    "status": [
+        {"name": "x", "level": 1},
+        {"name": "battery", "level": 2, "values": [{"key": "volts", "value": "11.1"}]},
+    ]
 }
 ARM = {"name": ["shoulder", "elbow"], "position": [0.5, -1.25], "velocity": [float("nan"), 3.0]}
 
@@ -69,6 +76,58 @@ def test_lists_may_be_shorter_than_a_condition_hopes(
     definitions: Definitions, text: str, expected: bool | None
 ) -> None:
     assert condition(definitions, JOINTS, text).holds(decoded(JOINTS, ARM)) is expected
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("max(status[*].level) == 2", True),
+        ("max( status[ * ].level ) == 1", False),
+        ("2 in status[*].level and 'gps' not in status[*].name", True),
+        ('any(status[*], name == "x" and level == 2)', False),
+        ('any(status, name == "x" and level == 1)', True),
+        ("any(status, name == '[*]')", False),
+        ("any(status, level == ERROR)", True),
+        ("all(status[0:1], level < ERROR)", True),
+        ("all(status, level < ERROR)", False),
+        ("all(status[7:9], level == 5) and not any(status[7:9], level == 0)", True),
+        ("any(status, any(values, key == 'volts' and value == '11.1'))", True),
+        ("any(status, values[0].value == '11.1')", True),  # the first has no values
+        ("any(status, values[0].value == '12')", None),
+        ("all(status, values[0].value == '12')", False),
+        ("len(status[*].name) == 2", True),
+    ],
+)
+def test_all_elements_of_a_list_can_be_asked(definitions: Definitions, text: str, expected: bool | None) -> None:
+    assert condition(definitions, DIAGNOSTICS, text).holds(decoded(DIAGNOSTICS, SICK)) is expected
+
+
+def test_the_fields_of_elements_are_known_by_their_whole_path(definitions: Definitions) -> None:
+    found = condition(
+        definitions, DIAGNOSTICS, 'any(status, level > 1 and any(values, key == "a")) and header.stamp.sec > 1'
+    )
+    assert found.fields == ["status[*].level", "status[*].values[*].key", "header.stamp.sec"]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("status.level == 2", "[*]"),
+        ("status[*].level == 2", "any()"),
+        ("any(status)", "Give it a list of messages and a condition"),
+        ("any(status, level)", "a condition is needed"),
+        ("any(status, lvl == 2)", "Did you mean level?"),
+        ("any(header, frame_id == '')", "Give it a list of messages"),
+        ("any(status[*].level, level == 2)", "Give it a list of messages"),
+        ("any(level == 2 for level in status)", "any() and all()"),
+        ("all(status, level == 2, true)", "Give it a list of messages"),
+        ("any()", "cannot be called"),
+    ],
+)
+def test_what_cannot_be_asked_of_elements_says_what_can(definitions: Definitions, text: str, says: str) -> None:
+    with pytest.raises(BadInput) as caught:
+        condition(definitions, DIAGNOSTICS, text)
+    assert says in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -133,7 +192,8 @@ def test_what_is_no_condition_is_refused_with_what_would_be_right(
 _TOKENS = r"""
 pose.pose.position.x pose pose.covariance pose.covariance[3] child_frame_id header.stamp.sec x 1 0 -7 1e308
 18446744073709551615 'text' true nan inf None ... 1j b'x' f'{x}' and or not in is if else lambda for await yield := * **
-/ // + - < <= == != > @ % ~ ^ | & ( ) [ ] , : . { } abs( min( max( len( hypot( eval( __class__ .__init__ # é \
+/ // + - < <= == != > @ % ~ ^ | & ( ) [ ] , : . { } abs( min( max( len( hypot( any( all(
+[*] eval( __class__ .__init__ # é \
 """
 WORDS = [*_TOKENS.split(), "\n", "\t", "\0", "\ud800"]
 
