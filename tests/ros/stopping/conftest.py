@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
+from support.driver import MOVING, Driver, write_bag
 from support.observer import Observer, observing
-from support.raw_server import MODERN, RawServer
+from support.velocities import TWIST, cdr
+
+BAG_MESSAGES = 100
 
 
 @pytest.fixture(scope="module")
@@ -19,17 +23,32 @@ def observer(ros_environment: dict[str, str]) -> Iterator[Observer]:
         yield process
 
 
-@pytest.fixture
-def start_raw(ros_environment: dict[str, str]) -> Iterator[Callable[..., RawServer]]:
-    """Start a server whose lines the test writes and reads itself: `start_raw("--tools", "core", VARIABLE="value")`."""
-    servers: list[RawServer] = []
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where servers find a bag that drives for two seconds."""
+    folder = tmp_path_factory.mktemp("bags")
+    write_bag(folder, [cdr(TWIST, MOVING)] * BAG_MESSAGES)
+    return folder
 
-    def begin(*options: str, **changed: str) -> RawServer:
-        server = RawServer({**ros_environment, **changed}, *(options or ("--tools", "all")))
-        servers.append(server)
-        server.begin(MODERN)
-        return server
+
+@pytest.fixture(scope="module")
+def server(ros_environment: dict[str, str], observer: Observer, bags: Path) -> Iterator[Driver]:
+    """A server that the tests of a file share."""
+    driver = Driver(ros_environment, "--tools", "all", "--record-dir", str(bags))
+    yield driver
+    driver.end()
+
+
+@pytest.fixture
+def start_server(ros_environment: dict[str, str], bags: Path) -> Iterator[Callable[..., Driver]]:
+    """Start a server of this test's own: `start_server("--tools", "core", VARIABLE="value")`."""
+    servers: list[Driver] = []
+
+    def begin(*options: str, **changed: str) -> Driver:
+        given = ("--record-dir", str(bags), *(options or ("--tools", "all")))
+        servers.append(Driver({**ros_environment, **changed}, *given))
+        return servers[-1]
 
     yield begin
-    for server in servers:
-        server.end()
+    for driver in servers:
+        driver.end()

@@ -6,7 +6,7 @@ import math
 import struct
 
 from support.agent import until
-from support.observer import TWIST, TWIST_STAMPED
+from support.velocities import TWIST, TWIST_STAMPED
 
 CDR = b"\0\1\0\0"
 

@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
@@ -265,8 +266,9 @@ class Observer:
             end = time.monotonic() + handle.request.order / 10
             while time.monotonic() < end and not handle.is_cancel_requested:
                 time.sleep(STEP_S)
-            goal.status, goal.ended = "canceled" if handle.is_cancel_requested else "succeeded", time.monotonic_ns()
-            handle.canceled() if handle.is_cancel_requested else handle.succeed()
+            cancelled = handle.is_cancel_requested
+            handle.canceled() if cancelled else handle.succeed()
+            goal.status, goal.ended = "canceled" if cancelled else "succeeded", time.monotonic_ns()
             return Fibonacci.Result()
 
         def cancel(_handle: Any) -> CancelResponse:
@@ -302,8 +304,22 @@ class Observer:
         threading.Thread(target=run, daemon=True).start()
 
     def hush(self, topic: str) -> None:
-        """End what `talk` began."""
-        self.talkers.pop(topic).set()
+        """End what `talk` began, if it did."""
+        if done := self.talkers.pop(topic, None):
+            done.set()
+
+    def pictures(self, topic: str, size: int, hz: float) -> None:
+        """Publish images of a size in bytes at a rate, until `hush`."""
+        cls, done = interface("sensor_msgs/msg/Image"), threading.Event()
+        publisher = self._publisher(topic, "sensor_msgs/msg/Image")
+        message = serialize_message(cls(height=size // 1000, width=1000, step=1000, encoding="mono8", data=bytes(size)))
+        self.talkers[topic] = done
+
+        def run() -> None:
+            while not done.wait(1.0 / hz):
+                publisher.publish(message)
+
+        threading.Thread(target=run, daemon=True).start()
 
     def offer(self, topic: str, kind: str) -> None:
         """Have a publisher that says nothing yet."""
@@ -317,7 +333,8 @@ class Observer:
         """Publish messages that are given as CDR in hexadecimal digits, whatever is in them."""
         publisher = self._publisher(topic, kind)
         for body in bodies:
-            publisher.publish(bytes.fromhex(body))
+            with contextlib.suppress(RCLError):  # even the middleware refuses some
+                publisher.publish(bytes.fromhex(body))
             time.sleep(gap_s)
 
     def clock(self, factor: float, hz: float = 200.0, start_s: float = 1000.0) -> None:

@@ -1,0 +1,145 @@
+"""Whatever dies while it drives: every subscriber that was ever moved gets a zero. 5 deaths each, 200 in full."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+from contextlib import suppress
+
+import pytest
+
+from support.agent import FULL, Refusal, until
+from support.driver import BAG, MOVING, WAYS, calm, fresh
+from support.velocities import TWIST, speed
+
+DEATHS = 200 if FULL else 5
+SUCCESSOR_S = 15.0
+"""A new bridge needs two seconds, and looks for subscribers for ten more; the rest is a busy machine."""
+GONE_S = 2.0
+"""A bridge whose server died has its zeros out in a fraction of this; then its end is not the test's affair."""
+
+pytestmark = pytest.mark.timeout(1800 if FULL else 120)
+
+
+def drive(server, observer, way: str, late_s: tuple[float, ...] = ()) -> tuple[str, int]:
+    """A topic that is driven: its name, and the request that drives it."""
+    topic = fresh(f"driven_{way}")
+    observer.watch(topic, late_s=late_s)
+    server.knows(topic, 4)
+    request = WAYS[way](server, observer, topic)
+    observer.until_driven(topic, 1, of=4)
+    return topic, request
+
+
+def end(server, observer, topic: str, request: int) -> None:
+    """Let go of all that is left of a round."""
+    calm(observer, topic)
+    with suppress(Refusal):
+        server.result(request)
+    for by in observer.counts(topic=topic):
+        if by.startswith(f"{topic} "):
+            observer.leave(by=by)
+    observer.forget()
+
+
+def test_a_bridge_that_is_killed_leaves_nobody_without_a_zero(server, observer) -> None:
+    """Four subscribers, and two that have joined shortly before, whom its successor discovers last."""
+    chance, ways, unstopped = random.Random(10), list(WAYS), []
+    for number in range(DEATHS):
+        bridge, way = server.bridge(), ways[number % len(ways)]
+        topic, request = drive(server, observer, way, late_s=(chance.uniform(0.1, 1.0), chance.uniform(0.1, 1.0)))
+        time.sleep(chance.uniform(0.0, 1.0))
+        os.kill(bridge, signal.SIGKILL)
+        killed_ns = time.monotonic_ns()
+        until(lambda former=bridge: server.bridge() != former)
+        calm(observer, topic)
+        left = observer.comes_to_rest(topic, SUCCESSOR_S)
+        if left:
+            unstopped.append((number, way, left))
+        took_s = (max(one["at"] for one in observer.last(topic=topic).values()) - killed_ns) / 1e9
+        print(f"death {number}, {way}: {took_s:.2f} s, without a zero: {left}", flush=True)
+        server.stop()
+        end(server, observer, topic, request)
+    assert unstopped == [], f"{len(unstopped)} of {DEATHS} deaths"
+
+
+def played(server, observer) -> str:
+    """A topic onto which a bag was played to its end: the robot goes on with its last command."""
+    topic = fresh("played")
+    observer.watch(topic)
+    server.knows(topic, 4)
+    ended = server.do("ros2_bag_play", bag=BAG, remaps={"/cmd_vel": topic}, force=True, rate=10)
+    assert ended["state"] == "ended"
+    observer.until_driven(topic, 1, of=4)
+    return topic
+
+
+def test_a_bag_played_onto_a_velocity_topic_is_followed_by_zero_when_its_bridge_dies(start_server, observer) -> None:
+    server = start_server()
+    topic = played(server, observer)
+    os.kill(server.bridge(), signal.SIGKILL)
+    assert observer.comes_to_rest(topic, SUCCESSOR_S) == []
+
+
+@pytest.mark.parametrize("how", ["SIGTERM", "SIGKILL"])
+def test_a_bag_played_onto_a_velocity_topic_is_followed_by_zero_when_its_server_ends(
+    start_server, observer, how: str
+) -> None:
+    server = start_server()
+    topic = played(server, observer)
+    server.process.send_signal(getattr(signal, how))
+    assert observer.comes_to_rest(topic, GONE_S) == []
+
+
+def test_a_bridge_that_is_asked_to_end_while_a_bag_drives_leaves_a_zero(start_server, observer) -> None:
+    server = start_server()
+    topic, _ = drive(server, observer, "playback")
+    os.kill(server.bridge(), signal.SIGTERM)
+    assert observer.comes_to_rest(topic, SUCCESSOR_S) == []
+
+
+def test_ros2_stop_after_a_bag_drove_says_what_it_stopped(start_server, observer) -> None:
+    server = start_server()
+    topic = played(server, observer)
+    stopped, _ = server.stop()
+    assert [one["topic_name"] for one in stopped["topics"]] == [topic]
+    assert stopped["confirmed"] and stopped["topics"][0]["subscribers"] == 4
+    assert observer.comes_to_rest(topic, 1.0) == []
+
+
+def test_ros2_stop_after_a_bridge_died_beneath_a_bag_stops_what_the_bag_moved(start_server, observer) -> None:
+    server = start_server()
+    topic = played(server, observer)
+    former = server.bridge()
+    os.kill(former, signal.SIGKILL)
+    until(lambda: server.bridge() != former)
+    stopped, _ = server.stop()
+    assert topic in [one["topic_name"] for one in stopped["topics"]]
+    assert observer.comes_to_rest(topic, SUCCESSOR_S) == []
+
+
+def test_the_sixty_fifth_topic_is_refused_and_the_first_keeps_its_zero(start_server, observer) -> None:
+    server = start_server()
+    topics = [fresh("many") for _ in range(66)]
+    for topic in topics:
+        observer.join(by=topic, topic=topic, kind=TWIST)
+    server.knows(topics[-1], 1)
+    first = WAYS["repeat"](server, observer, topics[0])
+    observer.until_driven(topics[0])
+    outcomes: dict[str, str] = {}
+    for topic in topics[1:]:
+        sent = server.tool("ros2_topic_publish", topic_name=topic, message_type=TWIST, data=speed(TWIST, MOVING))
+        try:
+            outcomes[topic] = server.result(sent)["status"]
+        except Refusal as refusal:
+            outcomes[topic] = str(refusal)
+    assert {outcomes[topic] for topic in topics[1:64]} == {"published"}
+    for topic in topics[64:]:
+        assert outcomes[topic].startswith("Refused") and "64" in outcomes[topic]
+    assert not any(observer.driven(topic=topic)[topic] for topic in topics[64:])
+    server.process.kill()
+    for topic in topics[:64]:
+        assert observer.comes_to_rest(topic, GONE_S) == [], topic
+    assert first not in server.answers

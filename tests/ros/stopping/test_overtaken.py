@@ -1,0 +1,147 @@
+"""After `ros2_stop` was answered nothing leaves that was accepted before it: 5 rounds of each race, 200 in full."""
+
+from __future__ import annotations
+
+import random
+import time
+from contextlib import suppress
+
+import pytest
+
+from support.agent import FULL, Refusal, until
+from support.driver import MOVING, WAYS, calm, fresh
+from support.velocities import TWIST, speed
+
+ROUNDS = 200 if FULL else 5
+LATEST_S = 0.05
+"""A request shows only when it arrives: the way through DDS and the observer's threads takes less on two processors."""
+SETTLED_S = 0.15
+"""What left late is heard within this time."""
+REST_S = 1.0
+ACTION_S = 3.0
+"""A goal is judged for 0.2 s and looks for its cancelling every 20 ms; the rest is a busy machine."""
+
+pytestmark = pytest.mark.timeout(1500 if FULL else 120)
+
+
+@pytest.fixture
+def chance(request: pytest.FixtureRequest) -> random.Random:
+    return random.Random(request.node.name)
+
+
+@pytest.fixture
+def watched(server, observer) -> str:
+    """A topic with four subscribers that the server knows."""
+    topic = fresh("watched")
+    observer.watch(topic)
+    server.knows(topic, 4)
+    return topic
+
+
+def has_ended(observer, topic: str, answered_ns: int) -> None:
+    """Nothing moves the robot that was written after the answer, and every subscriber is at rest."""
+    time.sleep(SETTLED_S)
+    assert observer.moved(sent_after=answered_ns, topic=topic) == []
+    assert observer.comes_to_rest(topic, REST_S) == []
+
+
+def test_publishes_that_are_in_flight(server, observer, watched, chance) -> None:
+    for _ in range(ROUNDS):
+        sent = [WAYS["once"](server, observer, watched) for _ in range(20)]
+        time.sleep(chance.uniform(0.0, 0.03))
+        _, answered_ns = server.stop()
+        for request in sent:
+            server.outcome(request)
+        has_ended(observer, watched, answered_ns)
+
+
+def test_a_publish_that_waits_for_its_subscriber(server, observer, chance) -> None:
+    for _ in range(ROUNDS):
+        topic = fresh("waits")
+        sent = WAYS["once"](server, observer, topic)
+        time.sleep(chance.uniform(0.0, 0.2))
+        _, answered_ns = server.stop()
+        observer.join(by=topic, topic=topic, kind=TWIST)
+        server.outcome(sent)
+        has_ended(observer, topic, answered_ns)
+        observer.leave(by=topic)
+
+
+def test_a_publish_whose_type_is_still_to_be_resolved(server, observer, chance) -> None:
+    for _ in range(ROUNDS):
+        topic = fresh("untyped")
+        sent = server.tool("ros2_topic_publish", topic_name=topic, data=speed(TWIST, MOVING))
+        time.sleep(chance.uniform(0.0, 0.2))
+        _, answered_ns = server.stop()
+        observer.join(by=topic, topic=topic, kind=TWIST)
+        server.outcome(sent)
+        has_ended(observer, topic, answered_ns)
+        observer.leave(by=topic)
+
+
+def test_a_call_that_waits_for_its_server(server, observer, chance) -> None:
+    for _ in range(ROUNDS):
+        service = fresh("appears")
+        asked = {"service_name": service, "service_type": "std_srvs/srv/SetBool", "fields": {"data": True}}
+        sent = server.tool("ros2_service_call", **asked, timeout_sec=3)
+        time.sleep(chance.uniform(0.0, 0.2))
+        server.stop()
+        observer.serve(service=service, kind="std_srvs/srv/SetBool")
+        server.outcome(sent)
+        time.sleep(SETTLED_S)
+        assert observer.asked(service=service) == []
+
+
+def test_a_call_that_waits_for_its_server_ends_at_once_and_says_why(server) -> None:
+    asked = {"service_name": fresh("never"), "service_type": "std_srvs/srv/SetBool", "fields": {"data": True}}
+    sent = server.tool("ros2_service_call", **asked, timeout_sec=30)
+    time.sleep(0.2)
+    server.stop()
+    with pytest.raises(Refusal, match="ros2_stop"):
+        server.result(sent, within_s=2.0)
+
+
+def test_a_goal_that_is_being_sent(server, observer, chance) -> None:
+    action = fresh("count")
+    observer.act(action=action, think_s=0.2)
+    until(lambda: action in str(server.do("ros2_list_actions")))
+    for _ in range(ROUNDS):
+        observer.forget()
+        sent = server.tool("ros2_send_action_goal", action_name=action, goal_fields={"order": 100})
+        time.sleep(chance.uniform(0.0, 0.4))
+        _, answered_ns = server.stop()
+        server.outcome(sent)
+        end = time.monotonic() + ACTION_S
+        while (left := unended(observer, action)) and time.monotonic() < end:
+            time.sleep(0.02)
+        assert left == []
+        goals = observer.goals_of(action=action)
+        assert all(goal["asked"] < answered_ns + LATEST_S * 1e9 for goal in goals)
+        assert {goal["status"] for goal in goals} <= {"canceled"}
+
+
+def unended(observer, action: str) -> list[dict]:
+    return [goal for goal in observer.goals_of(action=action) if not goal["ended"]]
+
+
+@pytest.mark.parametrize("way", ["repeat", "relay", "feed", "playback"])
+def test_what_has_just_begun(server, observer, watched, chance, way: str) -> None:
+    for _ in range(ROUNDS):
+        sent = WAYS[way](server, observer, watched)
+        time.sleep(chance.uniform(0.0, 0.3))
+        _, answered_ns = server.stop()
+        has_ended(observer, watched, answered_ns)
+        with suppress(Refusal):
+            server.result(sent)
+        assert observer.moved(sent_after=answered_ns, topic=watched) == []
+        calm(observer, watched)
+
+
+def test_what_is_asked_after_the_answer_moves_again(server, observer, watched) -> None:
+    for _ in range(3):
+        server.stop()
+        sent = WAYS["once"](server, observer, watched)
+        assert server.result(sent)["status"] == "published"
+        observer.until_driven(watched, 1, of=4)
+        observer.forget()
+    server.stop()

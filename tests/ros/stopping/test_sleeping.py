@@ -1,0 +1,162 @@
+"""A server that is stopped (SIGSTOP) cannot stop what it moves: the bridge does when the link lease lapses."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+
+import pytest
+
+from support.agent import FULL, Refusal, until
+from support.driver import WAYS, calm, fresh
+from support.standstill import undisturbed
+
+ROUNDS = 200 if FULL else 2
+LEASE_S = 1.0
+LIMIT_S = LEASE_S + 0.1
+GOAL_S = LIMIT_S + 0.3
+"""A goal is cancelled by a call, and its server looks every 20 ms whether it is."""
+AWAKE_S = 0.5
+"""What a server does when it is continued, it does at once."""
+
+pytestmark = pytest.mark.timeout(1800 if FULL else 120)
+
+
+@pytest.fixture(autouse=True)
+def awake(server) -> Iterator[None]:
+    """Whatever a test saw, the next one gets a server that runs and moves nothing."""
+    yield
+    server.process.send_signal(signal.SIGCONT)
+    server.stop()
+
+
+class Round:
+    """A server that moves the robot in every way at once, and is then stopped."""
+
+    def __init__(self, server, observer) -> None:
+        self.server, self.observer, self.action = server, observer, fresh("far")
+        observer.act(action=self.action)
+        self.topics = {way: fresh(f"asleep_{way}") for way in WAYS}
+        for topic in self.topics.values():
+            observer.join(by=topic, topic=topic, kind="geometry_msgs/msg/Twist")
+            observer.join(by=f"{topic} lossy", topic=topic, kind="geometry_msgs/msg/Twist", best_effort=True)
+        until(lambda: self.action in str(server.do("ros2_list_actions")))
+        server.knows(topic, 2)
+        goal = {"action_name": self.action, "goal_fields": {"order": 600}, "wait_for_result": True}
+        self.goal = server.tool("ros2_send_action_goal", **goal)
+        self.requests = {way: WAYS[way](server, observer, topic) for way, topic in self.topics.items()}
+        for topic in self.topics.values():
+            observer.until_driven(topic, 1, of=2)
+        until(lambda: [one["status"] for one in observer.goals_of(action=self.action)] == ["running"])
+
+    def stop(self) -> dict[str, float]:
+        """Stops the server; returns how long each way drove on, in seconds: until its zero had left."""
+        self.stopped_ns = time.monotonic_ns()
+        self.server.process.send_signal(signal.SIGSTOP)
+        for topic in self.topics.values():
+            self.observer.comes_to_rest(topic, 3 * LEASE_S)
+        time.sleep(0.1)  # a zero that is followed by a motion ends nothing
+        return {way: self._drove_s(topic) for way, topic in self.topics.items()} | {"goal": self._goal_s()}
+
+    def go_on(self) -> int:
+        """Continues it; returns when."""
+        at_ns = time.monotonic_ns()
+        self.server.process.send_signal(signal.SIGCONT)
+        return at_ns
+
+    def end(self) -> None:
+        self.server.stop()
+        for topic in self.topics.values():
+            calm(self.observer, topic)
+            self.observer.leave(by=topic)
+            self.observer.leave(by=f"{topic} lossy")
+
+    def _drove_s(self, topic: str) -> float:
+        if self.observer.moving(topic=topic):
+            return float("inf")
+        heard = self.observer.messages(topic=topic)
+        last_move = max(one["sent"] for one in heard if any(one["values"]))
+        zero = min(one["sent"] for one in heard if one["sent"] > last_move)
+        return (zero - self.stopped_ns) / 1e9
+
+    def _goal_s(self) -> float:
+        (goal,) = self.observer.goals_of(action=self.action)
+        return (goal["ended"] - self.stopped_ns) / 1e9 if goal["status"] == "canceled" else float("inf")
+
+
+def test_a_server_that_is_stopped_leaves_nothing_moving_for_longer_than_its_lease(server, observer) -> None:
+    worst: dict[str, float] = {}
+
+    def drove() -> dict[str, float]:
+        observer.forget()
+        one = Round(server, observer)
+        took = one.stop()
+        continued_ns = one.go_on()
+        time.sleep(AWAKE_S)
+        for topic in one.topics.values():
+            assert observer.moved(sent_after=continued_ns, topic=topic) == [], "it moves again"
+        for request in (*one.requests.values(), one.goal):
+            server.outcome(request)
+        one.end()
+        return took
+
+    for number in range(ROUNDS):
+        took = undisturbed(drove)
+        worst = {way: max(took[way], worst.get(way, 0.0)) for way in took}
+        print(number + 1, "rounds, at most", {way: round(seconds, 3) for way, seconds in worst.items()}, flush=True)
+        assert took.pop("goal") <= GOAL_S
+        assert max(took.values()) <= LIMIT_S, took
+
+
+def test_what_was_ended_by_the_lease_says_so(server, observer) -> None:
+    observer.forget()
+    one = Round(server, observer)
+    one.stop()
+    one.go_on()
+    assert "lease" in server.outcome(one.requests["repeat"])
+    assert "CANCELED" in server.outcome(one.goal)
+    assert "lease" in json.dumps(server.do("ros2_status"))
+    relays = server.do("ros2_relay_list")["relays"]
+    driven = {one.topics["relay"], one.topics["feed"]}
+    ended = [relay for relay in relays if relay["destination_topic"] in driven]
+    assert {relay["state"] for relay in ended} <= {"failed", "stopped", "ended"}
+    playback_id = server.result(one.requests["playback"])["playback_id"]
+    (playback,) = server.do("ros2_bag_play_status", playback_id=playback_id)["playbacks"]
+    assert playback["state"] in {"failed", "stopped"}
+    one.end()
+
+
+def test_a_server_that_was_stopped_drives_again_when_it_is_asked_anew(server, observer) -> None:
+    topic = fresh("again")
+    observer.watch(topic)
+    server.knows(topic, 4)
+    first = WAYS["repeat"](server, observer, topic)
+    observer.until_driven(topic, 3, of=4)
+    server.process.send_signal(signal.SIGSTOP)
+    assert observer.comes_to_rest(topic, 3 * LEASE_S) == []
+    server.process.send_signal(signal.SIGCONT)
+    with suppress(Refusal):
+        server.result(first)
+    observer.forget()
+    WAYS["repeat"](server, observer, topic)
+    observer.until_driven(topic, 10, of=4)
+    server.stop()
+    assert observer.comes_to_rest(topic, 1.0) == []
+
+
+def test_what_was_asked_of_a_server_that_sleeps_is_done_when_it_wakes_and_not_twice(server, observer) -> None:
+    """It was accepted only then: nothing that is older than the lease is hidden in it."""
+    topic = fresh("queued")
+    observer.join(by=topic, topic=topic, kind="geometry_msgs/msg/Twist")
+    server.knows(topic, 1)
+    server.process.send_signal(signal.SIGSTOP)
+    sent = WAYS["once"](server, observer, topic)
+    time.sleep(LEASE_S + 0.5)
+    assert observer.counts(topic=topic)[topic] == 0
+    server.process.send_signal(signal.SIGCONT)
+    server.outcome(sent)
+    assert observer.driven(topic=topic)[topic] <= 1
+    server.stop()
