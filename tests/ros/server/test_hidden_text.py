@@ -9,9 +9,11 @@ from typing import Any
 
 import pytest
 
+from support.agent import until
 from support.hidden import HIDDEN
 from support.hostile_bag import ODD_TOPICS, TOPICS, write_hostile_bag
 from support.outlets import FORGED, faults_of, hostile
+from support.processes import peer_command, running
 from support.raw_server import RawServer
 
 VERSION = "2025-06-18"
@@ -89,3 +91,84 @@ def test_a_recording_in_which_every_text_is_hostile_shows_all_and_forges_nothing
     said = server.said.decode()
     for what in HIDDEN:  # it was there, and was shown
         assert any(f"U+{ord(character):04X}" in said or f" {ord(character):04X}" in said for character in HIDDEN[what])
+
+
+@pytest.fixture(scope="module")
+def hostile_robot(ros_environment: dict[str, str]) -> Iterator[None]:
+    with running(ros_environment, *peer_command("hostile_robot")):
+        yield
+
+
+@pytest.fixture
+def server(start_raw: Callable[..., RawServer], hostile_robot: None, tmp_path: Path) -> RawServer:
+    """A server that has discovered the hostile robot."""
+    server = start_raw("--tools", "all", "--record-dir", str(tmp_path))
+    server.begin(VERSION)
+    until(lambda: "/hostile/basic" in str(server.call("ros2_service_list")))
+    until(
+        lambda: not server.call("ros2_service_call", service_name="/hostile/say", fields={}, timeout_sec=1)["isError"]
+    )
+    return server
+
+
+def live_calls() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Every tool that shows what the robot says."""
+    topics = [f"/hostile/{name}" for name in ("text", "texts", "image", "jpeg")]
+    for tool in ("ros2_status", "ros2_node_list", "ros2_topic_list", "ros2_service_list", "ros2_list_actions"):
+        yield tool, {}
+    yield "ros2_health_check", {"expected_topics": topics, "rate_check_duration_sec": 1}
+    yield "ros2_node_info", {"node_name": "/hostile"}
+    for topic in topics:
+        for tool in ("ros2_topic_info", "ros2_topic_echo_wait"):
+            yield tool, {"topic_name": topic}
+        yield "ros2_topic_subscribe", {"topic_name": topic, "message_limit": 3}
+    yield "ros2_topic_subscribe", {"topic_name": "/hostile/text", "message_limit": 60}
+    yield "ros2_subscribe_multiple_topics", {"topics": [{"name": topic, "message_limit": 2} for topic in topics]}
+    yield "ros2_topic_statistics", {"topic_names": topics, "duration": 0.5}
+    yield "ros2_topic_stats", {"topic_names": topics, "duration": 0.5}
+    yield "ros2_wait_until", {"topic_name": "/hostile/text", "condition": 'data != ""'}
+    yield "ros2_wait_until", {"topic_name": "/hostile/text", "condition": 'data == ""', "timeout": 1.5}
+    yield "ros2_topic_compare", {"topic1_name": topics[0], "topic2_name": topics[1], "duration_sec": 1}
+    yield "ros2_plot", {"series": ["/hostile/text:data"], "duration": 0.5}
+    yield "ros2_get_map_as_image", {"topic_name": "/hostile/text", "timeout": 1}
+    yield "ros2_log_read", {}
+    yield "ros2_service_call", {"service_name": "/hostile/say", "fields": {}}
+    yield "ros2_service_call", {"service_name": "/hostile/basic", "fields": {}, "force_call": True}
+    yield "ros2_parameter_list", {}
+    yield "ros2_parameter_list", {"node_names": ["/hostile"], "pattern": "name"}
+    yield "ros2_parameter_get", {"node_name": "/hostile"}
+    yield "ros2_parameter_get", {"node_name": "/hostile", "names": ["nam"]}
+    yield "ros2_parameter_set", {"node_name": "/hostile", "values": {"kept": "changed"}}
+    yield "ros2_parameter_set", {"node_name": "/hostile", "values": {"kept": "changed"}, "atomic": True}
+    yield "ros2_lifecycle_state", {"node_names": ["/hostile"]}
+    yield "ros2_lifecycle_change", {"node_name": "/hostile", "transition": "configure"}
+    yield "ros2_lifecycle_change", {"node_name": "/hostile", "transition": hostile("tags")}
+
+
+def test_a_robot_whose_every_text_is_hostile_forges_nothing(server: RawServer) -> None:
+    for tool, arguments in live_calls():
+        server.ask("tools/call", name=tool, arguments=arguments, _meta={"progressToken": next(_TOKENS)})
+    for uri in ("ros2://graph", "ros2://topics", "ros2://diagnostics", "ros2://log", "ros2://log?level=error"):
+        server.ask("resources/read", uri=uri)
+    for name in ("text", "texts"):
+        uri = f"ros2://topic//hostile/{name}"
+        server.ask("resources/subscribe", uri=uri)
+        server.ask("resources/read", uri=uri)
+    server.ask("resources/read", uri="ros2://node//hostile/parameters")
+    for prompt in server.ask("prompts/list")["result"]["prompts"]:
+        server.ask("prompts/get", name=prompt["name"], arguments={})
+    check(server)
+    assert (
+        '"isError":false' in server.said.decode().replace(" ", "") and "⟦U+E0001 E0069 E007F⟧" in server.said.decode()
+    )
+
+
+def test_what_was_shown_escaped_and_is_sent_back_reaches_the_robot_as_it_was(server: RawServer) -> None:
+    read = server.call("ros2_parameter_get", node_name="/hostile")["structuredContent"]["parameters"]
+    assert "⟦U+" in read["kept"]
+    written = server.call("ros2_parameter_set", node_name="/hostile", values=read)
+    assert not written["isError"] and written["structuredContent"]["successful"], written
+    fields = {"string_value": read["kept"]}
+    arguments = {"service_name": "/hostile/basic", "fields": fields, "force_call": True}
+    answered = server.call("ros2_service_call", **arguments)
+    assert answered["structuredContent"]["result"]["bool_value"] is True

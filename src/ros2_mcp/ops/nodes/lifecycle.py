@@ -60,7 +60,7 @@ class Transition:
     def summary(self) -> str:
         """One line."""
         outcome = "done" if self.successful else "failed"
-        return f"{self.node}: {self.transition} {outcome}; {named(self.state_before)} → {named(self.state)}."
+        return f"{self.node}: {named(self.transition)} {outcome}; {named(self.state_before)} → {named(self.state)}."
 
 
 async def states(robot: Robot, nodes: Sequence[str] = ()) -> LifecycleStates:
