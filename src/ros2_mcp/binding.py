@@ -16,7 +16,7 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import as_sent, visible, visible_json
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import Report, as_json, at_most_every
+from ros2_mcp.ops.results import Report, as_json, at_most_every, lines_of
 from ros2_mcp.ops.sources.kinds import OWN_KINDS
 from ros2_mcp.ops.sources.source import SourceKind
 from ros2_mcp.robot import Robot
@@ -172,15 +172,13 @@ def answer(result: Any, damage: Sequence[str] = ()) -> CallToolResult:
     `damage` says of the bags that were read for it what of them is damaged or missing.
     """
     value: Any = as_json(result)
-    summary: str | list[str] = result.summary()
-    lines = [summary] if isinstance(summary, str) else summary
+    lines = lines_of(result.summary())
     if damage and not hasattr(result, "problems"):  # those say it themselves
         value[_DAMAGE] = list(damage)
         lines = [*lines, *(f"Damage: {line}" for line in damage)]
     structured, text = visible_json(value)
-    content: list[ContentBlock] = [
-        TextContent(type="text", text=_cut("\n".join([*(visible(line) for line in lines), text])))
-    ]
+    shown = "\n".join([*map(visible, lines), text])
+    content: list[ContentBlock] = [TextContent(type="text", text=_cut(shown))]
     for image in getattr(result, "images", ()):
         data = base64.b64encode(image.data).decode()
         content.append(ImageContent(type="image", data=data, mime_type=image.mime))

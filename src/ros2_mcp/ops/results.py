@@ -73,8 +73,13 @@ def unless_all_failed(results: Sequence[OneOfSeveral]) -> Sequence[OneOfSeveral]
         AllFailed: with every error.
     """
     if all(result.error for result in results):
-        raise AllFailed(" ".join(str(result.summary()) for result in results))
+        raise AllFailed(" ".join(line for result in results for line in lines_of(result.summary())))
     return results
+
+
+def lines_of(summary: str | list[str]) -> list[str]:
+    """The lines of a summary, which is one line or a list of lines."""
+    return [summary] if isinstance(summary, str) else summary
 
 
 def list_note(matching: int, limit: int, settled: bool = True) -> str:
