@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import queue
 import signal
 import sys
 import threading
@@ -11,10 +12,12 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, NoReturn, TypeVar
 
-from . import definitions, interfaces
+from . import definitions, interfaces, participants
+from .epoch import StopEpoch
+from .lease import LinkLease
 from .loop import Loop, log_failure
 from .packets import PacketError
-from .protocol import PingReply
+from .protocol import Lapsed, PingReply
 from .request import Request
 from .stream import Outbox, claim_standard_streams, read_packets
 
@@ -33,6 +36,8 @@ GIVE_UP_AFTER_S = 1.0
 # middleware was seen to spin for ever while a participant was destroyed, with the interpreter's lock held: then no
 # thread of ours sees the end of the stream, and only the kernel's timer still ends the process.
 ROS_IS_UP_WITHIN_S = 30.0
+# A lease that lapses is to end all motion within 0.1 s; the ROS thread goes round in 0.01 s unless it hangs. Chosen.
+ROS_HANGS_AFTER_S = 0.05
 # What waits to be written at the end is little, and perhaps nobody reads any more. Chosen.
 LAST_WORDS_S = 0.2
 
@@ -50,13 +55,16 @@ def main() -> None:
 class Bridge:
     """The threads of the bridge, and how they end together.
 
-    `_table` has a row for each operation. Those that need no ROS are there from the start and run on the reading
-    thread, so that they answer while ROS comes up or hangs; `Operations` adds those of the ROS thread.
+    `_table` has a row for each operation. Those that need no ROS are there from the start, so that they answer while
+    ROS comes up or hangs; `Operations` adds those of the ROS thread. The reading thread answers pings, raises the stop
+    epoch and watches over the link lease, and waits for nothing else; the preparing thread takes requests in order.
     """
 
     def __init__(self, incoming: int, outgoing: int) -> None:
         self._loop = Loop()
         self._outbox = Outbox()
+        self._stops = StopEpoch()
+        self._accepted: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._ros_is_up = threading.Event()
         self._table: dict[str, Operation] = {
             "ping": self._ping,
@@ -66,7 +74,9 @@ class Bridge:
         self._without_ros = frozenset(self._table)
         self._operations: Operations | None = None
         self._ending = threading.Lock()
+        self._lease = LinkLease(incoming, self._lapse)
         self._start_thread(self._read, incoming)
+        self._start_thread(self._prepare, self._accepted)
         self._writer = self._start_thread(self._outbox.write_packets, outgoing)
         self._start_thread(signal.sigwait, {signal.SIGTERM})
 
@@ -77,8 +87,10 @@ class Bridge:
             from . import operations, ros
 
             missing = "init_failed"
-            node, executor = ros.enter(f"ros2_mcp_{os.getpid()}")
-            self._operations = operations.Operations(node, self._loop, self._outbox, self._table)
+            node, executor = ros.enter(f"{participants.BRIDGE_NODE}{os.getpid()}")
+            self._operations = operations.Operations(
+                node=node, loop=self._loop, outbox=self._outbox, stops=self._stops, table=self._table
+            )
         except Exception as error:  # noqa: BLE001 - a broken installation can raise anything here
             log_failure(None, error)
             message = f"{type(error).__name__}: {error}"
@@ -113,6 +125,7 @@ class Bridge:
     def _end(self) -> None:
         if self._ending.acquire(blocking=False):
             signal.setitimer(signal.ITIMER_REAL, GIVE_UP_AFTER_S)  # ends the process, even where nothing of Python runs
+            self._stops.lapse()
             if self._operations is not None:
                 threading.Timer(FAILSAFES_AFTER_S, self._operations.failsafes.carry_out).start()
             self._loop.end()
@@ -124,8 +137,24 @@ class Bridge:
         sys.stderr.flush()
         os._exit(status)
 
+    def _lapse(self, silent_s: float) -> None:
+        """The server is silent: what it moves is ended by the ROS thread, and if that hangs, by another one first."""
+        self._stops.lapse()
+        self._outbox.send(Lapsed(event="lapsed", silent_s=round(silent_s, 3)))
+        operations = self._operations
+        if operations is None:
+            return
+        hangs = threading.Timer(ROS_HANGS_AFTER_S, operations.failsafes.carry_out)
+
+        def lapse() -> None:
+            hangs.cancel()
+            operations.lapse()
+
+        hangs.start()
+        self._loop.submit_first(lapse)
+
     def _read(self, incoming: int) -> None:
-        for header, body in read_packets(incoming):
+        for header, body in read_packets(incoming, self._lease.wait_readable):
             request = Request(header, body)
             try:
                 self._accept(request)
@@ -133,7 +162,28 @@ class Bridge:
                 self._outbox.reply_error(request.id, error)
 
     def _accept(self, request: Request) -> None:
-        """Answer what needs no ROS; prepare the rest on this thread, so that the ROS thread never waits for imports."""
+        """Note when it was accepted; a stop goes before all that waits."""
+        if request.op in ("ping", "stop"):
+            self._stops.raise_to(request.number("epoch", 0.0))
+        elif request.has("epoch"):
+            request.acceptance = self._stops.accept(request.number("epoch"))
+        if request.op == "ping":
+            self._outbox.reply(request.id, self._ping(request))
+        elif request.op == "stop" and self._operations is not None:
+            self._loop.submit_first(partial(self._operations.start, request))
+        else:
+            self._accepted.put(request)
+
+    def _prepare(self, accepted: queue.SimpleQueue[Request]) -> None:
+        """Answer what needs no ROS; load what the rest needs, so that the ROS thread never waits for imports."""
+        while True:
+            request = accepted.get()
+            try:
+                self._submit(request)
+            except Exception as error:  # noqa: BLE001 - whatever it is, it answers this request
+                self._outbox.reply_error(request.id, error)
+
+    def _submit(self, request: Request) -> None:
         if request.op in self._without_ros:
             answer = self._table[request.op](request)
             assert isinstance(answer, Mapping)
@@ -145,7 +195,8 @@ class Bridge:
         if self._operations is not None:
             self._loop.submit(partial(self._operations.start, request))
 
-    def _ping(self, _request: Request) -> PingReply:
+    def _ping(self, request: Request) -> PingReply:
+        self._lease.renew(request.number("lease_s", 0.0))
         return {"ros_idle_s": round(time.monotonic() - self._loop.last_turn, 6)}
 
 

@@ -63,6 +63,7 @@ class Clients:
             if sent_at >= latest:
                 too_late = f"The server of {service} appeared too late: nothing was sent."
                 raise OperationError("timeout", too_late, "Try again: it is there now.")
+            request.leave()
             future = client.call_async(message)
 
             def answered(_: object) -> None:

@@ -1,4 +1,4 @@
-"""Fail-safes: what is done when the stream ends, whatever ends it: final messages, and what the server has left."""
+"""Fail-safes: what is done when the server is gone, or silent: zeros on driven topics, and what the server has left."""
 
 from __future__ import annotations
 
@@ -27,14 +27,11 @@ Action = Callable[[], "Arrival | None"]
 
 
 class FailSafes:
-    """The fail-safe of each open request that has one."""
+    """The zeros of the topics that are driven, which `send_zeros` sends, and what requests have left to be done."""
 
-    def __init__(self) -> None:
+    def __init__(self, send_zeros: Callable[[], None]) -> None:
+        self._send_zeros = send_zeros
         self._actions: dict[Request, Action] = {}
-
-    def count(self, op: str) -> int:
-        """How many requests of that kind have a fail-safe in force."""
-        return sum(request.op == op for request in self._actions)
 
     @contextmanager
     def in_force(self, request: Request, action: Action) -> Generator[None, None, None]:
@@ -55,13 +52,14 @@ class FailSafes:
                 return {"cancelled": True}
 
     def carry_out(self) -> list[Arrival]:
-        """Carry all of them out, calls after messages, because calls can block; returns what to wait for.
+        """Carry all of them out, zeros first, because calls can block; returns what to wait for.
 
         Another thread does this when the ROS thread hangs. If the ROS thread comes to it later, it does it once more:
-        it may have published something after the final messages.
+        it may have published something after the zeros.
         """
+        self._send_zeros()
         pending: list[Arrival] = []
-        for request, action in sorted(self._actions.items(), key=lambda entry: entry[0].op == "failsafe_call"):
+        for request, action in list(self._actions.items()):
             try:
                 arrival = action()
             except Exception as error:  # noqa: BLE001 - one that fails must not keep the others from being done

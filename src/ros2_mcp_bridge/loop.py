@@ -85,6 +85,11 @@ class Loop:
         self._submitted.append(call)
         self._wake()
 
+    def submit_first(self, call: Callable[[], None]) -> None:
+        """Let the ROS thread run `call` before all that waits; from any thread."""
+        self._submitted.appendleft(call)
+        self._wake()
+
     def end(self) -> None:
         """Let `run` return soon; from any thread."""
         self._ending = True

@@ -13,19 +13,27 @@ from typing import TYPE_CHECKING
 
 from . import shared_memory
 from .clients import Clients
+from .clock import RobotClock
+from .epoch import StopEpoch
 from .failsafes import FailSafes
 from .graph import Graph
 from .loop import Loop, log_failure
-from .protocol import Empty, RelayStopReply, ServicesReply, StatsReply, StopReply
-from .publishers import Publishers
-from .relay import Relays
+from .protocol import Empty, RelayStopReply, ServicesReply, StatsReply, StopReply, ZeroReply
+from .publishers import Publisher, Publishers
+from .relay import Relay, Relays
 from .request import Answer, OperationError, Request, Steps
 from .stream import Outbox
 from .subscriptions import Subscriptions
+from .velocities import Velocities
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor
     from rclpy.node import Node
+
+# What acts until it is ended.
+LASTING = ("repeat", "relay")
+# What acts once, as soon as it can, and the argument that names what it acts on.
+LEAVING = {"publish": "topic", "call": "service", "relay_feed": "name"}
 
 Operation = Callable[[Request], "Answer | Steps[Answer]"]
 
@@ -42,18 +50,24 @@ ARRIVAL_POLL_S = 0.005
 class Operations:
     """All that needs ROS; lives on the ROS thread. `node` is the bridge's own node, `table` is what it adds to."""
 
-    def __init__(self, node: Node, loop: Loop, outbox: Outbox, table: dict[str, Operation]) -> None:
+    def __init__(
+        self, *, node: Node, loop: Loop, outbox: Outbox, stops: StopEpoch, table: dict[str, Operation]
+    ) -> None:
         self._node = node
         self._loop = loop
         self._outbox = outbox
         self._started = time.monotonic()
         self._requests: dict[int | None, Request] = {}
-        self.failsafes = FailSafes()
+        self._stops = stops
         self._graph = Graph(node)
+        self._clock = RobotClock(node, self._graph)
+        self._velocities = Velocities(self._clock, outbox.send)
+        self.failsafes = FailSafes(self._velocities.send_zeros)
         self._subscriptions = Subscriptions(node, self._graph, loop, outbox)
         self._clients = Clients(node, self.failsafes)
-        self._publishers = Publishers(node, self._graph, self.failsafes)
-        self._relays = Relays(node, self._graph, loop, self.failsafes)
+        create = partial(Publisher, node=node, graph=self._graph, velocities=self._velocities)
+        self._publishers = Publishers(self._velocities, create)
+        self._relays = Relays(self._velocities, partial(Relay, node=node, graph=self._graph, loop=loop, create=create))
         self._table = table
         table.update(
             {
@@ -76,6 +90,7 @@ class Operations:
                 "failsafe_publish": self._publishers.failsafe,
                 "failsafe_call": self._clients.failsafe,
                 "stop": self._stop,
+                "zero": self._zero,
                 "stats": self._stats,
             }
         )
@@ -87,6 +102,7 @@ class Operations:
         try:
             if request.op not in self._table:
                 raise OperationError("bad_request", f"There is no operation {request.op!r}.")
+            request.check_accepted()
             result = self._table[request.op](request)
         except Exception as error:  # noqa: BLE001 - whatever it is, it answers this request
             self._finish(request, None, error)
@@ -99,12 +115,18 @@ class Operations:
 
     def end(self, executor: Executor) -> None:
         """Stop everything, sending what must be sent last."""
-        pending = [*self.failsafes.carry_out(), *self._publishers.pool.entities().values()]
+        pending = [*self.failsafes.carry_out(), *self._publishers.pool.entities().values(), *self._relays.publishers()]
         deadline = time.monotonic() + ARRIVAL_S
         while time.monotonic() < deadline and not all(arrival.done() for arrival in pending):
             executor.spin_once(timeout_sec=ARRIVAL_POLL_S)
-        for kind in (self._publishers.pool, self._relays, self._subscriptions, self._clients.pool):
+        for kind in (self._publishers.pool, self._relays, self._subscriptions, self._clients.pool, self._clock):
             kind.clear()
+
+    def lapse(self) -> None:
+        """The server is silent for longer than its link lease: end what it moves, and carry the fail-safes out."""
+        self.failsafes.carry_out()
+        for acting in self._acting():
+            acting.end("lease")
 
     def _finish(self, request: Request, result: Answer, error: Exception | None) -> None:
         self._requests.pop(request.id, None)
@@ -130,11 +152,33 @@ class Operations:
             target.end("cancel")
         return {}
 
-    def _stop(self, _request: Request) -> StopReply:
-        """End all repeating and relaying."""
-        chosen = [found for found in self._requests.values() if found.op in ("repeat", "relay")]
-        ended = [found.op for found in chosen if found.end("stop")]
-        return {"repeats": ended.count("repeat"), "relays": ended.count("relay"), "dropped": [], "topics": []}
+    def _acting(self) -> list[Request]:
+        """What publishes until it is ended, or acts and has not left yet."""
+        return [
+            request
+            for request in self._requests.values()
+            if request.op in LASTING or (request.acceptance and request.op in LEAVING and not request.has_left)
+        ]
+
+    def _stop(self, request: Request) -> Steps[StopReply]:
+        """End all that was accepted before and has not left, then zeros on every topic that is driven."""
+        overtaken, self._stops.overtaken = self._stops.overtaken, []
+        ended = list(dict.fromkeys([*overtaken, *(acting for acting in self._acting() if acting.end("stop"))]))
+        ops = [found.op for found in ended]
+        wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
+        topics = yield from self._velocities.stop(self._velocities.driven(), wait_match_s, wait_ack_s)
+        return {
+            "repeats": ops.count("repeat"),
+            "relays": ops.count("relay"),
+            "dropped": [(found.op, found.text(LEAVING[found.op])) for found in ended if found.op in LEAVING],
+            "topics": topics,
+        }
+
+    def _zero(self, request: Request) -> Steps[ZeroReply]:
+        """Zeros on some of the topics that are driven."""
+        chosen = [topic for topic in self._velocities.driven() if topic.name in request.texts("topics")]
+        wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
+        return {"topics": (yield from self._velocities.stop(chosen, wait_match_s, wait_ack_s))}
 
     def _relay_stop(self, request: Request) -> RelayStopReply:
         """End one relay by its name."""
@@ -150,7 +194,7 @@ class Operations:
             "threads": _count("/proc/self/task"),
             "open_files": _count("/proc/self/fd") - 1,
             "rss_bytes": int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"),
-            "repeats": self.failsafes.count("repeat"),
+            "repeats": sum(found.op == "repeat" and found.has_left for found in self._requests.values()),
             "uptime_s": round(time.monotonic() - self._started, 3),
         }
 

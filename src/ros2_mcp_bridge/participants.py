@@ -21,6 +21,8 @@ PORTS_PER_DOMAIN = 250
 FIRST_UNICAST = 10
 DISCOVERY_TOPIC = "ros_discovery_info"
 GUID_PREFIX_BYTES = 12
+# How the names of the bridges' nodes begin; the number of the process follows.
+BRIDGE_NODE = "ros2_mcp_"
 
 
 def reach_is_local() -> bool:
@@ -49,7 +51,17 @@ def ports_of(domain_id: int) -> range:
 def discovered(node: Node) -> int:
     """The number of participants with ROS nodes that a node knows of, its own included."""
     infos = node.get_publishers_info_by_topic(DISCOVERY_TOPIC, no_mangle=True)
-    return len({gid(info)[:GUID_PREFIX_BYTES] for info in infos})
+    return len({of(info) for info in infos})
+
+
+def of(info: TopicEndpointInfo) -> bytes:
+    """The participant of an endpoint."""
+    return gid(info)[:GUID_PREFIX_BYTES]
+
+
+def is_bridge(info: TopicEndpointInfo) -> bool:
+    """Whether an endpoint is one of a bridge, of this server or another one."""
+    return info.node_name.startswith(BRIDGE_NODE)
 
 
 def gid(info: TopicEndpointInfo) -> bytes:

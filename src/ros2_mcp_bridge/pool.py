@@ -25,10 +25,20 @@ class _Entry(Generic[T]):
 
 
 class Pool(Generic[K, T]):
-    """Entities by key. Those in use are never destroyed; of the others the least recently used go first."""
+    """Entities by key. Those in use, or that `keeps` says are needed, are never destroyed; of the others the least
+    recently used go first.
+    """
 
-    def __init__(self, destroy: Callable[[T], object], limit: int = MAX_POOLED, idle_s: float = IDLE_S) -> None:
+    def __init__(
+        self,
+        destroy: Callable[[T], object],
+        limit: int = MAX_POOLED,
+        idle_s: float = IDLE_S,
+        *,
+        keeps: Callable[[T], bool] = lambda _: False,
+    ) -> None:
         self._destroy = destroy
+        self._keeps = keeps
         self._limit = limit
         self._idle_s = idle_s
         self._entries: dict[K, _Entry[T]] = {}
@@ -59,7 +69,7 @@ class Pool(Generic[K, T]):
         """Destroy what nobody has used for `idle_s` seconds."""
         now = time.monotonic()
         for key, entry in list(self._entries.items()):
-            if not entry.users and now - entry.last_used > self._idle_s:
+            if self._is_idle(entry) and now - entry.last_used > self._idle_s:
                 self._remove(key)
 
     def clear(self) -> None:
@@ -68,10 +78,13 @@ class Pool(Generic[K, T]):
             self._remove(key)
 
     def _make_room(self) -> None:
-        idle = [key for key, entry in self._entries.items() if not entry.users]
+        idle = [key for key, entry in self._entries.items() if self._is_idle(entry)]
         idle.sort(key=lambda key: self._entries[key].last_used)
         for key in idle[: max(0, len(self._entries) - self._limit + 1)]:
             self._remove(key)
+
+    def _is_idle(self, entry: _Entry[T]) -> bool:
+        return not entry.users and not self._keeps(entry.entity)
 
     def _remove(self, key: K) -> None:
         self._destroy(self._entries.pop(key).entity)

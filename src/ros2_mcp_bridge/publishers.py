@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from contextlib import AbstractContextManager
-from functools import partial
 from typing import TYPE_CHECKING
 
 from . import protocol, qos, rcl
-from .failsafes import FailSafes
+from .failsafes import HOLD_S
 from .graph import Graph
 from .pool import Pool
 from .protocol import PublishReply, RepeatReply
 from .request import Cancelled, OperationError, Request, Steps
+from .velocities import Outgoing, Raw, Velocities
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -33,13 +33,20 @@ DISCOVERED_S = 0.1
 MAX_LATCHED_DEPTH = 1000
 # A period counts as missed, or the end as reached, with this share of a period to spare: sums of floats are inexact.
 ROUNDING = 1e-6
+FINAL_SIZE = "final_size"
 
 
 class Publisher:
-    """A publisher of serialized messages."""
+    """A publisher of serialized messages, with the `velocity` topic that it belongs to, if it is of such a type.
 
-    def __init__(self, node: Node, graph: Graph, request: Request, max_depth: int | None = None) -> None:
+    `publish` is the one exit of what the server or another node has made.
+    """
+
+    def __init__(
+        self, *, node: Node, graph: Graph, velocities: Velocities, request: Request, max_depth: int | None = None
+    ) -> None:
         self._graph = graph
+        self._velocities = velocities
         self._topic, self._type = request.text("topic"), request.text("type")
         # Fast DDS asks for acknowledgement at once (5 ms) only when its history is full, else every 3 s. A depth of 1
         # is always full. Nobody can tell the difference but late joiners of a transient-local topic.
@@ -49,18 +56,28 @@ class Publisher:
         self.is_busy = False
         self._accepted: tuple[int, int] | None = None
         self._raw = rcl.publisher(node, request.interface, self._topic, self._profile)
+        self.velocity = velocities.topic(request)
+        if self.velocity is not None:
+            self.velocity.publishers[self] = None
 
-    def publish(self, data: bytes) -> None:
-        """Hand one message to the middleware."""
+    def outgoing(self, data: bytes) -> Outgoing:
+        """What `publish` takes; raises `OperationError` for a velocity that is refused."""
+        return Raw(data) if self.velocity is None else self.velocity.command(data)
+
+    def publish(self, message: Outgoing, request: Request) -> None:
+        """Hand one message to the middleware; raises `Cancelled` if its request is not to act any more."""
+        data = message.data()
+        request.leave()
+        self._raw.publish_raw(data)
+        message.has_left()
+
+    def publish_zero(self, data: bytes) -> None:
+        """Hand a zero to the middleware: no stop holds it back. From any thread."""
         self._raw.publish_raw(data)
 
-    def publish_last(self, data: bytes) -> Publisher | None:
-        """Publish a final message, if there is one: twice, for best-effort subscribers; returns what is then `done`."""
-        if not data:
-            return None
-        self.publish(data)
-        self.publish(data)
-        return self
+    def is_needed(self) -> bool:
+        """Whether a zero may have to go through it."""
+        return self.velocity is not None and self.velocity.is_driven
 
     def matched(self) -> int:
         """The number of subscribers that would get a message now."""
@@ -82,14 +99,25 @@ class Publisher:
         if created and self.matched() and not all(self._subscribers_reliable()):
             yield DISCOVERED_S  # a best-effort subscriber would not ask for what it has missed
 
-    def publish_acknowledged(self, data: bytes, wait_s: float) -> Steps[tuple[int, bool | None]]:
+    def has_all_matched(self) -> bool:
+        """Whether every subscriber that can match does, as far as discovery has come."""
+        return self._graph.settled and self.matched() >= len(self._subscribers_reliable())
+
+    def wait_clock(self) -> Steps[None]:
+        """Steps until the time of its stamps is known."""
+        if self.velocity is not None:
+            yield from self.velocity.wait_clock()
+
+    def publish_acknowledged(
+        self, message: Outgoing, request: Request, wait_s: float
+    ) -> Steps[tuple[int, bool | None]]:
         """Steps that publish one message after the other: returns the number of matches and `wait_acknowledged`."""
         while self.is_busy:
             yield POLL_S
         self.is_busy = True
         try:
             matched = self.matched()
-            self.publish(data)
+            self.publish(message, request)
             acked = yield from self.wait_acknowledged(wait_s)
         finally:
             self.is_busy = False
@@ -97,8 +125,7 @@ class Publisher:
 
     def wait_acknowledged(self, wait_s: float) -> Steps[bool | None]:
         """Steps until all is acknowledged: returns True, False when time is up, None where nobody acknowledges."""
-        is_reliable = self._profile.reliability.name == "RELIABLE" and any(self._subscribers_reliable())
-        if not is_reliable or not self.matched():
+        if self.acknowledged() is None:
             return None
         deadline = time.monotonic() + wait_s
         while not self.done():
@@ -107,12 +134,20 @@ class Publisher:
             yield POLL_S
         return True
 
+    def acknowledged(self) -> bool | None:
+        """Whether every reliable subscriber has acknowledged everything; None where nobody acknowledges."""
+        is_reliable = self._profile.reliability.name == "RELIABLE" and any(self._subscribers_reliable())
+        return self.done() if is_reliable and self.matched() else None
+
     def done(self) -> bool:
         """Whether every reliable subscriber has acknowledged everything."""
         return rcl.is_acknowledged(self._raw)
 
     def destroy(self) -> None:
         """End it."""
+        if self.velocity is not None:
+            self.velocity.publishers.pop(self, None)
+            self._velocities.forget(self.velocity)
         self._raw.destroy_when_not_in_use()
 
     def _subscribers_reliable(self) -> list[bool]:
@@ -127,15 +162,16 @@ class Publisher:
 class Repeat:
     """Repeated publishing of one message."""
 
-    def __init__(self) -> None:
+    def __init__(self, request: Request) -> None:
+        self._request = request
         self.sent = 0
         self.late = 0
         self.started = time.monotonic()
 
-    def run(self, publisher: Publisher, message: bytes, rate_hz: float, duration_s: float) -> Steps[None]:
+    def run(self, publisher: Publisher, message: Outgoing, rate_hz: float, duration_s: float) -> Steps[None]:
         """Steps that publish at the rate; periods that were missed are counted and not made up for."""
         period = 1.0 / rate_hz
-        publisher.publish(message)
+        publisher.publish(message, self._request)
         self.sent = 1
         # A subscriber may not know a new publisher yet, and with a depth of 1 the second message replaces the first.
         yield from publisher.wait_acknowledged(FIRST_ACK_S)
@@ -150,67 +186,83 @@ class Repeat:
             yield max(0.0, min(due, end) - time.monotonic())
             if due >= end - period * ROUNDING:
                 return
-            publisher.publish(message)
+            publisher.publish(message, self._request)
             self.sent += 1
 
 
 class Publishers:
     """Pooled publishers and what is done with them."""
 
-    def __init__(self, node: Node, graph: Graph, failsafes: FailSafes) -> None:
-        self._node = node
-        self._graph = graph
-        self._failsafes = failsafes
-        self.pool: Pool[Hashable, Publisher] = Pool(Publisher.destroy)
+    def __init__(self, velocities: Velocities, create: Callable[..., Publisher]) -> None:
+        self._velocities = velocities
+        self._create = create
+        self.pool: Pool[Hashable, Publisher] = Pool(Publisher.destroy, keeps=Publisher.is_needed)
 
     def publish(self, request: Request) -> Steps[PublishReply]:
         """Publish once, when the subscribers are matched, and wait for their acknowledgement."""
         wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
         started = time.monotonic()
         with self._use(request) as (publisher, created):
+            message = publisher.outgoing(request.body)
             yield from publisher.wait_match(created, wait_match_s)
-            matched, acked = yield from publisher.publish_acknowledged(request.body, wait_ack_s)
+            yield from publisher.wait_clock()
+            matched, acked = yield from publisher.publish_acknowledged(message, request, wait_ack_s)
         waited_s = round(time.monotonic() - started, 6)
         return {"matched": matched, "acked": acked, "created": created, "waited_s": waited_s}
 
     def repeat(self, request: Request) -> Steps[RepeatReply]:
-        """Publish at a rate for a while, then the final message."""
+        """Publish at a rate for a while, then the zero where it is a velocity command."""
         rate_hz, duration_s = request.rate(), request.number("duration_s")
-        wait_match_s = request.number("wait_match_s", 0.0)
-        split_at = len(request.body) - int(request.number("final_size", 0))
-        if split_at < 0:
-            raise OperationError("bad_request", "repeat: final_size is larger than the body.")
-        message, final = request.body[:split_at], request.body[split_at:]
+        wait_match_s, ended_by = request.number("wait_match_s", 0.0), ""
+        final_size = int(request.number(FINAL_SIZE, 0))  # of a server that does not know yet who makes the zeros
         with self._use(request) as (publisher, created):
-            repeat, ended_by = Repeat(), ""
-            try:
-                yield from publisher.wait_match(created, wait_match_s)
-                with self._failsafes.in_force(request, partial(publisher.publish_last, final)):
+            message = publisher.outgoing(request.body[: len(request.body) - final_size])
+            repeat, velocity = Repeat(request), publisher.velocity
+            with self._velocities.hold(velocity, request):
+                try:
+                    yield from publisher.wait_match(created, wait_match_s)
+                    yield from publisher.wait_clock()
                     yield from repeat.run(publisher, message, rate_hz, duration_s)
-            except Cancelled as cancelled:
-                ended_by = cancelled.ended_by
-            finally:
-                request.task = None  # it ends now, and cannot be cancelled any more
-                elapsed_s = round(time.monotonic() - repeat.started, 6)
-                publisher.publish_last(final)
-            matched = publisher.matched()
-            yield from publisher.wait_acknowledged(FINAL_ACK_S)
+                except Cancelled as cancelled:
+                    ended_by = cancelled.ended_by
+                finally:
+                    request.task = None  # it ends now, and cannot be cancelled any more
+                    elapsed_s = round(time.monotonic() - repeat.started, 6)
+                    if velocity is not None:
+                        velocity.send_zero()
+                matched = publisher.matched()
+                yield from publisher.wait_acknowledged(FINAL_ACK_S)
         return {
             "sent": repeat.sent,
             "matched": matched,
             "elapsed_s": elapsed_s,
             "late": repeat.late,
-            "final_sent": bool(final),
+            "final_sent": velocity is not None,
             "ended_by": ended_by,
         }
 
     def failsafe(self, request: Request) -> Steps[protocol.Cancelled]:
-        """A message to publish at the end, unless the request is cancelled before."""
+        """The topic is driven, and gets its zero when the server is gone, unless the request is cancelled before.
+
+        With `now` it gets one at once, as of a robot that a former bridge has left moving.
+        """
         with self._use(request) as (publisher, _):
-            action = partial(publisher.publish_last, request.body)
-            return (yield from self._failsafes.until_cancelled(request, action))
+            velocity = publisher.velocity
+            if velocity is None:
+                problem = f"{request.text('type')} is no velocity command: it is not known what would stop it."
+                raise OperationError("bad_request", problem)
+            with self._velocities.hold(velocity, request):
+                if not velocity.commands:
+                    velocity.frame_id = request.text("frame", default=velocity.frame_id)
+                try:
+                    if request.flag("now"):
+                        yield from velocity.stop_whoever_comes()
+                    while True:
+                        yield HOLD_S
+                except Cancelled:
+                    return {"cancelled": True}
 
     def _use(self, request: Request) -> AbstractContextManager[tuple[Publisher, bool]]:
         """The pooled publisher that a request names: a context of it and whether it was created for it."""
         key = (request.text("topic"), request.text("type"), tuple(sorted(request.qos().items())))
-        return self.pool.use(key, lambda: Publisher(self._node, self._graph, request))
+        return self.pool.use(key, lambda: self._create(request=request))

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
 from . import qos
-from .failsafes import FailSafes
 from .graph import Graph
 from .loop import Loop
 from .protocol import RelayCounts, RelayEnd, RelayFeedReply, RelayReply, RelaysReply
@@ -20,6 +21,8 @@ from .request import Cancelled, OperationError, Request, Steps
 from .rhythm import Rhythm
 from .stream import Sample
 from .subscriptions import DEPTH_FOR_ALL, DRAIN_AT_MOST_S, DRAIN_PERIOD_S, LAST_DRAIN_S, RawSubscription
+from .velocities import Velocities
+from .velocity import VELOCITY_TYPES
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -78,25 +81,31 @@ class FollowedSource:
 
 
 class Relay:
-    """One relay with its entities and counts: `passed` messages were published, `dropped` held back by the rate."""
+    """One relay with its entities and counts: `passed` messages were published, `dropped` held back by the rate, and
+    `refused` are velocity commands that are not finite or cannot be decoded.
+    """
 
-    def __init__(self, node: Node, graph: Graph, loop: Loop, request: Request) -> None:
-        # A depth of 1 is acknowledged at once (see `Publisher`), which the final message needs; else a burst must fit.
-        self._awaits_first_ack = bool(request.body)
+    def __init__(
+        self, *, node: Node, graph: Graph, loop: Loop, create: Callable[..., Publisher], request: Request
+    ) -> None:
+        # A depth of 1 is acknowledged at once (see `Publisher`), which a zero needs; else a burst must fit.
+        self._awaits_first_ack = request.text("type") in VELOCITY_TYPES
         self._rhythm = Rhythm(request.rate()) if request.has("rate_hz") else None
         self._source = FollowedSource(node, graph, request) if request.has("source") else None
-        self._publisher = Publisher(node, graph, request, max_depth=1 if self._awaits_first_ack else DEPTH)
+        self.publisher = create(request=request, max_depth=1 if self._awaits_first_ack else DEPTH)
+        self._request = request
         self._loop = loop
         self._started = time.monotonic()
-        self._final = b""
-        self.is_running = False
+        self._has_begun = self.is_running = False
         self.passed = 0
         self.dropped = 0
+        self.refused = 0
 
-    def run(self, request: Request, duration_s: float) -> Steps[None]:
+    def run(self, duration_s: float) -> Steps[None]:
         """Steps that relay: first wait for the subscribers, so that they miss nothing."""
-        yield from self._publisher.wait_match(True, request.number("wait_match_s", 0.0))
-        self._final, self.is_running, self._started = request.body, True, time.monotonic()
+        yield from self.publisher.wait_match(True, self._request.number("wait_match_s", 0.0))
+        yield from self.publisher.wait_clock()
+        self._has_begun, self.is_running, self._started = True, True, time.monotonic()
         end = self._started + (duration_s or math.inf)
         while time.monotonic() < end:
             pause = self._relay_waiting()
@@ -104,10 +113,19 @@ class Relay:
             yield max(0.0, min(pause, end - time.monotonic()))
 
     def publish(self, data: bytes) -> None:
-        """Pass one message on, unless it has ended; afterwards `wait_first_ack`, before the next replaces it."""
-        if self.is_running:
-            self._publisher.publish(data)
-            self.passed += 1
+        """Pass one message on, unless it has ended; afterwards `wait_first_ack`, before the next replaces it.
+
+        Raises `Cancelled` if the relay is not to act any more.
+        """
+        if not self.is_running:
+            return
+        try:
+            message = self.publisher.outgoing(data)
+        except OperationError:
+            self.refused += 1
+            return
+        self.publisher.publish(message, self._request)
+        self.passed += 1
 
     def wait_first_ack(self) -> Steps[None]:
         """Steps until the first message is acknowledged, where there is no room for a second one beside it.
@@ -116,22 +134,20 @@ class Relay:
         """
         if self._awaits_first_ack and self.passed:
             self._awaits_first_ack = False
-            yield from self._publisher.wait_acknowledged(FIRST_ACK_S)
+            yield from self.publisher.wait_acknowledged(FIRST_ACK_S)
 
     def finish(self) -> Steps[RelayEnd]:
-        """Steps that pass on what has come, send the final message and wait for its acknowledgement; its counts."""
+        """Steps that pass on what has come, send the zero of a velocity and wait until it has arrived; its counts."""
         deadline = time.monotonic() + LAST_DRAIN_S
-        while self.is_running and self._relay_waiting() == 0.0 and time.monotonic() < deadline:
-            yield 0.0
-        counts = self.counts()
-        self.send_final()
-        yield from self._publisher.wait_acknowledged(LAST_ACK_S)
-        return {**counts, "final_sent": bool(self._final)}
-
-    def send_final(self) -> Publisher | None:
-        """Send the final message, if there is one and the relay has begun; nothing passes any more."""
+        with suppress(Cancelled):  # a stop, which lets nothing pass on
+            while self.is_running and self._relay_waiting() == 0.0 and time.monotonic() < deadline:
+                yield 0.0
+        counts, velocity = self.counts(), self.publisher.velocity
         self.is_running = False
-        return self._publisher.publish_last(self._final)
+        if velocity is not None and self._has_begun:
+            velocity.send_zero()
+        yield from self.publisher.wait_acknowledged(LAST_ACK_S)
+        return {**counts, "final_sent": velocity is not None and self._has_begun}
 
     def counts(self) -> RelayCounts:
         """What became of the messages so far."""
@@ -140,10 +156,10 @@ class Relay:
             "running": self.is_running,
             "passed": self.passed,
             "dropped": self.dropped,
-            "refused": 0,
+            "refused": self.refused,
             "lost": subscription.lost if subscription else 0,
             "publishers": subscription.publisher_count() if subscription else 0,
-            "matched": self._publisher.matched(),
+            "matched": self.publisher.matched(),
             "elapsed_s": round(time.monotonic() - self._started, 6),
         }
 
@@ -151,7 +167,7 @@ class Relay:
         """End it."""
         if self._source is not None:
             self._source.destroy()
-        self._publisher.destroy()
+        self.publisher.destroy()
 
     def _relay_waiting(self) -> float:
         """Relay what the middleware holds, from whoever publishes; returns when to come again, in seconds."""
@@ -178,21 +194,23 @@ class Relay:
 class Relays:
     """All relays of the bridge, by the names that the server gave them."""
 
-    def __init__(self, node: Node, graph: Graph, loop: Loop, failsafes: FailSafes) -> None:
-        self._create = partial(Relay, node, graph, loop)
-        self._failsafes = failsafes
+    def __init__(self, velocities: Velocities, create: Callable[..., Relay]) -> None:
+        self._velocities = velocities
+        self._create = create
         self._open: dict[str, Relay] = {}
 
     def relay(self, request: Request) -> Steps[RelayReply]:
-        """Relay until its time is over or the request is cancelled, then send the final message."""
+        """Relay until its time is over or the request is ended, then send the zero where it is a velocity."""
         name, duration_s, ended_by = request.text("name"), request.number("duration_s", 0.0), ""
         if name in self._open:
             raise OperationError("bad_request", f"There is a relay {name!r} already.")
-        relay = self._open[name] = self._create(request)
+        relay = self._open[name] = self._create(request=request)
         try:
-            with self._failsafes.in_force(request, relay.send_final):
+            if relay.publisher.velocity is not None:
+                relay.publisher.velocity.check_driven()
+            with self._velocities.hold(relay.publisher.velocity, request):
                 try:
-                    yield from relay.run(request, duration_s)
+                    yield from relay.run(duration_s)
                 except Cancelled as cancelled:
                     ended_by = cancelled.ended_by
                 finally:
@@ -209,6 +227,7 @@ class Relays:
         if relay is None or not relay.is_running:
             raise OperationError("not_found", f"There is no running relay {request.text('name')!r}.")
         for size in request.sizes("sizes"):
+            request.check_accepted()
             relay.publish(request.body[offset : offset + size])
             yield from relay.wait_first_ack()
             offset += size
@@ -217,6 +236,10 @@ class Relays:
     def counts(self, _request: Request) -> RelaysReply:
         """What became of the messages of every relay so far."""
         return {"relays": {name: relay.counts() for name, relay in self._open.items()}}
+
+    def publishers(self) -> list[Publisher]:
+        """Those through which messages may still be under way."""
+        return [relay.publisher for relay in self._open.values()]
 
     def clear(self) -> None:
         """End all."""

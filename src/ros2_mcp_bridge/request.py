@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, Union, cast
 from .limits import MAX_RATE_HZ
 
 if TYPE_CHECKING:
+    from .epoch import Acceptance
     from .protocol import EndedBy, ErrorKind, Failure
 
 T = TypeVar("T")
@@ -64,13 +65,15 @@ class Request:
     """A request: `id`, `op`, `body`, and arguments that raise `OperationError` of kind `bad_request` when wrong.
 
     `interface` is the Python class of the argument `type`, where there is one; `task` is what works on the request, as
-    long as it can be cancelled.
+    long as it can be cancelled. One that acts has an `acceptance`; `has_left` as soon as something of it was sent.
     """
 
     def __init__(self, header: Mapping[str, Any], body: bytes) -> None:
         self.id: int | None = header.get("id")
         self.op: str = header.get("op") or ""
         self.body = body
+        self.acceptance: Acceptance | None = None
+        self.has_left = False
         self.interface: Any = None
         self.task: Work | None = None
         self._header = header
@@ -87,12 +90,29 @@ class Request:
             task.throw(Cancelled(ended_by))
         return task is not None
 
+    def check_accepted(self) -> None:
+        """Raise `Cancelled` if a stop, or the end of the link lease, came after this request was accepted."""
+        if self.acceptance and (ended_by := self.acceptance.overtaken_by()):
+            raise Cancelled(ended_by)
+
+    def leave(self) -> None:
+        """The exit: called directly before anything of this request is handed to the middleware; raises `Cancelled`."""
+        try:
+            self.check_accepted()
+        except Cancelled as cancelled:
+            if self.acceptance and cancelled.ended_by == "stop":
+                self.acceptance.hold_back(self)
+            raise
+        self.has_left = True
+
     def has(self, name: str) -> bool:
         """Whether the argument is there and not null."""
         return self._header.get(name) is not None
 
-    def text(self, name: str) -> str:
-        """A required string that is not empty."""
+    def text(self, name: str, default: str | None = None) -> str:
+        """A string that is not empty; the default where it is absent, null or empty, an error if there is none."""
+        if default is not None and not self._header.get(name):
+            return default
         return self._required(name, "a string that is not empty", lambda value: value != "" and isinstance(value, str))
 
     def texts(self, name: str) -> list[str]:
@@ -104,6 +124,10 @@ class Request:
         if default is not None and not self.has(name):
             return default
         return self._required(name, "a number that is not negative", lambda value: _is_number(value) and value >= 0)
+
+    def flag(self, name: str) -> bool:
+        """Whether the argument is there and true."""
+        return self.has(name) and self._required(name, "true or false", lambda value: isinstance(value, bool))
 
     def rate(self) -> float:
         """The required `rate_hz`."""

@@ -7,7 +7,7 @@ import sys
 import threading
 import traceback
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from .limits import BATCH_BYTES, MAX_BODY_BYTES
@@ -32,10 +32,17 @@ def claim_standard_streams() -> tuple[int, int]:
     return incoming, outgoing
 
 
-def read_packets(descriptor: int) -> Iterator[Packet]:
-    """Yield every packet until the stream ends; raises `PacketError` when it breaks."""
+def read_packets(descriptor: int, wait_readable: Callable[[], None] = lambda: None) -> Iterator[Packet]:
+    """Yield every packet until the stream ends; raises `PacketError` when it breaks.
+
+    `wait_readable` is called before each read; it returns when something can be read.
+    """
     reader = PacketReader()
-    while piece := os.read(descriptor, READ_BYTES):
+    while True:
+        wait_readable()
+        piece = os.read(descriptor, READ_BYTES)
+        if not piece:
+            break
         yield from reader.feed(piece)
     if reader.is_inside_packet:
         raise PacketError("the stream ended inside a packet")

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from ros2_mcp_bridge.participants import ports_of
-from support.bridge_client import BEST_EFFORT, PATIENCE_S, RELIABLE, STRING, Client, cdr_string
+from support.bridge_client import BEST_EFFORT, PATIENCE_S, RELIABLE, STRING, TWIST, Client, cdr_command, cdr_string
 from support.standstill import undisturbed
 
 SET_BOOL = "std_srvs/srv/SetBool"
@@ -87,6 +87,7 @@ def publish(bridge: Client, text: str, **changed: Any) -> dict[str, Any]:
         "qos": RELIABLE,
         "wait_match_s": PATIENCE_S,
         "wait_ack_s": PATIENCE_S,
+        "epoch": 0,
         **changed,
     }
     return bridge.ok("publish", cdr_string(text), **arguments)
@@ -236,20 +237,20 @@ def test_a_publish_to_nobody_says_so(bridge: Client) -> None:
     assert 0.3 <= undisturbed(waited_s) < 0.6
 
 
-def test_repeated_publishing_keeps_its_rate_and_ends_with_the_final_message(bridge: Client, peer) -> None:
+def test_repeated_publishing_keeps_its_rate_and_ends_with_the_zero(bridge: Client, peer) -> None:
     """A subscriber that is held up gets the newest command, not those before it: the depth is 1."""
-    listener, stopped = peer("listen", "/said", "RELIABLE"), ["stop"]
+    listener, heard = peer("drive", "/driven"), ["0.0"]
+    driven(bridge)
 
     def repeated() -> tuple[dict[str, Any], int]:
-        nonlocal stopped
+        nonlocal heard
         answer = bridge.answer(repeat(bridge, rate_hz=100, duration_s=1))[0]["ok"]
-        heard = stopped
-        while heard == ["stop"]:  # it is sent twice
+        heard = heard[-1:]
+        while heard == ["0.0"]:  # it is sent twice
             heard = [line(listener)]
-        while heard[-1] != "stop":
+        while heard[-1] != "0.0":
             heard.append(line(listener))
-        stopped = heard[-1:]
-        return answer, heard.count("go")
+        return answer, heard.count("1.0")
 
     answer, count = undisturbed(repeated)
     assert answer["sent"] + answer["late"] == 100
@@ -259,7 +260,8 @@ def test_repeated_publishing_keeps_its_rate_and_ends_with_the_final_message(brid
 
 
 def test_a_cancelled_repeat_says_what_it_sent(bridge: Client, peer) -> None:
-    peer("listen", "/said", "RELIABLE")
+    peer("drive", "/driven")
+    driven(bridge)
     request = repeat(bridge, rate_hz=50, duration_s=60)
     while not bridge.ok("stats")["repeats"]:
         time.sleep(0.02)
@@ -271,15 +273,16 @@ def test_a_cancelled_repeat_says_what_it_sent(bridge: Client, peer) -> None:
 
 
 @pytest.mark.parametrize("ending", ["stdin ends", "SIGTERM", "broken frame"])
-def test_the_final_message_is_sent_whatever_ends_the_bridge(start, peer, ending: str) -> None:
+def test_the_zero_is_sent_whatever_ends_the_bridge(start, peer, ending: str) -> None:
     def seconds() -> float:
         bridge = Client(start("ros2_mcp_bridge"))
-        listener = peer("listen", "/said", "RELIABLE", knows=bridge)
+        listener = peer("drive", "/driven", knows=bridge)
+        driven(bridge)
         repeat(bridge, rate_hz=50, duration_s=60)
-        assert line(listener) == "go"
+        assert line(listener) == "1.0"
         took = leaves(bridge, ending)
-        while took < GIVES_UP_S and (text := line(listener)) != "stop":
-            assert text == "go"
+        while took < GIVES_UP_S and (text := line(listener)) != "0.0":
+            assert text == "1.0"
         listener.terminate()
         listener.wait(PATIENCE_S)
         return took
@@ -303,22 +306,21 @@ def leaves(bridge: Client, ending: str) -> float:
     return took
 
 
-def test_nothing_follows_the_final_message_of_a_relay_that_is_being_fed(bridge: Client, peer) -> None:
+def test_nothing_follows_the_zero_of_a_relay_that_is_being_fed(bridge: Client, peer) -> None:
     """Stopped while the first message of a feed waits for its acknowledgement, the others of that feed are not sent."""
-    listener = peer("listen", "/said", "RELIABLE")
-    wait_subscribers(bridge, 1)
+    listener = peer("drive", "/driven")
+    driven(bridge)
     numbers = itertools.count(1)
 
     def seconds() -> float:
         number = next(numbers)
         took = stopped_after(bridge, listener, number)
-        assert publish(bridge, f"end {number}")["acked"]
+        assert command(bridge, -number)["acked"]
         heard = [line(listener)]
-        while heard[-1] != f"end {number}":
+        while heard[-1] != f"{-float(number)}":
             heard.append(line(listener))
-        heard = [text.removesuffix(f" {number}") for text in heard if text.endswith(f" {number}")]
-        assert set(heard) <= {"go", "stop", "end"}
-        assert "go" not in heard[heard.index("stop") :] if "stop" in heard else "go" not in heard
+        go = f"{float(number)}"
+        assert go not in heard[heard.index("0.0") :] if "0.0" in heard else go not in heard
         return took
 
     assert undisturbed(seconds) < ACKNOWLEDGED_S
@@ -326,12 +328,12 @@ def test_nothing_follows_the_final_message_of_a_relay_that_is_being_fed(bridge: 
 
 def stopped_after(bridge: Client, listener: subprocess.Popen[bytes], number: int) -> float:
     """How long after its feed a relay was stopped, while its listener could not acknowledge what was fed first."""
-    relay = bridge.send("relay", cdr_string(f"stop {number}"), name="fed", topic="/said", type=STRING, qos=RELIABLE)
+    relay = bridge.send("relay", name="fed", topic="/driven", type=TWIST, qos=RELIABLE, epoch=0)
     while not bridge.ok("relays")["relays"].get("fed", {}).get("matched"):
         time.sleep(0.01)
     listener.send_signal(signal.SIGSTOP)
-    go, started = cdr_string(f"go {number}"), time.monotonic()
-    bridge.send("relay_feed", go * 3, name="fed", sizes=[len(go)] * 3)
+    go, started = cdr_command(TWIST, number), time.monotonic()
+    bridge.send("relay_feed", go * 3, name="fed", sizes=[len(go)] * 3, epoch=0)
     while not bridge.ok("relays")["relays"]["fed"]["passed"]:
         time.sleep(0.01)
     assert bridge.ok("relay_stop", name="fed")["relays"] == 1
@@ -343,25 +345,32 @@ def stopped_after(bridge: Client, listener: subprocess.Popen[bytes], number: int
     return took
 
 
-def test_a_will_that_is_withdrawn_is_answered_and_not_carried_out(bridge: Client, peer) -> None:
-    listener = peer("listen", "/said", "RELIABLE")
-    will = bridge.send("failsafe_publish", cdr_string("last"), topic="/said", type=STRING, qos=RELIABLE)
-    publish(bridge, "first")
-    bridge.ok("cancel", request=will)
-    assert bridge.answer(will)[0]["ok"] == {"cancelled": True}
-    publish(bridge, "second")
-    assert [line(listener), line(listener)] == ["first", "second"]
+def test_a_fail_safe_that_is_withdrawn_is_answered_and_not_carried_out(bridge: Client, peer) -> None:
+    listener = peer("drive", "/driven")
+    failsafe = driven(bridge)
+    command(bridge, 1)
+    command(bridge, 2)
+    bridge.ok("cancel", request=failsafe)
+    assert bridge.answer(failsafe)[0]["ok"] == {"cancelled": True}
+    assert [line(listener), line(listener)] == ["1.0", "2.0"]
     bridge.close()
     listener.terminate()
     assert listener.stdout
     assert listener.stdout.read() == b""
 
 
+def driven(bridge: Client, topic: str = "/driven") -> int:
+    return bridge.send("failsafe_publish", topic=topic, type=TWIST, qos=RELIABLE)
+
+
+def command(bridge: Client, speed: float) -> dict[str, Any]:
+    arguments = {"topic": "/driven", "type": TWIST, "qos": RELIABLE, "epoch": 0}
+    return bridge.ok("publish", cdr_command(TWIST, speed), wait_match_s=PATIENCE_S, wait_ack_s=PATIENCE_S, **arguments)
+
+
 def repeat(bridge: Client, **arguments: Any) -> int:
-    final = cdr_string("stop")
-    body = cdr_string("go") + final
-    arguments = {"qos": RELIABLE, "wait_match_s": PATIENCE_S, "final_size": len(final), **arguments}
-    return bridge.send("repeat", body, topic="/said", type=STRING, **arguments)
+    arguments = {"qos": RELIABLE, "wait_match_s": PATIENCE_S, "epoch": 0, **arguments}
+    return bridge.send("repeat", cdr_command(TWIST, 1), topic="/driven", type=TWIST, **arguments)
 
 
 def test_a_call_is_answered_with_the_bytes_of_the_response(bridge: Client, peer) -> None:

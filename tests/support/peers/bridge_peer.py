@@ -11,6 +11,7 @@ import sys
 import time
 
 import rclpy
+from geometry_msgs.msg import Twist
 from rclpy.action import ActionServer
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -41,6 +42,11 @@ def topics(node: Node, prefix: str, count: str) -> list[object]:
 def listen(node: Node, topic: str, reliability: str) -> object:
     """Print the text of every message."""
     return node.create_subscription(String, topic, lambda message: say(message.data), profile(reliability))
+
+
+def drive(node: Node, topic: str) -> object:
+    """Print how fast every velocity command wants to go."""
+    return node.create_subscription(Twist, topic, lambda message: say(message.linear.x), profile("RELIABLE"))
 
 
 def flood(node: Node, topic: str, reliability: str, rate_hz: str, count: str) -> object:

@@ -64,3 +64,17 @@ def test_clearing_destroys_all() -> None:
         pool.clear()
         assert destroyed == ["a"]
     assert len(pool) == 0
+
+
+def test_what_is_still_needed_is_kept_however_long_nobody_used_it() -> None:
+    destroyed, needed = list[str](), {"driven"}
+    pool = Pool[str, str](destroyed.append, limit=1, idle_s=0.0, keeps=needed.__contains__)
+    for key in ("driven", "other", "third"):
+        with pool.use(key, lambda key=key: key):
+            pass
+    time.sleep(0.01)
+    pool.expire()
+    assert destroyed == ["other", "third"]
+    needed.clear()
+    pool.expire()
+    assert destroyed == ["other", "third", "driven"]

@@ -1,0 +1,66 @@
+"""The stop epoch: what was accepted before the newest stop, or before the link lease lapsed, does not leave any more.
+
+The reading thread raises it as soon as it has read the packet, and the exits ask. So nothing overtakes a stop, however
+many requests wait before it. See docs/decisions/0021-stop-means-stop.md.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from .protocol import EndedBy
+
+
+class Overtaken(Protocol):
+    """A request that was held back: what it is, and its arguments."""
+
+    op: str
+
+    def text(self, name: str) -> str:
+        """One of its arguments."""
+        ...
+
+
+class StopEpoch:
+    """The newest epoch that was heard of, and how often the link lease has lapsed; only the reading thread changes it.
+
+    `overtaken` are the requests that an exit has held back because of a stop: the stop itself, which comes to the ROS
+    thread a little later, takes them over.
+    """
+
+    def __init__(self) -> None:
+        self.epoch = 0.0
+        self.lapses = 0
+        self.overtaken: list[Overtaken] = []
+
+    def raise_to(self, epoch: float) -> None:
+        """Stops that arrive late change nothing: the highest counts."""
+        self.epoch = max(self.epoch, epoch)
+
+    def lapse(self) -> None:
+        """The link lease has lapsed, or the stream has ended."""
+        self.lapses += 1
+
+    def accept(self, epoch: float) -> Acceptance:
+        """What a request that carries this epoch shows at the exits."""
+        return Acceptance(self, epoch)
+
+
+class Acceptance:
+    """When a request was accepted: in which epoch of the server, after how many lapses of the lease."""
+
+    def __init__(self, stops: StopEpoch, epoch: float) -> None:
+        self._stops = stops
+        self._epoch = epoch
+        self._lapses = stops.lapses
+
+    def overtaken_by(self) -> EndedBy:
+        """What came after it and keeps it from leaving; "" where nothing did."""
+        if self._epoch < self._stops.epoch:
+            return "stop"
+        return "lease" if self._lapses != self._stops.lapses else ""
+
+    def hold_back(self, request: Overtaken) -> None:
+        """Let the stop know of a request that an exit has held back."""
+        self._stops.overtaken.append(request)

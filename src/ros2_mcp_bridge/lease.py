@@ -1,0 +1,81 @@
+"""The link lease: how long the bridge goes on without a sign of its server."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Callable
+
+# A machine that slept is noticed this soon after it went on. Chosen: ten looks a second cost nothing that is measured.
+LOOK_EVERY_S = 0.1
+# Two clocks are compared only if they were read at once; otherwise this thread's own lateness would look like sleep.
+READ_AT_ONCE_S = 0.01
+
+
+def _slept_s() -> float:
+    """How long this machine has slept since it was started: the steady clock stands still meanwhile."""
+    boot_time = getattr(time, "CLOCK_BOOTTIME", None)
+    while boot_time is not None:
+        before = time.monotonic()
+        slept_s = time.clock_gettime(boot_time) - before
+        if time.monotonic() - before < READ_AT_ONCE_S:
+            return slept_s
+    return 0.0
+
+
+class LinkLease:
+    """Waits for the server's bytes, on the reading thread, and says when they have not come for too long.
+
+    Only the kernel knows whether the server was silent: bytes that wait unread, because this process was late, are a
+    sign of life. There is no lease before the server has named its length, and none between its lapse and a new ping.
+    """
+
+    def __init__(
+        self,
+        descriptor: int,
+        lapsed: Callable[[float], None],
+        *,
+        now: Callable[[], float] = time.monotonic,
+        slept_s: Callable[[], float] = _slept_s,
+    ) -> None:
+        self._poll = select.poll()
+        self._poll.register(descriptor, select.POLLIN)
+        self._lapsed = lapsed
+        self._now = now
+        self._slept_s = slept_s
+        self._lease_s = 0.0
+        self._heard_at = now()
+        self._slept_before_s = slept_s()
+        self._is_in_force = False
+
+    def renew(self, lease_s: float) -> None:
+        """The server pinged: from now on its bytes have to come within this time, one after the other."""
+        if not self._is_in_force:
+            self._slept_before_s = self._slept_s()
+        self._lease_s = lease_s
+        self._is_in_force = lease_s > 0
+
+    def wait_readable(self) -> None:
+        """Returns when bytes of the server, or the end of its stream, can be read; tells once if the lease lapses."""
+        while True:
+            left_s = self._heard_at + self._lease_s - self._now()
+            is_readable = self._has_bytes(min(max(left_s, 0.0), LOOK_EVERY_S) if self._is_in_force else None)
+            now = self._now()
+            if self._is_in_force:
+                self._check(now, is_readable)
+            if is_readable:
+                self._heard_at = now
+                return
+
+    def _check(self, now: float, is_readable: bool) -> None:
+        """Let it lapse if it is time to; a look at the bytes after `now` was taken tells whether they were missing."""
+        slept_s = self._slept_s()
+        asleep_s, self._slept_before_s = slept_s - self._slept_before_s, slept_s
+        silent_s = now - self._heard_at
+        is_silent = silent_s > self._lease_s and not is_readable and not self._has_bytes(0.0)
+        if is_silent or asleep_s > self._lease_s:
+            self._is_in_force = False
+            self._lapsed(silent_s + max(0.0, asleep_s))
+
+    def _has_bytes(self, wait_s: float | None) -> bool:
+        return bool(self._poll.poll(None if wait_s is None else wait_s * 1000))

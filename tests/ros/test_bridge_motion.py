@@ -1,0 +1,343 @@
+"""What the bridge promises of motion: stop means stop, zeros are whole, silence ends what moves. Judged by an observer
+in another process, with several subscribers on a topic.
+"""
+
+from __future__ import annotations
+
+import itertools
+import signal
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from ros2_mcp_bridge.limits import MAX_FAILSAFES
+from support.agent import FULL, until
+from support.bridge_client import PATIENCE_S, RELIABLE, Client, cdr_command
+from support.observer import ACKERMANN_STAMPED, STAMPED, TWIST, TWIST_STAMPED, VELOCITY_TYPES, Observer, with_ackermann
+
+ROUNDS = 200 if FULL else 5
+LEASE_S = 0.5
+ON_TIME_S = 0.1
+"""A zero is on the wire so long after a lease; a stamp is no further from now."""
+SET_BOOL = "std_srvs/srv/SetBool"
+TRUE = b"\0\1\0\0\1"
+WAITS = {"wait_match_s": PATIENCE_S, "wait_ack_s": PATIENCE_S}
+_numbers = itertools.count(1)
+
+
+@pytest.fixture(scope="module")
+def environment(ros_environment: dict[str, str]) -> dict[str, str]:
+    return with_ackermann(ros_environment)
+
+
+@pytest.fixture
+def observer(environment: dict[str, str]) -> Iterator[Observer]:
+    observer = Observer(environment)
+    yield observer
+    observer.kill()
+
+
+@pytest.fixture
+def topic() -> str:
+    """Each test has its own: what was discovered of another's is none of its business."""
+    return f"/driven_{next(_numbers)}"
+
+
+@pytest.fixture
+def begin(start, environment):
+    """Start a bridge that can speak with an observer."""
+    return lambda: Client(start("ros2_mcp_bridge", env=environment))
+
+
+def drive(bridge: Client, topic: str, kind: str = TWIST, **arguments: Any) -> int:
+    return bridge.send("failsafe_publish", topic=topic, type=kind, qos=RELIABLE, **arguments)
+
+
+def command(topic: str, kind: str = TWIST, epoch: int = 0, **arguments: Any) -> dict[str, Any]:
+    return {"topic": topic, "type": kind, "qos": RELIABLE, "epoch": epoch, **arguments}
+
+
+def repeat(bridge: Client, topic: str, kind: str = TWIST, **arguments: Any) -> int:
+    lasts = {"rate_hz": 100, "duration_s": 60, "wait_match_s": PATIENCE_S, **arguments}
+    return bridge.send("repeat", cdr_command(kind, 0.5), **command(topic, kind, **lasts))
+
+
+def matched(bridge: Client, topic: str, count: int = 4) -> None:
+    bridge.ok("wait_endpoints", topic=topic, publishers=0, subscribers=count, timeout_s=PATIENCE_S)
+
+
+def test_nothing_that_was_accepted_before_a_stop_leaves_after_its_answer(begin, observer: Observer, topic: str) -> None:
+    bridge = begin()
+    observer.watch(topic)
+    matched(bridge, topic)
+    drive(bridge, topic)
+    for epoch in range(ROUNDS):
+        acts = {"type": TWIST, "qos": RELIABLE, "epoch": epoch}
+        later = f"{topic}_later_{epoch}"
+        repeating = repeat(bridge, topic, rate_hz=1000, epoch=epoch)
+        feeding = bridge.send("relay", name=f"fed {epoch}", topic=topic, **acts)
+        while not bridge.ok("relays")["relays"].get(f"fed {epoch}", {}).get("running"):
+            time.sleep(0.005)
+        drive(bridge, later)
+        waiting = [
+            bridge.send("publish", cdr_command(TWIST, 1.0), topic=later, wait_match_s=3600, **acts),
+            bridge.send("call", TRUE, service=later, type=SET_BOOL, wait_s=3600, timeout_s=1, epoch=epoch),
+        ]
+        bridge.ok("stats")
+        go = cdr_command(TWIST, 2.0)
+        flying = [bridge.send("publish", go, topic=topic, wait_match_s=0, wait_ack_s=1, **acts) for _ in range(50)] + [
+            bridge.send("relay_feed", go * 20, name=f"fed {epoch}", sizes=[len(go)] * 20, epoch=epoch)
+        ]
+        told = bridge.ok("stop", epoch=epoch + 1, wait_match_s=0.2, wait_ack_s=1.0)
+        answered = time.monotonic_ns()
+        observer.serve(service=later, kind=SET_BOOL)
+        observer.join(by=later, topic=later, kind=TWIST)
+        until(lambda later=later: observer.matched(by=later) >= 1)
+        assert (told["repeats"], told["relays"]) == (1, 1)
+        assert [["publish", later], ["call", later]] == [row for row in told["dropped"] if row[1] == later]
+        assert next(row for row in told["topics"] if row["topic"] == topic)["acked"]
+        assert [bridge.answer(one)[0]["error"]["kind"] for one in waiting] == ["stopped"] * 2
+        assert bridge.answer(repeating)[0]["ok"]["ended_by"] == "stop"
+        assert bridge.answer(feeding)[0]["ok"]["ended_by"] == "stop"
+        for one in flying:
+            answer = bridge.answer(one)[0]
+            assert "ok" in answer or answer["error"]["kind"] == "stopped"
+        assert bridge.error("publish", go, topic=topic, **acts)["kind"] == "stopped"
+        assert bridge.ok("ping", epoch=0)  # an old epoch changes nothing
+        assert bridge.error("publish", go, topic=topic, **acts)["kind"] == "stopped"
+        assert observer.comes_to_rest(topic, within_s=1.0) == []
+        assert observer.moved(sent_after=answered) == []
+        assert observer.asked(service=later) == []
+        bridge.send("cancel", request=waiting[0] - 1)  # the fail-safe of the other topic
+        observer.forget()
+        observer.leave(by=later)
+
+
+def test_a_call_that_was_sent_stays_open_for_its_answer(begin, observer: Observer, topic: str) -> None:
+    bridge = begin()
+    observer.serve(service=topic, kind=SET_BOOL, delay_s=0.5)
+    request = bridge.send("call", TRUE, service=topic, type=SET_BOOL, wait_s=PATIENCE_S, timeout_s=PATIENCE_S, epoch=0)
+    until(lambda: observer.asked(service=topic))
+    assert bridge.ok("stop", epoch=1)["dropped"] == []
+    assert "ok" in bridge.answer(request)[0]
+
+
+def test_calls_that_wait_for_their_turn_are_not_sent_after_a_stop(begin, observer: Observer, topic: str) -> None:
+    bridge = begin()
+    observer.serve(service=topic, kind=SET_BOOL, delay_s=0.3)
+    asks = {"service": topic, "type": SET_BOOL, "wait_s": PATIENCE_S, "timeout_s": PATIENCE_S, "epoch": 0}
+    requests = [bridge.send("call", TRUE, **asks) for _ in range(30)]
+    until(lambda: observer.asked(service=topic))
+    told = bridge.ok("stop", epoch=1)
+    answers = [bridge.answer(request)[0] for request in requests]
+    stopped = [answer for answer in answers if "error" in answer]
+    assert {answer["error"]["kind"] for answer in stopped} == {"stopped"}
+    assert len(told["dropped"]) == len(stopped) > 0
+    assert len(observer.asked(service=topic)) == len(requests) - len(stopped)
+
+
+@pytest.mark.parametrize("kind", STAMPED)
+def test_a_command_is_stamped_now_and_its_zero_keeps_its_frame(
+    begin, observer: Observer, topic: str, kind: str
+) -> None:
+    bridge = begin()
+    observer.watch(topic, kind)
+    matched(bridge, topic)
+    drive(bridge, topic, kind, frame="odd")
+    assert bridge.ok("zero", topics=[topic], **WAITS)["topics"][0]["acked"]
+    assert {one["frame"] for one in observer.messages(topic=topic)} == {"odd"}
+    observer.forget()
+    future = cdr_command(kind, 0.5, stamp_s=2_000_000_000, frame_id="base_link")
+    bridge.ok("publish", future, **command(topic, kind), **WAITS)
+    lasting = bridge.send("repeat", future, **command(topic, kind, rate_hz=50, duration_s=0.5))
+    assert bridge.answer(lasting)[0]["ok"]["final_sent"]
+    assert observer.comes_to_rest(topic, within_s=1.0) == []
+    assert observer.misstamped(most_s=ON_TIME_S) == []
+    assert {one["frame"] for one in observer.messages(topic=topic)} == {"base_link"}
+    assert [header["frame_id"] for header, _ in bridge.samples if header["event"] == "frame"] == ["base_link"]
+
+
+@pytest.mark.parametrize("factor", [0.1, 5.0])
+def test_now_is_simulated_time_where_the_subscriber_uses_it(
+    begin, observer: Observer, topic: str, factor: float
+) -> None:
+    bridge = begin()
+    observer.clock(factor=factor)
+    for by, best_effort in (("near", False), ("apart", True)):
+        observer.join(
+            by=by, topic=topic, kind=TWIST_STAMPED, sim_time=True, apart=by == "apart", best_effort=best_effort
+        )
+    matched(bridge, topic, 2)
+    drive(bridge, topic, TWIST_STAMPED)
+    body = cdr_command(TWIST_STAMPED, 0.5, stamp_s=5, frame_id="base_link")
+    bridge.ok("publish", body, **command(topic, TWIST_STAMPED), **WAITS)
+    lasting = bridge.send("repeat", body, **command(topic, TWIST_STAMPED, rate_hz=50, duration_s=1.0))
+    bridge.answer(lasting)
+    assert observer.comes_to_rest(topic, within_s=1.0) == []
+    assert observer.counts(topic=topic)["near"] > 40
+    assert observer.misstamped(most_s=ON_TIME_S * max(1.0, factor)) == []
+    assert all(1000 <= one["stamp"] / 1e9 < 2000 for one in observer.messages(topic=topic))
+
+
+def test_a_simulated_clock_that_was_never_heard_is_0_and_a_real_one_beside_it_is_left_alone(
+    begin, observer: Observer, topic: str
+) -> None:
+    bridge = begin()
+    observer.join(by="simulated", topic=topic, kind=TWIST_STAMPED, sim_time=True)
+    observer.join(by="real", topic=f"{topic}_real", kind=TWIST_STAMPED)
+    for name in (topic, f"{topic}_real"):
+        matched(bridge, name, 1)
+        drive(bridge, name, TWIST_STAMPED)
+        bridge.ok("publish", cdr_command(TWIST_STAMPED, 0.5), **command(name, TWIST_STAMPED), **WAITS)
+    until(lambda: len(observer.messages()) == 2)
+    assert [one["stamp"] for one in observer.messages(topic=topic)] == [0]
+    assert observer.misstamped(most_s=ON_TIME_S) == []
+
+
+@pytest.mark.parametrize("kind", VELOCITY_TYPES)
+def test_what_is_not_finite_leaves_on_no_way(begin, observer: Observer, topic: str, kind: str) -> None:
+    bridge, source = begin(), f"{topic}_source"
+    observer.watch(topic, kind)
+    observer.offer(topic=source, kind=kind)
+    matched(bridge, topic)
+    drive(bridge, topic, kind)
+    bad = [cdr_command(kind, number) for number in (float("nan"), float("inf"), float("-inf"))]
+    bad += [cdr_command(kind, 0.5)[:-1], b"", b"\0\1\0\0"]
+    for body in bad:
+        refused = bridge.error("publish", body, **command(topic, kind))
+        assert refused["kind"] == "bad_request"
+        refused = bridge.error("repeat", body, **command(topic, kind, rate_hz=10, duration_s=1))
+        assert refused["kind"] == "bad_request"
+    relaying = bridge.send("relay", name="relayed", source=source, **command(topic, kind))
+    feeding = bridge.send("relay", name="fed", **command(topic, kind))
+    until(lambda: observer.listeners(topic=source) == 1)
+    until(lambda: all(row["running"] for row in bridge.ok("relays")["relays"].values()))
+    good, whole = cdr_command(kind, 0.5), [*bad[:4], cdr_command(kind, 0.5)]  # DDS fills the shorter one up again
+    observer.say(topic=source, kind=kind, bodies=[body.hex() for body in whole], gap_s=0.02)
+    fed = [*bad, good + b"\xff" * 8]
+    bridge.ok("relay_feed", b"".join(fed), name="fed", sizes=list(map(len, fed)), epoch=0)
+    until(lambda: bridge.ok("relays")["relays"]["relayed"]["passed"] == 2)
+    for request, name, counts in ((relaying, "relayed", (2, 3)), (feeding, "fed", (1, 6))):
+        bridge.ok("relay_stop", name=name)
+        told = bridge.answer(request)[0]["ok"]
+        assert (told["passed"], told["refused"]) == counts and told["final_sent"]
+    assert observer.comes_to_rest(topic, within_s=1.0) == []
+    assert observer.unsound(topic=topic) == []
+    sizes = {one["size"] for one in observer.messages(topic=topic)}
+    assert max(sizes) <= len(good)
+
+
+def test_a_silent_server_ends_what_moves_and_the_bridge_lives_on(begin, observer: Observer, topic: str) -> None:
+    bridge = begin()
+    observer.watch(topic, ACKERMANN_STAMPED)
+    observer.serve(service=f"{topic}_cancel", kind=SET_BOOL)
+    matched(bridge, topic)
+    for name in (topic, f"{topic}_later"):
+        drive(bridge, name, ACKERMANN_STAMPED)
+    bridge.send("failsafe_call", TRUE, service=f"{topic}_cancel", type=SET_BOOL, epoch=0)
+    bridge.answer(bridge.send("call", TRUE, service=f"{topic}_cancel", type=SET_BOOL, wait_s=PATIENCE_S, timeout_s=5))
+
+    def silent() -> int:
+        """Drive and fall silent: when the last packet was sent."""
+        before = bridge.samples.copy()
+        repeating = repeat(bridge, topic, ACKERMANN_STAMPED)
+        body = cdr_command(ACKERMANN_STAMPED, 0.5)
+        waiting = bridge.send("publish", body, **command(f"{topic}_later", ACKERMANN_STAMPED, wait_match_s=3600))
+        observer.until_driven(topic, 10, 4)
+        since = time.monotonic_ns()
+        bridge.ok("ping", lease_s=LEASE_S, epoch=0)
+        assert bridge.answer(repeating)[0]["ok"]["ended_by"] == "lease"
+        assert bridge.answer(waiting)[0]["error"]["kind"] == "stopped"
+        new = [header for header, _ in bridge.samples[len(before) :] if header["event"] == "lapsed"]
+        assert [round(header["silent_s"], 1) for header in new] == [LEASE_S]
+        return since
+
+    for count in (2, 1):
+        since = silent()
+        assert observer.comes_to_rest(topic, within_s=1.0) == []
+        moved = observer.moved(sent_after=since + int((LEASE_S + ON_TIME_S) * 1e9), topic=topic)
+        assert moved == []
+        zeros = [one for one in observer.messages(topic=topic) if not any(one["values"])]
+        assert min(one["sent"] for one in zeros) - since <= (LEASE_S + ON_TIME_S) * 1e9
+        assert len(observer.asked(service=f"{topic}_cancel")) == count
+        observer.forget()
+    assert bridge.ok("ping", lease_s=0, epoch=0)
+
+
+def test_a_stopped_server_that_goes_on_finds_the_bridge_as_it_was(begin, observer: Observer, topic: str) -> None:
+    bridge = begin()
+    observer.watch(topic)
+    matched(bridge, topic)
+    drive(bridge, topic)
+    bridge.ok("ping", lease_s=0.2, epoch=0)
+    time.sleep(0.5)
+    assert bridge.ok("publish", cdr_command(TWIST, 0.5), **command(topic), **WAITS)["acked"]
+    observer.until_driven(topic)
+
+
+def test_the_successor_of_a_killed_bridge_stops_whoever_it_discovers(begin, observer: Observer, topic: str) -> None:
+    for _ in range(ROUNDS):
+        bridge = begin()
+        names = observer.watch(topic, TWIST_STAMPED)
+        matched(bridge, topic)
+        drive(bridge, topic, TWIST_STAMPED)
+        body = cdr_command(TWIST_STAMPED, 0.5, frame_id="base_link")
+        bridge.send("repeat", body, **command(topic, TWIST_STAMPED, rate_hz=100, duration_s=60, wait_match_s=20))
+        observer.until_driven(topic, 5, len(names))
+        bridge.process.send_signal(signal.SIGKILL)
+        bridge.process.wait(PATIENCE_S)
+        successor = begin()
+        drive(successor, topic, TWIST_STAMPED, frame="base_link", now=True)
+        assert observer.comes_to_rest(topic, within_s=10.0) == []
+        assert {one["frame"] for one in observer.last(topic=topic).values()} == {"base_link"}
+        assert observer.misstamped(most_s=ON_TIME_S) == []
+        for name in names:
+            observer.leave(by=name)
+        observer.forget()
+        successor.close()
+
+
+def test_a_zero_of_a_successor_does_not_stop_what_is_commanded_anew(begin, observer: Observer, topic: str) -> None:
+    bridge = begin()
+    drive(bridge, topic, now=True)
+    bridge.ok("publish", cdr_command(TWIST, 0.5), **command(topic))
+    observer.watch(topic)
+    matched(bridge, topic)
+    bridge.ok("publish", cdr_command(TWIST, 0.5), **command(topic), **WAITS)
+    observer.until_driven(topic)
+    observer.join(by="later", topic=topic, kind=TWIST)
+    until(lambda: observer.matched(by="later") == 1)
+    bridge.ok("publish", cdr_command(TWIST, 0.7), **command(topic), **WAITS)
+    until(lambda: observer.driven(topic=topic)["later"] == 1)
+    assert [one for one in observer.messages(topic=topic) if not any(one["values"])] == []
+
+
+def test_publishers_of_every_quality_send_the_zero(begin, observer: Observer, topic: str) -> None:
+    """A reliable subscriber gets nothing of the fail-safe's publisher, if that is best effort."""
+    bridge = begin()
+    observer.watch(topic)
+    matched(bridge, topic)
+    bridge.send("failsafe_publish", topic=topic, type=TWIST, qos={**RELIABLE, "reliability": "best_effort"})
+    bridge.ok("publish", cdr_command(TWIST, 0.5), **command(topic), **WAITS)
+    observer.until_driven(topic)
+    assert bridge.ok("stop", epoch=1, **WAITS)["topics"][0]["acked"]
+    assert observer.comes_to_rest(topic, within_s=1.0) == []
+
+
+def test_one_topic_more_than_there_are_fail_safes_is_refused_and_takes_none_away(begin, topic: str) -> None:
+    bridge = begin()
+    open_requests = [drive(bridge, f"{topic}_{number}") for number in range(MAX_FAILSAFES)]
+    refused = bridge.error("failsafe_publish", topic=f"{topic}_more", type=TWIST, qos=RELIABLE)
+    assert refused["kind"] == "bad_request" and str(MAX_FAILSAFES) in refused["message"]
+    assert bridge.error("publish", cdr_command(TWIST, 0.5), **command(f"{topic}_more"))["kind"] == "bad_request"
+    assert len(bridge.ok("stop", epoch=1)["topics"]) == MAX_FAILSAFES
+    bridge.ok("cancel", request=open_requests[0])
+    drive(bridge, f"{topic}_more")
+    assert bridge.ok("publish", cdr_command(TWIST, 0.5), **command(f"{topic}_more", epoch=1))
+
+
+def test_a_type_of_which_nobody_knows_what_stops_it_has_no_fail_safe(begin, topic: str) -> None:
+    refused = begin().error("failsafe_publish", topic=topic, type="std_msgs/msg/String", qos=RELIABLE)
+    assert refused["kind"] == "bad_request" and "std_msgs/msg/String" in refused["message"]

@@ -1,0 +1,60 @@
+"""What was accepted before a stop, or before a link lease lapsed, does not leave any more."""
+
+from __future__ import annotations
+
+import pytest
+
+from ros2_mcp_bridge.epoch import StopEpoch
+from ros2_mcp_bridge.request import Cancelled, Request
+
+
+def accepted(stops: StopEpoch, epoch: float) -> Request:
+    request = Request({"id": 1, "op": "publish", "topic": "/said"}, b"")
+    request.acceptance = stops.accept(epoch)
+    return request
+
+
+def test_the_highest_epoch_counts() -> None:
+    stops = StopEpoch()
+    stops.raise_to(3)
+    stops.raise_to(2)
+    assert (accepted(stops, 2).acceptance or pytest.fail()).overtaken_by() == "stop"
+    assert (accepted(stops, 3).acceptance or pytest.fail()).overtaken_by() == ""
+
+
+def test_a_request_of_before_the_stop_is_held_back_and_the_stop_learns_of_it() -> None:
+    stops = StopEpoch()
+    before = accepted(stops, 0)
+    stops.raise_to(1)
+    with pytest.raises(Cancelled) as held_back:
+        before.leave()
+    assert (held_back.value.kind, held_back.value.ended_by) == ("stopped", "stop")
+    assert not before.has_left
+    assert stops.overtaken == [before]
+
+
+def test_a_request_of_after_the_stop_leaves() -> None:
+    stops = StopEpoch()
+    stops.raise_to(1)
+    after = accepted(stops, 1)
+    after.leave()
+    assert after.has_left
+
+
+def test_a_request_of_before_a_lapse_is_held_back_and_one_of_after_it_leaves() -> None:
+    stops = StopEpoch()
+    before = accepted(stops, 0)
+    stops.lapse()
+    with pytest.raises(Cancelled) as held_back:
+        before.leave()
+    assert (held_back.value.kind, held_back.value.ended_by) == ("stopped", "lease")
+    assert stops.overtaken == []
+    accepted(stops, 0).leave()
+
+
+def test_a_request_that_only_reads_is_never_held_back() -> None:
+    stops = StopEpoch()
+    reading = Request({"id": 1, "op": "call"}, b"")
+    stops.raise_to(1)
+    stops.lapse()
+    reading.leave()
