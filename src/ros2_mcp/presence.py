@@ -31,14 +31,15 @@ _TCP_INFO_BYTES = 60
 _SINCE_HEARD = struct.Struct("=52xII")
 """Of `struct tcp_info` of linux/tcp.h: `tcpi_last_data_recv` and `tcpi_last_ack_recv`, ms ago."""
 
-Address = tuple[str, int]
+Ends = tuple[tuple[Any, ...], tuple[Any, ...]]
+"""The addresses of the client and of the server."""
 
 
 class Connections:
     """The connections of all clients, by the addresses of both ends, as far as the kernel tells of them."""
 
     def __init__(self) -> None:
-        self._sockets: dict[tuple[Address, Address], Any] = {}
+        self._sockets: dict[Ends, Any] = {}
 
     def protocol(self) -> type[asyncio.Protocol]:
         """The class of uvicorn's that speaks HTTP, which notes each connection here while it is open."""
@@ -46,9 +47,8 @@ class Connections:
 
         class NotedProtocol(AutoHTTPProtocol):
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
-                connection = transport.get_extra_info("socket")
-                self._ends = _ends(connection.getpeername(), connection.getsockname())
-                sockets[self._ends] = connection
+                self._ends = _ends(transport.get_extra_info("peername"), transport.get_extra_info("sockname"))
+                sockets[self._ends] = transport.get_extra_info("socket")
                 super().connection_made(transport)
 
             def connection_lost(self, exc: Exception | None) -> None:
@@ -61,16 +61,17 @@ class Connections:
         """When the client of a request last acknowledged or sent anything (monotonic, s); now, if nobody can tell."""
         if sys.platform != "linux":
             return monotonic()
-        connection = self._sockets.get(_ends(scope["client"], scope["server"]))
-        if connection is None:
+        try:
+            connection = self._sockets[_ends(scope["client"], scope["server"])]
+            info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO_BYTES)
+        except (KeyError, OSError):
             return 0.0  # it is closed
-        info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO_BYTES)
         return monotonic() - min(_SINCE_HEARD.unpack(info)) / 1000
 
 
-def _ends(client: Any, server: Any) -> tuple[Address, Address]:
-    """The first two parts of each address: those of IPv6 have four."""
-    return (client[0], client[1]), (server[0], server[1])
+def _ends(client: Any, server: Any) -> Ends:
+    """The first two parts of each address: IPv6 has four, and a connection that was reset at once has none."""
+    return tuple(client or ())[:2], tuple(server or ())[:2]
 
 
 class Presence:
@@ -140,7 +141,12 @@ class _Response:
             await self._send(message)
 
     async def show_alive(self) -> None:
-        """Sends a comment. A response that has not begun becomes an event stream: its client takes both kinds."""
+        """Sends a comment, unless something else waits to be sent, which its client has to acknowledge as well.
+
+        A response that has not begun becomes an event stream: its client takes both kinds.
+        """
+        if self._sending.locked():
+            return
         async with self._sending:
             if self.is_open and not self._has_begun:
                 self._has_begun = self._is_ours = True

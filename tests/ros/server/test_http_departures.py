@@ -8,15 +8,20 @@ from __future__ import annotations
 import itertools
 import os
 import signal
+import struct
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.bags.writer import BagWriter
+from ros2_mcp.model.samples import Sample
 from support.agent import FULL, until
 from support.commanded import CommandedProcess
 from support.networks import Network, NotPermitted, network
@@ -35,6 +40,7 @@ STILL_S = 0.3
 """How long nothing may move afterwards: several periods of what drove."""
 ARRIVES_S = 0.05
 """Between a zero's publishing and the observer's time for it, on a busy machine."""
+RECORDED = "/recorded/cmd_vel"
 MOVING = {"linear": {"x": 0.5}}
 _numbers = itertools.count(1)
 
@@ -51,22 +57,37 @@ class Field:
 
 
 @pytest.fixture(scope="module")
-def field(ros_environment: dict[str, str]) -> Iterator[Field]:
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the bag `drive`: ten seconds of a velocity."""
+    folder = tmp_path_factory.mktemp("bags")
+    (folder / "drive").mkdir()
+    writer = BagWriter(folder / "drive", "drive")
+    writer.add_topic(StoredTopic(RECORDED, TWIST, None, "ros2msg", ""))
+    for number in range(200):
+        at_ns = 1_700_000_000_000_000_000 + number * 50_000_000
+        writer.write(RECORDED, Sample(at_ns, at_ns, None, b"\0\1\0\0" + struct.pack("<6d", 0.5, 0, 0, 0, 0, 0)))
+    writer.close()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def field(ros_environment: dict[str, str], bags: Path) -> Iterator[Field]:
     """Two servers, which serve three transports, and the observer."""
     try:
         with network() as two:
-            yield from _field(ros_environment, two.host, two)
+            yield from _field(ros_environment, bags, two.host, two)
     except NotPermitted:
-        yield from _field(ros_environment, "127.0.0.1", None)
+        yield from _field(ros_environment, bags, "127.0.0.1", None)
 
 
-def _field(environment: dict[str, str], host: str, two: Network | None) -> Iterator[Field]:
+def _field(environment: dict[str, str], bags: Path, host: str, two: Network | None) -> Iterator[Field]:
     with ExitStack() as stack:
         observer = stack.enter_context(observing(environment))
         observer.talk(topic="/talk", kind=TWIST, hz=20)
         ports: dict[str, int] = {}
+        options = ("--tools", "all", "--record-dir", str(bags))
         for transport, served in (("streamable-http", ("handshake", "modern")), ("sse", ("sse",))):
-            port, _ = stack.enter_context(listening(environment, transport, "--tools", "all", host=host))
+            port, _ = stack.enter_context(listening(environment, transport, *options, host=host))
             ports |= dict.fromkeys(served, port)
         yield Field(observer, ports, host, two, environment)
 
@@ -108,8 +129,12 @@ class Driver:
             observer.join(by=f"{self.name} {by}", topic=self.topic, kind=TWIST, best_effort=best_effort)
         if self.motion == "relay":
             ends = {"source_topic": "/talk", "destination_topic": self.topic, "message_type": TWIST}
-            relayed = self._called("ros2_relay_start", {**ends, "duration_sec": 0})
-            assert not relayed.get("isError"), relayed
+            begun = self._called("ros2_relay_start", {**ends, "duration_sec": 0})
+            assert not begun.get("isError"), begun
+        elif self.motion == "playback":
+            played = {"bag": "drive", "remaps": {RECORDED: self.topic}, "force": True, "loop": True, "wait_sec": 0}
+            begun = self._called("ros2_bag_play", played)
+            assert not begun.get("isError"), begun
         else:
             repeat = {"topic_name": self.topic, "message_type": TWIST, "data": MOVING, "frequency": 20, "duration": 60}
             self.clients.begin(name=self.name, tool="ros2_topic_publish", arguments=repeat)
@@ -158,7 +183,7 @@ def test_a_client_that_closes_leaves_nothing_moving(
 
     taken: list[float] = []
     for number in range(ROUNDS):
-        motion = MOTIONS[number % 3]
+        motion = MOTIONS[number % len(MOTIONS)]
         taken.append(undisturbed(lambda motion=motion: seconds(motion)))
         assert taken[-1] <= CLOSED_S + ARRIVES_S, motion
     told(f"{transport} {way}", taken)
@@ -190,7 +215,7 @@ def test_a_client_that_vanishes_with_its_network_leaves_nothing_moving(field: Fi
     two = field.network
 
     def seconds() -> dict[str, float]:
-        drivers = driving(field, clients, lambda number: MOTIONS[number % 3])
+        drivers = driving(field, clients, lambda number: MOTIONS[number % len(MOTIONS)])
         went = time.monotonic_ns()
         two.set_link("down")
         try:
@@ -233,16 +258,15 @@ def test_a_repeat_of_a_stopped_client_ends_by_itself(field: Field, clients: Comm
         told(f"{transport} stopped (x {TOGETHER} clients)", each)
 
 
-@pytest.mark.parametrize("transport", TRANSPORTS)
-def test_a_client_that_waits_at_an_open_stream_keeps_its_relay(
-    field: Field, clients: CommandedProcess, transport: str
-) -> None:
+def test_a_client_that_waits_at_an_open_stream_keeps_its_relay(field: Field, clients: CommandedProcess) -> None:
     """The call that began it was answered long ago, and nothing has been asked since."""
-    driver = Driver(field, clients, transport, "relay")
-    driver.drive()
+    drivers = [Driver(field, clients, transport, "relay") for transport in TRANSPORTS]
+    for driver in drivers:
+        driver.drive()
     time.sleep(2 * SILENT_S)
-    assert field.observer.moved(sent_after=time.monotonic_ns() - 200_000_000, topic=driver.topic)
-    driver.rests_after(clients.go(name=driver.name, resetting=False), CLOSED_S)
+    for driver in drivers:
+        assert field.observer.moved(sent_after=time.monotonic_ns() - 200_000_000, topic=driver.topic)
+        driver.rests_after(clients.go(name=driver.name, resetting=False), CLOSED_S)
 
 
 @pytest.mark.parametrize("transport", ["handshake", "modern"])
