@@ -36,7 +36,7 @@ _OF_ROS_1 = {"Header": "std_msgs/Header", "time": "builtin_interfaces/Time", "du
 
 _VERSION = re.compile(r"<version>\s*([^<\s]+)")
 _WHEELS_HINT = (
-    "Interfaces are built against ROS 2 wheels: pip install 'ros2-mcp[jazzy]'. "
+    "Interfaces are built against ROS 2 wheels, which are the extra 'jazzy' of ros2-mcp. "
     "For a normal ROS 2 installation use 'colcon build' and source the workspace."
 )
 

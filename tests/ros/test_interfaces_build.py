@@ -229,7 +229,10 @@ def test_a_machine_without_a_compiler_is_told_what_to_install(tmp_path, monkeypa
 
 @pytest.mark.parametrize(
     "sourced,message,hint",
-    [(True, "no interface generators that can be used", "colcon build"), (False, "no ROS 2", "ros2-mcp[jazzy]")],
+    [
+        (True, "no interface generators that can be used", "colcon build"),
+        (False, "no ROS 2", "extra 'jazzy' of ros2-mcp"),
+    ],
     ids=["normal ROS 2", "no ROS 2"],
 )
 def test_where_generators_are_missing_the_way_out_is_named(tmp_path, monkeypatch, sourced, message, hint):

@@ -21,9 +21,11 @@ from ros2_mcp.link.environment import (
     wheel_distro,
     wheels,
     wheels_exist_here,
+    wheels_without_rclpy,
     workspace_setup,
 )
 from ros2_mcp.link.installation import RosInstallation
+from ros2_mcp.link.provenance import own_provenance
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.settings import MAX_DOMAIN_ID, Settings
 
@@ -83,7 +85,10 @@ def _candidates(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]
     installed = installed_distros(settings.ros_root)
     yield Finding(None, str(settings.ros_root), ", ".join(installed) or "no installation with a setup.bash")
     distro = wheel_distro()
-    if distro:
+    if incomplete := wheels_without_rclpy():
+        detail = f"ROS 2 {incomplete} in {sys.prefix}, but without rclpy: 'uv sync' that is run twice removes it"
+        yield Finding(None, "Wheels", detail, f"Run: {own_provenance().reinstalling(incomplete)}")
+    elif distro:
         usable = wheels(settings, env) is not None
         note = "" if usable else f"; not used, since {settings.distro} was asked for"
         yield Finding(None, "Wheels", f"ROS 2 {distro} in {sys.prefix}{note}")

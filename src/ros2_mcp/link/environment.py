@@ -17,6 +17,7 @@ from pathlib import Path
 
 from ros2_mcp.link.installation import RosInstallation, clean_environment, wheel_environment
 from ros2_mcp.link.interfaces import InterfaceCache
+from ros2_mcp.link.provenance import own_provenance
 from ros2_mcp.model.errors import BadInput, RosNotFound
 from ros2_mcp.settings import Settings
 
@@ -183,10 +184,25 @@ def wheel_distro() -> str | None:
     return None
 
 
+def wheels_without_rclpy() -> str | None:
+    """The distribution whose wheels are installed, but without what they hold; None if they are whole or not there.
+
+    `uv sync` leaves that behind when it is run twice: the wheels bring `.egg-info` folders that it takes for strangers.
+    """
+    return wheel_distro() if importlib.util.find_spec("rclpy") is None else None
+
+
 # ── nothing ────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def _not_found(settings: Settings) -> RosNotFound:
+    incomplete = wheels_without_rclpy()
+    if incomplete and settings.distro in (None, incomplete):
+        return RosNotFound(
+            f"The ROS 2 wheels for {incomplete} in {sys.prefix} are incomplete: rclpy is gone. Running 'uv sync' twice "
+            "does that: it takes what these wheels bring for strangers.",
+            f"Run: {own_provenance().reinstalling(incomplete)}. From then on 'uv run', or 'uv sync --inexact'.",
+        )
     found = ", ".join(available(settings)) or "none"
     if settings.distro:
         return RosNotFound(
@@ -201,7 +217,8 @@ def _not_found(settings: Settings) -> RosNotFound:
 
 def available(settings: Settings) -> list[str]:
     """The distributions that could be used without a sourced shell."""
-    return sorted({*installed_distros(settings.ros_root), *filter(None, [wheel_distro()])}, key=_release_order)
+    of_wheels = None if wheels_without_rclpy() else wheel_distro()
+    return sorted({*installed_distros(settings.ros_root), *filter(None, [of_wheels])}, key=_release_order)
 
 
 def way_out(distro: str) -> str:
@@ -214,7 +231,8 @@ def way_out(distro: str) -> str:
         )
     extra = distro if distro in ("jazzy", "kilted") else "jazzy"
     return (
-        f"Run: pip install 'ros2-mcp[{extra}]', or source an installation first (source /opt/ros/<distro>/setup.bash)."
+        f"Run: {own_provenance().installing(extra)}; "
+        "or source an installation first (source /opt/ros/<distro>/setup.bash)."
     )
 
 

@@ -11,6 +11,7 @@ from ros2_mcp.link import environment
 from ros2_mcp.link.diagnosis import diagnose
 from ros2_mcp.link.environment import find_ros
 from ros2_mcp.link.installation import WHEEL_GUARD, RosInstallation, clean_environment
+from ros2_mcp.link.provenance import own_provenance
 from ros2_mcp.model.errors import BadInput, RosNotFound
 from ros2_mcp.settings import Settings
 
@@ -72,7 +73,7 @@ def test_nothing_at_all_names_the_one_command_that_helps(tmp_path: Path, monkeyp
     monkeypatch.setattr(environment, "wheels_exist_here", lambda: True)
     with pytest.raises(RosNotFound) as missing:
         find_ros(Settings(ros_root=tmp_path), BARE)
-    assert "pip install 'ros2-mcp[jazzy]'" in missing.value.hint
+    assert f"Run: {own_provenance().installing('jazzy')};" in missing.value.hint
 
 
 @pytest.mark.usefixtures("no_wheels")
@@ -80,7 +81,7 @@ def test_a_platform_without_wheels_is_not_told_to_install_them(tmp_path: Path, m
     monkeypatch.setattr(environment, "wheels_exist_here", lambda: False)
     with pytest.raises(RosNotFound) as missing:
         find_ros(Settings(ros_root=tmp_path), BARE)
-    assert "pip install" not in missing.value.hint
+    assert "Run:" not in missing.value.hint
     assert "no ROS 2 wheels for" in missing.value.hint
 
 
