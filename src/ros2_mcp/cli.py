@@ -17,7 +17,11 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.text import LAYOUT, visible
 from ros2_mcp.settings import OPTIONS, Option, Settings
 
-CLIENTS = ("claude-desktop", "claude-code", "vscode", "cursor", "codex", "gemini")
+# The clients of `commands/config.py`, which is imported only when it is run.
+CLIENTS = (
+    *("claude-desktop", "claude-code", "vscode", "cursor", "codex", "gemini", "antigravity", "warp", "windsurf"),
+    *("cline", "zed", "goose", "lm-studio", "jetbrains"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +96,7 @@ def _prompts(arguments: argparse.Namespace) -> int:
 def _config(arguments: argparse.Namespace) -> int:
     from ros2_mcp.commands.config import print_config
 
-    return print_config(arguments.client, sys.argv[1:])
+    return print_config(arguments.client, arguments, settings_from(arguments))
 
 
 VERBS: Mapping[str, Verb] = {

@@ -10,21 +10,31 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ruamel.yaml import YAML
 
-from ros2_mcp.cli import CLIENTS
-from ros2_mcp.commands.config import absolute_paths, configuration, environment, print_config
+from ros2_mcp import cli
+from ros2_mcp.cli import parser, run, settings_from
+from ros2_mcp.commands import config
+from ros2_mcp.commands.config import CLIENTS, Entry, environment, of_sourced_shell, options
+from ros2_mcp.link.provenance import Provenance
+from ros2_mcp.settings import OPTIONS, Settings
 
 COMMAND = "/opt/my tools/bin/ros2-mcp"
-OPTIONS = ["--read-only", "--workspace", '/a "quoted"\\place']
-VARIABLES = {"ROS_DOMAIN_ID": "42", "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
-ENTRY = {"command": COMMAND, "args": OPTIONS, "env": VARIABLES}
+ARGS = ["--read-only", "--workspace", '/a "quoted"\\place: {ö} # 🤖', "--distro", "no"]
+VARIABLES = {"ROS_DOMAIN_ID": "42", "CYCLONEDDS_URI": '<CycloneDDS><Domain Id="any"/></CycloneDDS>'}
+ENTRY = {"command": COMMAND, "args": ARGS, "env": VARIABLES}
 
 
 def printed(client: str, variables: dict[str, str] = VARIABLES) -> str:
-    return configuration(client, COMMAND, OPTIONS, variables)
+    return CLIENTS[client].text(Entry(COMMAND, ARGS, variables))
 
 
-@pytest.mark.parametrize("client", ["claude-desktop", "cursor", "gemini"])
+@pytest.mark.parametrize(
+    "client",
+    [
+        *("claude-desktop", "cursor", "gemini", "antigravity", "warp", "windsurf", "cline", "lm-studio", "jetbrains"),
+    ],
+)
 def test_most_clients_read_it_as_json(client: str) -> None:
     assert json.loads(printed(client)) == {"mcpServers": {"ros2": ENTRY}}
 
@@ -33,13 +43,38 @@ def test_vscode_reads_it_as_json_of_its_own_form() -> None:
     assert json.loads(printed("vscode")) == {"servers": {"ros2": {"type": "stdio", **ENTRY}}}
 
 
-def test_claude_code_takes_one_command() -> None:
+def test_zed_reads_it_as_a_context_server_of_its_settings() -> None:
+    assert json.loads(printed("zed")) == {"context_servers": {"ros2": {"source": "custom", **ENTRY}}}
+
+
+@pytest.mark.parametrize("variables", [VARIABLES, {}])
+def test_goose_reads_it_as_an_extension_in_yaml(variables: dict[str, str]) -> None:
+    read: dict[str, Any] = YAML(typ="safe", pure=True).load(printed("goose", variables))
+    extension = read["extensions"]["ros2"]
+    assert {name: extension[name] for name in ("cmd", "args", "envs")} == {
+        "cmd": COMMAND,
+        "args": ARGS,
+        "envs": variables,
+    }
+    assert (extension["type"], extension["enabled"], extension["name"]) == ("stdio", True, "ros2")
+    assert (extension["env_keys"], extension["timeout"]) == ([], 300)
+
+
+def test_claude_code_takes_one_command_for_all_projects() -> None:
     words = shlex.split(printed("claude-code"))
     assert words[: words.index("--")] == [
-        *("claude", "mcp", "add", "ros2"),
-        *("-e", "ROS_DOMAIN_ID=42", "-e", "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"),
+        *(
+            "claude",
+            "mcp",
+            "add",
+            "--env",
+            "ROS_DOMAIN_ID=42",
+            "--env",
+            f"CYCLONEDDS_URI={VARIABLES['CYCLONEDDS_URI']}",
+        ),
+        *("--scope", "user", "ros2"),
     ]
-    assert words[words.index("--") + 1 :] == [COMMAND, *OPTIONS]
+    assert words[words.index("--") + 1 :] == [COMMAND, *ARGS]
 
 
 @pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 cannot read TOML")
@@ -51,20 +86,24 @@ def test_codex_reads_it_as_toml(variables: dict[str, str]) -> None:
     assert {"env": {}, **read["mcp_servers"]["ros2"]} == {**ENTRY, "env": variables}
 
 
-def test_only_variables_that_decide_which_robot_is_seen_are_passed_on() -> None:
-    shell = {"ROS_DOMAIN_ID": "7", "HOME": "/somewhere", "RMW_IMPLEMENTATION": "", "SECRET": "x"}
-    assert environment(shell) == {"ROS_DOMAIN_ID": "7"}
+def test_the_command_line_offers_every_client() -> None:
+    assert list(cli.CLIENTS) == list(CLIENTS)
 
 
 @pytest.mark.parametrize("client", CLIENTS)
 def test_stdout_is_the_configuration_and_stderr_says_where_it_goes(
     client: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert print_config(client, ["--read-only", "config", client]) == 0
+    assert run(["--read-only", "config", client]) == 0
     out, err = capsys.readouterr()
     assert "--read-only" in out
     assert f"config {client}" not in out
-    assert err.startswith("# ")
+    assert all(line.startswith("# ") for line in err.splitlines()) and err
+
+
+def carried(*argv: str) -> list[str]:
+    words = vars(parser().parse_args(argv))
+    return options({name: word for name, word in words.items() if name in OPTIONS and word is not None})
 
 
 def test_paths_become_absolute_each_of_several_too_and_links_stay(
@@ -73,8 +112,121 @@ def test_paths_become_absolute_each_of_several_too_and_links_stay(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "python").symlink_to(sys.executable)
     given = ["--bridge-python", "python", "--workspace", f"a{os.pathsep}/b", "--domain-id", "7"]
-    assert absolute_paths(given) == [
-        *("--bridge-python", f"{tmp_path}/python"),
-        *("--workspace", f"{tmp_path}/a{os.pathsep}/b"),
-        *("--domain-id", "7"),
-    ]
+    assert sorted(carried(*given)) == sorted(
+        [
+            *("--bridge-python", f"{tmp_path}/python"),
+            *("--workspace", f"{tmp_path}/a{os.pathsep}/b"),
+            *("--domain-id", "7"),
+        ]
+    )
+
+
+@pytest.mark.parametrize("name", [name for name, option in OPTIONS.items() if option.kind.is_path])
+@pytest.mark.parametrize("form", ["{flag} x/y", "{flag}=x/y", "{short} x/y"])
+def test_the_path_of_every_option_becomes_absolute_however_it_is_written(
+    name: str, form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    flag = OPTIONS[name].flag
+    flags = [option.flag for option in OPTIONS.values()]
+    # argparse takes the shortest beginning that no other option has.
+    lengths = (n for n in range(3, len(flag) + 1) if sum(other.startswith(flag[:n]) for other in flags) == 1)
+    argv = form.format(flag=flag, short=flag[: next(lengths, len(flag))]).split()
+    assert carried(*argv) == [flag, f"{tmp_path}/x/y"]
+
+
+def test_a_path_of_a_variable_becomes_absolute_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", "/var/me")
+    shell = {
+        "ROS2_MCP_PROMPTS": "p",
+        "ROS2_MCP_WORKSPACE": "~/ws:b",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": "fast.xml",
+        "CYCLONEDDS_URI": "file://cyclone.xml,file:///etc/more.xml",
+        "ZENOH_SESSION_CONFIG_URI": "zenoh.json5",
+        "ROS_SECURITY_KEYSTORE": "keys",
+    }
+    assert environment(shell) == {
+        "ROS2_MCP_PROMPTS": f"{tmp_path}/p",
+        "ROS2_MCP_WORKSPACE": f"/var/me/ws:{tmp_path}/b",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": f"{tmp_path}/fast.xml",
+        "CYCLONEDDS_URI": f"file://{tmp_path}/cyclone.xml,file:///etc/more.xml",
+        "ZENOH_SESSION_CONFIG_URI": f"{tmp_path}/zenoh.json5",
+        "ROS_SECURITY_KEYSTORE": f"{tmp_path}/keys",
+    }
+
+
+def test_options_with_an_optional_value_and_those_given_again_are_kept_as_they_were() -> None:
+    assert carried("--black-box") == ["--black-box"]
+    assert carried("--black-box", "/odom,/scan") == ["--black-box", "/odom,/scan"]
+    assert carried("--workspace", "/a", "--workspace", "/b") == ["--workspace", "/a", "--workspace", "/b"]
+    assert carried("--custom-prompts", "false", "--read-only") == ["--read-only", "--custom-prompts", "false"]
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["--black-box", "--workspace", "/a", "--workspace", "/b", "--rmw=-odd"],
+        ["--read-only", "--tools", "all", "--prompts", "/p", "--custom-prompts", "--domain-id", "7"],
+    ],
+)
+def test_the_server_that_the_client_starts_has_the_settings_that_were_given(argv: list[str]) -> None:
+    assert settings_from(parser().parse_args(carried(*argv))) == settings_from(parser().parse_args(argv))
+
+
+def test_only_variables_that_decide_which_robot_is_seen_and_how_are_passed_on() -> None:
+    shell = {"ROS_DOMAIN_ID": "7", "HOME": "/somewhere", "RMW_IMPLEMENTATION": "", "SECRET": "x", "PATH": "/bin"}
+    assert environment(shell) == {"ROS_DOMAIN_ID": "7"}
+    matters = {
+        "ROS2_MCP_READONLY": "1",
+        "ROS_DISCOVERY_SERVER": "10.0.0.1:11811",
+        "ROS_SUPER_CLIENT": "TRUE",
+        "ROS_STATIC_PEERS": "10.0.0.2",
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_STRATEGY": "Enforce",
+        "ZENOH_CONFIG_OVERRIDE": 'connect/endpoints=["tcp/10.0.0.1:7447"]',
+        "CYCLONEDDS_URI": VARIABLES["CYCLONEDDS_URI"],
+    }
+    assert environment(matters) == matters
+
+
+def test_every_variable_of_this_server_is_passed_on() -> None:
+    shell = {option.variable: "/1" for option in OPTIONS.values()}
+    assert environment(shell) == shell
+
+
+def test_a_variable_that_an_option_overrides_is_not_passed_on() -> None:
+    assert environment({"ROS_DOMAIN_ID": "7", "ROS2_MCP_TOOLS": "all"}, {"domain_id": "9"}) == {"ROS2_MCP_TOOLS": "all"}
+
+
+def test_what_is_sourced_in_the_shell_is_sourced_for_the_client(tmp_path: Path) -> None:
+    for folder in ("ros/humble", "ros/jazzy", "under/install", "over/install"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "setup.bash").touch()
+    shell = {
+        "ROS_DISTRO": "humble",
+        "COLCON_PREFIX_PATH": f"{tmp_path}/over/install:{tmp_path}/gone:{tmp_path}/under/install",
+    }
+    assert of_sourced_shell(Settings(ros_root=tmp_path / "ros"), shell) == {
+        "ROS2_MCP_DISTRO": "humble",
+        "ROS2_MCP_WORKSPACE": f"{tmp_path}/under/install:{tmp_path}/over/install",
+    }
+    given = Settings(ros_root=tmp_path / "ros", distro="jazzy", workspaces=(Path("/ws"),))
+    assert of_sourced_shell(given, shell) == {}
+    assert of_sourced_shell(Settings(ros_root=tmp_path / "elsewhere"), {"ROS_DISTRO": "humble"}) == {}
+
+
+def test_a_path_in_a_cache_is_never_printed_and_why_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cache = Path("/var/me/.cache/uv/archive-v0/x1")
+    thrown_away = Provenance(way="uvx", prefix=cache, python=f"{cache}/bin/python", source="/src/ros2-mcp")
+    monkeypatch.setattr(config, "own_provenance", lambda: thrown_away)
+    monkeypatch.setenv("UV", "/opt/bin/uv")
+    assert run(["config", "cursor"]) == 0
+    out, err = capsys.readouterr()
+    entry = json.loads(out)["mcpServers"]["ros2"]
+    assert entry["command"] == "/opt/bin/uv"
+    assert entry["args"][:2] == ["tool", "run"] and entry["args"][-1] == "ros2-mcp"
+    assert ".cache" not in out
+    assert "cache (uvx)" in err

@@ -4,85 +4,244 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import shlex
-import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from ros2_mcp.settings import OPTIONS
+from ros2_mcp.link.environment import path_entries, wheel_distro
+from ros2_mcp.link.provenance import launch_command, own_provenance
+from ros2_mcp.settings import OPTIONS, Option, Settings
 
 NAME = "ros2"
-_PASSED_ON = ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS")
-_PLACES = {
-    "claude-desktop": "claude_desktop_config.json (Settings > Developer > Edit Config)",
-    "claude-code": "run this command",
-    "vscode": ".vscode/mcp.json in the project",
-    "cursor": "~/.cursor/mcp.json",
-    "codex": "~/.codex/config.toml",
-    "gemini": "~/.gemini/settings.json",
-}
+# Goose's own default for a call, written since it has no other place.
+_GOOSE_TIMEOUT_S = 300
+
+# What decides, beside our own settings, which robot is seen and how. A client would not pass it on.
+_OF_ROS = (
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "ROS_STATIC_PEERS",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_DISCOVERY_SERVER",
+    "ROS_SUPER_CLIENT",
+    "ROS_SECURITY_ENABLE",
+    "ROS_SECURITY_STRATEGY",
+    "ROS_SECURITY_ENCLAVE_OVERRIDE",
+    "RMW_FASTRTPS_USE_QOS_FROM_XML",
+    "RMW_FASTRTPS_PUBLICATION_MODE",
+    "FASTDDS_BUILTIN_TRANSPORTS",
+    "SKIP_DEFAULT_XML",
+    "ZENOH_CONFIG_OVERRIDE",
+    "ZENOH_ROUTER_CHECK_ATTEMPTS",
+)
+# The same, for those that name a file: a path, a file:// address, or a list of them with commas.
+_FILES_OF_ROS = (
+    "ROS_SECURITY_KEYSTORE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_ENVIRONMENT_FILE",
+    "CYCLONEDDS_URI",
+    "NDDS_QOS_PROFILES",
+    "ZENOH_ROUTER_CONFIG_URI",
+    "ZENOH_SESSION_CONFIG_URI",
+)
 
 
-def print_config(client: str, argv: Sequence[str]) -> int:
-    """Prints the configuration on stdout and where it goes on stderr; options before `config` are carried over."""
-    options = absolute_paths(argv[: argv.index("config")])
-    print(f"# {_PLACES[client]}", file=sys.stderr)
-    print(configuration(client, executable(), options, environment(os.environ)))
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What a client must know of the server: an absolute command, its arguments, its environment."""
+
+    command: str
+    args: Sequence[str]
+    env: Mapping[str, str]
+
+    @property
+    def json(self) -> dict[str, object]:
+        """As nearly all clients write it."""
+        return {"command": self.command, "args": list(self.args), "env": dict(self.env)}
+
+
+@dataclass(frozen=True, slots=True)
+class Client:
+    """Where the configuration of a client goes, and its text for an entry."""
+
+    place: str
+    text: Callable[[Entry], str]
+
+
+def print_config(client: str, arguments: argparse.Namespace, settings: Settings) -> int:
+    """Prints the configuration on stdout, and on stderr where it goes and what else is to be known.
+
+    The options and settings are those of this very command line and environment.
+    """
+    words = {name: word for name, word in vars(arguments).items() if name in OPTIONS and word is not None}
+    provenance = own_provenance()
+    command, *args = launch_command(provenance, wheel_distro() or "")
+    variables = {**of_sourced_shell(settings, os.environ), **environment(os.environ, words)}
+    entry = Entry(command, [*args, *options(words)], variables)
+    print(f"# {CLIENTS[client].place}", file=sys.stderr)
+    if not provenance.lasts:
+        print(
+            f"# This runs from a cache ({provenance.way}), where a client would not find it later: the configuration\n"
+            "# lets it be fetched again. What is installed to stay starts faster: uv tool install, or pipx install.",
+            file=sys.stderr,
+        )
+    print(CLIENTS[client].text(entry))
     return 0
 
 
-def configuration(client: str, command: str, options: Sequence[str], variables: Mapping[str, str]) -> str:
-    """The text of the configuration for one client."""
-    entry = {"command": command, "args": list(options), "env": dict(variables)}
-    if client == "claude-code":
-        set_variables = [word for name, value in variables.items() for word in ("-e", f"{name}={value}")]
-        return shlex.join(["claude", "mcp", "add", NAME, *set_variables, "--", command, *options])
-    if client == "codex":
-        return _toml(entry)
-    if client == "vscode":
-        return json.dumps({"servers": {NAME: {"type": "stdio", **entry}}}, indent=2)
-    return json.dumps({"mcpServers": {NAME: entry}}, indent=2)
+# ── the texts ──────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def absolute_paths(options: Sequence[str]) -> list[str]:
-    """The options with absolute paths: a client starts the server in a folder of its own."""
-    with_paths = {option.flag: option.kind.several for option in OPTIONS.values() if option.kind.is_path}
-
-    def absolute(flag: str, word: str) -> str:
-        paths = word.split(os.pathsep) if with_paths[flag] else [word]
-        # Links are kept: the Python of a virtual environment is one.
-        return os.pathsep.join(str(Path(path).expanduser().absolute()) for path in paths if path)
-
-    return [
-        absolute(before, word) if before in with_paths else word
-        for before, word in zip(("", *options), options, strict=False)
-    ]
+def _mcp_servers(entry: Entry) -> str:
+    return _json({"mcpServers": {NAME: entry.json}})
 
 
-def executable() -> str:
-    """The absolute path of this command: a client starts it with a bare environment."""
-    started_as = Path(sys.argv[0])
-    beside = Path(sys.executable).with_name("ros2-mcp")
-    found = started_as.resolve() if started_as.name == "ros2-mcp" else shutil.which("ros2-mcp") or beside
-    return str(found)
+def _vscode(entry: Entry) -> str:
+    return _json({"servers": {NAME: {"type": "stdio", **entry.json}}})
 
 
-def environment(variables: Mapping[str, str]) -> dict[str, str]:
-    """The variables of this shell that decide which robot is seen; a client would not pass them on."""
-    return {name: variables[name] for name in _PASSED_ON if variables.get(name)}
+def _zed(entry: Entry) -> str:
+    # Older versions read only entries with a source; newer ones ignore it.
+    return _json({"context_servers": {NAME: {"source": "custom", **entry.json}}})
 
 
-def _toml(entry: Mapping[str, object]) -> str:
-    lines = [
-        f"[mcp_servers.{NAME}]",
-        f"command = {json.dumps(entry['command'])}",
-        f"args = {json.dumps(entry['args'])}",
-    ]
-    variables = entry["env"]
-    if isinstance(variables, dict) and variables:
+def _claude_code(entry: Entry) -> str:
+    # An option must stand between the last --env, which takes as many words as it finds, and the name.
+    variables = [word for name, value in entry.env.items() for word in ("--env", f"{name}={value}")]
+    return shlex.join(["claude", "mcp", "add", *variables, "--scope", "user", NAME, "--", entry.command, *entry.args])
+
+
+def _codex(entry: Entry) -> str:
+    lines = [f"[mcp_servers.{NAME}]", f"command = {_scalar(entry.command)}", f"args = {_scalar(entry.args)}"]
+    if entry.env:
         lines.append(f"[mcp_servers.{NAME}.env]")
-        lines += [f"{name} = {json.dumps(value)}" for name, value in variables.items()]  # pyright: ignore[reportUnknownVariableType]
+        lines += [f"{name} = {_scalar(value)}" for name, value in entry.env.items()]
     return "\n".join(lines)
+
+
+def _goose(entry: Entry) -> str:
+    # What JSON writes of texts and lists, YAML reads.
+    settings: dict[str, object] = {
+        "name": NAME,
+        "description": "Eyes and hands on a ROS 2 robot",
+        "type": "stdio",
+        "enabled": True,
+        "cmd": entry.command,
+        "args": entry.args,
+        "envs": entry.env,
+        "env_keys": [],
+        "timeout": _GOOSE_TIMEOUT_S,
+    }
+    return "\n".join(
+        ["extensions:", f"  {NAME}:", *(f"    {key}: {_scalar(value)}" for key, value in settings.items())]
+    )
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, indent=2, ensure_ascii=False)
+
+
+def _scalar(value: object) -> str:
+    # As it is: TOML and YAML do not know JSON's pairs of escapes for characters beyond the first 65536.
+    return json.dumps(value, ensure_ascii=False, default=list)
+
+
+CLIENTS: Mapping[str, Client] = {
+    "claude-desktop": Client("claude_desktop_config.json (Settings > Developer > Edit Config)", _mcp_servers),
+    "claude-code": Client(
+        "Run this command. It holds for all your projects; with --scope local instead of user only for the project in\n"
+        "# this folder, with --scope project for all who share it (.mcp.json)",
+        _claude_code,
+    ),
+    "vscode": Client(
+        ".vscode/mcp.json in the project, or for all: Ctrl+Shift+P > MCP: Open User Configuration", _vscode
+    ),
+    "cursor": Client("~/.cursor/mcp.json, or .cursor/mcp.json in the project", _mcp_servers),
+    "codex": Client("~/.codex/config.toml", _codex),
+    "gemini": Client("~/.gemini/settings.json", _mcp_servers),
+    "antigravity": Client(
+        "mcp_config.json (... of the agent's panel > MCP Servers > Manage MCP Servers > View raw config);\n"
+        "# ~/.gemini/config/mcp_config.json, in older versions ~/.gemini/antigravity/mcp_config.json",
+        _mcp_servers,
+    ),
+    "warp": Client("Paste it at Settings > Agents > MCP servers > + Add, or into ~/.warp/.mcp.json", _mcp_servers),
+    "windsurf": Client("~/.codeium/windsurf/mcp_config.json", _mcp_servers),
+    "cline": Client("cline_mcp_settings.json (MCP Servers > Configure > Configure MCP Servers)", _mcp_servers),
+    "zed": Client("settings.json (Ctrl+Shift+P > zed: open settings)", _zed),
+    "goose": Client("~/.config/goose/config.yaml, below the extensions that are there", _goose),
+    "lm-studio": Client("mcp.json (tab Program at the right > Install > Edit mcp.json)", _mcp_servers),
+    "jetbrains": Client(
+        "Paste it at Settings > Tools > AI Assistant > Model Context Protocol (MCP) > Add, as JSON", _mcp_servers
+    ),
+}
+"""Every client that is known, by its name on the command line."""
+
+
+# ── what is carried over ───────────────────────────────────────────────────────────────────────────────────────
+
+
+def options(words: Mapping[str, str | Sequence[str]]) -> list[str]:
+    """The options that were given, as they are written; with absolute paths: a client starts in its own folder."""
+    return [word for name, given in words.items() for word in _written(OPTIONS[name], given)]
+
+
+def _written(option: Option, given: str | Sequence[str]) -> Iterator[str]:
+    for text in [given] if isinstance(given, str) else given:
+        value = _absolute(option, text)
+        if not option.takes_value or value == option.alone:
+            yield option.flag
+        elif value.startswith("-"):
+            yield f"{option.flag}={value}"
+        else:
+            yield from (option.flag, value)
+
+
+def _absolute(option: Option, text: str) -> str:
+    if not option.kind.is_path:
+        return text
+    paths = text.split(os.pathsep) if option.kind.several else [text]
+    # Links are kept: the Python of a virtual environment is one.
+    return os.pathsep.join(str(Path(path).expanduser().absolute()) for path in paths if path)
+
+
+def environment(variables: Mapping[str, str], words: Mapping[str, object] = {}) -> dict[str, str]:
+    """The variables of this shell that set something here or decide which robot is seen; not where an option does."""
+    ours = {
+        option.variable: _absolute(option, variables[option.variable])
+        for name, option in OPTIONS.items()
+        if name not in words and variables.get(option.variable)
+    }
+    of_ros = {name: variables[name] for name in _OF_ROS if variables.get(name)}
+    files = {name: _absolute_files(variables[name]) for name in _FILES_OF_ROS if variables.get(name)}
+    return {**ours, **of_ros, **files}
+
+
+def _absolute_files(text: str) -> str:
+    """The files that a variable of the middleware names; a text that holds XML itself stays as it is."""
+    if "<" in text:
+        return text
+    address = "file://"
+    return ",".join(
+        (address if place.startswith(address) else "") + str(Path(place.removeprefix(address)).expanduser().absolute())
+        for place in text.split(",")
+        if place
+    )
+
+
+def of_sourced_shell(settings: Settings, variables: Mapping[str, str]) -> dict[str, str]:
+    """The distribution and the workspaces that are sourced here, which the client's shell would not have."""
+    found: dict[str, str] = {}
+    distro = variables.get("ROS_DISTRO", "")
+    if distro and settings.distro is None and (settings.ros_root / distro / "setup.bash").is_file():
+        found[OPTIONS["distro"].variable] = distro
+    # colcon's setup files put the newest overlay first; they are to be sourced last.
+    overlays = reversed(path_entries(variables, "COLCON_PREFIX_PATH"))
+    to_source = [str(path) for path in overlays if (path / "setup.bash").is_file()]
+    if to_source and not settings.workspaces:
+        found[OPTIONS["workspaces"].variable] = os.pathsep.join(to_source)
+    return found

@@ -11,9 +11,9 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from ros2_mcp.commands.config import executable
 from ros2_mcp.commands.simulation import Graph, reach_of_this_machine, simulated_robot, with_interfaces
-from ros2_mcp.link.environment import find_ros
+from ros2_mcp.link.environment import find_ros, wheel_distro
+from ros2_mcp.link.provenance import launch_command, own_provenance
 from ros2_mcp.settings import Settings
 
 
@@ -38,7 +38,7 @@ def run_robot(settings: Settings) -> int:
     installation = find_ros(with_interfaces(replace(settings, domain_id=domain_id)))
     reach = reach_of_this_machine(installation.distro, os.environ)
     command = installation.command("ros2_mcp_demo")
-    ours = shlex.join([executable(), "--domain-id", str(domain_id)])
+    ours = shlex.join([*launch_command(own_provenance(), wheel_distro() or ""), "--domain-id", str(domain_id)])
     where = f"ROS domain {domain_id}" + (", on this machine only" if reach else "")
     print(
         f"A simulated robot starts in {where}. Ctrl+C ends it.\n"
