@@ -8,8 +8,9 @@ import logging
 import os
 import signal
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from ros2_mcp.model.text import LAYOUT, visible
 from ros2_mcp.settings import Settings
 
 if TYPE_CHECKING:
@@ -31,6 +32,18 @@ def claim_wire() -> Wire:
         os.dup2(nothing.fileno(), 0)
     os.dup2(2, 1)
     return wire
+
+
+class LogFormatter(logging.Formatter):
+    """Log lines in which nothing is hidden: what they say of a robot's text may be read in a terminal."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        """The message, on one line."""
+        return visible(super().formatMessage(record))
+
+    def formatException(self, ei: Any) -> str:
+        """The traceback, on several lines."""
+        return visible(super().formatException(ei), keep=LAYOUT)
 
 
 def serve(settings: Settings) -> int:
@@ -63,7 +76,9 @@ async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None) -
 
     assembly = assemble(settings, bridge)
     # One line for each message, without time and place: it is read in a client's log, which adds its own.
-    logging.basicConfig(level=settings.log_level.upper(), format="%(message)s")
+    shown = logging.StreamHandler()
+    shown.setFormatter(LogFormatter("%(message)s"))
+    logging.basicConfig(level=settings.log_level.upper(), handlers=[shown])
     if wire:
         from ros2_mcp.server import serve_stdio
 
