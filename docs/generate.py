@@ -23,7 +23,7 @@ REFERENCE = ROOT / "docs/reference/tools.md"
 SETTINGS = ROOT / "docs/reference/settings.md"
 SNAPSHOT = ROOT / "tests/house/snapshots/tools.json"
 
-RISKS = {"read": "reads", "write": "writes", "actuate": "can move the robot"}
+RISKS = {"read": "reads", "write": "writes", "actuate": "can move the robot", "stop": "stops the robot"}
 INTRODUCTION = """\
 # Tools
 
@@ -31,7 +31,8 @@ INTRODUCTION = """\
 
 What a tool risks is declared with it: one that *reads* changes nothing; one that *writes* changes the state of the
 software; one that *can move the robot* says so to the client, so that it asks its user first. A read-only server
-(`--read-only`) offers only those that read.
+(`--read-only`) offers only those that read. What *stops the robot* is no danger: clients need not ask first, and it is
+offered with every choice of tools (`--tools`) that has one which does more than read.
 
 An argument that a tool does not know is an error, never ignored. Results also come as structured content with the
 fields listed here; `[]` stands for the elements of a list, and a type that ends in `or null` may be unknown.

@@ -147,7 +147,7 @@ def bind(
             title=declaration.title,
             read_only_hint=declaration.risk == "read",
             destructive_hint=declaration.risk == "actuate",
-            idempotent_hint=declaration.risk == "read",
+            idempotent_hint=declaration.risk in ("read", "stop"),
             open_world_hint=True,
         ),
     )

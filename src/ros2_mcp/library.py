@@ -26,7 +26,8 @@ async def connect(settings: Settings | None = None) -> AsyncGenerator[Robot, Non
     """
     settings = settings or Settings.from_environment()
     store = store_for(settings)
-    robot = robot_for(settings, store).acting_for(SERVER)
+    robot = robot_for(settings, store)
+    robot.principal = SERVER
     async with running(robot, store):
         yield robot
 
@@ -62,3 +63,4 @@ async def running(robot: Robot, store: BagStore) -> AsyncGenerator[None, None]:
                     await store.close()
                 finally:
                     await robot.bridge.close()
+                    robot.failsafes.close()

@@ -45,6 +45,8 @@ class Toolset:
         allowed = [tool for tool in TOOLS if _is_allowed(tool, robot.policy)]
         # Who opens a recording has all that works on one: it is a short list.
         chosen = [tool for tool in allowed if robot.policy.recorded or _is_chosen(tool, groups)]
+        if any(tool.risk != "read" for tool in chosen):  # whatever can set something in motion comes with what stops it
+            chosen = [tool for tool in allowed if tool in chosen or tool.risk == "stop"]
         self._left_out = [tool for tool in allowed if tool not in chosen]
         self.by_name = {tool.name: bind(tool, robot, store, kinds, limitations=self.limitations) for tool in chosen}
         self.missing = {

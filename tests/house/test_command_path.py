@@ -30,7 +30,7 @@ OF_MCP = {
     "src/ros2_mcp/leases.py": {"context.request"},
 }
 """Who is subscribed with, or has made a request, is a client of ours, and no robot."""
-FAILSAFES = {"leave_zero", "leave_cancel", "withdraw"}
+FAILSAFES = {"driving", "leave_cancel", "withdraw", "rest"}
 
 
 def ways_around(path: str, tree: ast.Module) -> Iterator[str]:

@@ -10,6 +10,7 @@ from support.source import trees
 TOOLS = "src/ros2_mcp/tools/"
 OPS = "ros2_mcp.ops"
 SHARED = {
+    "endings": "what the bridge or a stop ended or held back, in words: of repeats, relays and playbacks",
     "results": "what all results have in common, and progress",
     "sources": "what is read from, live or recorded: arguments of tools in several rooms",
     "watch": "changes on the robot, for resources and not for tools",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Callable
 from time import monotonic
 from typing import Any, NoReturn
@@ -27,6 +28,7 @@ class MadeBridge(Bridge):
         self._ended: dict[str, asyncio.Event] = {}
         self.relays: dict[str, str] = {}
         self.heard: list[tuple[str, float]] = []
+        self.passed: Counter[str] = Counter()
         self.trouble: Exception | None = None
         self.topics: Callable[[], Any] = list
 
@@ -54,19 +56,20 @@ class MadeBridge(Bridge):
         for ended in self._ended.values():
             ended.set()
 
-    async def _relay_feed(self, name: str, sizes: list[int]) -> Any:
+    async def _relay_feed(self, name: str, sizes: list[int], **_: Any) -> Any:
         if self.trouble:
             raise self.trouble
         if not self.is_ready or name not in self.relays:
             raise BridgeRefused("not_found", "There is no running relay.")
         self.heard += [(self.relays[name], monotonic())] * len(sizes)
-        return {"passed": len(self.heard)}
+        self.passed[name] += len(sizes)
+        return {"passed": self.passed[name]}
 
     async def _relays(self) -> Any:
         return {"relays": {name: {"running": True, "matched": 1} for name in self.relays}}
 
     async def _endpoints(self, **_: Any) -> Any:
-        return {"publishers": [], "subscribers": []}
+        return {"publishers": [], "subscribers": [], "settled": True}
 
     async def _definitions(self, **_: Any) -> Any:
         return {"missing": [], "definitions": {NUMBER: {"format": "msg", "text": "int32 data\n"}}}

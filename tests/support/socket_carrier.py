@@ -33,6 +33,7 @@ class SocketCarrier(asyncio.Protocol):
 
     origin = "behind a socket"
     start_s = 20.0
+    lease_s = 2.0
 
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected

@@ -27,6 +27,7 @@ class Peer:
 
     origin = ""
     start_s = 20.0
+    lease_s = 1.0
 
     def __init__(self, vitality: Vitality = "unknown") -> None:
         self.log: list[str] = []

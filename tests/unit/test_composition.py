@@ -97,3 +97,16 @@ def test_who_asks_is_one_over_stdio_and_one_for_each_session_or_program_over_htt
     assert len({mine, yours, older, *programs}) == 6
     assert principal({"mcp-session-id": "a"}) == mine
     assert principal({}, f"session_id={str(SESSION).upper()}") == older == principal_of_session(SESSION.hex).name
+
+
+@pytest.mark.parametrize("group", ["memory", "relay", "actions", "services", "parameters", "lifecycle"])
+def test_whatever_can_act_comes_with_what_stops_it(group: str) -> None:
+    offered = assemble(Settings(tools=(group,))).toolset.by_name
+    assert offered["ros2_stop"].listed.annotations
+    assert not offered["ros2_stop"].listed.annotations.destructive_hint  # clients must not ask before they stop
+
+
+@pytest.mark.parametrize("settings", [Settings(tools=("pictures",)), Settings(tools=("all",), read_only=True)])
+def test_where_nothing_acts_nothing_has_to_be_stopped(settings: Settings) -> None:
+    toolset = assemble(settings).toolset
+    assert "ros2_stop" not in toolset.by_name and "ros2_stop" in toolset.missing

@@ -27,6 +27,11 @@ class Carrier(Protocol):
         ...
 
     @property
+    def lease_s(self) -> float:
+        """The link lease: after how long without a packet the bridge stops what this server keeps moving."""
+        ...
+
+    @property
     def start_s(self) -> float:
         """How long the bridge may take to say hello after `open`."""
         ...

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
@@ -12,7 +13,7 @@ from ros2_mcp.link.carrier import Carrier
 from ros2_mcp.link.connection import Connection, Hello, Reply
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BridgeLost, LinkError, RobotError
-from ros2_mcp_bridge.protocol import Keep
+from ros2_mcp_bridge.protocol import FrameIdChanged, Keep, Lapsed
 
 __all__ = ["Bridge", "Hello", "Reply", "Subscription"]
 
@@ -29,6 +30,7 @@ _SETTLED_S = 1.0
 _DRAIN_S = 0.005
 # A bridge that is lost again and again must not fill the memory. Chosen.
 _KEPT_REASONS = 100
+_logger = logging.getLogger(__name__)
 
 
 class Bridge:
@@ -37,7 +39,9 @@ class Bridge:
     `start_carrier` starts a bridge and what carries its stream; it is called once for each life and raises a
     `RobotError` that tells why there is none. `hello` is how the running bridge introduced itself, `generation` the
     number of starts, `restarts` why each former one was lost, `origin` what the last one runs in. `nodes` are the names
-    of all its nodes: the graph shows those of lost ones for some seconds more.
+    of all its nodes: the graph shows those of lost ones for some seconds more. `stop_epoch` is told to every bridge as
+    soon as it is there; `frame_ids` has the frame of the last command on each velocity topic, as bridges told it;
+    `lapses` for how long this server had been silent, in seconds, each time that a link lease lapsed.
     """
 
     def __init__(self, start_carrier: Callable[[], Carrier]) -> None:
@@ -46,6 +50,9 @@ class Bridge:
         self.generation = 0
         self.restarts: list[str] = []
         self.nodes: set[str] = set()
+        self.stop_epoch = 0
+        self.frame_ids: dict[str, str] = {}
+        self.lapses: list[float] = []
         self._launched: Carrier | RobotError | None = None
         self._carrier: Carrier | None = None
         self._supervisor: asyncio.Task[None] | None = None
@@ -208,7 +215,7 @@ class Bridge:
         carrier, self._launched = self._launched or self._start(), None
         if isinstance(carrier, RobotError):
             return False, carrier
-        connection = Connection(carrier)
+        connection = Connection(carrier, lambda: self.stop_epoch, self._hear)
         try:
             reason = await connection.greet()
             if reason:
@@ -224,6 +231,16 @@ class Bridge:
             if not self._closed:
                 carrier.kill()
             await carrier.close(_LEAVE_S)
+
+    def _hear(self, event: FrameIdChanged | Lapsed) -> None:
+        """Takes in what a bridge tells unasked."""
+        if event["event"] == "frame":
+            self.frame_ids[event["topic"]] = event["frame_id"]
+            return
+        self.lapses = [*self.lapses, event["silent_s"]][-_KEPT_REASONS:]
+        _logger.warning(
+            "the link lease lapsed: this server was silent for %.1f s, and what it moved was stopped", event["silent_s"]
+        )
 
     def _settle(self, outcome: Connection | RobotError) -> None:
         if self._outcome and not self._outcome.done():

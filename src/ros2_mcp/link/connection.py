@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -13,14 +13,17 @@ from ros2_mcp.link.heartbeat import Heartbeat
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BadInput, BridgeLost, BridgeRefused, LinkError, TimedOut
 from ros2_mcp_bridge.packets import Packet, PacketError, PacketReader, pack
-from ros2_mcp_bridge.protocol import PROTOCOL, Counts, Failure, Hello, Samples
+from ros2_mcp_bridge.protocol import PROTOCOL, Counts, Failure, FrameIdChanged, Hello, Lapsed, Samples
 
 # Beyond the time that the bridge was given for an answer: for the way to it and back, and for its late rounds. Chosen.
 MARGIN_S = 2.0
 _PING = 0
 _SHOWN_LINES = 5
 _BOUNDED_BY_THE_BRIDGE = ("call", "wait_endpoints")
-_NEVER_CANCELLED = ("unsubscribe",)
+_NEVER_CANCELLED = ("unsubscribe", "stop", "zero")
+# Such a request does not wait until the carrier has room, and overtakes large ones that do: the cancelling of a goal is
+# one, and must not wait behind a picture. It is no more than the headers, which never wait. Chosen.
+_SMALL_BODY = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +43,21 @@ class _Open:
 
 
 class Connection:
-    """Talks with one bridge; `run` returns why it ended."""
+    """Talks with one bridge; `run` returns why it ended.
 
-    def __init__(self, carrier: Carrier) -> None:
+    Each ping tells the bridge the link lease and what `stop_epoch` gives; `hear` is told of its events.
+    """
+
+    def __init__(
+        self,
+        carrier: Carrier,
+        stop_epoch: Callable[[], int] = lambda: 0,
+        hear: Callable[[FrameIdChanged | Lapsed], None] = lambda _: None,
+    ) -> None:
         loop = asyncio.get_running_loop()
         self.carrier = carrier
+        self._stop_epoch = stop_epoch
+        self._hear = hear
         self.hello: Hello | None = None
         self._greeted: asyncio.Future[None] = loop.create_future()
         self._ended: asyncio.Future[LinkError | None] = loop.create_future()
@@ -119,7 +132,7 @@ class Connection:
             self._ended.set_result(reason)
 
     def _ping(self) -> None:
-        self._send({"id": _PING, "op": "ping"})
+        self._send({"id": _PING, "op": "ping", "lease_s": self.carrier.lease_s, "epoch": self._stop_epoch()})
 
     # ── requests ───────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -141,13 +154,13 @@ class Connection:
         request = _Open(asyncio.get_running_loop().create_future(), subscription)
         self._open[number] = request
         try:
-            if body:
+            if len(body) > _SMALL_BODY:
                 # One after the other, each when the carrier has room: what waits to be written stays bounded.
                 async with self._writing:
                     await self.carrier.writable()
                     self._send(header, body)
             else:
-                self._send(header)
+                self._send(header, body)
             await asyncio.wait({request.answer}, timeout=limit_s)
             if not request.answer.done():
                 raise TimedOut(f"The bridge gave no answer to {op} within {limit_s:.1f} s.")
@@ -222,8 +235,11 @@ class Connection:
             self._end(LinkError(f"The bridge speaks protocol {header['protocol']}, this server {PROTOCOL}."))
         elif event == "hello":
             self.hello = Hello(**{name: header[name] for name in Hello._fields})
+            self._ping()  # before any request: a new bridge learns which of them a stop has overtaken
             if not self._greeted.done():
                 self._greeted.set_result(None)
+        elif event in ("frame", "lapsed"):
+            self._hear(cast("FrameIdChanged | Lapsed", header))
         elif event == "failed":
             no_rclpy = header.get("kind") == "no_rclpy"
             what = "The Python of ROS cannot import rclpy" if no_rclpy else "ROS 2 did not start"

@@ -79,6 +79,9 @@ class LocalBridge:
         self._pipes: list[asyncio.BaseTransport] = []
         self._writer: asyncio.WriteTransport | None = None
 
+    lease_s = 1.0
+    """Four pings, of which a pipe carries each within a millisecond: a process that is late by so much hangs."""
+
     @property
     def origin(self) -> str:
         """Why this installation was chosen."""

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request, goal_id_bytes
 from ros2_mcp.model.graph import RelayCounts
 from ros2_mcp.model.qos import Choice, QoS
+from ros2_mcp_bridge.protocol import EndedBy
 
 R = TypeVar("R")
 
@@ -41,7 +42,8 @@ class Sent:
     """What became of a publication.
 
     `acked` is None where it is not known: best effort and repetitions have no acknowledgement. `late` counts missed
-    periods of a repetition, which ends with a zero command (`stopped_with_zero`) where its type is a velocity command.
+    periods of a repetition, which ends with a zero command (`stopped_with_zero`) where its type is a velocity command;
+    `ended_by` is what ended it before its time.
     """
 
     topic: str
@@ -53,7 +55,7 @@ class Sent:
     acked: bool | None = None
     late: int = 0
     stopped_with_zero: bool = False
-    ended_early: bool = False
+    ended_by: EndedBy = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,8 @@ Every error carries a message that says what was wrong and a hint that says what
     ├── NotFound              nothing of that name is in the graph
     ├── TypeConflict          several types, or another type than the one asked for
     ├── TimedOut              a bounded wait ended
-    ├── Refused               the policy of this server forbids it
+    ├── Refused               the policy of this server forbids it, or one of its limits
+    ├── Stopped               a stop came first
     ├── AllFailed             everything that one call asked for failed
     ├── BadData               bytes from the robot that do not fit their definition
     └── LinkError             between this server and the robot
@@ -67,7 +68,15 @@ class TimedOut(RobotError):
 
 
 class Refused(RobotError):
-    """The policy of this server forbids it."""
+    """The policy of this server forbids it, or one of its limits."""
+
+
+class Stopped(RobotError):
+    """It was accepted before a stop came, and is not sent after it; `may_have_left` where that is not known."""
+
+    def __init__(self, message: str, hint: str = "", *, may_have_left: bool = False) -> None:
+        super().__init__(message, hint)
+        self.may_have_left = may_have_left
 
 
 class AllFailed(RobotError):

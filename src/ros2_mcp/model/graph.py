@@ -71,11 +71,12 @@ class NodeEndpoints:
 
 @dataclass(frozen=True, slots=True)
 class TopicEndpoints:
-    """Who publishes and who subscribes on one topic."""
+    """Who publishes and who subscribes on one topic. Until discovery has `settled`, there may be more."""
 
     topic: str
     publishers: Sequence[Endpoint]
     subscribers: Sequence[Endpoint]
+    settled: bool = True
 
     @property
     def types(self) -> list[str]:

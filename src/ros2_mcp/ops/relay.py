@@ -17,10 +17,11 @@ import anyio
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import commands, names
-from ros2_mcp.model.errors import BadData, BadInput, BadValue, LinkError, NotFound, TypeConflict
+from ros2_mcp.model.errors import BadData, BadInput, BadValue, LinkError, NotFound, Stopped, TypeConflict
 from ros2_mcp.model.graph import RelayCounts, TopicEndpoints
 from ros2_mcp.model.qos import QoS, for_subscribing
 from ros2_mcp.model.samples import Counts, Sample
+from ros2_mcp.ops.endings import REASONS, ended_by, held_back
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp_bridge.limits import MAX_RATE_HZ, MIN_RATE_HZ
@@ -73,7 +74,8 @@ class RelayState:
 
     `state` is `starting`, `running`, `ended` (its time was over), `stopped` or `failed`. `passed` messages were
     published on the destination; `dropped` were held back by the transform; `lost` never reached the relay or had to
-    be left out for want of time, null where that cannot be known; `failed` could not be decoded or mapped.
+    be left out for want of time, null where that cannot be known; `failed` could not be decoded or mapped, or was a
+    velocity that is not finite.
     `subscribers` and `publishers` are those matched now, or last.
     """
 
@@ -188,7 +190,9 @@ class Relay(Job):
             group.start_soon(self._feed_until_over if self._in_server else self._until_open)
             self.counts = await self._robot.do(relay)
             group.cancel_scope.cancel()
-        self.outcome = "stopped" if self.counts.ended_by and not self._time_is_over else "ended"
+        is_early = self.counts.ended_by and not self._time_is_over
+        self.outcome = "stopped" if is_early else "ended"
+        self.stop_reason = self.stop_reason or REASONS.get(self.counts.ended_by, "")
 
     async def wind_down(self) -> None:
         """Lets the bridge send the zero, if there is one, and answer with its last counts."""
@@ -203,6 +207,10 @@ class Relay(Job):
         notes: list[str] = [str(self.failure)] if self.failure else []
         if self._failed:
             notes.append(f"{self._failed} message(s) could not be passed on, the last because: {self._last_error}")
+        if counts.refused:
+            notes.append(held_back(counts.refused))
+        if self.stop_reason and not self.is_running:
+            notes.append(ended_by(self.stop_reason))
         if late:
             notes.append(f"{late} message(s) came faster than they could be compared.")
         if self.is_running and not counts.matched:
@@ -223,7 +231,7 @@ class Relay(Job):
             passed=counts.passed,
             dropped=counts.dropped + self._held_back,
             lost=lost,
-            failed=self._failed,
+            failed=self._failed + counts.refused,
             publishers=publishers,
             subscribers=counts.matched,
             stopped_with_zero=counts.final_sent,
@@ -314,7 +322,7 @@ class Relay(Job):
         )
         try:
             await self._robot.do(feed)
-        except NotFound:
+        except (NotFound, Stopped):
             await anyio.sleep_forever()  # the bridge has ended the relay, and its answer to that is under way
 
     def _make_transform(self) -> Transform:

@@ -1,21 +1,27 @@
-"""What every command is carried out with: the graph, values, types, fail-safes and jobs of one robot."""
+"""What every command is carried out with: the graph, values, types, fail-safes, stops and jobs of one robot."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from ros2_mcp.model.commands import LOCAL
 from ros2_mcp.robot.failsafes import Failsafes
 from ros2_mcp.robot.graph import Graph
 from ros2_mcp.robot.jobs import Jobs
+from ros2_mcp.robot.no_known_stop import NoKnownStop
 from ros2_mcp.robot.resolution import Types
+from ros2_mcp.robot.stops import Accepted, Stops
 from ros2_mcp.robot.values import Values
 
 if TYPE_CHECKING:
-    from ros2_mcp.link.client import Bridge
+    from ros2_mcp.link.client import Bridge, Reply
 
 
 class Core:
     """One robot without the ways to act on it. A recording in the place of a robot has its own `graph` and `values`.
+
+    `principal` is who asks through it, `accepted` when the call was accepted that acts through it: a view of the robot
+    for one call has both (`Robot.acting_for`), and shares all else.
 
     A class of its own, so that the modules that carry commands out do not import `Robot`, which imports them.
     """
@@ -27,3 +33,28 @@ class Core:
         self.types = Types(self.graph)
         self.failsafes = Failsafes(self.graph, self.values)
         self.jobs = Jobs()
+        self.stops = Stops(bridge)
+        self.no_known_stop = NoKnownStop()
+        self.principal = LOCAL
+        self.accepted: Accepted | None = None
+
+    def check_stop(self) -> Accepted:
+        """When the call was accepted that acts through this; to be asked after every await and before anything is sent.
+
+        Raises:
+            Stopped: if a stop came after that.
+        """
+        accepted = self.accepted or self.stops.now(self.principal)
+        self.stops.check(self.principal, accepted)
+        return accepted
+
+    async def act(self, op: str, body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
+        """One request to the bridge that acts, ended where the client that asks for it goes.
+
+        Raises:
+            Stopped: if a stop came after its call was accepted; nothing was sent.
+            RobotError: as `Graph.ask`.
+        """
+        epoch = self.check_stop().epoch
+        with self.stops.leaving(self.principal):
+            return await self.graph.ask(op, body, timeout_s=timeout_s, epoch=epoch, **arguments)

@@ -1,119 +1,233 @@
 """Fail-safes: what the bridge does for us when this process dies, however it dies.
 
-A fail-safe is a request that stays open. The bridge carries it out when the stream ends; withdrawing it cancels the
-request. Here too is what we have driven, so that it can be stopped.
+A fail-safe is a request that stays open. The bridge carries it out when the stream ends or its link lease lapses;
+withdrawing it cancels the request. Here too is what we have driven, so that it can be stopped.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import AsyncGenerator, Collection, Mapping, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from ros2_mcp.model.errors import BridgeLost, RobotError
+import anyio
+
+from ros2_mcp.model.commands import Principal
+from ros2_mcp.model.errors import BridgeLost, Refused, RobotError
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request
 from ros2_mcp.model.qos import QoS
-from ros2_mcp.robot.graph import NO_END_S
+from ros2_mcp.robot.graph import NO_END_S, was_refused
 from ros2_mcp_bridge.limits import MAX_FAILSAFES
+from ros2_mcp_bridge.protocol import StoppedTopic, ZeroReply
 from ros2_mcp_bridge.velocity import VELOCITY_TYPES
 
 if TYPE_CHECKING:
     from ros2_mcp.robot.graph import Graph
     from ros2_mcp.robot.values import Values
 
-_DISCOVERED_S = 10.0
-"""A new bridge knows the robot after 4 s at most on a quiet network; on a bad one the zero still has to come."""
-_ACKNOWLEDGED_S = 0.5
-"""A reliable subscriber acknowledges within milliseconds; longer waiting would not stop the robot sooner."""
+MATCH_S = 0.2
+"""Before a zero: the publisher is there already, as it drove. Only one whose endpoint had expired needs a moment."""
+ACKNOWLEDGED_S = 0.5
+"""A reliable subscriber acknowledges a zero within milliseconds; what comes later is not confirmed."""
+ZERO_S = 3.0
+"""For the answer about zeros, beyond these two: a bridge that is alive has given it long before."""
+_AGAIN_S = 1.0
+"""While no bridge can be started: how often it is asked for again. The link itself pauses between its attempts."""
 _logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Failsafe:
-    """A message to publish (`failsafe_publish`), or a request to send (`failsafe_call`), as CDR."""
+@dataclass(eq=False, slots=True, kw_only=True)
+class Driven:
+    """A velocity topic that this server has driven, with its fail-safe.
 
-    op: str
-    body: bytes
-    arguments: Mapping[str, Any]
+    `owner` is who commanded it last, `users` the number of commands that are under way on it, `commands` counts all.
+    It is at rest once a zero has been acknowledged, or nobody listens any more, and nothing was commanded since;
+    `has_ended` if the last command on it ended with a zero of which that is not known.
+    """
+
+    topic: str
+    type: str
+    qos: QoS
+    owner: Principal
+    commands: int = 0
+    users: int = 0
+    has_ended: bool = False
+    is_at_rest: bool = False
+    is_needed: asyncio.Event = field(default_factory=asyncio.Event)
+    held: asyncio.Task[None] | None = None
 
 
 class Failsafes:
-    """The fail-safes in force, by topic or goal id. Of too many of one kind the oldest is withdrawn: goals that nobody
-    followed to their end never displace a zero command.
+    """The fail-safes in force: a zero for each topic that is driven, a request to cancel for each goal by its id.
+
+    Of too many goals the oldest one's is withdrawn. Of too many topics the next is refused: a fail-safe is only given
+    up for a topic that is at rest.
     """
 
     def __init__(self, graph: Graph, values: Values) -> None:
         self._graph = graph
         self._values = values
-        self._held: dict[str, tuple[str, asyncio.Task[None]]] = {}
-        self._being_done: dict[str, asyncio.Task[None]] = {}
-        self._zeros: dict[tuple[str, str], bytes] = {}
+        self._driven: dict[tuple[str, str], Driven] = {}
+        self._goals: dict[str, asyncio.Task[None]] = {}
+
+    def close(self) -> None:
+        """Ends all that keeps them in force; safe to call twice. The bridge has carried them out, or is to."""
+        for task in [*(driven.held for driven in self.driven), *self._goals.values()]:
+            if task:
+                task.cancel()
+        self._driven.clear()
+        self._goals.clear()
+
+    # ── what is driven ─────────────────────────────────────────────────────────────────────────────────────────
 
     @property
-    def zeros(self) -> Mapping[tuple[str, str], bytes]:
-        """(topic, type) → the bytes of the zero command, of every velocity topic that this server has driven."""
-        return dict(self._zeros)
+    def driven(self) -> Sequence[Driven]:
+        """Every velocity topic that this server has driven, but those that have given up their place at rest."""
+        return list(self._driven.values())
 
-    def leave_zero(self, topic: str, type_name: str, qos: QoS) -> bytes:
-        """Before velocity commands are published: leaves the zero that ends them, and notes that we drive the topic.
+    def owned(self, owner: Principal) -> Sequence[Driven]:
+        """Those that this client was the last to command, and that have got no zero since."""
+        return [
+            driven
+            for driven in self.driven
+            if driven.owner == owner and (driven.users or not (driven.is_at_rest or driven.has_ended))
+        ]
 
-        Returns:
-            The zero (CDR) for a type that keeps a robot moving, which must have been learnt; nothing for others.
+    @asynccontextmanager
+    async def driving(
+        self, topic: str, type_name: str, qos: QoS, owner: Principal
+    ) -> AsyncGenerator[Driven | None, None]:
+        """Around a command that publishes: leaves the fail-safe of a velocity topic before it; no other type needs one.
+
+        Raises:
+            Refused: if it would be one topic more than there can be fail-safes, and none of them is at rest.
         """
         if type_name not in VELOCITY_TYPES:
-            return b""
-        zero = self._zeros.get((topic, type_name)) or self._values.encode_known(type_name, {})
-        self._zeros[topic, type_name] = zero
-        destination = {"topic": topic, "type": type_name, "qos": qos.request()}
-        self._leave(topic, Failsafe("failsafe_publish", zero, destination))
-        return zero
+            yield None
+            return
+        key = topic, type_name
+        if key not in self._driven:
+            await self._make_room()
+        driven = self._driven.get(key)
+        if driven is None:
+            driven = self._driven[key] = Driven(topic=topic, type=type_name, qos=qos, owner=owner)
+            driven.held = asyncio.create_task(self._keep_driven(driven))
+        driven.owner, driven.is_at_rest, driven.has_ended = owner, False, False
+        driven.commands += 1
+        driven.users += 1
+        driven.is_needed.set()
+        await asyncio.sleep(0)  # the fail-safe's task writes first: the stream keeps the order
+        try:
+            yield driven
+        finally:
+            driven.users -= 1
+
+    def commands(self) -> Mapping[tuple[str, str], int]:
+        """How many commands each topic has had: what `rest` is to be told, taken before zeros are asked for."""
+        return {key: driven.commands for key, driven in self._driven.items()}
+
+    def rest(self, zeros: Sequence[StoppedTopic], before: Mapping[tuple[str, str], int]) -> None:
+        """Notes which topics are at rest: those whose zero has arrived, unless they were commanded since `before`."""
+        for zero in zeros:
+            key = zero["topic"], zero["type"]
+            driven = self._driven.get(key)
+            arrived = zero["acked"] or not zero["matched"]
+            if driven and arrived and not driven.users and driven.commands == before.get(key):
+                driven.is_at_rest = True
+
+    async def zero(self, topics: Collection[str]) -> Sequence[StoppedTopic]:
+        """Publishes the zero on some of these topics, and says what became of each. Raises as `Graph.ask`."""
+        before = self.commands()
+        reply = await self._graph.query(
+            ZeroReply,
+            "zero",
+            topics=sorted(topics),
+            wait_match_s=MATCH_S,
+            wait_ack_s=ACKNOWLEDGED_S,
+            timeout_s=MATCH_S + ACKNOWLEDGED_S + ZERO_S,
+        )
+        self.rest(reply["topics"], before)
+        return reply["topics"]
+
+    async def _make_room(self) -> None:
+        """Lets a topic that is at rest give up its place, if there is no other place."""
+        has_asked = False
+        while len(self._driven) >= MAX_FAILSAFES:
+            at_rest = next((driven for driven in self.driven if driven.is_at_rest), None)
+            ended = {driven.topic for driven in self.driven if driven.has_ended and not driven.users}
+            if at_rest:
+                del self._driven[at_rest.topic, at_rest.type]
+                if at_rest.held:
+                    at_rest.held.cancel()
+            elif ended and not has_asked:
+                has_asked = True
+                await self.zero(ended)
+            else:
+                raise Refused(
+                    f"This server drives {MAX_FAILSAFES} velocity topics already; that is the most that it can see "
+                    "stopped if it dies. Nothing was sent.",
+                    "ros2_stop stops them all, and those whose stop is confirmed make room.",
+                )
+
+    async def _keep_driven(self, driven: Driven) -> None:
+        """Keeps the fail-safe in force, in one bridge after the other. What a lost bridge left moving, its successor
+        stops at once.
+        """
+        after_a_loss = False
+        while True:
+            driven.is_needed.clear()
+            try:
+                await self._graph.ask(
+                    "failsafe_publish",
+                    topic=driven.topic,
+                    type=driven.type,
+                    qos=driven.qos.request(),
+                    frame=self._graph.frame_id_of(driven.topic),
+                    now=after_a_loss and not driven.is_at_rest,
+                    timeout_s=NO_END_S,
+                )
+            except BridgeLost:
+                after_a_loss = True
+            except RobotError as error:
+                if self._graph.is_closed:
+                    return
+                _logger.warning("the fail-safe of %s is not in force: %s", driven.topic, error)
+                after_a_loss = after_a_loss or not was_refused(error)
+                with anyio.move_on_after(math.inf if was_refused(error) else _AGAIN_S):
+                    await driven.is_needed.wait()  # until the topic is commanded once more
+            else:
+                await driven.is_needed.wait()
+
+    # ── goals ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     def leave_cancel(self, goal_id: str, action: str) -> None:
         """Before a goal is sent: leaves the request that cancels it. `CANCEL_TYPE` must have been learnt."""
+        if goal_id in self._goals:
+            return
         body = self._values.encode_known(f"{CANCEL_TYPE}_Request", cancel_request(goal_id))
         service = {"service": f"{action}/_action/cancel_goal", "type": CANCEL_TYPE}
-        self._leave(goal_id, Failsafe("failsafe_call", body, service))
+        if len(self._goals) >= MAX_FAILSAFES:
+            self.withdraw(next(iter(self._goals)))
+        self._goals[goal_id] = asyncio.create_task(self._keep_cancel(goal_id, body, service))
 
-    def withdraw(self, key: str) -> None:
-        """Takes the fail-safe of a topic or goal back; without effect where there is none."""
-        if key in self._held:
-            self._held.pop(key)[1].cancel()
+    def withdraw(self, goal_id: str) -> None:
+        """Takes the fail-safe of a goal back; without effect where there is none."""
+        if goal_id in self._goals:
+            self._goals.pop(goal_id).cancel()
 
-    def _leave(self, key: str, failsafe: Failsafe) -> None:
-        """Puts it in force, unless one of that key is. The robot is moved again: an old one need not be carried out."""
-        if key in self._being_done:
-            self._being_done.pop(key).cancel()
-        if key in self._held:
-            return
-        of_this_kind = [other for other, (op, _) in self._held.items() if op == failsafe.op]
-        if len(of_this_kind) >= MAX_FAILSAFES:
-            self.withdraw(of_this_kind[0])
-        self._held[key] = failsafe.op, asyncio.create_task(self._hold(key, failsafe))
-
-    async def _hold(self, key: str, failsafe: Failsafe) -> None:
-        """Keeps it in force, in one bridge after the other. What a killed bridge left moving, its successor stops."""
+    async def _keep_cancel(self, goal_id: str, body: bytes, service: Mapping[str, Any]) -> None:
+        """Keeps it in force, in one bridge after the other."""
         while True:
             try:
-                await self._graph.ask(failsafe.op, failsafe.body, timeout_s=NO_END_S, **failsafe.arguments)
+                await self._graph.ask("failsafe_call", body, timeout_s=NO_END_S, **service)
             except BridgeLost:
-                if failsafe.op == "failsafe_publish":
-                    self._being_done[key] = asyncio.create_task(self._publish(key, failsafe))
+                continue
             except RobotError as error:
-                self._held.pop(key, None)
                 if not self._graph.is_closed:
-                    _logger.warning("a fail-safe is not in force: %s", error)
-                return
-
-    async def _publish(self, key: str, failsafe: Failsafe) -> None:
-        """Carries out what a killed bridge could not. The new one has yet to discover the robot: the message waits."""
-        patience = {"wait_match_s": _DISCOVERED_S, "wait_ack_s": _ACKNOWLEDGED_S, "timeout_s": 2 * _DISCOVERED_S}
-        try:
-            await self._graph.ask("publish", failsafe.body, **patience, **failsafe.arguments)
-        except RobotError as error:
-            if not self._graph.is_closed:
-                _logger.warning("%s could not be stopped after the bridge was lost: %s", key, error)
-        finally:
-            if self._being_done.get(key) is asyncio.current_task():
-                del self._being_done[key]
+                    _logger.warning("the fail-safe of goal %s is not in force: %s", goal_id, error)
+            self._goals.pop(goal_id, None)
+            return

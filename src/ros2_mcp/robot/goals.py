@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
+from time import monotonic
 from typing import Any
 
 from ros2_mcp.model.commands import Answer, CancelGoals, Principal, SendGoal
-from ros2_mcp.model.errors import NotFound
+from ros2_mcp.model.errors import NotFound, Stopped
 from ros2_mcp.model.goals import CANCEL_TYPE
 from ros2_mcp.robot.core import Core
+from ros2_mcp.robot.graph import was_refused
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp.robot.services import call
 
-_CANCELLED_S = 3.0
+UNKNOWN_GOAL = 2
+"""A code of action_msgs/srv/CancelGoal (`CANCEL_CODES`)."""
+_AGAIN_S = 0.1
+"""Between requests to cancel a goal that its server has yet to accept."""
+CANCELLED_S = 3.0
 """A server that is alive answers within milliseconds; the end of a client does not wait longer for one that is not."""
 
 
@@ -21,7 +27,8 @@ class Goal(Job):
     """A goal that this server sent; its id is the goal's own.
 
     It is running until somebody has seen it end, and may move the robot until then: no process tells us of its end
-    unasked. `is_accepted` is false as long as its server has not said that it takes it, and so may know nothing of it.
+    unasked. `is_accepted` is false as long as its server has not said that it takes it, and so may know nothing of it;
+    `was_sent` is false once it is known that it never left.
     """
 
     kind = "goal"
@@ -39,12 +46,13 @@ class Goal(Job):
         goal_id: str,
         action: str,
         action_type: str,
-        ask_to_cancel: Callable[[], Awaitable[object]],
+        ask_to_cancel: Callable[[], Awaitable[Mapping[str, Any]]],
     ) -> None:
         super().__init__(owner=owner, moves=[action], job_id=goal_id)
         self.action = action
         self.action_type = action_type
         self.is_accepted = False
+        self.was_sent = True
         self._ask_to_cancel = ask_to_cancel
         self._has_ended = asyncio.Event()
 
@@ -58,7 +66,21 @@ class Goal(Job):
         if self.is_stopping:  # it has been given up: the bridge's fail-safe cancels it
             await self.wait()
         elif self.is_running:
-            await self._ask_to_cancel()
+            await self.request_cancel(CANCELLED_S)
+
+    async def request_cancel(self, within_s: float) -> Mapping[str, Any]:
+        """Asks its server to cancel it; the fields of the answer (`action_msgs/srv/CancelGoal`).
+
+        What stops does not pass the policy. A server that has yet to accept the goal does not know it: it is asked
+        again, for `within_s`. Raises as a `ServiceBorne`.
+        """
+        deadline = monotonic() + within_s
+        while True:
+            is_on_its_way = self.is_running and not self.is_accepted
+            response = await self._ask_to_cancel()
+            if response["return_code"] != UNKNOWN_GOAL or not is_on_its_way or monotonic() > deadline:
+                return response
+            await asyncio.sleep(_AGAIN_S)
 
     def has_been_seen_to_end(self) -> None:
         """Notes that it has ended, or was not accepted."""
@@ -77,25 +99,32 @@ async def send(core: Core, command: SendGoal) -> Answer:
     """
     await core.values.learn(command.type, CANCEL_TYPE)
     core.values.encode_known(f"{command.type}_Goal", command.value)  # a goal that does not fit becomes no job
+    core.check_stop()
     former = core.jobs.get(Goal, command.goal_id)
     if former and former.is_running:  # its server refuses a second one of that id, and goes on with the first
         return await call(core, command)
-    cancel = CancelGoals(
-        principal=command.principal, name=command.name, goal_id=command.goal_id, timeout_s=_CANCELLED_S
-    )
+    cancel = CancelGoals(principal=command.principal, name=command.name, goal_id=command.goal_id, timeout_s=CANCELLED_S)
+
+    async def ask_to_cancel() -> Mapping[str, Any]:
+        answer = await call(core, cancel)
+        return core.values.in_full(answer.type, answer.body)
+
     goal = Goal(
         owner=command.principal,
         goal_id=command.goal_id,
         action=command.name,
         action_type=command.type,
-        ask_to_cancel=lambda: call(core, cancel),  # not `Robot.do`: what stops is never refused
+        ask_to_cancel=ask_to_cancel,
     )
+    if len(core.jobs.running(Goal)) >= Goal.most_running:  # the oldest one is forgotten, and may still be running
+        core.no_known_stop.note("service", f"{command.service} ({command.service_type})")
     await core.jobs.start(goal)
     core.failsafes.leave_cancel(command.goal_id, command.name)
     try:
         await asyncio.sleep(0)  # the fail-safe's task writes first: the stream keeps the order
         answer = await call(core, command)
-    except NotFound:
+    except (NotFound, Stopped) as error:
+        goal.was_sent = not was_refused(error)
         ended(core, command.goal_id)
         raise
     response: Any = core.values.codec.decode(answer.type, answer.body)

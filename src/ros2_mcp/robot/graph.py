@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import BridgeRefused, LinkError, NotFound, RobotError, TimedOut, UnknownInterface
+from ros2_mcp.model.errors import (
+    BridgeRefused,
+    LinkError,
+    NotFound,
+    RobotError,
+    Stopped,
+    TimedOut,
+    UnknownInterface,
+)
 from ros2_mcp.model.graph import (
     BridgeStatus,
     NamedTypes,
@@ -37,7 +45,10 @@ _KINDS: Mapping[str, type[RobotError]] = {
     "not_found": NotFound,
     "timeout": TimedOut,
     "server_gone": NotFound,
+    "stopped": Stopped,
 }
+_NOTHING_SENT: Collection[str] = ("bad_request", "unknown_type", "not_found", "stopped")
+"""Kinds of errors with which the bridge says that what it was asked to send has not left."""
 _Shape = TypeVar("_Shape")
 
 
@@ -131,6 +142,19 @@ class Graph:
         """The full names of the nodes of our bridge, and of lost ones: the graph shows those for some seconds more."""
         return self._bridge.nodes
 
+    def frame_id_of(self, topic: str) -> str:
+        """The frame (`header.frame_id`) of the last velocity command on a topic, as far as it is known."""
+        return self._bridge.frame_ids.get(topic, "")
+
+    def note_frame_id(self, topic: str, frame_id: str) -> None:
+        """Notes the frame of a command that is about to be published; the bridge tells of those that it publishes."""
+        self._bridge.frame_ids[topic] = frame_id
+
+    @property
+    def lapses(self) -> Sequence[float]:
+        """For how long this server had been silent, in seconds, each time that a link lease lapsed."""
+        return self._bridge.lapses
+
     @property
     def domain_id(self) -> int | None:
         """The ROS domain; None until there is a bridge."""
@@ -140,9 +164,9 @@ class Graph:
         """Waits until there is a bridge; raises `LinkError` with the reason where there can be none."""
         await self._bridge.ready()
 
-    async def endpoints(self, topic: str) -> TopicEndpoints:
+    async def endpoints(self, topic: str, within_s: float | None = None) -> TopicEndpoints:
         """The publishers and subscribers of a topic; empty where the graph does not know it."""
-        return _endpoints(topic, await self._settled(protocol.EndpointsReply, "endpoints", topic=topic))
+        return _endpoints(topic, await self._settled(protocol.EndpointsReply, "endpoints", within_s, topic=topic))
 
     async def wait_for(
         self,
@@ -184,9 +208,18 @@ class Graph:
         )
 
 
+def was_refused(error: RobotError) -> bool:
+    """Whether nothing was sent of a request that raised this: it was stopped before, or the bridge refused it."""
+    if isinstance(error, Stopped):
+        return not error.may_have_left
+    refused = error.__cause__
+    return isinstance(refused, BridgeRefused) and refused.kind in _NOTHING_SENT
+
+
 def _endpoints(topic: str, reply: protocol.EndpointsReply) -> TopicEndpoints:
     return TopicEndpoints(
         topic,
         [Endpoint.parse(endpoint) for endpoint in reply["publishers"]],
         [Endpoint.parse(endpoint) for endpoint in reply["subscribers"]],
+        reply["settled"],
     )

@@ -11,7 +11,7 @@ import logging
 import math
 import secrets
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from time import monotonic
 from typing import ClassVar, Literal, TypeVar
 
@@ -19,7 +19,7 @@ import anyio
 from anyio.abc import TaskGroup
 
 from ros2_mcp.model.commands import Principal
-from ros2_mcp.model.errors import NotFound, Refused, RobotError
+from ros2_mcp.model.errors import NotFound, Refused, RobotError, Stopped
 from ros2_mcp.model.names import did_you_mean
 
 Report = Callable[[], Awaitable[None]]
@@ -148,11 +148,14 @@ class Job(ABC):
             raise
         except Exception as error:  # whatever it is, it ends this job and no other
             self.failure = _single(error)
-            if self._settled.is_set() and not isinstance(self.failure, RobotError):
+            if isinstance(self.failure, Stopped):
+                self.outcome, self.stop_reason = "stopped", self.stop_reason or "ros2_stop"
+            elif self._settled.is_set() and not isinstance(self.failure, RobotError):
                 _logger.exception("%s %s failed", self.kind, self.id)
         finally:
             ended: State = "stopped" if self.is_stopping else "ended"
-            self.state = "failed" if self.failure else self.outcome or ended
+            has_failed = self.failure and not isinstance(self.failure, Stopped)
+            self.state = "failed" if has_failed else self.outcome or ended
             self._ended_at = monotonic()
             self._over.set()
             self._settled.set()
@@ -262,8 +265,9 @@ class Jobs:
         await job.stop()
         return job
 
-    async def stop_moving(self, reason: str = "") -> list[Job]:
-        """Stops all jobs that move something, at the same time, and notes the reason; returns those that ran.
+    async def stop_moving(self, reason: str = "") -> Mapping[Job, str]:
+        """Stops all jobs that move something, at the same time, and notes the reason; returns those that ran, each with
+        what kept it from ending in good order, if something did.
 
         Goals, which the robot itself carries out, are left: their caller waits to see them end. A job that is still
         starting moves nothing from the time of the call on.
@@ -275,12 +279,15 @@ class Jobs:
                 job.cancel()
         return await _stop_all(moving)
 
-    async def stop_owned(self, owner: Principal) -> list[Job]:
+    async def stop_owned(self, owner: Principal, reason: str = "") -> list[Job]:
         """Stops all that one owner, who is gone, has left in motion, goals too; returns the jobs that ran.
 
         What moves nothing, such as a recording, goes on: another client can still stop it.
         """
-        return await self._end([job for job in self.running(Job) if job.owner == owner and job.moves])
+        owned = [job for job in self.running(Job) if job.owner == owner and job.moves]
+        for job in owned:
+            job.stop_reason = reason
+        return list(await self._end(owned))
 
     async def close(self) -> None:
         """Stops all, and starts no other: the end of the server. Safe to call twice."""
@@ -293,7 +300,7 @@ class Jobs:
         if self._host:
             await asyncio.wait({self._host})
 
-    async def _end(self, jobs: Sequence[Job]) -> list[Job]:
+    async def _end(self, jobs: Sequence[Job]) -> Mapping[Job, str]:
         """Stops jobs whose owner has gone. What moves something does not wind down: nobody awaits its result."""
         for job in jobs:
             if job.moves and not job.ends_elsewhere:
@@ -325,17 +332,20 @@ class Jobs:
             await self._host_may_end.wait()
 
 
-async def _stop_all(jobs: Sequence[Job]) -> list[Job]:
+async def _stop_all(jobs: Sequence[Job]) -> Mapping[Job, str]:
+    ended = dict.fromkeys(jobs, "")
+
     async def stop(job: Job) -> None:
         try:
             await job.stop()
         except Exception as error:  # noqa: BLE001 - it has ended; that it was not in good order keeps no other from ending
+            ended[job] = str(error)
             _logger.warning("%s %s did not end in good order: %s", job.kind, job.id, error)
 
     async with anyio.create_task_group() as group:
         for job in jobs:
             group.start_soon(stop, job)
-    return list(jobs)
+    return ended
 
 
 async def _abandon(job: Job) -> None:

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-import asyncio
-from typing import Any
+from collections.abc import AsyncGenerator, Mapping
+from contextlib import asynccontextmanager
+from typing import Any, cast
 
-from ros2_mcp.model.commands import Feed, Play, Publish, Relay, Repeat, Sent
+from ros2_mcp.model.commands import Command, Feed, Play, Publish, Relay, Repeat, Sent
 from ros2_mcp.model.graph import RelayCounts
+from ros2_mcp.model.qos import QoS
 from ros2_mcp.robot.core import Core
+from ros2_mcp.robot.failsafes import Driven
 from ros2_mcp.robot.graph import NO_END_S, REQUEST_S
 from ros2_mcp_bridge import protocol
+from ros2_mcp_bridge.velocity import VELOCITY_TYPES
 
 
 async def publish(core: Core, command: Publish) -> Sent:
     """One message, acknowledged where that is possible."""
-    body, destination = await _prepared(core, command)
-    reply = await core.graph.query(
-        protocol.PublishReply,
-        "publish",
-        body,
-        timeout_s=command.wait_match_s + command.wait_ack_s + REQUEST_S,
-        wait_match_s=command.wait_match_s,
-        wait_ack_s=command.wait_ack_s,
-        **destination,
-    )
+    body = await core.values.encode(command.type, command.value)
+    async with _sending(core, command, command.choice.qos):
+        answer = await core.act(
+            "publish",
+            body,
+            timeout_s=command.wait_match_s + command.wait_ack_s + REQUEST_S,
+            wait_match_s=command.wait_match_s,
+            wait_ack_s=command.wait_ack_s,
+            **_destination(command, command.choice.qos),
+        )
+    reply = cast("protocol.PublishReply", answer.ok)
     return Sent(
         topic=command.name,
         type=command.type,
@@ -37,19 +42,20 @@ async def publish(core: Core, command: Publish) -> Sent:
 
 async def repeat(core: Core, command: Repeat) -> Sent:
     """One message at a rate for a time, with a zero at the end of what moves."""
-    body, destination = await _prepared(core, command)
-    zero = core.failsafes.leave_zero(command.name, command.type, command.choice.qos)
-    reply = await core.graph.query(
-        protocol.RepeatReply,
-        "repeat",
-        body + zero,
-        timeout_s=command.duration_s + command.wait_match_s + REQUEST_S,
-        final_size=len(zero),
-        wait_match_s=command.wait_match_s,
-        rate_hz=command.rate_hz,
-        duration_s=command.duration_s,
-        **destination,
-    )
+    body = await core.values.encode(command.type, command.value)
+    async with _sending(core, command, command.choice.qos) as driven:
+        answer = await core.act(
+            "repeat",
+            body,
+            timeout_s=command.duration_s + command.wait_match_s + REQUEST_S,
+            wait_match_s=command.wait_match_s,
+            rate_hz=command.rate_hz,
+            duration_s=command.duration_s,
+            **_destination(command, command.choice.qos),
+        )
+        reply = cast("protocol.RepeatReply", answer.ok)
+        if driven:
+            driven.has_ended = reply["final_sent"]
     return Sent(
         topic=command.name,
         type=command.type,
@@ -59,44 +65,66 @@ async def repeat(core: Core, command: Repeat) -> Sent:
         elapsed_s=reply["elapsed_s"],
         late=reply["late"],
         stopped_with_zero=reply["final_sent"],
-        ended_early=bool(reply["ended_by"]),
+        ended_by=reply["ended_by"],
     )
 
 
 async def relay(core: Core, command: Relay | Play) -> RelayCounts:
     """A relay in the bridge from its beginning to its end, with a zero at the end of what moves."""
     await core.values.learn(command.type)
-    zero = core.failsafes.leave_zero(command.name, command.type, command.qos)
-    await asyncio.sleep(0)  # as in `_prepared`
     arguments: dict[str, Any] = {}
     if isinstance(command, Relay) and command.source:
         arguments = {"source": command.source, "duration_s": command.duration_s or 0.0}
         arguments |= {"rate_hz": command.rate_hz} if command.rate_hz else {}
-    reply = await core.graph.query(
-        protocol.RelayReply,
-        "relay",
-        zero,
-        timeout_s=NO_END_S,
-        name=command.relay_id,
-        topic=command.name,
-        type=command.type,
-        qos=command.qos.request(),
-        wait_match_s=command.wait_match_s,
-        **arguments,
-    )
-    return RelayCounts(**reply)
+    async with _sending(core, command, command.qos) as driven:
+        answer = await core.act(
+            "relay",
+            timeout_s=NO_END_S,
+            name=command.relay_id,
+            wait_match_s=command.wait_match_s,
+            **_destination(command, command.qos),
+            **arguments,
+        )
+        counts = RelayCounts(**answer.ok)
+        if driven:
+            driven.has_ended = counts.final_sent
+    return counts
 
 
 async def feed(core: Core, command: Feed) -> int:
     """Messages for a relay that is open: opening it has left its fail-safe, which ends what these begin."""
     body, sizes = b"".join(command.messages), [len(message) for message in command.messages]
-    reply = await core.graph.query(protocol.RelayFeedReply, "relay_feed", body, name=command.relay_id, sizes=sizes)
-    return reply["passed"]
+    answer = await core.act("relay_feed", body, timeout_s=REQUEST_S, name=command.relay_id, sizes=sizes)
+    return answer.ok["passed"]
 
 
-async def _prepared(core: Core, command: Publish | Repeat) -> tuple[bytes, dict[str, Any]]:
-    """The checked and encoded message, with the bridge's arguments for its destination; the fail-safe is in force."""
-    body = await core.values.encode(command.type, command.value)
-    core.failsafes.leave_zero(command.name, command.type, command.choice.qos)
-    await asyncio.sleep(0)  # the fail-safe's task writes first: the stream keeps the order
-    return body, {"topic": command.name, "type": command.type, "qos": command.choice.qos.request()}
+@asynccontextmanager
+async def _sending(
+    core: Core, command: Publish | Repeat | Relay | Play, qos: QoS
+) -> AsyncGenerator[Driven | None, None]:
+    """Around a request that publishes: its fail-safe is in force, or it is noted that none is known.
+
+    Raises:
+        Stopped: if a stop came after it was accepted.
+        Refused: if too many velocity topics are driven.
+    """
+    core.check_stop()
+    if command.type not in VELOCITY_TYPES:
+        with core.no_known_stop.sending("topic", f"{command.name} ({command.type})"):
+            yield None
+        return
+    if frame_id := _frame_id_of(command.value):
+        core.graph.note_frame_id(command.name, frame_id)
+    async with core.failsafes.driving(command.name, command.type, qos, command.principal) as driven:
+        yield driven
+
+
+def _destination(command: Command[Any], qos: QoS) -> dict[str, Any]:
+    """Where it goes, as the bridge is told."""
+    return {"topic": command.name, "type": command.type, "qos": qos.request()}
+
+
+def _frame_id_of(value: object) -> str:
+    """The `header.frame_id` of a value that has been encoded; empty where it gives none."""
+    header = cast("Mapping[str, Any]", value).get("header") if isinstance(value, Mapping) else None
+    return str(header.get("frame_id", "")) if header else ""

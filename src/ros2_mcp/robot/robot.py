@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
 import copy
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Mapping
+import logging
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.model import commands, names, qos
-from ros2_mcp.model.commands import LOCAL, Answer, Command, Principal, R
+from ros2_mcp.model.commands import Answer, Command, Principal, R
+from ros2_mcp.model.errors import RobotError
 from ros2_mcp.robot import goals, publishing, services
 from ros2_mcp.robot.core import Core
+from ros2_mcp.robot.failsafes import ACKNOWLEDGED_S, MATCH_S, ZERO_S
 from ros2_mcp.robot.graph import Graph
+from ros2_mcp.robot.jobs import Job
 from ros2_mcp.robot.listening import Listening, subscribed_while
 from ros2_mcp.robot.log import LogRing
 from ros2_mcp.robot.translation import as_meant
 from ros2_mcp.robot.values import Values
-from ros2_mcp_bridge.protocol import Keep, StopReply
+from ros2_mcp_bridge.protocol import Keep, StoppedTopic, StopReply
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Subscription
@@ -51,12 +56,15 @@ _EXECUTORS: Mapping[type[Command[Any]], Callable[[Core, Any], Awaitable[Any]]] =
     commands.CancelGoals: services.call,
 }
 """How each command is carried out, once it has been decided: it encodes its value, leaves its fail-safe and sends."""
+_NEVER_STOPPED = (commands.CancelGoals, commands.Record)
+"""The first one stops; the other writes files and sends nothing."""
+_logger = logging.getLogger(__name__)
 
 
 class Robot(Core):
     """One robot: its graph, its definitions, its topics, services and actions.
 
-    `principal` is who asks through it (`acting_for`).
+    Clients act through a view of it for each call (`acting_for`).
     """
 
     def __init__(
@@ -70,15 +78,16 @@ class Robot(Core):
     ) -> None:
         super().__init__(bridge, graph, values)
         self.policy = policy or Policy()
-        self.principal = LOCAL
         self.log = LogRing(bridge)
         self._listened: dict[tuple[str, str, str], tuple[str, Choice]] = {}
         self.result_bytes = result_bytes
 
     def acting_for(self, principal: Principal) -> Robot:
-        """The same robot for one client: whatever is done through it is done for that principal."""
+        """The same robot for one call, to be taken when the call is accepted: whatever is done through it is done for
+        that principal, and not after a stop that comes later.
+        """
         robot = copy.copy(self)
-        robot.principal = principal
+        robot.principal, robot.accepted = principal, self.stops.now(principal)
         return robot
 
     # ── acting ─────────────────────────────────────────────────────────────────────────────────────────────────
@@ -86,18 +95,79 @@ class Robot(Core):
     async def do(self, command: Command[R]) -> R:
         """Decides about a command and carries it out. Nothing is registered, left or sent before it is decided.
 
+        Through the robot itself, which is no view for one call, a command is accepted when this begins.
+
         Raises:
-            Refused: if the policy of this server forbids it.
+            Refused: if the policy of this server forbids it, or a limit is reached.
             BadValue: naming the path of a value that does not fit its definition; nothing is sent.
+            Stopped: if a stop came after it was accepted; nothing was sent, unless the error says so.
             RobotError: what the command itself may raise.
         """
-        command = await as_meant(self, command)
+        view = self if self.accepted else self.acting_for(self.principal)
+        command = await as_meant(view, command)
         self.policy.check(command)
-        return await _EXECUTORS[type(command)](self, command)
+        if not isinstance(command, _NEVER_STOPPED):
+            view.check_stop()
+        return await _EXECUTORS[type(command)](view, command)
 
-    async def end_streams(self) -> StopReply:
-        """Ends all repeated publishing and all relays; how many of each. What stops is never refused."""
-        return await self.graph.query(StopReply, "stop")
+    # What stops is never refused: it does not pass the policy, and no stop that comes later holds it up.
+
+    def raise_stop_epoch(self) -> None:
+        """Begins a stop of everything: at once, nothing leaves this server any more that was accepted before."""
+        self.stops.raise_epoch()
+
+    async def stop_bridge(self) -> StopReply:
+        """Ends what is under way in the bridge and was accepted before the last `raise_stop_epoch`; publishes the zero
+        on every velocity topic that is driven. Raises as `Graph.ask`.
+        """
+        before = self.failsafes.commands()
+        reply = await self.graph.query(
+            StopReply,
+            "stop",
+            epoch=self.stops.epoch,
+            wait_match_s=MATCH_S,
+            wait_ack_s=ACKNOWLEDGED_S,
+            timeout_s=MATCH_S + ACKNOWLEDGED_S + ZERO_S,
+        )
+        self.failsafes.rest(reply["topics"], before)
+        return reply
+
+    async def zero(self, topics: Sequence[str]) -> Sequence[StoppedTopic]:
+        """Publishes the zero on some of the velocity topics that are driven. Raises as `Graph.ask`."""
+        return await self.failsafes.zero(topics)
+
+    def moves_for(self, principal: Principal) -> bool:
+        """Whether this client may keep something moving: a job, a goal, or a velocity topic that it commanded last and
+        that has got no zero since.
+        """
+        running = self.jobs.running(Job)
+        return any(job.owner == principal and job.moves for job in running) or bool(self.failsafes.owned(principal))
+
+    async def stop_owned(self, principal: Principal, reason: str = "") -> Sequence[str]:
+        """Ends what one client has in motion, who has gone: what it sent and has not been answered is ended, its jobs
+        that move something end, for that reason, its goals are cancelled, and the zero goes out on every velocity topic
+        that it was the last to command. What others do goes on. Never raises a `RobotError`: what fails is logged.
+
+        Returns:
+            In words, what was ended: `repeat repeat_0f3a9c21`, `zero on /cmd_vel`.
+        """
+        self.stops.end_of(principal)
+        topics = sorted({driven.topic for driven in self.failsafes.owned(principal)})
+        ended, _ = await asyncio.gather(self.jobs.stop_owned(principal, reason), self._zero(topics))
+        return [*(f"{job.kind} {job.id}" for job in ended), *(f"zero on {topic}" for topic in topics)]
+
+    async def _zero(self, topics: Sequence[str]) -> None:
+        """Publishes the zero on these topics, if there are any. The bridge ends repeats with theirs, too."""
+        if not topics:
+            return
+        try:
+            zeros = await self.zero(topics)
+        except RobotError as error:
+            _logger.warning("no zero could be sent on %s: %s", ", ".join(topics), error)
+            return
+        for zero in zeros:
+            if zero["matched"] and not zero["acked"]:
+                _logger.warning("the zero on %s has not been acknowledged", zero["topic"])
 
     async def end_relay(self, relay_id: str) -> None:
         """Ends one relay or playback in the bridge; without effect where there is none."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from ros2_mcp.model.commands import Answer, ServiceBorne
+from typing import Any
+
+from ros2_mcp.model.commands import Answer, CancelGoals, SendGoal, ServiceBorne
 from ros2_mcp.robot.core import Core
 
 _READING_TYPES = frozenset(
@@ -33,15 +35,22 @@ async def call(core: Core, command: ServiceBorne) -> Answer:
 
     Raises:
         BadValue: naming the path of a value that does not fit; nothing is sent.
+        Stopped: if a stop came after it was accepted; nothing was sent.
     """
     timeout_s, wait_s = command.timeout_s, command.wait_s
-    reply = await core.graph.ask(
-        "call",
-        await core.values.encode(f"{command.service_type}_Request", command.request),
-        service=command.service,
-        type=command.service_type,
-        wait_s=timeout_s if wait_s is None else wait_s,
-        timeout_s=timeout_s,
-        within_s=timeout_s if wait_s is None else wait_s + timeout_s,
-    )
+    body = await core.values.encode(f"{command.service_type}_Request", command.request)
+    arguments: dict[str, Any] = {
+        "service": command.service,
+        "type": command.service_type,
+        "wait_s": timeout_s if wait_s is None else wait_s,
+        "timeout_s": timeout_s,
+        "within_s": timeout_s if wait_s is None else wait_s + timeout_s,
+    }
+    if isinstance(command, CancelGoals) or only_reads(command.service_type):
+        reply = await core.graph.ask("call", body, **arguments)
+    elif isinstance(command, SendGoal):  # it is a job, and cancelled whatever becomes of this request
+        reply = await core.graph.ask("call", body, epoch=core.check_stop().epoch, **arguments)
+    else:
+        with core.no_known_stop.sending("service", f"{command.service} ({command.service_type})"):
+            reply = await core.act("call", body, **arguments)
     return Answer(f"{command.service_type}_Response", reply.body, reply.ok["elapsed_s"])

@@ -7,13 +7,15 @@ tools/list before that.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import UnknownInterface
+from ros2_mcp.model.errors import BadValue, UnknownInterface
 from ros2_mcp.model.samples import Sample
 from ros2_mcp_bridge.protocol import DefinitionsReply
+from ros2_mcp_bridge.velocity import VELOCITY_TYPES
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.cdr import Codec, Message
@@ -51,6 +53,8 @@ class Values:
         Raises:
             UnknownInterface: if the robot's installation has no definition of one.
         """
+        if all(self.definitions.knows(name) for name in types):
+            return  # without waiting for others that are being fetched: what stops uses types that are known
         async with self._loading:
             unknown = sorted({names.defining_type(name) for name in types if not self.definitions.knows(name)})
             if not unknown:
@@ -91,7 +95,19 @@ class Values:
         """The same, for a type that has been learnt."""
         from ros2_mcp.codec.check import check
 
-        return self.codec.encode(type_name, check(self.definitions, type_name, value))
+        message = check(self.definitions, type_name, value)
+        if type_name in VELOCITY_TYPES:
+            self._require_finite(type_name, message, "")
+        return self.codec.encode(type_name, message)
+
+    def _require_finite(self, type_name: str, message: object, path: str) -> None:
+        """Raises `BadValue` for a number in a message with which nothing can be driven; such types have no lists."""
+        for each in self.definitions.structure(type_name).fields:
+            below, value = f"{path}{each.name}", getattr(message, each.name)
+            if each.type.is_message:
+                self._require_finite(each.type.base, value, f"{below}.")
+            elif isinstance(value, float) and not math.isfinite(value):
+                raise BadValue(below, f"{value} is no finite number: nothing can be driven with it.", "Give a number.")
 
     def render(self, type_name: str, body: bytes, options: RenderOptions | None = None) -> Rendered:
         """Bytes as bounded JSON values."""

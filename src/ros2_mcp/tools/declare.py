@@ -13,8 +13,10 @@ from typing import Any, Literal
 
 from ros2_mcp.tools.injection import Call, arguments_of, values_for
 
-Risk = Literal["read", "write", "actuate"]
-"""`read` changes nothing; `write` changes the software's state; `actuate` can move the robot."""
+Risk = Literal["read", "write", "actuate", "stop"]
+"""`read` changes nothing; `write` changes the software's state; `actuate` can move the robot; `stop` ends what was set
+in motion, and is offered wherever a tool is that does more than read.
+"""
 
 ToolFunction = Callable[..., Awaitable[Any]]
 

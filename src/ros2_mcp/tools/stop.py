@@ -9,9 +9,10 @@ from ros2_mcp.tools.declare import tool
 PLACE = 70
 
 
-@tool(title="Stop the robot", risk="actuate")
+@tool(title="Stop the robot", risk="stop")
 async def ros2_stop(robot: Robot) -> stopping.Stopped:
-    """Stop at once everything that this server has set in motion: zero on velocity topics, goals cancelled, repeated
-    publishing and relays ended. Says what was confirmed.
+    """Stop at once everything that this server has set in motion, for any client: zero on velocity topics, goals
+    cancelled, repeated publishing, relays and playbacks ended; what was accepted before and has not been sent is
+    dropped. Says what was confirmed, and names the services called and topics published on that it cannot stop.
     """
     return await stopping.stop(robot)

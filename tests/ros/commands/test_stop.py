@@ -154,7 +154,10 @@ def busy_stop(server: RawServer, field, robot) -> float:
     took, last = time.monotonic() - started, nonzero(field)[-1] - started
     if took >= STOP_S or last >= LAST_S:
         return max(took, STOP_S)
-    assert (result["confirmed"], result["repeats_stopped"]) == (True, 1)
+    # The slow service was called, and nobody knows what that has begun: all else is confirmed, the whole is not.
+    assert (result["confirmed"], result["repeats_stopped"]) == (False, 1)
+    assert result["unknown_services"] == [f"{robot.name('slow')} (test_msgs/srv/BasicTypes)"]
+    assert result["note"].startswith("Since its start this server has called 1 service(s), of which")
     topic = {"topic_name": field.name("cmd_vel"), "subscribers": 1, "acknowledged": True, "others": [], "error": ""}
     assert result["topics"] == [topic]
     assert [(g["action_name"], g["status"], g["confirmed"]) for g in result["goals"]] == [
@@ -165,6 +168,36 @@ def busy_stop(server: RawServer, field, robot) -> float:
     assert last_is_zero(field)
     assert server.call("ros2_stop")["structuredContent"]["goals"] == []
     return took
+
+
+def test_what_waits_when_a_stop_comes_is_not_sent_and_says_so(start_raw, robot) -> None:
+    """A call that waits for its server, and a publish that waits for its first subscriber."""
+    server = begun(start_raw(), robot)
+    absent = {"service_name": "/not_there_yet", "service_type": "std_srvs/srv/SetBool", "fields": {"data": True}}
+    waiting = [
+        tool(server, "ros2_service_call", **absent, timeout_sec=30),
+        tool(
+            server, "ros2_topic_publish", topic_name="/nobody_yet", message_type="geometry_msgs/msg/Twist", data=MOVING
+        ),
+    ]
+    stopped = server.call("ros2_stop")["structuredContent"]
+    for call in waiting:
+        assert "Stopped: " in server.answer(call)["result"]["content"][0]["text"]
+    assert set(stopped["dropped"]) <= {"calling /not_there_yet", "publishing on /nobody_yet"}
+    again = server.call("ros2_stop")["structuredContent"]
+    assert (again["unknown_services"], again["unknown_topics"], again["dropped"]) == ([], [], [])
+
+
+def test_what_was_begun_before_a_stop_is_confirmed_to_be_stopped_by_it(start_raw, field) -> None:
+    server = begun(start_raw(), field)
+    before = len(nonzero(field))
+    repeat = drive(server, field, frequency=50, duration=30)
+    wait_until(lambda: len(nonzero(field)) > before + 5)
+    result = server.call("ros2_stop")
+    stopped = result["structuredContent"]
+    assert (stopped["confirmed"], stopped["repeats_stopped"], stopped["note"]) == (True, 1, "")
+    assert result["content"][0]["text"].startswith("Stopped: 1 repeated publication(s)")
+    assert "It was ended by ros2_stop." in server.answer(repeat)["result"]["structuredContent"]["note"]
 
 
 def test_stop_cancels_a_goal_that_is_accepted_only_then(agent, robot) -> None:

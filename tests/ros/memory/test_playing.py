@@ -181,7 +181,7 @@ def test_a_playback_that_ros2_stop_ends_is_stopped_and_not_failed(agent: Agent, 
     while (state := told(agent, begun["playback_id"]))["state"] == "playing":
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    assert (state["state"], state["note"]) == ("stopped", "Its publishers have been ended, as ros2_stop does.")
+    assert (state["state"], state["note"]) == ("stopped", "It was ended by ros2_stop.")
 
 
 def told(agent: Agent, playback_id: str) -> dict[str, Any]:

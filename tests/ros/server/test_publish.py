@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import re
 import time
 from itertools import count
 from typing import Any
 
+import pytest
+
+from ros2_mcp_bridge.limits import MAX_FAILSAFES
 from support.agent import FULL, agent_for
+from support.raw_server import RawServer
 from support.standstill import undisturbed
 
 STRING = "std_msgs/msg/String"
+TWIST = "geometry_msgs/msg/Twist"
 TIMES = 950 if FULL else 60
 FRESH = 50 if FULL else 2
 
@@ -131,3 +137,39 @@ def test_a_call_on_several_topics_of_which_all_fail_is_an_error(agent, peer) -> 
     assert "/nowhere_at_all" in agent.refusal("ros2_topic_stats", topic_names=["/nowhere_at_all"], duration=0.1)
     one_of_two = agent.call("ros2_subscribe_multiple_topics", topics=[*missing, {"name": "/is_there"}])["topics"]
     assert [bool(read["error"]) for read in one_of_two] == [True, False]
+
+
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e400", '"nan"', '"inf"'])
+def test_a_velocity_that_is_not_finite_is_refused_and_named(ros_environment, number: str) -> None:
+    """However JSON writes it, once and repeatedly."""
+    server = RawServer(ros_environment)
+    try:
+        server.begin("2025-06-18")
+        for asked_as, more in ((1001, {}), (1002, {"frequency": 10.0, "duration": 0.5})):
+            data = {"linear": {"x": 0.1}, "angular": {"z": "NUMBER"}}
+            publish = {"topic_name": "/driven", "message_type": TWIST, "data": data, **more}
+            params = {"name": "ros2_topic_publish", "arguments": publish}
+            call = {"jsonrpc": "2.0", "id": asked_as, "method": "tools/call", "params": params}
+            assert server.process.stdin
+            server.process.stdin.write(json.dumps(call).replace('"NUMBER"', number).encode() + b"\n")
+            server.process.stdin.flush()
+            text = server.answer(asked_as)["result"]["content"][0]["text"]
+            assert text.startswith("BadValue: angular.z: "), text
+        assert server.call("ros2_stop")["structuredContent"]["topics"] == []
+    finally:
+        server.end()
+
+
+def test_one_velocity_topic_more_than_can_be_stopped_is_refused(ros_environment) -> None:
+    twist = {"message_type": TWIST, "data": {"linear": {"x": 0.1}}}
+    with agent_for(ros_environment) as fresh:
+        fresh.call("ros2_status")
+        sending = [
+            fresh.begin("ros2_topic_publish", topic_name=f"/robot{number}/cmd_vel", **twist)
+            for number in range(MAX_FAILSAFES)
+        ]
+        assert {each.result(60)["status"] for each in sending} == {"nobody_listening"}
+        assert "64 velocity topics already" in fresh.refusal("ros2_topic_publish", topic_name="/more", **twist)
+        stopped = fresh.call("ros2_stop")
+        assert (stopped["confirmed"], len(stopped["topics"])) == (True, MAX_FAILSAFES)
+        assert fresh.call("ros2_topic_publish", topic_name="/more", **twist)["status"] == "nobody_listening"

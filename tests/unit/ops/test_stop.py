@@ -1,23 +1,57 @@
+"""The words of `ros2_stop`: it is confirmed only if there is nothing to doubt."""
+
 from __future__ import annotations
 
-from ros2_mcp.ops.stop import Stopped, StoppedGoal, StoppedTopic, _is_still, _note
+import pytest
+
+from ros2_mcp.ops.stop import Stopped, StoppedGoal, StoppedTopic, _doubts, _facts, _unknown
+
+ENDED = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
 
 
-def test_a_topic_that_somebody_else_publishes_on_is_not_still() -> None:
-    assert _is_still(StoppedTopic("/cmd_vel", 1, True))
-    assert not _is_still(StoppedTopic("/cmd_vel", 1, True, ["/teleop"]))
+@pytest.mark.parametrize(
+    ("topic", "doubt"),
+    [
+        (StoppedTopic("/cmd_vel", 1, True), ""),
+        (StoppedTopic("/cmd_vell", 0, None), ""),  # nobody has to acknowledge it
+        (
+            StoppedTopic("/cmd_vel", 1, True, ["/teleop"]),
+            "/teleop also publishes on /cmd_vel: the robot may still move.",
+        ),
+        (StoppedTopic("/cmd_vel", 1, False), "Not every subscriber of /cmd_vel has acknowledged the zero."),
+        (
+            StoppedTopic("/cmd_vel", 2, None),
+            "Whether the zero on /cmd_vel arrived is not known: nobody acknowledges there.",
+        ),
+        (StoppedTopic("/cmd_vel", 0, False, error="/cmd_vel got no zero."), "/cmd_vel got no zero."),
+    ],
+)
+def test_a_topic_is_still_only_if_everybody_who_listens_has_said_that_the_zero_arrived(
+    topic: StoppedTopic, doubt: str
+) -> None:
+    assert " ".join(_doubts([topic], [])) == doubt
 
 
-def test_a_topic_that_nobody_listens_to_needs_no_acknowledgement() -> None:
-    assert _is_still(StoppedTopic("/cmd_vell", 0, False))
-    assert not _is_still(StoppedTopic("/cmd_vel", 1, False))
+def test_that_nobody_listens_is_said() -> None:
+    assert _facts(ENDED, [StoppedTopic("/cmd_vell", 0, None)], [], {}) == ["Nobody subscribes to /cmd_vell now."]
 
 
-def test_the_note_names_who_else_may_move_the_robot() -> None:
-    note = _note(0, [StoppedTopic("/cmd_vel", 1, True, ["/teleop"])], [])
-    assert note == "/teleop also publishes on /cmd_vel: the robot may still move."
+def test_what_cannot_be_stopped_is_named_up_to_a_bound() -> None:
+    services = [f"/s{number} (std_srvs/srv/Trigger)" for number in range(30)]
+    [doubt] = _unknown(services, ["/lamp (std_msgs/msg/Bool)"])
+    assert doubt.startswith("Since its start this server has called 30 service(s) and published on 1 topic(s)")
+    assert "/s9 (" in doubt and "/s10 (" not in doubt and "/lamp (std_msgs/msg/Bool)" in doubt
+    assert _unknown([], []) == []
 
 
 def test_goals_that_had_ended_are_not_counted_as_cancelled() -> None:
     goals = [StoppedGoal("/go", "a", "CANCELED", True, True), StoppedGoal("/go", "b", "SUCCEEDED", True, False)]
-    assert "1 goal(s) cancelled, 1 had ended already" in Stopped(0, 0, [], goals, True, "").summary()
+    stopped = Stopped(repeats_stopped=0, relays_stopped=0, topics=[], goals=goals, confirmed=True, note="")
+    assert "1 goal(s) cancelled, 1 had ended already" in stopped.summary()
+
+
+def test_a_goal_that_goes_on_has_not_ended_already() -> None:
+    goals = [StoppedGoal("/go", "a", "EXECUTING", False)]
+    stopped = Stopped(repeats_stopped=0, relays_stopped=0, topics=[], goals=goals, confirmed=False, note="")
+    assert stopped.summary().startswith("NOT confirmed") and "0 had ended already" in stopped.summary()
+    assert _doubts([], goals) == ["Goal a has not ended yet."]

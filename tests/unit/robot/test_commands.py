@@ -9,77 +9,22 @@ from typing import Any, cast
 import pytest
 
 from ros2_mcp.guard.policy import Policy
-from ros2_mcp.link.client import Bridge, Reply
+from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.commands import (
     LOCAL,
     CancelGoals,
     ChangeState,
     Command,
-    Feed,
-    Play,
     Principal,
     Publish,
-    Record,
-    Relay,
-    Repeat,
     SendGoal,
-    ServiceCall,
     SetParameters,
 )
 from ros2_mcp.model.errors import BadValue, Refused
-from ros2_mcp.model.qos import Choice, QoS
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.translation import as_meant
-
-TWIST = "geometry_msgs/msg/Twist"
-CHOICE = Choice(QoS(), "as chosen")
-GOAL_ID = "0123456789abcdef" * 2
-UUID = list(bytes.fromhex(GOAL_ID))
-VALUE = """uint8 type\nbool bool_value\nint64 integer_value\nfloat64 double_value\nstring string_value
-byte[] byte_array_value\nbool[] bool_array_value\nint64[] integer_array_value\nfloat64[] double_array_value
-string[] string_array_value\n"""
-DEFINITIONS = {
-    TWIST: ("msg", "Vector3 linear\nVector3 angular\n"),
-    "geometry_msgs/msg/Vector3": ("msg", "float64 x\nfloat64 y\nfloat64 z\n"),
-    "std_msgs/msg/Int32": ("msg", "int32 data\n"),
-    "unique_identifier_msgs/msg/UUID": ("msg", "uint8[16] uuid\n"),
-    "action_msgs/msg/GoalInfo": ("msg", "unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp\n"),
-    "builtin_interfaces/msg/Time": ("msg", "int32 sec\nuint32 nanosec\n"),
-    "action_msgs/srv/CancelGoal": ("srv", "GoalInfo goal_info\n---\nint8 return_code\nGoalInfo[] goals_canceling\n"),
-    "made/action/Go": ("action", "int32 order\n---\nint32 done\n---\nint32 left\n"),
-    "std_srvs/srv/SetBool": ("srv", "bool data\n---\nbool success\nstring message\n"),
-    "lifecycle_msgs/msg/Transition": ("msg", "uint8 id\nstring label\n"),
-    "lifecycle_msgs/srv/ChangeState": ("srv", "Transition transition\n---\nbool success\n"),
-    "rcl_interfaces/msg/ParameterValue": ("msg", VALUE),
-    "rcl_interfaces/msg/Parameter": ("msg", "string name\nParameterValue value\n"),
-    "rcl_interfaces/msg/SetParametersResult": ("msg", "bool successful\nstring reason\n"),
-    "rcl_interfaces/srv/SetParameters": ("srv", "Parameter[] parameters\n---\nSetParametersResult[] results\n"),
-}
-
-
-class Noting:
-    """The link to a robot that is not there: it notes what is sent, in its order, and a fail-safe stays in force."""
-
-    hello = None
-    is_closed = False
-
-    def __init__(self) -> None:
-        self.sent: list[str] = []
-        self.answer = b""
-
-    async def request(self, op: str, _body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
-        del timeout_s
-        if op == "definitions":
-            texts = {name: {"format": kind, "text": text} for name, (kind, text) in DEFINITIONS.items()}
-            return Reply({"missing": [], "definitions": texts}, b"")
-        self.sent.append(op)
-        if op.startswith("failsafe"):
-            await asyncio.Event().wait()
-        if op == "relay":
-            return Reply({"passed": 1, "final_sent": bool(_body)}, b"")
-        told = {"passed": 0, "matched": 1, "acked": True, "waited_s": 0.0, "sent": 1, "elapsed_s": 0.1, "late": 0}
-        return Reply({**told, "final_sent": True, "ended_by": "", **arguments}, self.answer)
+from support.noting_bridge import CHOICE, EVERY, GOAL_ID, TWIST, UUID, Noting, call, goal, on
 
 
 @pytest.fixture
@@ -92,34 +37,7 @@ async def robot(bridge: Noting) -> AsyncGenerator[Robot, None]:
     robot = Robot(cast(Bridge, bridge))
     yield robot
     await robot.jobs.close()
-
-
-def on(name: str, /, **more: Any) -> dict[str, Any]:
-    return {"principal": LOCAL, "name": name, "type": TWIST, **more}
-
-
-def goal(**more: Any) -> SendGoal:
-    sent: dict[str, Any] = {"value": {"order": 3}, **more}
-    return SendGoal(principal=LOCAL, name="/go", type="made/action/Go", goal_id=GOAL_ID, timeout_s=1.0, **sent)
-
-
-def call(kind: str, service: str, value: object) -> ServiceCall:
-    return ServiceCall(principal=LOCAL, name=service, type=kind, value=value, timeout_s=1.0, wait_s=0.5)
-
-
-EVERY: list[Command[Any]] = [
-    Publish(**on("/cmd_vel", value={}, choice=CHOICE, wait_match_s=0.0)),
-    Repeat(**on("/cmd_vel", value={}, choice=CHOICE, wait_match_s=0.0)),
-    Relay(**on("/cmd_vel", relay_id="r", qos=QoS(), wait_match_s=0.0)),
-    Play(**on("/cmd_vel", relay_id="r", qos=QoS(), bag="b", topic="/cmd_vel", wait_match_s=0.0)),
-    Feed(**on("/cmd_vel", relay_id="r", messages=[b"\0\1\0\0"])),
-    Record(principal=LOCAL, name="bag", topics=[]),
-    goal(),
-    CancelGoals(principal=LOCAL, name="/go", goal_id=GOAL_ID, timeout_s=1.0),
-    call("std_srvs/srv/SetBool", "/switch", {"data": True}),
-    call("rcl_interfaces/srv/SetParameters", "/node/set_parameters", {"parameters": []}),
-    call("lifecycle_msgs/srv/ChangeState", "/node/change_state", {"transition": {"label": "activate"}}),
-]
+    robot.failsafes.close()
 
 
 @pytest.mark.parametrize("command", EVERY, ids=lambda command: type(command).__name__)
@@ -129,7 +47,7 @@ async def test_of_a_refused_command_nothing_is_sent_left_or_known(bridge: Noting
         await robot.do(command)
     await asyncio.sleep(0)
     assert bridge.sent == []
-    assert (dict(robot.failsafes.zeros), robot.jobs.all(Goal)) == ({}, [])
+    assert (robot.failsafes.driven, robot.jobs.all(Goal)) == ([], [])
 
 
 @pytest.mark.parametrize("command", EVERY[:4], ids=lambda command: type(command).__name__)
@@ -138,9 +56,8 @@ async def test_whatever_drives_leaves_a_zero_and_is_known_to_drive(
 ) -> None:
     await robot.do(command)
     await asyncio.sleep(0)
-    assert "failsafe_publish" in bridge.sent
-    assert list(robot.failsafes.zeros) == [("/cmd_vel", TWIST)]
-    robot.failsafes.withdraw("/cmd_vel")
+    assert bridge.sent[0] == "failsafe_publish"
+    assert [(driven.topic, driven.type) for driven in robot.failsafes.driven] == [("/cmd_vel", TWIST)]
 
 
 async def test_what_does_not_drive_leaves_none(robot: Robot, bridge: Noting) -> None:
@@ -155,7 +72,7 @@ async def test_a_value_that_does_not_fit_leaves_nothing(robot: Robot, bridge: No
         await robot.do(Publish(**on("/cmd_vel", value={"linear": 1}, choice=CHOICE, wait_match_s=0.0)))
     with pytest.raises(BadValue, match="order"):
         await robot.do(goal(value={"order": "three"}))
-    assert (bridge.sent, dict(robot.failsafes.zeros), robot.jobs.all(Goal)) == ([], {}, [])
+    assert (bridge.sent, robot.failsafes.driven, robot.jobs.all(Goal)) == ([], [], [])
 
 
 @pytest.mark.parametrize("accepted", [True, False])

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator
+import asyncio
+from collections.abc import AsyncGenerator, Mapping
+from typing import Any
 
 import pytest
 
 from ros2_mcp.model.commands import LOCAL, Principal
-from ros2_mcp.robot.goals import Goal
+from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
 from ros2_mcp.robot.jobs import Jobs
+from support.tasks import soon
 
 pytestmark = pytest.mark.anyio
 OTHER = Principal(name="session 2", transport="http")
@@ -19,10 +22,12 @@ class Server:
 
     def __init__(self) -> None:
         self.cancelled: list[str] = []
+        self.return_code = 0
 
     def goal(self, goal_id: str, owner: Principal = LOCAL) -> Goal:
-        async def cancel() -> None:
+        async def cancel() -> Mapping[str, Any]:
             self.cancelled.append(goal_id)
+            return {"return_code": self.return_code}
 
         return Goal(owner=owner, goal_id=goal_id, action="/go", action_type="pkg/action/Go", ask_to_cancel=cancel)
 
@@ -73,3 +78,18 @@ async def test_the_end_of_the_server_leaves_the_goals_to_the_fail_safes(jobs: Jo
     await jobs.start(goal := server.goal("a"))
     await jobs.close()
     assert server.cancelled == [] and not goal.is_running
+
+
+async def test_a_goal_that_its_server_has_yet_to_accept_is_asked_to_be_cancelled_until_it_knows_it(
+    jobs: Jobs, server: Server
+) -> None:
+    await jobs.start(goal := server.goal("a"))
+    server.return_code = UNKNOWN_GOAL
+    stopping = asyncio.ensure_future(goal.stop())
+    await soon(lambda: len(server.cancelled) > 2)
+    server.return_code = 0
+    await stopping
+    asked = len(server.cancelled)
+    goal.is_accepted, server.return_code = True, UNKNOWN_GOAL
+    await goal.stop()
+    assert len(server.cancelled) == asked + 1

@@ -87,7 +87,7 @@ async def test_a_new_kind_of_job_is_a_class_and_nothing_else() -> None:
         await jobs.start(watch)
         assert (watch.state, watch.is_running, watch.owner) == ("running", True, LOCAL)
         assert jobs.find(Watch, watch.id) is watch and jobs.running(Watch) == [watch]
-        assert await jobs.stop_moving() == [watch]
+        assert await jobs.stop_moving() == {watch: ""}
         assert (watch.state, watch.is_clean) == ("stopped", True)
 
 
@@ -237,7 +237,8 @@ async def test_what_keeps_one_from_a_good_end_keeps_no_other_from_ending() -> No
         cut, watch = Cut(moves=("/a",)), Watch(moves=("/b",))
         for job in (cut, watch):
             await jobs.start(job)
-        assert await jobs.stop_moving() == [cut, watch]
+        ended = await jobs.stop_moving()
+        assert list(ended) == [cut, watch] and ended[cut] and not ended[watch]  # why it did not end well is told
         assert {cut.state, watch.state} == {"stopped"}
         again = Cut()
         await jobs.start(again)

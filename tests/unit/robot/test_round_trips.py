@@ -80,10 +80,10 @@ class SlowBridge:
 
     def _endpoints(self, **_: Any) -> Any:
         if not self.is_published:
-            return {"publishers": [], "subscribers": []}
+            return {"publishers": [], "subscribers": [], "settled": True}
         qos = {**QOS, "durability": self.durability}
         publisher = {"node": "n", "namespace": "/", "type": NUMBER, "hash": "", "gid": "1", "qos": qos}
-        return {"publishers": [publisher], "subscribers": []}
+        return {"publishers": [publisher], "subscribers": [], "settled": True}
 
     def _wait_endpoints(self, **_: Any) -> Any:
         raise BridgeRefused("timeout", "It did not come.")

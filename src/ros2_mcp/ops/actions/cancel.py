@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from time import monotonic
 from typing import Any
 
 from ros2_mcp.model import names
@@ -13,12 +11,8 @@ from ros2_mcp.model.commands import CancelGoals
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.goals import CANCEL_CODES, goal_id_bytes, goal_id_hex
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.goals import Goal
+from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
 
-UNKNOWN_GOAL = 2
-"""A code of action_msgs/srv/CancelGoal (`CANCEL_CODES`)."""
-_AGAIN_S = 0.1
-"""Between requests to cancel a goal that its server has yet to accept."""
 _NOTES: Mapping[int, str] = {
     1: "The server refuses to cancel.",
     UNKNOWN_GOAL: "The server does not know such a goal.",
@@ -75,7 +69,10 @@ async def cancel(
     command = CancelGoals(
         principal=robot.principal, name=action, goal_id="" if cancel_all else chosen, stamp=stamp, timeout_s=timeout_s
     )
-    response = robot.fields_of(await robot.do(command))
+    return _cancellation(command.service, robot.fields_of(await robot.do(command)), cancel_all=cancel_all)
+
+
+def _cancellation(service: str, response: Mapping[str, Any], *, cancel_all: bool = False) -> Cancellation:
     code = int(response["return_code"])
     goals = [CancelledGoal(goal_id_hex(goal["goal_id"]["uuid"]), goal["stamp"]) for goal in response["goals_canceling"]]
     if code:
@@ -86,21 +83,14 @@ async def cancel(
         note = "Nothing was running, or the server refuses."
     else:
         note = "The server refuses to cancel this goal."
-    return Cancellation(command.service, code, CANCEL_CODES.get(code, str(code)), goals, note)
+    return Cancellation(service, code, CANCEL_CODES.get(code, str(code)), goals, note)
 
 
-async def cancel_sent(robot: Robot, action: str, goal_id: str, within_s: float) -> Cancellation:
-    """Cancels a goal of ours. A server that has yet to accept it does not know it: it is asked again, for `within_s`.
+async def cancel_sent(goal: Goal, within_s: float) -> Cancellation:
+    """Cancels a goal of ours, as `Goal.request_cancel` does.
 
     Raises:
         NotFound: if no such action is there.
         TimedOut: if the server did not answer.
     """
-    deadline = monotonic() + within_s
-    while True:
-        goal = robot.jobs.get(Goal, goal_id)
-        is_on_its_way = goal and goal.is_running and not goal.is_accepted
-        answer = await cancel(robot, action, goal_id)
-        if answer.return_code != UNKNOWN_GOAL or not is_on_its_way or monotonic() > deadline:
-            return answer
-        await asyncio.sleep(_AGAIN_S)
+    return _cancellation(f"{goal.action}/_action/cancel_goal", await goal.request_cancel(within_s))

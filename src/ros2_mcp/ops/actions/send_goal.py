@@ -14,7 +14,6 @@ from ros2_mcp.model import names
 from ros2_mcp.model.commands import SendGoal
 from ros2_mcp.model.errors import LinkError, NotFound, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, goal_id_hex, new_goal_id
-from ros2_mcp.ops.actions.cancel import cancel_sent
 from ros2_mcp.ops.actions.result import STATUS_AFTER_S, result_of
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
 from ros2_mcp.ops.results import Report, in_words, silent
@@ -199,4 +198,4 @@ async def _give_up(robot: Robot, command: SendGoal) -> None:
     goal = robot.jobs.get(Goal, command.goal_id)
     if goal and goal.is_running:
         with suppress(RobotError):
-            await cancel_sent(robot, command.name, command.goal_id, ACCEPT_S)
+            await goal.request_cancel(ACCEPT_S)

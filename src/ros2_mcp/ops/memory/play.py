@@ -15,10 +15,11 @@ from ros2_mcp.bags.stored import Span, StoredTopic
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import Feed, Play
-from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, TypeConflict
+from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, Stopped, TypeConflict
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
+from ros2_mcp.ops.endings import REASONS, ended_by, held_back
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.sources.bag import find_topic, span_in
@@ -36,6 +37,8 @@ _READY_S = 5.0
 """A bridge makes a hundred publishers within a second; one that has not by then will not."""
 _DEPTH = 100
 """Messages that wait for a slow listener: a second of a topic at 100 Hz."""
+_ANSWERED_S = 0.5
+"""A bridge that ends publishers answers at once, unless it waits for the acknowledgement of a zero."""
 _POLL_S = 0.02
 """A publisher is made within milliseconds; this is by how much a start is longer than it needs to be."""
 _DISCOVERED_S = 0.3
@@ -117,7 +120,10 @@ class Playback(Job):
         self._start_ns = max(first_ns, span.start_ns)
         self._length_ns = max(min(last_ns, span.end_ns) - self._start_ns, 1)
         self._topics = topics
+        self._fed = dict.fromkeys(topics, 0)
         self._published = dict.fromkeys(topics, 0)
+        """Of the messages that were fed to the bridge, those that it has published."""
+        self._ended_by = ""
         self._note = ""
         self._problems: Sequence[str] = ()
         self._progress = 0.0
@@ -154,7 +160,8 @@ class Playback(Job):
         elif self.failure:
             note = str(self.failure)
         elif self.stop_reason and not self.is_running:
-            note = f"Its publishers have been ended, as {self.stop_reason} does."
+            note = ended_by(self.stop_reason)
+        refused = sum(self._fed.values()) - sum(self._published.values())
         return PlaybackState(
             playback_id=self.id,
             bag=self._request.bag,
@@ -164,7 +171,7 @@ class Playback(Job):
             loops=self._loops,
             elapsed_s=round(self.elapsed_s, 3),
             late_s=round(self._late_s, 3),
-            note=" ".join(filter(None, (note, *self._problems))),
+            note=" ".join(filter(None, (note, held_back(refused) if refused else "", *self._problems))),
         )
 
     def _relay_id(self, topic: str) -> str:
@@ -184,7 +191,8 @@ class Playback(Job):
             topic=name,
             wait_match_s=_MATCH_S,
         )
-        await self._robot.do(play)
+        counts = await self._robot.do(play)
+        self._ended_by = REASONS.get(counts.ended_by, "")
 
     async def _until_ready(self, name: str) -> None:
         """Returns when the topic's publisher can be fed; only a feed, even of no message, tells that."""
@@ -211,8 +219,11 @@ class Playback(Job):
                     return
                 loop_s = max(self._length_ns / 1e9 / self._request.rate, _SHORTEST_LOOP_S)
                 await anyio.sleep(max(0.0, begun + loop_s - monotonic()))
-        except NotFound:  # the bridge has ended its publishers, as `ros2_stop` tells it
-            self.outcome, self.stop_reason = "stopped", "ros2_stop"
+        except (NotFound, Stopped):  # the bridge has ended its publishers, and its answer to that is under way
+            with anyio.move_on_after(_ANSWERED_S):
+                while not self._ended_by:
+                    await anyio.sleep(_POLL_S)
+            self.outcome, self.stop_reason = "stopped", self._ended_by or REASONS["stop"]
 
     async def _play_once(self, begun: float) -> None:
         """The messages of the span, in their recorded rhythm counted from `begun`; what is late is not waited for."""
@@ -226,12 +237,13 @@ class Playback(Job):
                 self._late_s = max(0.0, monotonic() - due)
                 for topic, members in itertools.groupby(group, key=lambda message: message[0]):
                     bodies = [sample.data for _, sample in members]
-                    await self._feed(topic, bodies)
-                    self._published[topic] += len(bodies)
+                    self._published[topic] = await self._feed(topic, bodies)
+                    self._fed[topic] += len(bodies)
                 self._progress = min(max(since_start_ns / self._length_ns, 0.0), 1.0)
         self._progress = 1.0
 
-    async def _feed(self, topic: str, messages: Sequence[bytes]) -> None:
+    async def _feed(self, topic: str, messages: Sequence[bytes]) -> int:
+        """Hands messages to the bridge; how many it has published so far on that topic."""
         feed = Feed(
             principal=self.owner,
             name=self._destinations[topic],
@@ -239,7 +251,7 @@ class Playback(Job):
             relay_id=self._relay_id(topic),
             messages=messages,
         )
-        await self._robot.do(feed)
+        return await self._robot.do(feed)
 
 
 async def play(

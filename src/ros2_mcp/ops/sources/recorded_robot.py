@@ -53,7 +53,7 @@ class RecordedGraph(Graph):
         """The types of the recorded topics, with those that they refer to."""
         return sorted(await recorded_definitions(self._store))
 
-    async def endpoints(self, topic: str) -> TopicEndpoints:
+    async def endpoints(self, topic: str, within_s: float | None = None) -> TopicEndpoints:  # noqa: ARG002 - as above
         """The publishers of a topic, without names; none if the recording does not have it."""
         return (await self._recorded_topics()).get(topic, TopicEndpoints(topic, (), ()))
 

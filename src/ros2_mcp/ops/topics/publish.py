@@ -11,7 +11,8 @@ from typing import Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import Publish, Repeat
-from ros2_mcp.model.errors import BadInput, LinkError
+from ros2_mcp.model.errors import BadInput, LinkError, Stopped
+from ros2_mcp.ops.endings import REASONS, ended_by
 from ros2_mcp.ops.results import Report, or_error, silent, unless_all_failed
 from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import VELOCITY_TYPES, Robot, Sent
@@ -80,7 +81,8 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
     Raises:
         BadValue: naming the path of a value that does not fit, or a limit that is out of range.
         TypeConflict: if the topic has another type.
-        Refused: if this server is read-only.
+        Stopped: if a stop came before anything was sent.
+        Refused: if this server is read-only, or drives as many velocity topics as it can already.
     """
     rate_hz, duration_s = request.frequency, request.duration
     if (rate_hz is None) != (duration_s is None):
@@ -176,6 +178,8 @@ async def _repeat(robot: Robot, command: Repeat, report: Report) -> Sent:
 
     await robot.jobs.run(repetition, every_second=progress)
     if repetition.sent is None:
+        if not repetition.has_begun:
+            raise Stopped(f"{ended_by(repetition.stop_reason or 'a stop')} Nothing was published on {topic}.")
         raise LinkError(f"Publishing on {topic} was stopped, and the bridge has not said in time what was sent.")
     return repetition.sent
 
@@ -195,8 +199,8 @@ async def _note(robot: Robot, sent: Sent) -> str:
         notes.append("Not every subscriber has acknowledged it in time.")
     if sent.late:
         notes.append(f"{sent.late} period(s) were missed.")
-    if sent.ended_early:
-        notes.append("It was ended before its time.")
+    if sent.ended_by:
+        notes.append(ended_by(REASONS.get(sent.ended_by, "a request to cancel it")))
     if sent.stopped_with_zero:
         notes.append("A zero command was sent at the end.")
     elif sent.type in VELOCITY_TYPES and sent.matched:

@@ -1,0 +1,75 @@
+"""The stop epoch: what was accepted before a stop is not sent after it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import anyio
+
+from ros2_mcp.model.commands import Principal
+from ros2_mcp.model.errors import Stopped
+
+if TYPE_CHECKING:
+    from ros2_mcp.link.client import Bridge
+
+_STOPPED = "ros2_stop came after this call was accepted: nothing was sent."
+_CLIENT_GONE = "The client that asked for this has gone: it was ended."
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """When a call was accepted: the stop epoch of that time, and how often its client's work had been ended."""
+
+    epoch: int
+    ends_of_client: int
+
+
+class Stops:
+    """How often all work, and that of each client, has been ended. The bridge keeps the epoch, too: it is told of it
+    with every request that acts and with every ping, and refuses what is older where it would leave.
+    """
+
+    def __init__(self, bridge: Bridge) -> None:
+        self._bridge = bridge
+        self._ends: Counter[Principal] = Counter()
+        self._leaving: set[tuple[Principal, anyio.CancelScope]] = set()
+        self.epoch = 0
+
+    def raise_epoch(self) -> None:
+        """A stop of everything begins: from now on nothing leaves that was accepted before."""
+        self.epoch += 1
+        self._bridge.stop_epoch = self.epoch
+
+    def end_of(self, principal: Principal) -> None:
+        """Ends what one client has under way: what was accepted before and has not left, nor been answered."""
+        self._ends[principal] += 1
+        for owner, scope in [*self._leaving]:
+            if owner == principal:
+                scope.cancel()
+
+    def now(self, principal: Principal) -> Accepted:
+        """What a call of that client is accepted with at this time."""
+        return Accepted(self.epoch, self._ends[principal])
+
+    def check(self, principal: Principal, accepted: Accepted) -> None:
+        """Raises `Stopped` if what was accepted then must not be sent any more."""
+        if accepted.epoch != self.epoch:
+            raise Stopped(_STOPPED)
+        if accepted.ends_of_client != self._ends[principal]:
+            raise Stopped(_CLIENT_GONE)
+
+    @contextmanager
+    def leaving(self, principal: Principal) -> Generator[None, None, None]:
+        """Around a request that acts, until it is answered; raises `Stopped` if `end_of` its client ends it."""
+        with anyio.CancelScope() as scope:
+            self._leaving.add((principal, scope))
+            try:
+                yield
+                return
+            finally:
+                self._leaving.discard((principal, scope))
+        raise Stopped(_CLIENT_GONE, may_have_left=True)
