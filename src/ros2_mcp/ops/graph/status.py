@@ -53,6 +53,11 @@ async def status(robot: Robot, limitations: Sequence[str] = ()) -> Status:
         found.append("Tools that write are absent: the server was started read-only.")
     if bridge.executor == "SingleThreadedExecutor":
         found.append("This rclpy has no EventsExecutor: service calls take a little longer.")
+    if lapses := robot.graph.lapses:
+        found.append(
+            f"The link lease has lapsed {len(lapses)} time(s), the last time after this server had been silent for "
+            f"{lapses[-1]:.1f} s: the bridge has stopped what this server moved."
+        )
     return Status(
         server_version=version("ros2-mcp"),
         python=platform.python_version(),
