@@ -120,3 +120,16 @@ def with_damaged_page(folder: Path) -> None:
 
 
 KINDS = {"chunk": with_damaged_chunk, "cut": with_missing_end, "page": with_damaged_page}
+
+
+def with_undecodable_messages(folder: Path) -> int:
+    """A whole bag in which one message of each topic is not what its type says; the time of these."""
+    bad_ns = START_NS + 20 * 1_000_000_000
+    folder.mkdir()
+    writer = BagWriter(folder, folder.name)
+    for topic, type_name in TYPES.items():
+        writer.add_topic(StoredTopic(topic, type_name, None, "", "", ""))
+    for number, (topic, at_ns, body) in enumerate(messages(), 1):
+        writer.write(topic, Sample(at_ns, at_ns, number, b"\0\1\0\0\xff\xff" if at_ns == bad_ns else body))
+    writer.close()
+    return bad_ns

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timezone
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadData, BadInput, BadValue
@@ -17,10 +17,13 @@ from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.sources.selection import undecodable
-from ros2_mcp.ops.sources.source import Missing, Source, Stream
+from ros2_mcp.ops.sources.source import Missing, Source
 from ros2_mcp.ops.sources.times import absolute_ns
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.log import LOG_TYPE, MAX_LINES, TOPIC, level_of
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.cdr import Codec
 
 LEVELS: Mapping[str, int] = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 # Characters of one line: a node that logs whole messages must not take the room of all others.
@@ -98,9 +101,10 @@ async def read(robot: Robot, request: LogRequest, max_bytes: int = 32_000) -> Lo
     await robot.values.learn(LOG_TYPE)
     kept = robot.log.lines
     # the level is read from the bytes: most lines of a talkative robot need not be decoded
-    messages = (robot.values.decode(LOG_TYPE, sample) for sample in kept if level_of(sample.data) >= least)
-    lines, matched = _selected(messages, request, since_ns, max_bytes)
-    notes: list[str] = []
+    found = _Matching(robot.values.codec, LOG_TYPE, request, since_ns)
+    found.add([sample for sample in kept if level_of(sample.data) >= least])
+    lines, matched = _fitting(found.messages, max_bytes), found.matched
+    notes = [found.skipped] if found.skipped else []
     if len(lines) < matched:
         notes.append(f"The newest {len(lines)} are shown: narrow it down, or raise limit.")
     if robot.log.dropped and (not matched or not since_ns or since_ns < kept[0].received_ns):
@@ -129,73 +133,76 @@ async def read_recorded(source: Source, request: LogRequest, max_bytes: int) -> 
         NotFound: if /rosout was not recorded.
     """
     level_number(request.level)  # raises before anything is read
-    (capture,) = await source.captures([TOPIC], lambda stream: _Matching(stream, request))
+    (capture,) = await source.captures([TOPIC], lambda stream: _Matching(stream.codec, stream.type, request))
     if isinstance(capture, Missing):
         raise capture.error
     found = capture.kept
-    lines, _ = _selected(found.messages, request, 0, max_bytes)
+    lines = _fitting(found.messages, max_bytes)
     notes = [f"The newest {len(lines)} are shown."] if len(lines) < found.matched else []
-    if found.undecodable:
-        notes.append(undecodable(found.undecodable, found.trouble))
     return Log(
         lines=lines,
         matched=found.matched,
         kept=capture.received,
         dropped=capture.dropped,
         listening_since=iso_time(capture.start_ns),
-        note=" ".join(notes),
+        note=" ".join(filter(None, (*notes, found.skipped))),
         source=source.words,
     )
 
 
 class _Matching:
-    """The newest messages of a stream that are meant, at most the limit of the request; `matched` counts all."""
+    """The newest messages that are meant, at most the limit of the request; `matched` counts all."""
 
-    def __init__(self, stream: Stream, request: LogRequest) -> None:
+    def __init__(self, codec: Codec, type_name: str, request: LogRequest, since_ns: int = 0) -> None:
         self.messages: deque[Any] = deque(maxlen=request.limit)
         self.matched = 0
-        self.undecodable = 0
-        self.trouble = ""
-        self._stream = stream
+        self._undecodable = 0
+        self._trouble = ""
+        self._codec = codec
+        self._type = type_name
         self._request = request
+        self._since_ns = since_ns
 
     def add(self, samples: Sequence[Sample]) -> None:
         """Takes in messages, in the order of time."""
         for sample in samples:
             try:
-                message = self._stream.codec.decode(self._stream.type, sample.data)
+                message: Any = self._codec.decode(self._type, sample.data)
             except BadData as error:
-                self.undecodable += 1
-                self.trouble = self.trouble or str(error)
+                self._undecodable += 1
+                self._trouble = self._trouble or str(error)
                 continue
-            if _is_meant(message, self._request, 0):
+            if self._is_meant(message):
                 self.matched += 1
                 self.messages.append(message)
 
+    @property
+    def skipped(self) -> str:
+        """In words, how many could not be decoded; empty where all could."""
+        return undecodable(self._undecodable, self._trouble) if self._undecodable else ""
 
-def _is_meant(message: Any, request: LogRequest, since_ns: int) -> bool:
-    return (
-        message.level >= level_number(request.level)
-        and _stamp_ns(message) >= since_ns
-        and is_node(message.name, request.node)
-        and has_text(message.msg, request.pattern)
-    )
+    def _is_meant(self, message: Any) -> bool:
+        return (
+            message.level >= level_number(self._request.level)
+            and _stamp_ns(message) >= self._since_ns
+            and is_node(message.name, self._request.node)
+            and has_text(message.msg, self._request.pattern)
+        )
 
 
-def _selected(messages: Iterable[Any], request: LogRequest, since_ns: int, max_bytes: int) -> tuple[list[LogLine], int]:
-    """The newest lines that are meant, as many as fit, the oldest first; and how many are meant in all.
+def _fitting(messages: Sequence[Any], max_bytes: int) -> list[LogLine]:
+    """The newest of the lines, as many as fit, the oldest first.
 
     Not evenly spread, as `ops/sources/selection.fit` does: what a log says last is what matters.
     """
-    matching = [message for message in messages if _is_meant(message, request, since_ns)]
     lines: list[LogLine] = []
-    for message in reversed(matching[-request.limit :]):
+    for message in reversed(messages):
         line = _line(message)
         max_bytes -= len(line.text.encode()) + len(line.node) + len(line.function) + len(line.file) + _LINE_BYTES
         if max_bytes < 0 and lines:
             break
         lines.append(line)
-    return lines[::-1], len(matching)
+    return lines[::-1]
 
 
 def line_of(robot: Robot, sample: Sample) -> LogLine:

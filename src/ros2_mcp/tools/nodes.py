@@ -46,9 +46,10 @@ async def ros2_parameter_get(
     robot: Robot,
     node_name: NodeName,
     names: Annotated[list[str] | None, Field(description="Names of parameters; default: all, to be set back.")] = None,
+    whole: Annotated[Flag, Field(description="Also values that are too long to be read here, in full.")] = False,
 ) -> parameters.Dump:
     """Read parameters of a node as name → value, in the form that ros2_parameter_set takes."""
-    return await parameters.dump(robot, node_name, names)
+    return await parameters.dump(robot, node_name, names, whole=whole)
 
 
 @tool(title="Set parameters", risk="actuate", group="parameters")

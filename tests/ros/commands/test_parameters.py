@@ -50,6 +50,22 @@ def test_a_whole_node_is_read_in_a_form_that_can_be_set_back(agent, robot) -> No
     assert get(agent, robot) == dump
 
 
+def test_a_parameter_of_a_megabyte_is_told_by_its_length_and_given_whole_where_that_is_asked(agent, robot) -> None:
+    text = "x" * 1_000_000
+    set_to = put(agent, robot, label=text, counts=list(range(50_000)))
+    assert set_to["successful"] and len(str(set_to)) < 50_000
+    node = agent.call("ros2_parameter_list", node_names=[robot.name("tuned")])["nodes"][0]
+    label = next(one for one in node["parameters"] if one["name"] == "label")
+    assert (label["value"], label["left_out"]) == (None, "1000000 characters")
+    assert len(str(node)) < 100_000
+    dump = get(agent, robot)
+    assert dump["left_out"] == {"label": "1000000 characters", "counts": "50000 elements"}
+    assert not {"label", "counts"} & dump["parameters"].keys()
+    assert put(agent, robot, **dump["parameters"])["successful"]
+    whole = agent.call("ros2_parameter_get", node_name=robot.name("tuned"), names=["label"], whole=True)
+    assert whole["parameters"] == {"label": text}
+
+
 def test_parameters_of_several_nodes_are_listed_at_once_with_what_their_descriptors_say(agent, robot) -> None:
     wanted = [robot.name(name) for name in ("tuned", "open", "dumb", "nobody", "deaf")]
 
@@ -69,6 +85,7 @@ def test_parameters_of_several_nodes_are_listed_at_once_with_what_their_descript
         "read_only": False,
         "range": {"from": 0.0, "to": 2.0, "step": 0.0},
         "constraints": "",
+        "left_out": "",
     }
     assert found["steps"]["range"] == {"from": 0, "to": 10, "step": 5}
     assert (found["serial"]["read_only"], found["serial"]["range"]) == (True, None)
@@ -84,7 +101,7 @@ def test_parameters_of_several_nodes_are_listed_at_once_with_what_their_descript
 )
 def test_values_are_converted_where_nothing_is_lost(agent, robot, name, given, taken) -> None:
     answer = put(agent, robot, **{name: given})
-    assert answer["parameters"] == [{"name": name, "successful": True, "reason": "", "value": taken}]
+    assert answer["parameters"] == [{"name": name, "successful": True, "reason": "", "value": taken, "left_out": ""}]
     assert type(answer["parameters"][0]["value"]) is type(taken)
 
 
@@ -122,8 +139,14 @@ def test_what_the_node_refuses_is_told_in_its_words_and_the_rest_is_set(agent, r
     answer = put(agent, robot, label="bad", enabled=False)
     assert answer["successful"] is False
     assert answer["parameters"] == [
-        {"name": "label", "successful": False, "reason": "the label is bad, says the node", "value": "3"},
-        {"name": "enabled", "successful": True, "reason": "", "value": False},
+        {
+            "name": "label",
+            "successful": False,
+            "reason": "the label is bad, says the node",
+            "value": "3",
+            "left_out": "",
+        },
+        {"name": "enabled", "successful": True, "reason": "", "value": False, "left_out": ""},
     ]
 
 

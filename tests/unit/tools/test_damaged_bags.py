@@ -19,7 +19,7 @@ from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.sources.recorded_robot import recorded_robot
 from ros2_mcp.tools import TOOLS
 from ros2_mcp.toolset import Toolset
-from support.damaged_bags import KINDS, START_NS, whole_mcap
+from support.damaged_bags import KINDS, START_NS, whole_mcap, with_undecodable_messages
 from support.made_bridge import MadeBridge, robot_of
 
 IN_THE_HOLE = "in the hole"
@@ -129,3 +129,22 @@ async def test_of_a_whole_bag_no_damage_is_told(tmp_path: Path) -> None:
         assert "lost" not in json.dumps(structured.get("problems", [])) and "damage" not in structured, name
         assert not LAID_TO_THE_ROBOT.search(summary), summary
     await store.close()
+
+
+DECODE_NOTHING = {"ros2_topic_stats", "ros2_bag_info"}
+"""Tools for which all messages are bytes."""
+
+
+@pytest.mark.parametrize("name", READERS.keys() - DECODE_NOTHING)
+async def test_a_message_that_cannot_be_decoded_is_skipped_counted_and_told(tmp_path: Path, name: str) -> None:
+    bad_ns = with_undecodable_messages(tmp_path / "run")
+    store = BagStore(tmp_path)
+    tools = Toolset(robot_of(MadeBridge()), store, ["all"], SOURCE_KINDS)
+    arguments = {**READERS[name], "bag": "run", "max_array": 1}
+    if name in ("ros2_topic_subscribe", "ros2_subscribe_multiple_topics", "ros2_bag_read"):
+        arguments |= {"start": iso_time(bad_ns), "end": iso_time(bad_ns + 200_000_000)}  # few enough to show all
+    else:
+        del arguments["max_array"]
+    summary, _ = await answer_of(tools, name, arguments, bad_ns)
+    await store.close()
+    assert "1 message(s) are not what their type says" in summary

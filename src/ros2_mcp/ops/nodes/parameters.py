@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from ros2_mcp.model import names, parameters
 from ros2_mcp.model.commands import SetParameters
@@ -20,11 +21,22 @@ from ros2_mcp.robot.translation import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
 _DISCOVERY_S = 6.0
 """How old a bridge is that has discovered the services of every node: they come up to 3 s after the nodes."""
+_SHORT_BYTES = 1000
+"""As JSON. A value of that size is always shown: there are hundreds of them at most; of longer ones as many as fit."""
+_MAX_NAMED = 5
+"""Parameters that are named in a summary, which is one line."""
+_LONG_HINT = "left_out says how long; ros2_parameter_get gives one by its name with whole=true."
+_WHOLE_HINT = "Ask for it by its name with whole=true."
+_MAX_TEXT = 500
+"""Characters of a description, constraints, or a node's reason."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameter:
-    """One parameter with what its descriptor says; `range` is null where any value is allowed."""
+    """One parameter with what its descriptor says; `range` is null where any value is allowed.
+
+    `left_out` says of a value that is too long to be shown (and is null here) how long it is.
+    """
 
     name: str
     type: str
@@ -33,6 +45,7 @@ class Parameter:
     read_only: bool = False
     range: dict[str, Any] | None = None
     constraints: str = ""
+    left_out: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,25 +72,38 @@ class ParameterList:
 
 @dataclass(frozen=True, slots=True)
 class Dump:
-    """All parameters of a node as name → value, in the form that setting takes."""
+    """All parameters of a node as name → value, in the form that setting takes.
+
+    `left_out` says of values that are too long to be shown how long they are: setting the others back leaves these
+    as they are.
+    """
 
     node: str
     parameters: dict[str, Any]
     read_only: Sequence[str]
+    left_out: dict[str, str]
 
     def summary(self) -> str:
         """One line."""
-        return f"{self.node}: {len(self.parameters)} parameter(s), {len(self.read_only)} of them read-only."
+        line = f"{self.node}: {len(self.parameters)} parameter(s), {len(self.read_only)} of them read-only."
+        if not self.left_out:
+            return line
+        long = ", ".join(f"{named(name)} ({size})" for name, size in list(self.left_out.items())[:_MAX_NAMED])
+        return f"{line} {len(self.left_out)} too long to be shown: {long}. {_WHOLE_HINT}"
 
 
 @dataclass(frozen=True, slots=True)
 class SetOne:
-    """Whether the node took one value, and what it said if not; `value` is read back afterwards."""
+    """Whether the node took one value, and what it said if not; `value` is read back afterwards.
+
+    `left_out` says of a value that is too long to be shown (and is null here) how long it is.
+    """
 
     name: str
     successful: bool
     reason: str
     value: Any
+    left_out: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +126,40 @@ class SetResult:
         return [f"{self.node}: {taken} of {len(self.parameters)} parameter(s) set.", *refused]
 
 
+class _Room:
+    """How much of an answer the long values of parameters may take: those that do not fit are left out."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self._left = max_bytes
+
+    def shown(self, parameter: Parameter) -> Parameter:
+        """The parameter with its texts cut, and without its value if that is too long."""
+        size = len(json.dumps(parameter.value, ensure_ascii=False).encode("utf-8", "surrogatepass"))
+        left_out = ""
+        if size > _SHORT_BYTES:
+            if size > self._left:
+                left_out = _size_in_words(parameter.value)
+            else:
+                self._left -= size
+        return replace(
+            parameter,
+            value=None if left_out else parameter.value,
+            left_out=left_out,
+            description=_cut(parameter.description),
+            constraints=_cut(parameter.constraints),
+        )
+
+
+def _size_in_words(value: Any) -> str:
+    if isinstance(value, list):
+        return f"{len(cast('list[Any]', value))} elements"
+    return f"{len(value)} characters"
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}… ({len(text)} characters)"
+
+
 async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit: int = 200) -> ParameterList:
     """Parameters with values and descriptors, of several nodes at once; the `error` of one does not end the others.
 
@@ -113,17 +173,19 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
     found = await asyncio.gather(*(or_error(described(node), partial(NodeParameters, node)) for node in chosen))
     total = sum(len(node.parameters) for node in found)
     shown: list[NodeParameters] = []
-    left = limit
+    left, room = limit, _Room(robot.result_bytes)
     for node in found:
         if pattern and not (nodes or node.parameters or node.error):
             continue  # nobody asked for this node, and it has no such parameter
-        shown.append(NodeParameters(node.node, node.parameters[:left], node.error))
+        shown.append(NodeParameters(node.node, [room.shown(one) for one in node.parameters[:left]], node.error))
         left = max(left - len(node.parameters), 0)
-    return ParameterList(shown, list_note(total, limit))
+    long = [one.name for node in shown for one in node.parameters if one.left_out]
+    note = f"{len(long)} value(s) are too long to be shown: {_LONG_HINT}" if long else ""
+    return ParameterList(shown, " ".join(filter(None, (list_note(total, limit), note))))
 
 
-async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None) -> Dump:
-    """Parameters of a node, the asked ones or all, in a form that can be set back.
+async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, whole: bool = False) -> Dump:
+    """Parameters of a node, the asked ones or all, in a form that can be set back; long values only if `whole`.
 
     Raises:
         NotFound: if the node is not there, or a parameter is not declared.
@@ -134,8 +196,11 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None) -> D
         if name not in declared:
             raise NotFound(f"{node} has no parameter {name}.", _near(name, declared))
     found = await _read(robot, node, declared if asked is None else asked)
-    values = {parameter.name: parameter.value for parameter in found if parameter.type != "not_set"}
-    return Dump(node, values, [parameter.name for parameter in found if parameter.read_only])
+    room = _Room(robot.result_bytes)
+    shown = found if whole else [room.shown(parameter) for parameter in found]
+    values = {one.name: one.value for one in shown if one.type != "not_set" and not one.left_out}
+    left_out = {one.name: one.left_out for one in shown if one.left_out}
+    return Dump(node, values, [parameter.name for parameter in found if parameter.read_only], left_out)
 
 
 async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atomic: bool = False) -> SetResult:
@@ -169,13 +234,15 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
     response = await fields_of_answer(robot, node, robot.do(command), _not_found)
     results = [response["result"]] * len(messages) if atomic else response["results"]
     result_of = {message["name"]: result for message, result in zip(messages, results, strict=True)}
-    now = {parameter.name: parameter.value for parameter in await _read(robot, node, list(values))}
+    room = _Room(robot.result_bytes)
+    now = {parameter.name: room.shown(parameter) for parameter in await _read(robot, node, list(values))}
     # What was left out of the request: a node would refuse a read-only parameter even with the value that it has.
     kept = {"successful": True, "reason": "it is read-only and has this value"}
     ones: list[SetOne] = []
     for name in values:
         result = result_of.get(name, kept)
-        ones.append(SetOne(name, result["successful"], result["reason"], now.get(name)))
+        value, left_out = (now[name].value, now[name].left_out) if name in now else (None, "")
+        ones.append(SetOne(name, result["successful"], _cut(result["reason"]), value, left_out))
     return SetResult(node, all(one.successful for one in ones), atomic, ones)
 
 

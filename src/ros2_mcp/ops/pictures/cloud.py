@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
@@ -61,16 +62,18 @@ async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, rep
     from ros2_mcp.codec.clouds import cloud_of
 
     bounded("resolution", options.resolution_m, 0.001, 100.0, "m")
-    message, sample = await next_message(source, topic, POINT_CLOUD, report)
-    cloud = await asyncio.to_thread(cloud_of, message)
+    found = await next_message(source, topic, POINT_CLOUD, report)
+    cloud = await asyncio.to_thread(cloud_of, found.message)
     seen = await asyncio.to_thread(bird_eye, cloud, options)
+    numbers: dict[str, Any] = asdict(seen.numbers)
+    numbers["note"] = " ".join(filter(None, (numbers["note"], found.note)))
     return CloudPicture(
         topic_name=names.absolute(topic),
-        frame_id=message.header.frame_id,
+        frame_id=found.message.header.frame_id,
         points=cloud.points,
         not_finite=cloud.not_finite,
-        **asdict(seen.numbers),
-        received_at=iso_time(sample.received_ns),
+        **numbers,
+        received_at=iso_time(found.sample.received_ns),
         source=source.words,
         pictures=facts([seen.picture]),
         images=[seen.picture],

@@ -30,10 +30,11 @@ class MapPicture(WithPictures):
     unknown: float
     received_at: str
     source: str
+    note: str
 
     def summary(self) -> str:
         """One line."""
-        return f"{self.topic_name}: {self.pictures[0].note}"
+        return f"{self.topic_name}: {self.pictures[0].note} {self.note}".rstrip()
 
 
 async def map_picture(source: Source, topic: str, report: Report = silent) -> MapPicture:
@@ -48,14 +49,15 @@ async def map_picture(source: Source, topic: str, report: Report = silent) -> Ma
     from ros2_mcp.codec.maps import map_facts  # with numpy: not before it is needed
     from ros2_mcp.codec.pictures import picture_of
 
-    message, sample = await next_message(source, topic, OCCUPANCY_GRID, report)
-    numbers = await asyncio.to_thread(map_facts, message)
-    picture = await asyncio.to_thread(picture_of, OCCUPANCY_GRID, message)
+    found = await next_message(source, topic, OCCUPANCY_GRID, report)
+    numbers = await asyncio.to_thread(map_facts, found.message)
+    picture = await asyncio.to_thread(picture_of, OCCUPANCY_GRID, found.message)
     return MapPicture(
         topic_name=names.absolute(topic),
         **asdict(numbers),
-        received_at=iso_time(sample.received_ns),
+        received_at=iso_time(found.sample.received_ns),
         source=source.words,
+        note=found.note,
         pictures=facts([picture]),
         images=[picture],
     )

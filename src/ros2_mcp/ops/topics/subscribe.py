@@ -12,7 +12,7 @@ from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.model.errors import BadData, BadInput, RobotError
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Picture
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import (
@@ -27,13 +27,15 @@ from ros2_mcp.ops.results import (
     silent,
     unless_all_failed,
 )
-from ros2_mcp.ops.sources.selection import Collector, Fitted, Selection, fit, spread_indices
+from ros2_mcp.ops.sources.selection import Collector, Fitted, Selection, fit, spread_indices, undecodable
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.sources.source import Source, Stream
 
 MAX_PICTURES = 4
 """Of one topic: clients count a picture as some 1500 tokens, and two usually show what moved."""
+_TRIED = 32
+"""Messages of a recording among which the first that can be decoded is looked for; one that cannot is rare."""
 _LEAST_BYTES = 1000
 """Of the result for one of several topics: two messages at the 500 bytes below which a message says nothing."""
 
@@ -210,7 +212,14 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
     """The next message of a topic, waiting for the topic and for the message as long as the source lasts."""
     started = monotonic()
     selection = replace(selection, message_limit=1)
-    reading = await _shown(source, await collect(source, topic, topic_type, selection), selection)
+    collected = await collect(source, topic, topic_type, selection)
+    reading = await _shown(source, collected, selection)
+    if collected.samples and not reading.messages and not source.is_live:  # the next one that is what its type says
+        several = await collect(source, topic, topic_type, replace(selection, message_limit=_TRIED))
+        found, note = await asyncio.to_thread(_first_readable, several)
+        if found:
+            reading = await _shown(source, replace(several, samples=[found], more=""), selection)
+            reading = replace(reading, note=f"{note} {reading.note}".rstrip())
     return Echo(
         topic_name=reading.topic_name,
         topic_type=reading.topic_type,
@@ -228,12 +237,30 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
     )
 
 
+def _first_readable(collected: Collected) -> tuple[Sample | None, str]:
+    """The first sample that can be decoded, from the end where the last ones were asked for; and what was skipped."""
+    stream, trouble = collected.stream, ""
+    ordered = collected.samples[::-1] if stream.from_end else collected.samples
+    for skipped, sample in enumerate(ordered):
+        try:
+            stream.codec.decode(stream.type, sample.data)
+        except BadData as error:
+            trouble = trouble or str(error)
+            continue
+        return sample, undecodable(skipped, trouble)
+    return None, ""
+
+
 async def _shown(source: Source, collected: Collected, selection: Selection) -> Reading:
     stream = collected.stream
     fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
     images, problem = await asyncio.to_thread(pictures_of, stream.type, fitted)
     # Fewer than were asked for, and there are more: they were too much to keep.
     cut = collected.more if len(collected.samples) < (selection.enough or 0) else ""
+    if collected.dropped and collected.samples:
+        since = exact_time(collected.samples[0].received_ns)
+        kept = f"Only the newest {len(collected.samples)} are looked at, from {since} on: more were too much to keep."
+        cut = f"{kept} {cut}".rstrip()
     return Reading(
         topic_name=stream.topic,
         topic_type=stream.type,

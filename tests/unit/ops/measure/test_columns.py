@@ -1,0 +1,71 @@
+"""Numbers that are added part by part are those of the whole; where the room ends, that is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ros2_mcp.codec.select import measurable
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.measure.columns import Column, Columns, Room
+from support.made_windows import CODEC, START_NS, encoded
+
+ARRAY = "std_msgs/msg/Float64MultiArray"
+NUMBER = "std_msgs/msg/Float64"
+
+
+def samples_of(type_name: str, values) -> list[Sample]:
+    bodies = [encoded(type_name, {"data": value}) for value in values]
+    return [Sample(START_NS + 10_000_000 * at, 0, None, body) for at, body in enumerate(bodies)]
+
+
+def columns(type_name: str, samples: list[Sample], room: Room, batch: int = 7, **more) -> Columns:
+    kept = Columns(CODEC, type_name, measurable(CODEC.definitions, type_name, ["data"]), room, **more)
+    for begin in range(0, len(samples), batch):
+        kept.add(samples[begin : begin + batch])
+    return kept
+
+
+@pytest.mark.parametrize("room", [Room(), Room(times=20, values=50)], ids=["room", "little room"])
+def test_totals_are_exact_whether_values_are_kept_or_not(room: Room) -> None:
+    values = np.random.default_rng(5).normal(1e6, 2.0, 1000)
+    values[[3, 500]] = np.nan, np.inf
+    (column,) = columns(NUMBER, samples_of(NUMBER, values.tolist()), room).columns
+    finite, at = values[np.isfinite(values)], np.flatnonzero(np.isfinite(values)) * 0.01
+    totals = column.totals
+    assert (totals.count, totals.not_finite, totals.nan) == (998, 2, 1)
+    assert (totals.min, totals.max) == (finite.min(), finite.max())
+    assert (totals.mean, totals.std) == (pytest.approx(finite.mean(), rel=1e-14), pytest.approx(finite.std(), rel=1e-9))
+    assert column.line.slope == pytest.approx(np.polyfit(at, finite, 1)[0], rel=1e-6)
+    assert (column.first, column.last, column.is_constant) == (finite[0], finite[-1], False)
+
+
+def test_where_the_room_ends_is_said() -> None:
+    kept = columns(NUMBER, samples_of(NUMBER, range(1000)), Room(times=20, values=50))
+    assert (kept.count, kept.decoded, len(kept.times_ns), len(kept.read_ns)) == (1000, 1000, 20, 21)
+    assert kept.columns[0].values.tolist() == list(range(21))
+    assert kept.rate_hz == pytest.approx(100.0)
+    assert kept.bounds("Drawn are those").startswith("Drawn are those of the first 21 of 1000 messages only, up to 20")
+
+
+def test_of_lists_the_mean_of_each_message_or_all_elements_are_kept() -> None:
+    lists = [[1.0, 3.0], [], [2.0], [np.nan], [5.0, np.nan, 7.0]]
+    samples = samples_of(ARRAY, lists)
+    (means,) = columns(ARRAY, samples, Room()).columns
+    assert (means.rows.tolist(), means.values.tolist()) == ([0, 2, 4], [2.0, 2.0, 6.0])
+    (whole,) = columns(ARRAY, samples, Room(), whole_lists=True).columns
+    assert [part.tolist() for part in whole.by_row(5)][:3] == [[1.0, 3.0], [], [2.0]]
+    assert whole.totals.count == 5 and whole.totals.nan == 2
+
+
+def test_a_message_that_is_not_what_its_type_says_is_counted_and_told() -> None:
+    samples = samples_of(NUMBER, [1.0, 2.0, 3.0])
+    samples.insert(1, Sample(START_NS + 1, 0, None, b"\0\1\0\0no"))
+    kept = columns(NUMBER, samples, Room())
+    assert (kept.count, kept.decoded, kept.undecodable) == (4, 3, 1)
+    assert "1 message(s) are not what their type says" in kept.skipped
+
+
+def test_a_column_without_a_message_is_empty() -> None:
+    column = Column(measurable(CODEC.definitions, NUMBER, ["data"])[0])
+    assert (len(column.values), column.by_row(0), column.totals.count) == (0, [], 0)

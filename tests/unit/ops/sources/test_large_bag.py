@@ -1,0 +1,170 @@
+"""The numbers of a large bag are those of another reader (the `mcap` library and `rosbags`), in little memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from support.agent import FULL
+from support.made_windows import decoded, encoded
+
+BYTES = 3_000_000_000 if FULL else 100_000_000
+MOST_MB = 300
+START_NS = 1_700_000_000_000_000_000
+TICK_NS = 5_000_000
+SILENCE = 400
+"""The tick after which nothing comes for a second."""
+TYPES = {
+    "/camera": "sensor_msgs/msg/Image",
+    "/odom": "nav_msgs/msg/Odometry",
+    "/odom_again": "nav_msgs/msg/Odometry",
+    "/scan": "sensor_msgs/msg/LaserScan",
+}
+FIELDS = {"/odom": ["pose.pose.position.x", "twist.twist.linear.x"], "/scan": ["ranges"]}
+PICTURE = {"height": 480, "width": 640, "encoding": "rgb8", "step": 1920, "data": [0] * 921_600}
+
+
+def made(path: Path) -> None:
+    """Pictures at 29 Hz, odometry at 50 Hz and scans at 10 Hz, as long as it takes to be so large."""
+    random = np.random.default_rng(7)
+    picture, written, tick = encoded(TYPES["/camera"], PICTURE), 0, 0
+    with path.open("wb") as file:
+        writer = Writer(file, 1 << 20, CompressionType.NONE)
+        writer.start("ros2", "test")
+        channels = {
+            topic: writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", b""))
+            for topic, kind in TYPES.items()
+        }
+        while written < BYTES:
+            at_ns = START_NS + tick * TICK_NS + int(random.integers(0, 1_000_000)) + (tick > SILENCE) * 10**9
+            bodies: dict[str, bytes] = {}
+            if tick % 7 == 0:
+                bodies["/camera"] = picture
+            if tick % 4 == 0:
+                pose = {"pose": {"position": {"x": tick * 0.001}}}
+                value = {"pose": pose, "twist": {"twist": {"linear": {"x": float(random.normal())}}}}
+                bodies["/odom"] = bodies["/odom_again"] = encoded(TYPES["/odom"], value)
+            if tick % 20 == 0:
+                ranges = [float(r) for r in random.uniform(1, 9, 90)] + [float("nan"), float("inf")]
+                bodies["/scan"] = encoded(TYPES["/scan"], {"ranges": ranges})
+            for topic, body in bodies.items():
+                writer.add_message(channels[topic], at_ns, body, at_ns, tick)
+                written += len(body)
+            tick += 1
+        writer.finish()
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    path = tmp_path_factory.mktemp("large") / "large.mcap"
+    made(path)
+    yield path
+    path.unlink()
+
+
+def called(bag: Path, tool: str, **arguments: Any) -> dict[str, Any]:
+    """The answer of the command line, as people use it; fails if the process took too much memory."""
+    words = [f"{name}={json.dumps(value)}" for name, value in arguments.items()]
+    command = [sys.executable, "-m", "ros2_mcp", "--bag", str(bag), "call", tool, *words, "--json"]
+    answer = bag.with_suffix(".json")
+    with answer.open("w+") as file:
+        process = subprocess.Popen(command, stdout=file, stderr=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        file.seek(0)
+        assert process.returncode == 0
+        peak_mb = usage.ru_maxrss / 1024
+        print(f"{tool}: {usage.ru_utime + usage.ru_stime:.1f} s of processor time, {peak_mb:.0f} MB")
+        assert peak_mb < MOST_MB
+        return json.load(file)
+
+
+@pytest.fixture(scope="module")
+def known(large: Path) -> dict[str, Any]:
+    """Times, sizes and values of each topic by the other reader, kept as plain arrays."""
+    found: dict[str, Any] = {topic: {"times": [], "bytes": 0, "values": []} for topic in TYPES}
+    with large.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            topic = found[channel.topic]
+            topic["times"].append(message.log_time)
+            topic["bytes"] += len(message.data)
+            if channel.topic == "/odom":
+                topic["values"].append(np.frombuffer(message.data[-8 * (36 + 6) :], "<f8")[0])
+                assert len(message.data) % 4 == 0
+            elif channel.topic == "/scan":
+                topic["values"].append(np.frombuffer(message.data, "<f4", 92, len(message.data) - 4 * 92 - 4))
+    return found
+
+
+def test_what_the_other_reader_takes_out_of_the_bytes_is_what_was_written() -> None:
+    body = encoded(TYPES["/odom"], {"twist": {"twist": {"linear": {"x": 4.5}}}})
+    assert np.frombuffer(body[-8 * (36 + 6) :], "<f8")[0] == 4.5
+    scan: Any = decoded(TYPES["/scan"], {"ranges": [1.0, 2.0]})
+    assert scan.ranges.tolist() == [1.0, 2.0]
+
+
+def test_rates_periods_gaps_and_sizes_are_those_of_the_other_reader(large: Path, known: dict[str, Any]) -> None:
+    found = called(large, "ros2_topic_stats", topic_names=list(TYPES))
+    for topic in found["topics"]:
+        times = np.array(known[topic["topic_name"]]["times"], np.int64)
+        periods = np.diff(times) / 1e9
+        assert topic["count"] == len(times)
+        assert topic["rate_hz"] == pytest.approx((len(times) - 1) / ((times[-1] - times[0]) / 1e9), rel=1e-12)
+        assert topic["mean_size_bytes"] == pytest.approx(known[topic["topic_name"]]["bytes"] / len(times))
+        assert [topic["period_min_s"], topic["period_max_s"]] == pytest.approx([periods.min(), periods.max()])
+        assert topic["jitter_s"] == pytest.approx(periods.std())
+        assert topic["gaps"] == np.count_nonzero(periods > 3 * np.median(periods)) == 1
+
+
+def test_statistics_are_those_of_the_other_reader(large: Path, known: dict[str, Any]) -> None:
+    found = called(large, "ros2_topic_statistics", topic_names=["/camera", "/odom", "/scan"])
+    camera, odom, scan = found["topics"]
+    start_ns = min(times[0] for times in (topic["times"] for topic in known.values()))
+    for topic in (camera, odom, scan):
+        times = np.array(known[topic["topic_name"]]["times"], np.int64)
+        assert (topic["count"], topic["received"], topic["dropped"]) == (len(times), len(times), 0)
+        periods = np.diff(times) / 1e9
+        assert topic["period_median_s"] == pytest.approx(np.median(periods))
+        long = int(np.argmax(periods))
+        assert topic["gaps"] == [f"nothing for {periods[long]:.3f} s from {(times[long] - start_ns) / 1e9:.3f} s on"]
+        assert "too much" not in topic["note"]
+    speed = next(field for field in odom["fields"] if field["field"] == "twist.twist.linear.x")
+    values = np.array(known["/odom"]["values"])
+    times_s = (np.array(known["/odom"]["times"]) - start_ns) / 1e9
+    assert (speed["count"], speed["min"], speed["max"]) == (len(values), values.min(), values.max())
+    assert [speed["first"], speed["last"]] == [values[0], values[-1]]
+    assert [speed["mean"], speed["std"]] == pytest.approx([values.mean(), values.std()], rel=1e-9)
+    assert speed["slope"] == pytest.approx(np.polyfit(times_s, values, 1)[0], rel=1e-6, abs=1e-12)
+    ranges = next(field for field in scan["fields"] if field["field"] == "ranges")
+    values = np.concatenate(known["/scan"]["values"]).astype(np.float64)
+    finite = values[np.isfinite(values)]
+    assert (ranges["count"], ranges["not_finite"]) == (len(finite), len(values) - len(finite))
+    assert [ranges["min"], ranges["max"]] == [finite.min(), finite.max()]
+    assert [ranges["mean"], ranges["std"]] == pytest.approx([finite.mean(), finite.std()], rel=1e-9)
+
+
+def test_comparing_checking_plotting_and_waiting_look_at_all_of_it(large: Path, known: dict[str, Any]) -> None:
+    count = len(known["/odom"]["times"])
+    same = called(large, "ros2_topic_compare", topic1_name="/odom", topic2_name="/odom_again")
+    assert (same["verdict"], same["pairs"], same["equal_messages"]) == ("IDENTICAL", count, count)
+    health = called(large, "ros2_health_check")
+    rates = {row["topic_name"]: row["rate_hz"] for row in health["topics"]}
+    times = known["/camera"]["times"]
+    assert rates["/camera"] == pytest.approx((len(times) - 1) / ((times[-1] - times[0]) / 1e9))
+    plot = called(large, "ros2_plot", series=["/odom:pose.pose.position.x"])
+    assert [series["count"] for series in plot["series"]] == [count]
+    never = called(large, "ros2_wait_until", topic_name="/odom", condition="pose.pose.position.x > 1e9")
+    assert (never["met"], never["looked_at"]) == (False, count)
+    part = called(large, "ros2_topic_subscribe", topic_name="/camera", duration=3600)
+    assert part["received"] == len(known["/camera"]["times"])
+    assert part["dropped"] == 0 or "were too much to keep" in part["note"]
