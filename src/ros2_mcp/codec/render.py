@@ -7,7 +7,6 @@ texts stand in `NOT_FINITE` of `model/values.py`).
 from __future__ import annotations
 
 import base64
-import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.select import FieldPath, Step, element_at, parse_fields
 from ros2_mcp.codec.store import attribute
 from ros2_mcp.model.interfaces import FLOATS, OCTETS, TEXTS, FieldType
-from ros2_mcp.model.text import escaped_bytes, is_unicode
+from ros2_mcp.model.text import escaped_bytes, is_unicode, visible_json
 from ros2_mcp.model.values import EXACT_INTEGER, SUMMARY, not_finite_text
 
 _BYTES_AS_LIST = 64
@@ -59,7 +58,7 @@ class Rendered:
     """A message as JSON: its fields, or path → value where fields were selected.
 
     `truncated` are the paths of what is summarised (`poses[*].name` stands for every index); `bytes` is the length
-    of the compact JSON text.
+    of the compact JSON text, with hidden characters as they are shown.
     """
 
     value: dict[str, Any]
@@ -134,7 +133,7 @@ class _Render:
             value = self._message(type_name, message, "", self._limits.depth)
         else:
             value = {chosen.path: self._follow(chosen.path, chosen.steps, message) for chosen in selections}
-        text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        _, text = visible_json(value)
         return Rendered(value, list(self._truncated), len(text.encode()))
 
     def _message(self, type_name: str, message: object, path: str, depth: int) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadData, BadInput, BadValue
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import visible
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Missing, Source
@@ -198,7 +199,9 @@ def _fitting(messages: Sequence[Any], max_bytes: int) -> list[LogLine]:
     lines: list[LogLine] = []
     for message in reversed(messages):
         line = _line(message)
-        max_bytes -= len(line.text.encode()) + len(line.node) + len(line.function) + len(line.file) + _LINE_BYTES
+        max_bytes -= (
+            len(visible(line.text).encode()) + len(line.node) + len(line.function) + len(line.file) + _LINE_BYTES
+        )
         if max_bytes < 0 and lines:
             break
         lines.append(line)

@@ -10,6 +10,7 @@ from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.render import Rendered, RenderOptions, example_of, render
 from ros2_mcp.model.errors import BadValue
+from ros2_mcp.model.text import visible_json
 
 LISTS = "odd_msgs/msg/Lists"
 SCAN = "sensor_msgs/msg/LaserScan"
@@ -35,7 +36,7 @@ def test_what_is_read_can_be_published_unchanged(codec: Codec) -> None:
     there_and_back(codec, "odd_msgs/msg/Numbers", numbers)
     there_and_back(codec, LISTS, {"numbers": [numbers], "longs": [2**53 + 1, -(2**63)], "blob": list(range(64))})
     there_and_back(codec, LISTS, {"blob": list(range(256))}, exact=True)
-    there_and_back(codec, "odd_msgs/msg/Texts", {"free": '"\n\0\u202e\\', "wide": "😀", "many": ["é"]})
+    there_and_back(codec, "odd_msgs/msg/Texts", {"free": '"\n\x01\u202e\\', "wide": "😀", "many": ["é"]})
     there_and_back(codec, "odd_msgs/msg/Words", {"from": "x", "class": 1})
     there_and_back(codec, "odd_msgs/msg/Empty", {})
 
@@ -165,6 +166,12 @@ def test_an_example_is_whole_and_accepted(codec: Codec) -> None:
     example = example_of(codec.definitions, LISTS)
     assert example["three"] == [1.0, 2.5, -3.0] and example["id"] == [0] * 16 and example["numbers"] == []
     there_and_back(codec, LISTS, example)
+
+
+def test_what_is_hidden_does_not_make_a_message_longer_than_it_may_be(codec: Codec) -> None:
+    for value in ({"free": "a\u00ad" * 1000}, {"many": ["\x1b-\u200b-"] * 60}):
+        rendered = shown(codec.definitions, "odd_msgs/msg/Texts", value, max_bytes=4000)
+        assert len(visible_json(rendered.value)[1].encode()) <= 4000
 
 
 def test_random_messages_come_back_within_the_bounds_or_say_that_they_were_cut(codec: Codec) -> None:
