@@ -9,6 +9,7 @@ from support.source import ROOT, committed_texts
 
 OF_ONE_MACHINE = re.compile(r"(?<![\w.])/(?:root|home/\w+|work|Users/\w+)/|/tmp/w/")
 REGISTRY = re.compile(r"https?://[\w.-]*(?:pypi|pythonhosted|npmjs|registry)[\w.-]*", re.IGNORECASE)
+INSTALLS_UV = "python3 -m venv .venv-uv && .venv-uv/bin/pip install uv && "
 THIS_FILE = "tests/house/test_repository.py"
 
 
@@ -45,14 +46,20 @@ def test_every_decision_says_context_decision_and_consequences() -> None:
 
 def commands_of_readme() -> list[str]:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return [line for line in text.splitlines() if line.startswith("pip install uv && ")]
+    return [line for line in text.splitlines() if line.startswith(INSTALLS_UV)]
 
 
 def test_readme_has_the_command_of_the_demo_and_the_command_of_the_tests() -> None:
-    assert [command.split(" ", 4)[-1] for command in commands_of_readme()] == [
-        "uv run --extra jazzy ros2-mcp demo",
-        "uv run --extra jazzy --group test pytest",
+    assert [command.removeprefix(INSTALLS_UV) for command in commands_of_readme()] == [
+        ".venv-uv/bin/uv run --extra jazzy ros2-mcp demo",
+        ".venv-uv/bin/uv run --extra jazzy --group test pytest",
     ]
+
+
+def test_no_command_of_the_documentation_is_one_that_debian_and_ubuntu_refuse() -> None:
+    pages = {path: text for path, text in committed_texts().items() if path.endswith(".md") and "decisions" not in path}
+    bare = re.compile(r"^(?:sudo )?pip3? install|--break-system-packages", re.MULTILINE)
+    assert {path for path, text in pages.items() if bare.search(text)} == set()
 
 
 def test_ci_runs_the_tests_with_readmes_command() -> None:
