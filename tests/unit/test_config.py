@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from ros2_mcp import cli
 from ros2_mcp.cli import parser, run, settings_from
 from ros2_mcp.commands import config
-from ros2_mcp.commands.config import CLIENTS, Entry, environment, of_sourced_shell, options
+from ros2_mcp.commands.config import CARRIED, CLIENTS, Entry, environment, of_sourced_shell, options
 from ros2_mcp.link.provenance import Provenance
 from ros2_mcp.settings import OPTIONS, Settings
 
@@ -190,9 +190,21 @@ def test_only_variables_that_decide_which_robot_is_seen_and_how_are_passed_on() 
     assert environment(matters) == matters
 
 
-def test_every_variable_of_this_server_is_passed_on() -> None:
-    shell = {option.variable: "/1" for option in OPTIONS.values()}
-    assert environment(shell) == shell
+def test_every_variable_of_this_server_is_passed_on_but_those_of_http() -> None:
+    shell = {option.variable: "/1" for option in CARRIED.values()}
+    assert environment({**shell, "ROS2_MCP_TRANSPORT": "sse", "ROS2_MCP_PORT": "1"}) == shell
+
+
+def test_what_was_set_for_http_is_left_out_and_said_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS2_MCP_PORT", "9000")
+    assert run(["--transport", "streamable-http", "--read-only", "config", "cursor"]) == 0
+    out, err = capsys.readouterr()
+    entry = json.loads(out)["mcpServers"]["ros2"]
+    assert entry["args"][-1] == "--read-only" and "--transport" not in entry["args"]
+    assert "ROS2_MCP_PORT" not in entry["env"]
+    assert "speaks stdio" in err
 
 
 def test_a_variable_that_an_option_overrides_is_not_passed_on() -> None:

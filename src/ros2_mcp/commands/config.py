@@ -21,6 +21,9 @@ NAME = "ros2"
 # Goose's own default for a call, written since it has no other place.
 _GOOSE_TIMEOUT_S = 300
 
+# A client that starts the server itself speaks stdio with it; carried over, these would keep it waiting for ever.
+_OF_HTTP = ("transport", "host", "port")
+
 # What decides, beside our own settings, which robot is seen and how. A client would not pass it on.
 _OF_ROS = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -78,12 +81,17 @@ def print_config(client: str, arguments: argparse.Namespace, settings: Settings)
 
     The options and settings are those of this very command line and environment.
     """
-    words = {name: word for name, word in vars(arguments).items() if name in OPTIONS and word is not None}
+    words = {name: word for name, word in vars(arguments).items() if name in CARRIED and word is not None}
     provenance = own_provenance()
     command, *args = launch_command(provenance, wheel_distro() or "")
     variables = {**of_sourced_shell(settings, os.environ), **environment(os.environ, words)}
     entry = Entry(command, [*args, *options(words)], variables)
     print(f"# {CLIENTS[client].place}", file=sys.stderr)
+    if settings.transport != "stdio":
+        print(
+            "# The client starts the server and speaks stdio with it; what was set for HTTP is left out.",
+            file=sys.stderr,
+        )
     if not provenance.lasts:
         print(
             f"# This runs from a cache ({provenance.way}), where a client would not find it later: the configuration\n"
@@ -185,6 +193,10 @@ CLIENTS: Mapping[str, Client] = {
 # ── what is carried over ───────────────────────────────────────────────────────────────────────────────────────
 
 
+CARRIED: Mapping[str, Option] = {name: option for name, option in OPTIONS.items() if name not in _OF_HTTP}
+"""The settings that a configuration takes over."""
+
+
 def options(words: Mapping[str, str | Sequence[str]]) -> list[str]:
     """The options that were given, as they are written; with absolute paths: a client starts in its own folder."""
     return [word for name, given in words.items() for word in _written(OPTIONS[name], given)]
@@ -213,7 +225,7 @@ def environment(variables: Mapping[str, str], words: Mapping[str, object] = {}) 
     """The variables of this shell that set something here or decide which robot is seen; not where an option does."""
     ours = {
         option.variable: _absolute(option, variables[option.variable])
-        for name, option in OPTIONS.items()
+        for name, option in CARRIED.items()
         if name not in words and variables.get(option.variable)
     }
     of_ros = {name: variables[name] for name in _OF_ROS if variables.get(name)}
