@@ -97,7 +97,7 @@ def test_a_call_that_waits_for_its_server_ends_at_once_and_says_why(server) -> N
     sent = server.tool("ros2_service_call", **asked, timeout_sec=30)
     time.sleep(0.2)
     server.stop()
-    with pytest.raises(Refusal, match="ros2_stop"):
+    with pytest.raises(Refusal, match="^Stopped: "):
         server.result(sent, within_s=2.0)
 
 
@@ -142,6 +142,6 @@ def test_what_is_asked_after_the_answer_moves_again(server, observer, watched) -
         server.stop()
         sent = WAYS["once"](server, observer, watched)
         assert server.result(sent)["status"] == "published"
-        observer.until_driven(watched, 1, of=4)
+        observer.until_driven(watched, 1, of=2)  # what is said once may escape the lossy ones
         observer.forget()
     server.stop()
