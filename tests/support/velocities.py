@@ -36,7 +36,7 @@ ODD = (*NOT_FINITE, 1e308, -1e308, 5e-324, 2.2e-308, 3.5e38, 1e39, "0x10", None,
 FLOATS = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 3.5e38, 1e-45, 0.5)
 STAMPS = ((0, 0), (2**31 - 1, 999_999_999), (-(2**31), 0), (1, 2**32 - 1), (2_000_000_000, 10**9), (-1, 5))
 LEAST = 4
-"""Of bytes that a message is cut to: with fewer, Fast DDS never again gives anything of that publisher to a subscriber."""
+"""Bytes that are left of a message that is cut: after one with fewer, Fast DDS delivers nothing of that publisher."""
 FRAMES = ("", "base_link", "x" * 5000, "\n::\x1b[31m")
 
 
