@@ -72,7 +72,7 @@ def read_metadata(folder: Path) -> FolderFacts | str:
     except FileNotFoundError:
         return NOT_CLOSED
     except (OSError, YAMLError, UnicodeDecodeError, ValueError, TypeError, KeyError, AttributeError) as error:
-        return f"{METADATA} cannot be read: {quoted(str(error) or type(error).__name__)}"
+        return f"{METADATA} cannot be read: {quoted((str(error) or type(error).__name__).splitlines()[0])}"
 
 
 def _information(topics: Sequence[tuple[StoredTopic, str]], files: Sequence[FilePart]) -> dict[str, Any]:
