@@ -125,7 +125,6 @@ class Playback(Job):
         """Of the messages that were fed to the bridge, those that it has published."""
         self._ended_by = ""
         self._note = ""
-        self._problems: Sequence[str] = ()
         self._progress = 0.0
         self._loops = 0
         self._late_s = 0.0
@@ -149,7 +148,6 @@ class Playback(Job):
                 await self._play()
                 publishers.cancel_scope.cancel()
         finally:
-            self._problems = list(self._bag.problems)
             self._bag.close()
 
     def report(self) -> PlaybackState:
@@ -171,7 +169,7 @@ class Playback(Job):
             loops=self._loops,
             elapsed_s=round(self.elapsed_s, 3),
             late_s=round(self._late_s, 3),
-            note=" ".join(filter(None, (note, held_back(refused) if refused else "", *self._problems))),
+            note=" ".join(filter(None, (note, held_back(refused) if refused else "", *self._bag.problems))),
         )
 
     def _relay_id(self, topic: str) -> str:

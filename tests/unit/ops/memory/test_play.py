@@ -86,6 +86,18 @@ async def test_a_play_of_nothing_ends_and_says_so(bridge: MadeBridge, play: Play
         assert "Nothing was published" in state.note and "Nothing was published" in state.summary()
 
 
+async def test_a_playback_says_at_once_what_of_its_bag_is_lost(
+    tmp_path: Path, store: BagStore, play: Play, robot: Robot
+) -> None:
+    (path,) = (tmp_path / "run").glob("*.mcap")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: whole.rindex(b"\x0f\x04" + bytes(7))])  # without the record that ends the messages
+    state = await play(PlayRequest(bag="run", topics=["/odom"], loop=True), 0.2)
+    assert state.state == "playing"
+    assert "after 2023-11-14T22:13:20.600000Z are lost" in state.note
+    await stop(robot, state.playback_id)
+
+
 async def test_a_play_that_is_cancelled_before_it_began_leaves_nothing(
     bridge: MadeBridge, robot: Robot, play: Play
 ) -> None:
