@@ -36,8 +36,11 @@ GIVE_UP_AFTER_S = 1.0
 # middleware was seen to spin for ever while a participant was destroyed, with the interpreter's lock held: then no
 # thread of ours sees the end of the stream, and only the kernel's timer still ends the process.
 ROS_IS_UP_WITHIN_S = 30.0
-# A lease that lapses is to end all motion within 0.1 s; the ROS thread goes round in 0.01 s unless it hangs. Chosen.
+# A stop, or a lease that lapses, is to end all motion within 0.1 s; a ROS thread that does not hang goes round in a
+# tenth of that. Chosen.
 ROS_HANGS_AFTER_S = 0.05
+# What acts in any case, so that it cannot be asked for without an epoch; a call may only read.
+ACTING = frozenset({"publish", "repeat", "relay", "relay_feed"})
 # What waits to be written at the end is little, and perhaps nobody reads any more. Chosen.
 LAST_WORDS_S = 0.2
 
@@ -141,17 +144,19 @@ class Bridge:
         """The server is silent: what it moves is ended by the ROS thread, and if that hangs, by another one first."""
         self._stops.lapse()
         self._outbox.send(Lapsed(event="lapsed", silent_s=round(silent_s, 3)))
-        operations = self._operations
-        if operations is None:
-            return
-        hangs = threading.Timer(ROS_HANGS_AFTER_S, operations.failsafes.carry_out)
+        if self._operations is not None:
+            self._do_first(self._operations.lapse, self._operations.failsafes.carry_out)
 
-        def lapse() -> None:
+    def _do_first(self, work: Callable[[], object], if_it_hangs: Callable[[], object]) -> None:
+        """Let the ROS thread do it before all else; if it does not come to that in time, another does the other."""
+        hangs = threading.Timer(ROS_HANGS_AFTER_S, if_it_hangs)
+
+        def do() -> None:
             hangs.cancel()
-            operations.lapse()
+            work()
 
         hangs.start()
-        self._loop.submit_first(lapse)
+        self._loop.submit_first(do)
 
     def _read(self, incoming: int) -> None:
         for header, body in read_packets(incoming, self._lease.wait_readable):
@@ -164,13 +169,13 @@ class Bridge:
     def _accept(self, request: Request) -> None:
         """Note when it was accepted; a stop goes before all that waits."""
         if request.op in ("ping", "stop"):
-            self._stops.raise_to(request.number("epoch", 0.0))
-        elif request.has("epoch"):
+            self._stops.raise_to(request.number("epoch"))
+        elif request.op in ACTING or request.has("epoch"):
             request.acceptance = self._stops.accept(request.number("epoch"))
         if request.op == "ping":
             self._outbox.reply(request.id, self._ping(request))
         elif request.op == "stop" and self._operations is not None:
-            self._loop.submit_first(partial(self._operations.start, request))
+            self._do_first(partial(self._operations.start, request), self._operations.send_zeros)
         else:
             self._accepted.put(request)
 
@@ -196,7 +201,7 @@ class Bridge:
             self._loop.submit(partial(self._operations.start, request))
 
     def _ping(self, request: Request) -> PingReply:
-        self._lease.renew(request.number("lease_s", 0.0))
+        self._lease.renew(request.number("lease_s"))
         return {"ros_idle_s": round(time.monotonic() - self._loop.last_turn, 6)}
 
 

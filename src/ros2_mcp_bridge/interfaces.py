@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from functools import lru_cache
 from typing import Any
 
@@ -15,6 +16,9 @@ _PARTS_OF_ACTIONS = {
     "FeedbackMessage": "FeedbackMessage",
 }
 
+# A type has one name: Python would also find it by others, which no table of types knows.
+_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
+
 
 # More types than a robot has; a class stays loaded anyway, so that forgetting one frees nothing.
 @lru_cache(maxsize=1024)
@@ -26,6 +30,8 @@ def load(type_name: str) -> Any:
     from rclpy.type_support import check_for_type_support  # pyright: ignore[reportUnknownVariableType]
 
     try:
+        if not _NAME.fullmatch(type_name):
+            raise ValueError("that is not the name of an interface")
         package, kind, name = type_name.split("/")
         module = importlib.import_module(f"{package}.{kind}")
         if kind == "action" and "_" in name:

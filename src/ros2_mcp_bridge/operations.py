@@ -62,7 +62,8 @@ class Operations:
         self._graph = Graph(node)
         self._clock = RobotClock(node, self._graph)
         self._velocities = Velocities(self._clock, outbox.send)
-        self.failsafes = FailSafes(self._velocities.send_zeros)
+        self.send_zeros = self._velocities.send_zeros
+        self.failsafes = FailSafes(self.send_zeros)
         self._subscriptions = Subscriptions(node, self._graph, loop, outbox)
         self._clients = Clients(node, self.failsafes)
         create = partial(Publisher, node=node, graph=self._graph, velocities=self._velocities)

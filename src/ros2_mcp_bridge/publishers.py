@@ -33,7 +33,6 @@ DISCOVERED_S = 0.1
 MAX_LATCHED_DEPTH = 1000
 # A period counts as missed, or the end as reached, with this share of a period to spare: sums of floats are inexact.
 ROUNDING = 1e-6
-FINAL_SIZE = "final_size"
 
 
 class Publisher:
@@ -48,15 +47,20 @@ class Publisher:
         self._graph = graph
         self._velocities = velocities
         self._topic, self._type = request.text("topic"), request.text("type")
+        self.velocity = velocities.topic(request)
         # Fast DDS asks for acknowledgement at once (5 ms) only when its history is full, else every 3 s. A depth of 1
         # is always full. Nobody can tell the difference but late joiners of a transient-local topic.
         is_volatile = request.qos().get("durability") != "transient_local"
         max_depth = max_depth or (1 if is_volatile else MAX_LATCHED_DEPTH)
-        self._profile = qos.profile(request.qos(), max_depth=max_depth)
+        wanted = request.qos()
+        if (
+            self.velocity is not None
+        ):  # whoever comes late, or was held up, gets the newest command: after a stop, the zero
+            wanted, max_depth = {**wanted, "history": "keep_last"}, 1
+        self._profile = qos.profile(wanted, max_depth=max_depth)
         self.is_busy = False
         self._accepted: tuple[int, int] | None = None
         self._raw = rcl.publisher(node, request.interface, self._topic, self._profile)
-        self.velocity = velocities.topic(request)
         if self.velocity is not None:
             self.velocity.publishers[self] = None
 
@@ -214,9 +218,8 @@ class Publishers:
         """Publish at a rate for a while, then the zero where it is a velocity command."""
         rate_hz, duration_s = request.rate(), request.number("duration_s")
         wait_match_s, ended_by = request.number("wait_match_s", 0.0), ""
-        final_size = int(request.number(FINAL_SIZE, 0))  # of a server that does not know yet who makes the zeros
         with self._use(request) as (publisher, created):
-            message = publisher.outgoing(request.body[: len(request.body) - final_size])
+            message = publisher.outgoing(request.body)
             repeat, velocity = Repeat(request), publisher.velocity
             with self._velocities.hold(velocity, request):
                 try:

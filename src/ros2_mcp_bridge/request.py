@@ -100,7 +100,7 @@ class Request:
         try:
             self.check_accepted()
         except Cancelled as cancelled:
-            if self.acceptance and cancelled.ended_by == "stop":
+            if self.acceptance and self.task and cancelled.ended_by == "stop":
                 self.acceptance.hold_back(self)
             raise
         self.has_left = True

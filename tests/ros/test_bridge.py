@@ -16,8 +16,9 @@ from typing import Any
 import pytest
 
 from ros2_mcp_bridge.participants import ports_of
-from support.bridge_client import BEST_EFFORT, PATIENCE_S, RELIABLE, STRING, TWIST, Client, cdr_command, cdr_string
+from support.bridge_client import BEST_EFFORT, PATIENCE_S, RELIABLE, STRING, Client, cdr_string
 from support.standstill import undisturbed
+from support.velocities import TWIST, cdr
 
 SET_BOOL = "std_srvs/srv/SetBool"
 TRUE, FALSE = b"\0\1\0\0\1", b"\0\1\0\0\0"
@@ -332,7 +333,7 @@ def stopped_after(bridge: Client, listener: subprocess.Popen[bytes], number: int
     while not bridge.ok("relays")["relays"].get("fed", {}).get("matched"):
         time.sleep(0.01)
     listener.send_signal(signal.SIGSTOP)
-    go, started = cdr_command(TWIST, number), time.monotonic()
+    go, started = cdr(TWIST, number), time.monotonic()
     bridge.send("relay_feed", go * 3, name="fed", sizes=[len(go)] * 3, epoch=0)
     while not bridge.ok("relays")["relays"]["fed"]["passed"]:
         time.sleep(0.01)
@@ -365,12 +366,12 @@ def driven(bridge: Client, topic: str = "/driven") -> int:
 
 def command(bridge: Client, speed: float) -> dict[str, Any]:
     arguments = {"topic": "/driven", "type": TWIST, "qos": RELIABLE, "epoch": 0}
-    return bridge.ok("publish", cdr_command(TWIST, speed), wait_match_s=PATIENCE_S, wait_ack_s=PATIENCE_S, **arguments)
+    return bridge.ok("publish", cdr(TWIST, speed), wait_match_s=PATIENCE_S, wait_ack_s=PATIENCE_S, **arguments)
 
 
 def repeat(bridge: Client, **arguments: Any) -> int:
     arguments = {"qos": RELIABLE, "wait_match_s": PATIENCE_S, "epoch": 0, **arguments}
-    return bridge.send("repeat", cdr_command(TWIST, 1), topic="/driven", type=TWIST, **arguments)
+    return bridge.send("repeat", cdr(TWIST, 1), topic="/driven", type=TWIST, **arguments)
 
 
 def test_a_call_is_answered_with_the_bytes_of_the_response(bridge: Client, peer) -> None:

@@ -14,10 +14,21 @@ import pytest
 
 from ros2_mcp_bridge.limits import MAX_FAILSAFES
 from support.agent import FULL, until
-from support.bridge_client import PATIENCE_S, RELIABLE, Client, cdr_command
-from support.observer import ACKERMANN_STAMPED, STAMPED, TWIST, TWIST_STAMPED, VELOCITY_TYPES, Observer, with_ackermann
+from support.bridge_client import PATIENCE_S, RELIABLE, Client
+from support.observer import Observer
+from support.velocities import (
+    ACKERMANN_STAMPED,
+    STAMPED,
+    TWIST,
+    TWIST_STAMPED,
+    VELOCITY_TYPES,
+    cdr,
+    hostile_bytes,
+    with_ackermann,
+)
 
 ROUNDS = 200 if FULL else 5
+HOSTILE = 1000 if FULL else 60
 LEASE_S = 0.5
 ON_TIME_S = 0.1
 """A zero is on the wire so long after a lease; a stamp is no further from now."""
@@ -61,7 +72,7 @@ def command(topic: str, kind: str = TWIST, epoch: int = 0, **arguments: Any) -> 
 
 def repeat(bridge: Client, topic: str, kind: str = TWIST, **arguments: Any) -> int:
     lasts = {"rate_hz": 100, "duration_s": 60, "wait_match_s": PATIENCE_S, **arguments}
-    return bridge.send("repeat", cdr_command(kind, 0.5), **command(topic, kind, **lasts))
+    return bridge.send("repeat", cdr(kind, 0.5), **command(topic, kind, **lasts))
 
 
 def matched(bridge: Client, topic: str, count: int = 4) -> None:
@@ -82,11 +93,11 @@ def test_nothing_that_was_accepted_before_a_stop_leaves_after_its_answer(begin, 
             time.sleep(0.005)
         drive(bridge, later)
         waiting = [
-            bridge.send("publish", cdr_command(TWIST, 1.0), topic=later, wait_match_s=3600, **acts),
+            bridge.send("publish", cdr(TWIST, 1.0), topic=later, wait_match_s=3600, **acts),
             bridge.send("call", TRUE, service=later, type=SET_BOOL, wait_s=3600, timeout_s=1, epoch=epoch),
         ]
         bridge.ok("stats")
-        go = cdr_command(TWIST, 2.0)
+        go = cdr(TWIST, 2.0)
         flying = [bridge.send("publish", go, topic=topic, wait_match_s=0, wait_ack_s=1, **acts) for _ in range(50)] + [
             bridge.send("relay_feed", go * 20, name=f"fed {epoch}", sizes=[len(go)] * 20, epoch=epoch)
         ]
@@ -149,7 +160,7 @@ def test_a_command_is_stamped_now_and_its_zero_keeps_its_frame(
     assert bridge.ok("zero", topics=[topic], **WAITS)["topics"][0]["acked"]
     assert {one["frame"] for one in observer.messages(topic=topic)} == {"odd"}
     observer.forget()
-    future = cdr_command(kind, 0.5, stamp_s=2_000_000_000, frame_id="base_link")
+    future = cdr(kind, 0.5, stamp=(2_000_000_000, 0), frame="base_link")
     bridge.ok("publish", future, **command(topic, kind), **WAITS)
     lasting = bridge.send("repeat", future, **command(topic, kind, rate_hz=50, duration_s=0.5))
     assert bridge.answer(lasting)[0]["ok"]["final_sent"]
@@ -171,7 +182,7 @@ def test_now_is_simulated_time_where_the_subscriber_uses_it(
         )
     matched(bridge, topic, 2)
     drive(bridge, topic, TWIST_STAMPED)
-    body = cdr_command(TWIST_STAMPED, 0.5, stamp_s=5, frame_id="base_link")
+    body = cdr(TWIST_STAMPED, 0.5, stamp=(5, 0), frame="base_link")
     bridge.ok("publish", body, **command(topic, TWIST_STAMPED), **WAITS)
     lasting = bridge.send("repeat", body, **command(topic, TWIST_STAMPED, rate_hz=50, duration_s=1.0))
     bridge.answer(lasting)
@@ -190,7 +201,7 @@ def test_a_simulated_clock_that_was_never_heard_is_0_and_a_real_one_beside_it_is
     for name in (topic, f"{topic}_real"):
         matched(bridge, name, 1)
         drive(bridge, name, TWIST_STAMPED)
-        bridge.ok("publish", cdr_command(TWIST_STAMPED, 0.5), **command(name, TWIST_STAMPED), **WAITS)
+        bridge.ok("publish", cdr(TWIST_STAMPED, 0.5), **command(name, TWIST_STAMPED), **WAITS)
     until(lambda: len(observer.messages()) == 2)
     assert [one["stamp"] for one in observer.messages(topic=topic)] == [0]
     assert observer.misstamped(most_s=ON_TIME_S) == []
@@ -203,8 +214,8 @@ def test_what_is_not_finite_leaves_on_no_way(begin, observer: Observer, topic: s
     observer.offer(topic=source, kind=kind)
     matched(bridge, topic)
     drive(bridge, topic, kind)
-    bad = [cdr_command(kind, number) for number in (float("nan"), float("inf"), float("-inf"))]
-    bad += [cdr_command(kind, 0.5)[:-1], b"", b"\0\1\0\0"]
+    bad = [cdr(kind, number) for number in (float("nan"), float("inf"), float("-inf"))]
+    bad += [cdr(kind, 0.5)[:-1], b"", b"\0\1\0\0"]
     for body in bad:
         refused = bridge.error("publish", body, **command(topic, kind))
         assert refused["kind"] == "bad_request"
@@ -213,8 +224,8 @@ def test_what_is_not_finite_leaves_on_no_way(begin, observer: Observer, topic: s
     relaying = bridge.send("relay", name="relayed", source=source, **command(topic, kind))
     feeding = bridge.send("relay", name="fed", **command(topic, kind))
     until(lambda: observer.listeners(topic=source) == 1)
-    until(lambda: all(row["running"] for row in bridge.ok("relays")["relays"].values()))
-    good, whole = cdr_command(kind, 0.5), [*bad[:4], cdr_command(kind, 0.5)]  # DDS fills the shorter one up again
+    until(lambda: sum(row["running"] for row in bridge.ok("relays")["relays"].values()) == 2)
+    good, whole = cdr(kind, 0.5), [*bad[:4], cdr(kind, 0.5)]  # DDS fills the shorter one up again
     observer.say(topic=source, kind=kind, bodies=[body.hex() for body in whole], gap_s=0.02)
     fed = [*bad, good + b"\xff" * 8]
     bridge.ok("relay_feed", b"".join(fed), name="fed", sizes=list(map(len, fed)), epoch=0)
@@ -227,6 +238,28 @@ def test_what_is_not_finite_leaves_on_no_way(begin, observer: Observer, topic: s
     assert observer.unsound(topic=topic) == []
     sizes = {one["size"] for one in observer.messages(topic=topic)}
     assert max(sizes) <= len(good)
+
+
+@pytest.mark.parametrize("kind", VELOCITY_TYPES)
+def test_hostile_commands_arrive_sound_or_not_at_all(begin, observer: Observer, topic: str, kind: str) -> None:
+    bridge = begin()
+    observer.join(by="reliable", topic=topic, kind=kind)
+    matched(bridge, topic, 1)
+    drive(bridge, topic, kind)
+    bodies = list(itertools.islice(hostile_bytes(kind, 10), HOSTILE))
+    answers = [bridge.answer(bridge.send("publish", body, **command(topic, kind), **WAITS))[0] for body in bodies]
+    refused = [answer["error"]["kind"] for answer in answers if "error" in answer]
+    assert set(refused) == {"bad_request"} and len(refused) < len(bodies)
+    relaying = bridge.send("relay", name="fed", **command(topic, kind))
+    until(lambda: bridge.ok("relays")["relays"].get("fed", {}).get("running"))
+    bridge.ok("relay_feed", b"".join(bodies), name="fed", sizes=list(map(len, bodies)), epoch=0)
+    bridge.ok("relay_stop", name="fed")
+    told = bridge.answer(relaying)[0]["ok"]
+    assert (told["passed"], told["refused"]) == (len(bodies) - len(refused), len(refused))
+    assert observer.comes_to_rest(topic, within_s=1.0) == []
+    assert observer.counts(topic=topic)["reliable"] > len(bodies) - len(refused)
+    assert observer.unsound(topic=topic) == []
+    assert observer.misstamped(most_s=ON_TIME_S, topic=topic) == []
 
 
 def test_a_silent_server_ends_what_moves_and_the_bridge_lives_on(begin, observer: Observer, topic: str) -> None:
@@ -243,7 +276,7 @@ def test_a_silent_server_ends_what_moves_and_the_bridge_lives_on(begin, observer
         """Drive and fall silent: when the last packet was sent."""
         before = bridge.samples.copy()
         repeating = repeat(bridge, topic, ACKERMANN_STAMPED)
-        body = cdr_command(ACKERMANN_STAMPED, 0.5)
+        body = cdr(ACKERMANN_STAMPED, 0.5)
         waiting = bridge.send("publish", body, **command(f"{topic}_later", ACKERMANN_STAMPED, wait_match_s=3600))
         observer.until_driven(topic, 10, 4)
         since = time.monotonic_ns()
@@ -273,7 +306,7 @@ def test_a_stopped_server_that_goes_on_finds_the_bridge_as_it_was(begin, observe
     drive(bridge, topic)
     bridge.ok("ping", lease_s=0.2, epoch=0)
     time.sleep(0.5)
-    assert bridge.ok("publish", cdr_command(TWIST, 0.5), **command(topic), **WAITS)["acked"]
+    assert bridge.ok("publish", cdr(TWIST, 0.5), **command(topic), **WAITS)["acked"]
     observer.until_driven(topic)
 
 
@@ -283,7 +316,7 @@ def test_the_successor_of_a_killed_bridge_stops_whoever_it_discovers(begin, obse
         names = observer.watch(topic, TWIST_STAMPED)
         matched(bridge, topic)
         drive(bridge, topic, TWIST_STAMPED)
-        body = cdr_command(TWIST_STAMPED, 0.5, frame_id="base_link")
+        body = cdr(TWIST_STAMPED, 0.5, frame="base_link")
         bridge.send("repeat", body, **command(topic, TWIST_STAMPED, rate_hz=100, duration_s=60, wait_match_s=20))
         observer.until_driven(topic, 5, len(names))
         bridge.process.send_signal(signal.SIGKILL)
@@ -302,14 +335,14 @@ def test_the_successor_of_a_killed_bridge_stops_whoever_it_discovers(begin, obse
 def test_a_zero_of_a_successor_does_not_stop_what_is_commanded_anew(begin, observer: Observer, topic: str) -> None:
     bridge = begin()
     drive(bridge, topic, now=True)
-    bridge.ok("publish", cdr_command(TWIST, 0.5), **command(topic))
+    bridge.ok("publish", cdr(TWIST, 0.5), **command(topic))
     observer.watch(topic)
     matched(bridge, topic)
-    bridge.ok("publish", cdr_command(TWIST, 0.5), **command(topic), **WAITS)
+    bridge.ok("publish", cdr(TWIST, 0.5), **command(topic), **WAITS)
     observer.until_driven(topic)
     observer.join(by="later", topic=topic, kind=TWIST)
     until(lambda: observer.matched(by="later") == 1)
-    bridge.ok("publish", cdr_command(TWIST, 0.7), **command(topic), **WAITS)
+    bridge.ok("publish", cdr(TWIST, 0.7), **command(topic), **WAITS)
     until(lambda: observer.driven(topic=topic)["later"] == 1)
     assert [one for one in observer.messages(topic=topic) if not any(one["values"])] == []
 
@@ -320,7 +353,7 @@ def test_publishers_of_every_quality_send_the_zero(begin, observer: Observer, to
     observer.watch(topic)
     matched(bridge, topic)
     bridge.send("failsafe_publish", topic=topic, type=TWIST, qos={**RELIABLE, "reliability": "best_effort"})
-    bridge.ok("publish", cdr_command(TWIST, 0.5), **command(topic), **WAITS)
+    bridge.ok("publish", cdr(TWIST, 0.5), **command(topic), **WAITS)
     observer.until_driven(topic)
     assert bridge.ok("stop", epoch=1, **WAITS)["topics"][0]["acked"]
     assert observer.comes_to_rest(topic, within_s=1.0) == []
@@ -331,11 +364,11 @@ def test_one_topic_more_than_there_are_fail_safes_is_refused_and_takes_none_away
     open_requests = [drive(bridge, f"{topic}_{number}") for number in range(MAX_FAILSAFES)]
     refused = bridge.error("failsafe_publish", topic=f"{topic}_more", type=TWIST, qos=RELIABLE)
     assert refused["kind"] == "bad_request" and str(MAX_FAILSAFES) in refused["message"]
-    assert bridge.error("publish", cdr_command(TWIST, 0.5), **command(f"{topic}_more"))["kind"] == "bad_request"
+    assert bridge.error("publish", cdr(TWIST, 0.5), **command(f"{topic}_more"))["kind"] == "bad_request"
     assert len(bridge.ok("stop", epoch=1)["topics"]) == MAX_FAILSAFES
     bridge.ok("cancel", request=open_requests[0])
     drive(bridge, f"{topic}_more")
-    assert bridge.ok("publish", cdr_command(TWIST, 0.5), **command(f"{topic}_more", epoch=1))
+    assert bridge.ok("publish", cdr(TWIST, 0.5), **command(f"{topic}_more", epoch=1))
 
 
 def test_a_type_of_which_nobody_knows_what_stops_it_has_no_fail_safe(begin, topic: str) -> None:

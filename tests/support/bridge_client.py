@@ -14,7 +14,6 @@ from ros2_mcp_bridge.packets import Packet, PacketReader, pack
 RELIABLE = {"reliability": "reliable", "durability": "volatile", "history": "keep_last", "depth": 10}
 BEST_EFFORT = {**RELIABLE, "reliability": "best_effort"}
 STRING = "std_msgs/msg/String"
-TWIST = "geometry_msgs/msg/Twist"
 PATIENCE_S = 30.0
 """How long something may take that takes no time, or 4 s of discovery, where the machine is not held up."""
 
@@ -23,19 +22,6 @@ def cdr_string(text: str) -> bytes:
     """A std_msgs/msg/String in CDR."""
     data = text.encode() + b"\0"
     return b"\0\1\0\0" + struct.pack("<I", len(data)) + data
-
-
-def cdr_command(kind: str, speed: float, stamp_s: int = 0, frame_id: str = "") -> bytes:
-    """A velocity command in CDR whose first number of motion (of Ackermann, the third) is the speed."""
-    head = b""
-    if kind.endswith("Stamped"):
-        name = frame_id.encode() + b"\0"
-        head = struct.pack("<iII", stamp_s, 0, len(name)) + name
-    alignment = 4 if "Ackermann" in kind else 8
-    head += b"\0" * (-len(head) % alignment)
-    if "Ackermann" in kind:
-        return b"\0\1\0\0" + head + struct.pack("<5f", 0, 0, speed, 0, 0)
-    return b"\0\1\0\0" + head + struct.pack("<6d", speed, 0, 0, 0, 0, 0)
 
 
 class Client:

@@ -8,9 +8,18 @@ from ros2_mcp_bridge.epoch import StopEpoch
 from ros2_mcp_bridge.request import Cancelled, Request
 
 
+class Idle:
+    """What works on a request."""
+
+    def wake(self) -> None: ...
+
+    def throw(self, error: Exception) -> None: ...
+
+
 def accepted(stops: StopEpoch, epoch: float) -> Request:
     request = Request({"id": 1, "op": "publish", "topic": "/said"}, b"")
     request.acceptance = stops.accept(epoch)
+    request.task = Idle()
     return request
 
 
@@ -58,3 +67,13 @@ def test_a_request_that_only_reads_is_never_held_back() -> None:
     stops.raise_to(1)
     stops.lapse()
     reading.leave()
+
+
+def test_a_request_that_ends_already_is_no_work_for_the_stop() -> None:
+    stops = StopEpoch()
+    ending = accepted(stops, 0)
+    ending.task = None
+    stops.raise_to(1)
+    with pytest.raises(Cancelled):
+        ending.leave()
+    assert stops.overtaken == []

@@ -1,0 +1,55 @@
+"""What the bridge hands to the middleware leaves by few exits, and each of them asks whether it still may."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from ros2_mcp_bridge.__main__ import ROS_HANGS_AFTER_S, Bridge
+from ros2_mcp_bridge.packets import pack
+
+SOURCE = Path(__file__).resolve().parents[3] / "src/ros2_mcp_bridge"
+EXITS = {
+    ".publish_raw(": {"publishers.py": 2},  # what others have made, and zeros
+    ".call_async(": {"clients.py": 2},  # calls, and fail-safes
+}
+PATIENCE_S = 10.0
+
+
+@pytest.mark.parametrize("exit_name", EXITS)
+def test_there_is_one_exit_of_messages_and_one_of_requests(exit_name: str) -> None:
+    counts = {path.name: path.read_text(encoding="utf-8").count(exit_name) for path in SOURCE.glob("*.py")}
+    assert {name: count for name, count in counts.items() if count} == EXITS[exit_name]
+
+
+@pytest.mark.parametrize(
+    ("said", "done"), [({"op": "stop", "epoch": 1}, "zeros"), ({"op": "ping", "lease_s": 0.05}, "fail-safes")]
+)
+def test_a_ros_thread_that_hangs_keeps_no_robot_moving(said: dict[str, Any], done: str) -> None:
+    """Nothing runs the loop here, as if discovery hung: another thread sends the zeros, soon."""
+    (incoming, server), (answers, outgoing) = os.pipe(), os.pipe()
+    bridge = Bridge(incoming, outgoing)
+    heard, came = list[tuple[str, float]](), threading.Event()
+
+    def note(what: str) -> None:
+        heard.append((what, time.monotonic()))
+        came.set()
+
+    bridge._operations = SimpleNamespace(  # type: ignore[assignment]
+        start=lambda _: note("started"),
+        lapse=lambda: note("lapsed"),
+        send_zeros=lambda: note("zeros"),
+        failsafes=SimpleNamespace(carry_out=lambda: note("fail-safes")),
+    )
+    begun = time.monotonic()
+    os.write(server, pack({"id": 1, **said}))
+    assert came.wait(PATIENCE_S)
+    assert [what for what, _ in heard] == [done]
+    assert heard[0][1] - begun >= ROS_HANGS_AFTER_S
+    del answers
