@@ -169,7 +169,7 @@ class Bridge:
     def _accept(self, request: Request) -> None:
         """Note when it was accepted; a stop goes before all that waits."""
         if request.op in ("ping", "stop"):
-            self._stops.raise_to(request.number("epoch"))
+            self._stops.raise_to(request.number("epoch", 0.0 if request.op == "ping" else None))
         elif request.op in ACTING or request.has("epoch"):
             request.acceptance = self._stops.accept(request.number("epoch"))
         if request.op == "ping":
@@ -201,7 +201,7 @@ class Bridge:
             self._loop.submit(partial(self._operations.start, request))
 
     def _ping(self, request: Request) -> PingReply:
-        self._lease.renew(request.number("lease_s"))
+        self._lease.renew(request.number("lease_s", 0.0))
         return {"ros_idle_s": round(time.monotonic() - self._loop.last_turn, 6)}
 
 

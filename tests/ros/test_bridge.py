@@ -468,7 +468,7 @@ def test_nothing_but_packets_is_on_stdout(start) -> None:
 
     def seconds() -> float:
         bridge = Client(start("ros2_mcp_bridge", env=noisy))
-        assert bridge.error("publish", topic="not a name", type=STRING, qos=RELIABLE)["kind"] == "ros_error"
+        assert bridge.error("publish", topic="not a name", type=STRING, qos=RELIABLE, epoch=0)["kind"] == "ros_error"
         assert "ros_idle_s" in bridge.ok("ping")
         took = bridge.close()
         with pytest.raises(EOFError):
@@ -480,7 +480,7 @@ def test_nothing_but_packets_is_on_stdout(start) -> None:
 
 def test_wrong_requests_are_answered_and_do_no_harm(bridge: Client) -> None:
     assert bridge.error("no_such_operation")["kind"] == "bad_request"
-    assert bridge.error("publish", topic="/said", type=STRING)["kind"] == "bad_request"
+    assert bridge.error("publish", topic="/said", type=STRING, epoch=0)["kind"] == "bad_request"
     assert bridge.error("unsubscribe", sub=99)["kind"] == "not_found"
     error = bridge.error("call", b"\xff", service="/asked", type=SET_BOOL, wait_s=0, timeout_s=1)
     assert error["kind"] == "bad_request"

@@ -66,6 +66,7 @@ async def test_requests_and_samples_go_through_it(link: Link) -> None:
             topic=TOPIC,
             type=STRING_TYPE,
             qos=QOS,
+            epoch=0,
             wait_match_s=10,
             wait_ack_s=10,
         )
@@ -82,7 +83,7 @@ async def test_a_large_body_goes_through_it_while_pings_go_on(link: Link) -> Non
         topic, kind, QOS, keep="all", max_samples=10, max_bytes=50_000_000
     ) as subscription:
         await link.bridge.request(
-            "publish", body, timeout_s=40, topic=topic, type=kind, qos=QOS, wait_match_s=10, wait_ack_s=10
+            "publish", body, timeout_s=40, topic=topic, type=kind, qos=QOS, epoch=0, wait_match_s=10, wait_ack_s=10
         )
         assert [sample.data[: len(body)] for sample in await subscription.take(PATIENCE_S)] == [body]
     assert link.bridge.restarts == []

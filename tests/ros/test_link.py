@@ -80,7 +80,15 @@ async def test_what_is_published_arrives_at_a_subscription_byte_for_byte(bridge:
         topic, kind, QOS, keep="all", max_samples=100, max_bytes=10_000_000
     ) as subscription:
         sent = await bridge.request(
-            "publish", STRING, timeout_s=PATIENCE_S, topic=topic, type=kind, qos=QOS, wait_match_s=10, wait_ack_s=10
+            "publish",
+            STRING,
+            timeout_s=PATIENCE_S,
+            topic=topic,
+            type=kind,
+            qos=QOS,
+            epoch=0,
+            wait_match_s=10,
+            wait_ack_s=10,
         )
         assert sent.ok["matched"] >= 1
         taken = await subscription.take(PATIENCE_S)
@@ -96,7 +104,7 @@ async def test_a_large_body_goes_both_ways_without_holding_up_other_requests(bri
     ) as subscription:
         publish = asyncio.ensure_future(
             bridge.request(
-                "publish", body, timeout_s=40, topic=topic, type=kind, qos=QOS, wait_match_s=10, wait_ack_s=10
+                "publish", body, timeout_s=40, topic=topic, type=kind, qos=QOS, epoch=0, wait_match_s=10, wait_ack_s=10
             )
         )
         await bridge.request("ping", timeout_s=PATIENCE_S)
