@@ -28,7 +28,6 @@ from ros2_mcp.model.commands import LOCAL, Principal
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.ops.topics.publish import Repetition
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.jobs import Job
 
 CLIENT_LEASE_S = 2.0
 """Without a sign of life. A lost packet is sent again within 0.2 s, then 0.4 s: four signs may fail on a bad wireless
@@ -153,12 +152,12 @@ class Leases:
                 if call.response is response:
                     call.end("The client closed the response that was to carry the result.")
             if not client.responses:
-                self._begin_end(client, "it closed its last open response")
+                self._begin_end(client, "the end of its client, which closed its last open response")
 
     def left(self, principal: Principal) -> None:
         """Notes that a client has ended its session."""
         if client := self._clients.get(principal):
-            self._begin_end(client, "it ended its session")
+            self._begin_end(client, "the end of its client, which ended its session")
 
     @contextmanager
     def attended(self, context: Context) -> Generator[Call]:
@@ -183,7 +182,7 @@ class Leases:
         now = monotonic()
         is_late = now - looked_at > _LATE_S
         for client in list(self._clients.values()):
-            was_moving, client.is_moving = client.is_moving, _moves(self._robot, client.principal)
+            was_moving, client.is_moving = client.is_moving, self._robot.moves_for(client.principal)
             if is_late or (client.is_moving and not was_moving):
                 client.granted_at = now
             if client.is_moving and not client.is_ending:
@@ -198,7 +197,7 @@ class Leases:
     def _watch(self, client: Client, now: float) -> None:
         assert self._tasks
         if now > client.lease_ends_at():
-            self._begin_end(client, f"nothing was heard of it for {CLIENT_LEASE_S:g} s (the client lease)")
+            self._begin_end(client, f"the client lease: nothing was heard of its client for {CLIENT_LEASE_S:g} s")
             return
         if now - client.shown_alive_at >= ALIVE_S:
             client.shown_alive_at = now
@@ -224,13 +223,10 @@ class Leases:
     async def _end(self, client: Client, reason: str) -> None:
         """Ends the calls of a client that has gone, and what it keeps moving."""
         for call in client.calls:
-            call.end(f"This call was ended, and what it moved was stopped: the client seemed to have gone, {reason}.")
+            call.end(f"This call was ended, and what it moved was stopped, by {reason}.")
         try:
-            if _moves(self._robot, client.principal):
-                _logger.warning("what %s keeps moving is stopped: %s", client.principal.name, reason)
-            await self._robot.jobs.stop_owned(client.principal)
-        except RobotError as error:
-            _logger.warning("what %s keeps moving could not be stopped: %s", client.principal.name, error)
+            if ended := await self._robot.stop_owned(client.principal, reason):
+                _logger.warning("%s: ended by %s: %s", client.principal.name, reason, ", ".join(ended))
         finally:
             client.is_ending = False
 
@@ -240,15 +236,11 @@ def _response_of(context: Context) -> OpenResponse | None:
     return request.scope.get(RESPONSE) if request else None
 
 
-def _moves(robot: Robot, principal: Principal) -> bool:
-    return any(job.owner == principal and job.moves for job in robot.jobs.running(Job))
-
-
 async def _end_repeat(repeat: Repetition) -> None:
     try:
         await repeat.stop_for(
-            f"Over HTTP a repeat of motion lasts at most {UNRENEWED_REPEAT_S:g} s unless its client asks for something "
-            "or answers a ping meanwhile, and this one has not."
+            f"the server: over HTTP a repeat of motion lasts at most {UNRENEWED_REPEAT_S:g} s unless its client asks "
+            "for something or answers a ping meanwhile, and this one has not"
         )
     except RobotError as error:
         _logger.warning("%s did not end in good order: %s", repeat.id, error)

@@ -83,6 +83,7 @@ class Operations:
                 "unsubscribe": self._subscriptions.unsubscribe,
                 "publish": self._publishers.publish,
                 "repeat": self._publishers.repeat,
+                "repeat_stop": self._repeat_stop,
                 "relay": self._relays.relay,
                 "relay_feed": self._relays.feed,
                 "relay_stop": self._relay_stop,
@@ -180,6 +181,14 @@ class Operations:
         chosen = [topic for topic in self._velocities.driven() if topic.name in request.texts("topics")]
         wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
         return {"topics": (yield from self._velocities.stop(chosen, wait_match_s, wait_ack_s))}
+
+    def _repeat_stop(self, request: Request) -> Empty:
+        """End one repeat by its name."""
+        name = request.text("name")
+        for found in list(self._requests.values()):
+            if found.op == "repeat" and found.has("name") and found.text("name") == name:
+                found.end("cancel")
+        return {}
 
     def _relay_stop(self, request: Request) -> RelayStopReply:
         """End one relay by its name."""

@@ -109,10 +109,14 @@ class Publish(Command[Sent]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Repeat(Command[Sent]):
-    """One message again and again; the rhythm is kept inside the bridge. The result comes at its end."""
+    """One message again and again; the rhythm is kept inside the bridge. The result comes at its end.
+
+    `repeat_id` is its name in the bridge, where it may have to be ended by it.
+    """
 
     ACT = "Publishing on {0.name}"
 
+    repeat_id: str = ""
     choice: Choice
     rate_hz: float = 1.0
     duration_s: float = 5.0

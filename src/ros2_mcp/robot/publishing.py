@@ -48,6 +48,7 @@ async def repeat(core: Core, command: Repeat) -> Sent:
             "repeat",
             body,
             timeout_s=command.duration_s + command.wait_match_s + REQUEST_S,
+            name=command.repeat_id,
             wait_match_s=command.wait_match_s,
             rate_hz=command.rate_hz,
             duration_s=command.duration_s,

@@ -169,6 +169,10 @@ class Robot(Core):
             if zero["matched"] and not zero["acked"]:
                 _logger.warning("the zero on %s has not been acknowledged", zero["topic"])
 
+    async def end_repeat(self, repeat_id: str) -> None:
+        """Ends one repeat in the bridge, whose answer then says what was sent; without effect where there is none."""
+        await self.graph.ask("repeat_stop", name=repeat_id)
+
     async def end_relay(self, relay_id: str) -> None:
         """Ends one relay or playback in the bridge; without effect where there is none."""
         await self.graph.ask("relay_stop", name=relay_id)

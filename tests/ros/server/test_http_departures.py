@@ -17,7 +17,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import anyio
 import pytest
+from mcp import Client
 
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
@@ -33,8 +35,8 @@ ROUNDS = 200 if FULL else 5
 TOGETHER = 5
 """So many clients of each transport vanish, or are stopped, at the same time: a round each."""
 TRANSPORTS = ("handshake", "modern", "sse")
-MOTIONS = ("repeat", "relay", "goal", "playback")
-CLOSED_S, SILENT_S, STOPPED_S = 0.3, 2.0 + 0.3, 10.0 + 1.5
+MOTIONS = ("repeat", "relay", "goal", "playback", "publish")
+CLOSED_S, SILENT_S, STOPPED_S = 0.3, 2.0 + 0.3, 10.0 + 0.3
 """What is promised: after a close, after the last packet, and for a repeat whose client answers nothing any more."""
 STILL_S = 0.3
 """How long nothing may move afterwards: several periods of what drove."""
@@ -135,10 +137,13 @@ class Driver:
             played = {"bag": "drive", "remaps": {RECORDED: self.topic}, "force": True, "loop": True, "wait_sec": 0}
             begun = self._called("ros2_bag_play", played)
             assert not begun.get("isError"), begun
+        elif self.motion == "publish":
+            once = {"topic_name": self.topic, "message_type": TWIST, "data": MOVING}
+            until(lambda: self._is_heard_after("ros2_topic_publish", once))  # the first one may miss a new subscriber
         else:
             repeat = {"topic_name": self.topic, "message_type": TWIST, "data": MOVING, "frequency": 20, "duration": 60}
             self.clients.begin(name=self.name, tool="ros2_topic_publish", arguments=repeat)
-        observer.until_driven(self.topic, 5, 2)
+        observer.until_driven(self.topic, 1 if self.motion == "publish" else 5, 2)
 
     def rests_after(self, went: int, within_s: float) -> float:
         """Seconds from `went` (monotonic, ns) until the zero, or the end of the goal, after which nothing moves."""
@@ -159,6 +164,11 @@ class Driver:
         for by in ("reliable", "best effort"):
             observer.leave(by=f"{self.name} {by}")
         return (max(zeros) - went) / 1e9
+
+    def _is_heard_after(self, tool: str, arguments: dict[str, Any]) -> bool:
+        begun = self._called(tool, arguments)
+        assert not begun.get("isError"), begun
+        return sum(count > 0 for count in self.field.observer.driven(topic=self.topic).values()) == 2
 
     def _called(self, tool: str, arguments: dict[str, Any]) -> dict[str, Any]:
         return self.clients.call(name=self.name, tool=tool, arguments=arguments)
@@ -282,3 +292,29 @@ def test_a_client_without_an_open_stream_that_asks_for_nothing_keeps_its_relay_f
 
     rested_s = undisturbed(seconds)
     assert 1.9 < rested_s <= SILENT_S + ARRIVES_S
+
+
+@pytest.mark.timeout(120)
+async def test_a_repeat_outlasts_ten_seconds_where_the_client_answers_pings_and_says_why_where_it_cannot(
+    field: Field,
+) -> None:
+    """Nobody is asked anything in the modern era."""
+
+    async def repeated(mode: str) -> Any:
+        url = f"http://{field.host}:{field.ports['handshake']}/mcp"
+        repeat = {"message_type": TWIST, "data": MOVING, "frequency": 20, "duration": 12}
+        async with Client(url, mode=mode) as client:
+            return await client.call_tool("ros2_topic_publish", {"topic_name": f"/{mode}/cmd_vel", **repeat})
+
+    answers: dict[str, Any] = {}
+
+    async def note(mode: str) -> None:
+        answers[mode] = await repeated(mode)
+
+    async with anyio.create_task_group() as both:
+        both.start_soon(note, "legacy")
+        both.start_soon(note, "auto")
+    kept, ended = answers["legacy"].structured_content, answers["auto"].structured_content
+    assert kept["sent"] >= 235 and "ended by" not in kept["note"], kept
+    assert 160 <= ended["sent"] <= 205 and ended["stopped_with_zero"], ended
+    assert "over HTTP a repeat of motion lasts at most 10 s unless" in ended["note"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -104,7 +104,11 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
         choice=to.choice,
         wait_match_s=MATCH_S,
     )
-    sent = await (_repeat(robot, command, report) if isinstance(command, Repeat) else robot.do(command))
+    reason = ""
+    if isinstance(command, Repeat):
+        sent, reason = await _repeat(robot, command, report)
+    else:
+        sent = await robot.do(command)
     return Published(
         status="published" if sent.matched else "nobody_listening",
         topic_name=sent.topic,
@@ -115,7 +119,7 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
         stopped_with_zero=sent.stopped_with_zero,
         elapsed=round(sent.elapsed_s, 6),
         qos=f"{sent.choice.qos.reliability}, {sent.choice.qos.durability}: {sent.choice.reason}",
-        note=await _note(robot, sent),
+        note=await _note(robot, sent, reason),
     )
 
 
@@ -149,7 +153,7 @@ class Repetition(Job):
     def __init__(self, robot: Robot, command: Repeat) -> None:
         super().__init__(owner=command.principal, moves=[command.name])
         self._robot = robot
-        self._command = command
+        self._command = replace(command, repeat_id=self.id)
         self.is_motion = command.type in VELOCITY_TYPES
         self.sent: Sent | None = None
 
@@ -160,15 +164,19 @@ class Repetition(Job):
         self.sent = await self._robot.do(self._command)
 
     async def stop_for(self, reason: str) -> None:
-        """Ends it with its zero; the answer of its call gives the reason. Raises as `Robot.zero` and `stop`."""
-        self.stop_reason = reason
-        await self.stop()
+        """Has the bridge end it with its zero. Its call's answer gives the reason. Raises as `Graph.ask` and `stop`."""
+        self.stop_reason, self.is_stopping = reason, True
+        try:
+            await self._robot.end_repeat(self.id)
+        finally:
+            await self.stop()
 
     async def wind_down(self) -> None:
         """Does nothing: the bridge ends the repetition, and its answer with what was sent is still awaited."""
 
 
-async def _repeat(robot: Robot, command: Repeat, report: Report) -> Sent:
+async def _repeat(robot: Robot, command: Repeat, report: Report) -> tuple[Sent, str]:
+    """What was sent, and what ended it before its time."""
     repetition = Repetition(robot, command)
     topic, duration_s = command.name, command.duration_s
 
@@ -181,11 +189,13 @@ async def _repeat(robot: Robot, command: Repeat, report: Report) -> Sent:
         if not repetition.has_begun:
             raise Stopped(f"{ended_by(repetition.stop_reason or 'a stop')} Nothing was published on {topic}.")
         raise LinkError(f"Publishing on {topic} was stopped, and the bridge has not said in time what was sent.")
-    return repetition.sent
+    sent = repetition.sent
+    reason = repetition.stop_reason or REASONS.get(sent.ended_by, "a request to cancel it") if sent.ended_by else ""
+    return sent, reason
 
 
-async def _note(robot: Robot, sent: Sent) -> str:
-    notes: list[str] = []
+async def _note(robot: Robot, sent: Sent, reason: str) -> str:
+    notes = [ended_by(reason)] if reason else []
     if not sent.matched:
         found = await robot.graph.endpoints(sent.topic)
         ours = [publisher for publisher in found.publishers if publisher.node in robot.graph.own_nodes]
@@ -199,8 +209,6 @@ async def _note(robot: Robot, sent: Sent) -> str:
         notes.append("Not every subscriber has acknowledged it in time.")
     if sent.late:
         notes.append(f"{sent.late} period(s) were missed.")
-    if sent.ended_by:
-        notes.append(ended_by(REASONS.get(sent.ended_by, "a request to cancel it")))
     if sent.stopped_with_zero:
         notes.append("A zero command was sent at the end.")
     elif sent.type in VELOCITY_TYPES and sent.matched:
