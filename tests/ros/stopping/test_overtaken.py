@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import random
+import signal
 import time
 from contextlib import suppress
 
@@ -13,6 +15,8 @@ from support.driver import MOVING, WAYS, calm, fresh
 from support.velocities import TWIST, speed
 
 ROUNDS = 200 if FULL else 5
+BRIDGES = 50 if FULL else 2
+"""Each takes a bridge two seconds to come up."""
 LATEST_S = 0.05
 """A request shows only when it arrives: the way through DDS and the observer's threads takes less on two processors."""
 SETTLED_S = 0.15
@@ -55,10 +59,11 @@ def test_publishes_that_are_in_flight(server, observer, watched, chance) -> None
         has_ended(observer, watched, answered_ns)
 
 
-def test_a_publish_that_waits_for_its_subscriber(server, observer, chance) -> None:
+@pytest.mark.parametrize("way", ["once", "repeat"])
+def test_a_publish_that_waits_for_its_subscriber(server, observer, chance, way: str) -> None:
     for _ in range(ROUNDS):
         topic = fresh("waits")
-        sent = WAYS["once"](server, observer, topic)
+        sent = WAYS[way](server, observer, topic)
         time.sleep(chance.uniform(0.0, 0.2))
         _, answered_ns = server.stop()
         observer.join(by=topic, topic=topic, kind=TWIST)
@@ -135,6 +140,33 @@ def test_what_has_just_begun(server, observer, watched, chance, way: str) -> Non
             server.result(sent)
         assert observer.moved(sent_after=answered_ns, topic=watched) == []
         calm(observer, watched)
+
+
+def test_a_relay_whose_source_comes_only_then(server, observer, watched, chance) -> None:
+    given = {"source_topic": f"{watched}_source", "destination_topic": watched, "message_type": TWIST}
+    for _ in range(ROUNDS):
+        sent = server.tool("ros2_relay_start", **given, duration_sec=0)
+        time.sleep(chance.uniform(0.0, 0.3))
+        _, answered_ns = server.stop()
+        observer.talk(topic=f"{watched}_source", kind=TWIST, hz=50.0, value=MOVING)
+        server.outcome(sent)
+        has_ended(observer, watched, answered_ns)
+        calm(observer, watched)
+
+
+def test_what_waits_for_the_bridge_that_follows_a_killed_one(server, observer, watched, chance) -> None:
+    for _ in range(BRIDGES):
+        former = server.bridge()
+        os.kill(former, signal.SIGKILL)
+        sent = []
+        for way in ("once", "repeat", "once"):
+            time.sleep(chance.uniform(0.0, 0.3))
+            sent.append(WAYS[way](server, observer, watched))
+        _, answered_ns = server.stop()
+        for request in sent:
+            server.outcome(request)
+        until(lambda bridge=former: server.bridge() != bridge)
+        has_ended(observer, watched, answered_ns)
 
 
 def test_what_is_asked_after_the_answer_moves_again(server, observer, watched) -> None:
