@@ -186,7 +186,7 @@ def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
     server = RawServer(environment, command=command)
     try:
         introduction = server.begin("2025-11-25")
-        assert "recording" in introduction["instructions"] and "'run'" in introduction["instructions"]
+        assert "recording" in introduction["instructions"] and "«run»" in introduction["instructions"]
         tools = {tool["name"] for tool in server.ask("tools/list")["result"]["tools"]}
         assert tools >= {"ros2_topic_list", "ros2_topic_info", "ros2_bag_read", "ros2_log_read", "ros2_wait_until"}
         assert not tools & {"ros2_topic_publish", "ros2_service_call", "ros2_bag_play", "ros2_record_start"}
