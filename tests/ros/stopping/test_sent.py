@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from collections.abc import Callable
 
 import pytest
@@ -167,8 +166,7 @@ def test_a_robot_with_simulated_time_gets_its_own(environment, factor: float) ->
                 assert observer.driven(topic=topic)[topic] >= 10
                 return observer.misstamped(most_s=MOST_S, topic=topic)
 
-            off()  # until now nobody needed the clock: the bridge has to discover it first
-            time.sleep(1.0)
+            until(lambda: off() == [])  # until now nobody needed the clock: the bridge has to discover it first
             assert undisturbed(off) == []
         finally:
             server.end()
