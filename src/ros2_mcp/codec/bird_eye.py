@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ros2_mcp.codec.clouds import Cloud
+from ros2_mcp.codec.ground import ROOM_PX, Framed, Ground, has_axes, marks_in_words, with_axes
 from ros2_mcp.codec.raster import encoded, magnified
 from ros2_mcp.model.errors import BadData
-from ros2_mcp.model.pictures import BirdEyeOptions, Picture
+from ros2_mcp.model.pictures import BirdEyeOptions, Picture, Place
 
 _COARSER = 1.1
 """The least factor by which the resolution grows when a picture has too many bytes. The square root of the excess
@@ -21,15 +22,26 @@ mostly fits at once, as bytes grow with the area."""
 _DARKEST = 24
 """A black point could not be told from the black of no point."""
 
+_CORE = (0.05, 0.95)
+"""Between these ranks lie the points that a cloud is of, whatever a tenth of them are."""
+_BEYOND = 3
+"""Points farther from the core than so many times its extent are outliers, such as reflections: they would make the
+picture of the others a few pixels large. Lidars see near points more densely, so far walls are no outliers."""
+_FEW = 20
+"""Of fewer points the ranks tell nothing."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BirdEyeNumbers:
-    """What a picture shows: pixel (column, row) begins at (x_min + column · m, y_max - row · m), where m is
-    `metres_per_pixel`. `color_low` and `color_high` are the values at the ends of the colours; None for `rgb`."""
+    """What a picture shows: pixel (left_px + column, top_px + row) begins at (x_min + column · m, y_max - row · m),
+    where m is `metres_per_pixel`; the rest are axes. `color_low` and `color_high` are the values at the ends of the
+    colours; None for `rgb`."""
 
     shown: int
     resolution_m: float
     metres_per_pixel: float
+    left_px: int
+    top_px: int
     x_min_m: float
     x_max_m: float
     y_min_m: float
@@ -59,35 +71,32 @@ class _Coloured:
     note: str = ""
 
 
-def bird_eye(cloud: Cloud, options: BirdEyeOptions) -> BirdEye:
-    """The cloud from above. The resolution is made coarser where the picture would be too large.
+def bird_eye(cloud: Cloud, options: BirdEyeOptions, robot: Place | None = None) -> BirdEye:
+    """The cloud from above, with axes and the robot (a place in the cloud's frame).
+
+    The resolution is made coarser where the picture would be too large.
 
     Raises:
         BadData: if no point is left to show.
     """
-    heights = cloud.xyz[:, 2]
-    lowest = -math.inf if options.z_min_m is None else options.z_min_m
-    highest = math.inf if options.z_max_m is None else options.z_max_m
-    kept = (heights >= lowest) & (heights <= highest)
-    if not kept.any():
-        raise BadData(
-            f"No point to show: of {cloud.points} points, {cloud.not_finite} are not finite and the others are outside "
-            "the heights asked for."
-        )
+    kept, far = _kept(cloud, options)
     xyz = cloud.xyz[kept]
     coloured = _coloured(cloud, kept, options)
-    max_bytes = options.bounds.max_bytes
-    resolution = max(options.resolution_m, _finest(xyz, options.bounds.max_side))
+    max_bytes, max_side = options.bounds.max_bytes, options.bounds.max_side
+    side = max_side - ROOM_PX if has_axes(max_side) else max_side
+    resolution = max(options.resolution_m, _finest(xyz, side))
     while True:
         cells, left, top = _pixels(xyz, coloured.rgb, resolution)
-        pixels, times = magnified(cells, options.bounds.max_side)
-        image = Image.fromarray(pixels)
+        pixels, times = magnified(cells, side)
+        ground = Ground(left, top - len(cells) * resolution, resolution / times, Place(0, 0), robot)
+        framed = with_axes(pixels, ground) if has_axes(max_side) else Framed(pixels, 0, 0)
+        image = Image.fromarray(framed.pixels)
         data, _ = encoded(image, "exact", max_bytes)
         if len(data) <= max_bytes:
             break
         resolution *= max(_COARSER, math.sqrt(len(data) / max_bytes))
     pixel_m = resolution / times
-    width_m, height_m = image.width * pixel_m, image.height * pixel_m
+    width_m, height_m = pixels.shape[1] * pixel_m, pixels.shape[0] * pixel_m
     colours = ""
     if coloured.low is not None:
         low, high = ("blue", "red") if options.colormap == "jet" else ("dark", "white")
@@ -96,11 +105,15 @@ def bird_eye(cloud: Cloud, options: BirdEyeOptions) -> BirdEye:
         f"From above, x to the right, y up, {pixel_m:.4g} m per pixel; {width_m:.4g} m × {height_m:.4g} m. "
         f"Colour: {coloured.mode}{colours}."
     )
+    if has_axes(max_side):
+        note += f" {marks_in_words(ground)}"
     coarser = f"The resolution is {resolution:.4g} m instead of {options.resolution_m:.4g} m, to fit the picture."
     numbers = BirdEyeNumbers(
         shown=len(xyz),
         resolution_m=resolution,
         metres_per_pixel=pixel_m,
+        left_px=framed.left_px,
+        top_px=framed.top_px,
         x_min_m=left,
         x_max_m=left + width_m,
         y_min_m=top - height_m,
@@ -110,9 +123,48 @@ def bird_eye(cloud: Cloud, options: BirdEyeOptions) -> BirdEye:
         color_mode=coloured.mode,
         color_low=coloured.low,
         color_high=coloured.high,
-        note=f"{coarser if resolution > options.resolution_m else ''} {coloured.note}".strip(),
+        note=f"{far} {coarser if resolution > options.resolution_m else ''} {coloured.note}".strip(),
     )
     return BirdEye(Picture(data, "image/png", image.width, image.height, note), numbers)
+
+
+def _kept(cloud: Cloud, options: BirdEyeOptions) -> tuple[NDArray[np.bool_], str]:
+    """Which points are shown: those within the limits, without outliers; and a note where there are some.
+
+    Raises:
+        BadData: if none is.
+    """
+    limits = (
+        (options.x_min_m, options.x_max_m),
+        (options.y_min_m, options.y_max_m),
+        (options.z_min_m, options.z_max_m),
+    )
+    kept: NDArray[np.bool_] = np.ones(len(cloud.xyz), np.bool_)
+    for axis, (low, high) in enumerate(limits):
+        kept &= cloud.xyz[:, axis] >= (-math.inf if low is None else low)
+        kept &= cloud.xyz[:, axis] <= (math.inf if high is None else high)
+    if not kept.any():
+        raise BadData(
+            f"No point to show: of {cloud.points} points, {cloud.not_finite} are not finite and the others are outside "
+            "the limits asked for."
+        )
+    extent = _extent(cloud.xyz[kept, :2])
+    within = kept & True
+    for axis in (0, 1):
+        if limits[axis] == (None, None) and extent is not None:
+            within &= (cloud.xyz[:, axis] >= extent[0][axis]) & (cloud.xyz[:, axis] <= extent[1][axis])
+    far = np.count_nonzero(kept & ~within)
+    note = f"{far} point(s) far from the others are left out: xmin, xmax, ymin, ymax show them." if far else ""
+    return within, note
+
+
+def _extent(xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Between which x and y the points lie without outliers; None where that cannot be told."""
+    if len(xy) < _FEW:
+        return None
+    low, high = np.quantile(xy, _CORE[0], axis=0, method="higher"), np.quantile(xy, _CORE[1], axis=0, method="lower")
+    beyond = _BEYOND * float((high - low).max())
+    return (low - beyond, high + beyond) if beyond > 0 else None
 
 
 def _finest(xyz: NDArray[np.float64], max_side: int) -> float:

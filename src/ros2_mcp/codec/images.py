@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from ros2_mcp.codec.labels import label_raster
 from ros2_mcp.codec.raster import Pixels, Raster
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.pictures import Bounds, Picture
@@ -24,11 +25,14 @@ _MIMES = {"JPEG": "image/jpeg", "PNG": "image/png"}
 _DEPTH_HEADER = struct.Struct("<iff")  # format, and the two numbers of the quantisation
 
 
+_Show = Callable[[NDArray[Any], str], Raster]
+
+
 @dataclass(frozen=True, slots=True)
 class _Layout:
     dtype: str
     channels: int
-    show: Callable[[NDArray[Any], str], Raster]
+    show: _Show
 
 
 def image_raster(message: Any, _: Bounds) -> Raster:
@@ -70,6 +74,16 @@ def _depth_raster(metres: NDArray[Any], encoding: str) -> Raster:
     return Raster(pixels, note, kind="exact")
 
 
+def _labels_or(show: Callable[[NDArray[Any], str], Raster], *, any_value: bool = False) -> _Show:
+    """Labels where the values look like them; else what `show` makes of one channel."""
+
+    def shown(pixels: NDArray[Any], encoding: str) -> Raster:
+        plane = pixels[:, :, 0]
+        return label_raster(plane, encoding, any_value=any_value) or show(plane, encoding)
+
+    return shown
+
+
 def _stretched(values: NDArray[Any], encoding: str) -> Raster:
     """Grey values of more than eight bits, stretched from their least to their greatest."""
     low, high = int(values.min()), int(values.max())
@@ -94,6 +108,10 @@ def _rows(message: Any, dtype: str, channels: int, rows: int = 0) -> NDArray[Any
         )
     offsets = (step, channels * kind.itemsize, kind.itemsize)
     return np.ndarray((height, width, channels), kind, np.ascontiguousarray(message.data), 0, offsets)
+
+
+def _grey(plane: NDArray[Any], encoding: str) -> Raster:
+    return Raster(np.ascontiguousarray(plane), f"{encoding}.")
 
 
 def _colour(*order: int) -> Callable[[NDArray[Any], str], Raster]:
@@ -177,6 +195,9 @@ def compressed_raster(message: Any, bounds: Bounds) -> Raster | Picture:
         if encoding == "16UC1":
             return _depth_raster(values / 1000, encoding)
         return _stretched(values, encoding or "16 bit grey")
+    labels = label_raster(np.asarray(image), named(described)) if (image.format, image.mode) == ("PNG", "L") else None
+    if labels is not None:
+        return labels
     if image.format in _MIMES and max(image.size) <= bounds.max_side and len(data) <= bounds.max_bytes:
         return Picture(data, _MIMES[image.format], *image.size, f"{note} As the robot sent it.")
     return Raster(np.asarray(image if image.mode in ("L", "RGB") else image.convert("RGB")), note)
@@ -225,12 +246,15 @@ _LAYOUTS: Mapping[str, _Layout] = {
     "bgr16": _Layout("u2", 3, _colour(2, 1, 0)),
     "8UC3": _Layout("u1", 3, _colour(2, 1, 0)),
     "8UC4": _Layout("u1", 4, _colour(2, 1, 0)),
-    "mono8": _Layout("u1", 1, _colour(0)),
-    "8UC1": _Layout("u1", 1, _colour(0)),
-    "mono16": _Layout("u2", 1, lambda pixels, encoding: _stretched(pixels[:, :, 0], encoding)),
+    "mono8": _Layout("u1", 1, _labels_or(_grey)),
+    "8UC1": _Layout("u1", 1, _labels_or(_grey)),
+    "mono16": _Layout("u2", 1, _labels_or(_stretched)),
     "16UC1": _Layout(
-        "u2", 1, lambda pixels, encoding: _depth_raster(pixels[:, :, 0].astype(np.float32) / 1000, encoding)
+        "u2", 1, _labels_or(lambda plane, encoding: _depth_raster(plane.astype(np.float32) / 1000, encoding))
     ),
+    "8SC1": _Layout("i1", 1, _labels_or(_stretched, any_value=True)),
+    "16SC1": _Layout("i2", 1, _labels_or(_stretched, any_value=True)),
+    "32SC1": _Layout("i4", 1, _labels_or(_stretched, any_value=True)),
     "32FC1": _Layout("f4", 1, lambda pixels, encoding: _depth_raster(pixels[:, :, 0].astype(np.float64), encoding)),
     "yuv422": _Layout("u1", 2, _yuv_422(1)),
     "uyvy": _Layout("u1", 2, _yuv_422(1)),

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ros2_mcp.codec.ground import ROOM_PX, Ground, has_axes, marks_in_words, with_axes
 from ros2_mcp.codec.raster import Raster, magnified
 from ros2_mcp.model.errors import BadData
-from ros2_mcp.model.pictures import Bounds
+from ros2_mcp.model.pictures import Bounds, Place
 
 OCCUPIED = 50
 """Cells from this percentage on count as occupied, below as free: the middle, as a map tells no threshold."""
@@ -70,24 +71,67 @@ def map_facts(message: Any) -> MapFacts:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class MapDrawing:
+    """A map as pixels; its upper left one is at `left_px`, `top_px` of the raster, the rest are axes."""
+
+    raster: Raster
+    metres_per_pixel: float
+    left_px: int
+    top_px: int
+
+
 def map_raster(message: Any, bounds: Bounds) -> Raster:
-    """The map with its first row at the bottom: free white, occupied black, unknown grey.
+    """The map as `map_drawing` draws it, without the robot."""
+    return map_drawing(message, bounds).raster
+
+
+def map_drawing(message: Any, bounds: Bounds, robot: Place | None = None) -> MapDrawing:
+    """The map with its first row at the bottom, free white, occupied black, unknown grey; axes, and the robot (a place
+    in the frame of the map).
 
     Cells are magnified, or taken together with the darkest one winning, so that walls stay visible.
     """
-    cells = np.flipud(_cells(message))
+    cells, facts = _cells(message), map_facts(message)
     grey = np.where((cells < 0) | (cells > 100), _UNKNOWN_GREY, 255 - cells.astype(np.int16) * 255 // 100)
     pixels, side = grey.astype(np.uint8), max(grey.shape)
-    if side > bounds.max_side:
-        together = -(-side // bounds.max_side)
+    most = bounds.max_side - ROOM_PX if has_axes(bounds.max_side) else bounds.max_side
+    if side > most:
+        together = -(-side // most)
+        metres = facts.resolution_m * together
         for axis, length in enumerate(grey.shape):  # the squares at the top and the right may be smaller
             pixels = np.minimum.reduceat(pixels, range(0, length, together), axis=axis)
         scale = f"one pixel is {together} × {together} cells"
     else:
-        pixels, times = magnified(pixels, bounds.max_side)
+        pixels, times = magnified(pixels, most)
+        metres = facts.resolution_m / times
         scale = f"one cell is {times} × {times} pixels"
-    note = f"Map, {map_facts(message)} White is free, black occupied, grey unknown; x to the right, y up; {scale}."
-    return Raster(pixels, note, kind="exact")
+    pixels, left, top = np.flipud(pixels), 0, 0
+    note = f"Map, {facts} White is free, black occupied, grey unknown; x to the right, y up; {scale}."
+    if has_axes(bounds.max_side):
+        ground = _ground(facts, metres, robot)
+        framed = with_axes(pixels, ground)
+        pixels, left, top = framed.pixels, framed.left_px, framed.top_px
+        note += f" {marks_in_words(ground)}"
+    return MapDrawing(Raster(pixels, note, kind="exact"), metres, left, top)
+
+
+def _ground(facts: MapFacts, metres_per_pixel: float, robot: Place | None) -> Ground:
+    """The coordinates of the picture: the frame's, or those along the map's sides where the map is turned in it."""
+    if abs(facts.origin_yaw_rad) < 1e-6:
+        return Ground(facts.origin_x_m, facts.origin_y_m, metres_per_pixel, Place(0, 0), robot)
+    corner = Place(facts.origin_x_m, facts.origin_y_m, facts.origin_yaw_rad)
+    along = ("along the map's lower side", "along its left side")
+    return Ground(
+        0.0, 0.0, metres_per_pixel, _seen_from(corner, Place(0, 0)), robot and _seen_from(corner, robot), along
+    )
+
+
+def _seen_from(corner: Place, place: Place) -> Place:
+    """A place of the frame in the coordinates that begin at `corner` and are turned as it is."""
+    dx, dy = place.x_m - corner.x_m, place.y_m - corner.y_m
+    cos, sin = math.cos(corner.yaw_rad), math.sin(corner.yaw_rad)
+    return Place(cos * dx + sin * dy, cos * dy - sin * dx, place.yaw_rad - corner.yaw_rad)
 
 
 def _cells(message: Any) -> NDArray[np.int8]:

@@ -148,7 +148,7 @@ def _frames(figure: Figure, width: int, height: int) -> list[Frame]:
     top = _EDGE + _ROW + 4
     room = height - top - 2 * _ROW - _EDGE - sum(legends) - _GAP * (len(spans) - 1)
     panel_height = room / len(spans)
-    left = _EDGE + max(_width(label) for span in spans for label in labels(ticks(span, _most(panel_height)))) + 10
+    left = _EDGE + max(width_of(label) for span in spans for label in labels(ticks(span, _most(panel_height)))) + 10
     right = width - _EDGE - 16
     frames: list[Frame] = []
     for span, legend in zip(spans, legends, strict=True):
@@ -324,17 +324,17 @@ def _write_panel(
     pen: ImageDraw.ImageDraw, panel: Panel, frame: Frame, curves: Sequence[tuple[Curve, str]], width: int
 ) -> None:
     for down, label in _places(frame, ticks(frame.y, _most(frame.bottom - frame.top)), vertical=True):
-        pen.text((frame.left - 8, down), label, _TEXT, _font(_SMALL), anchor="rm")
+        pen.text((frame.left - 8, down), label, _TEXT, letters(), anchor="rm")
     colours = {curve.name: colour for curve, colour in curves}
     rows = _legend_rows(panel, width)
     top = frame.top - 6 - len(rows) * _ROW
     if panel.y_label:
-        pen.text((_EDGE, top + _ROW / 2), f"[{panel.y_label}]", _GREY, _font(_SMALL), anchor="lm")
+        pen.text((_EDGE, top + _ROW / 2), f"[{panel.y_label}]", _GREY, letters(), anchor="lm")
     for number, row in enumerate(rows):
         for at, name in row:
             middle = top + number * _ROW + _ROW / 2
             pen.line([at, middle, at + 20, middle], colours[name], 4)
-            pen.text((at + 26, middle), _fitted(name, width - at - 26 - _EDGE), _TEXT, _font(_SMALL), anchor="lm")
+            pen.text((at + 26, middle), _fitted(name, width - at - 26 - _EDGE), _TEXT, letters(), anchor="lm")
     if not any(_finite(curve).any() for curve, _ in curves):
         centre = ((frame.left + frame.right) / 2, (frame.top + frame.bottom) / 2)
         pen.text(centre, "no values", _GREY, _font(_SIZE), anchor="mm")
@@ -342,18 +342,18 @@ def _write_panel(
 
 def _write_x_axis(pen: ImageDraw.ImageDraw, frame: Frame, label: str) -> None:
     for across, text in _places(frame, _x_ticks(frame), vertical=False):
-        pen.text((across, frame.bottom + 6), text, _TEXT, _font(_SMALL), anchor="ma")
+        pen.text((across, frame.bottom + 6), text, _TEXT, letters(), anchor="ma")
     centre = ((frame.left + frame.right) / 2, frame.bottom + 6 + _ROW)
-    pen.text(centre, label, _GREY, _font(_SMALL), anchor="ma")
+    pen.text(centre, label, _GREY, letters(), anchor="ma")
 
 
 def _legend_rows(panel: Panel, width: int) -> list[list[tuple[float, str]]]:
     """The names of the curves in rows, each with its distance from the left."""
-    left = _EDGE + (_width(f"[{panel.y_label}]") + 16 if panel.y_label else 0)
+    left = _EDGE + (width_of(f"[{panel.y_label}]") + 16 if panel.y_label else 0)
     rows: list[list[tuple[float, str]]] = [[]]
     at = left
     for curve in panel.curves:
-        needed = 26 + _width(curve.name)
+        needed = 26 + width_of(curve.name)
         if rows[-1] and at + needed > width - _EDGE:
             rows.append([])
             at = left
@@ -364,15 +364,21 @@ def _legend_rows(panel: Panel, width: int) -> list[list[tuple[float, str]]]:
 
 def _fitted(text: str, width: float) -> str:
     """The text, cut where there is no room for it."""
-    if _width(text) <= width:
+    if width_of(text) <= width:
         return text
-    while text and _width(text + "…") > width:
+    while text and width_of(text + "…") > width:
         text = text[:-1]
     return text + "…"
 
 
-def _width(text: str) -> float:
-    return _font(_SMALL).getlength(text)
+def width_of(text: str) -> float:
+    """How wide a text is in the letters of labels, in pixels."""
+    return letters().getlength(text)
+
+
+def letters() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """The letters of labels."""
+    return _font(_SMALL)
 
 
 @cache

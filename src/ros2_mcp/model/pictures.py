@@ -39,11 +39,24 @@ BOUNDS = Bounds()
 
 
 @dataclass(frozen=True, slots=True)
+class Place:
+    """Where something is in a frame, seen from above: metres, and radians from x towards y."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class BirdEyeOptions:
-    """How to look at a cloud: metres for each pixel, heights shown (None: all), `intensity`, `height` or `rgb` as
-    colour, `jet` or `gray` as the scale of colours."""
+    """How to look at a cloud: metres for each pixel, the part shown (heights: None is all; x and y: None is where the
+    points are, without outliers), `intensity`, `height` or `rgb` as colour, `jet` or `gray` as the scale of colours."""
 
     resolution_m: float = 0.05
+    x_min_m: float | None = None
+    x_max_m: float | None = None
+    y_min_m: float | None = None
+    y_max_m: float | None = None
     z_min_m: float | None = None
     z_max_m: float | None = None
     color_mode: str = "intensity"

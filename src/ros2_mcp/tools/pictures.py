@@ -19,6 +19,9 @@ PLACE = 40
 
 Timeout = Annotated[Number, Field(gt=0, le=600, description="Wait at most this long, in seconds.")]
 Pixels = Annotated[Whole, Field(ge=300, le=MAX_SIDE, description="Size of the picture in pixels.")]
+Limit = Annotated[
+    Number | None, Field(description="Only points within, in metres. Default: all but single ones far away.")
+]
 Height = Annotated[Number | None, Field(description="Only points within these heights, in metres. Default: all.")]
 
 
@@ -55,7 +58,8 @@ async def ros2_get_map_as_image(
     *,
     source: Source,
 ) -> MapPicture:
-    """Show an occupancy grid as a picture, with resolution, origin, size and shares of free, occupied and unknown."""
+    """Show an occupancy grid as a picture: axes in metres, origin and robot; resolution, size, shares of free, occupied
+    and unknown."""
     return await map_picture(source.lasting(timeout), topic_name, report)
 
 
@@ -66,6 +70,10 @@ async def ros2_get_pointcloud_as_bev(
     resolution: Annotated[Number, Field(ge=0.001, le=100, description="Metres per pixel.")] = 0.05,
     zmin: Height = None,
     zmax: Height = None,
+    xmin: Limit = None,
+    xmax: Limit = None,
+    ymin: Limit = None,
+    ymax: Limit = None,
     timeout: Timeout = 5.0,
     max_pixels: Annotated[Whole, Field(ge=64, le=16_384, description="Longest side; at most 1568 is drawn.")] = 2048,
     color_mode: Annotated[
@@ -78,7 +86,18 @@ async def ros2_get_pointcloud_as_bev(
     *,
     source: Source,
 ) -> CloudPicture:
-    """Show a point cloud from above (bird's-eye view), with its extent and scale in metres."""
+    """Show a point cloud from above (bird's-eye view): axes in metres, origin and robot; its extent and scale."""
     bounds = Bounds(min(max_pixels, MAX_SIDE))
-    options = BirdEyeOptions(resolution, zmin, zmax, color_mode, colormap, bounds)
+    options = BirdEyeOptions(
+        resolution_m=resolution,
+        x_min_m=xmin,
+        x_max_m=xmax,
+        y_min_m=ymin,
+        y_max_m=ymax,
+        z_min_m=zmin,
+        z_max_m=zmax,
+        color_mode=color_mode,
+        colormap=colormap,
+        bounds=bounds,
+    )
     return await cloud_picture(source.lasting(timeout), topic_name, options, report)

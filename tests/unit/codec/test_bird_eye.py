@@ -12,10 +12,10 @@ from PIL import Image
 
 from ros2_mcp.codec.bird_eye import BirdEye, bird_eye
 from ros2_mcp.codec.check import check
-from ros2_mcp.codec.clouds import cloud_of
+from ros2_mcp.codec.clouds import Cloud, cloud_of
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.errors import BadData
-from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions, Bounds
+from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions, Bounds, Place
 
 KINDS = {"b": 1, "B": 2, "h": 3, "H": 4, "i": 5, "I": 6, "f": 7, "d": 8}
 
@@ -41,8 +41,17 @@ def cloud(definitions: Definitions, layout: dict[str, tuple[int, str]], points: 
 XYZ = {"x": (0, "f"), "y": (4, "f"), "z": (8, "f")}
 
 
-def pixels(seen: BirdEye) -> np.ndarray:
+def whole(seen: BirdEye) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(seen.picture.data)).convert("RGB"))
+
+
+def pixels(seen: BirdEye) -> np.ndarray:
+    """The pixels of the ground, without the axes around it."""
+    n = seen.numbers
+    height, width = (
+        round((high - low) / n.metres_per_pixel) for low, high in ((n.y_min_m, n.y_max_m), (n.x_min_m, n.x_max_m))
+    )
+    return whole(seen)[n.top_px : n.top_px + height, n.left_px : n.left_px + width]
 
 
 def places(points: list[tuple[float, float, float]]) -> list[dict[str, float]]:
@@ -85,7 +94,7 @@ def test_packed_colours_are_unpacked(definitions: Definitions, kind: str, big: b
 
 def test_known_points_are_at_known_pixels(definitions: Definitions) -> None:
     """x to the right, y up: the corners of 40 m × 20 m, and one point inside."""
-    points = [(-20.05, -10.05, 0), (19.95, 9.95, 10), (5.05, 3.05, 10)]
+    points = [(29.95, -10.05, 0), (69.95, 9.95, 10), (55.05, 3.05, 10)]
     seen = bird_eye(cloud_of(cloud(definitions, XYZ, places(points))), BirdEyeOptions(0.1, color_mode="height"))
     image = pixels(seen)
     assert image.shape == (201, 401, 3)
@@ -100,8 +109,8 @@ def test_known_points_are_at_known_pixels(definitions: Definitions) -> None:
 def test_the_highest_point_of_a_pixel_is_seen(definitions: Definitions) -> None:
     layout = {**XYZ, "rgb": (12, "I")}
     colours = {0.0: 0x00FF00, 2.0: 0xFF0000, 1.0: 0x0000FF}
-    points = [{"x": 0.01, "y": 0.01, "z": z, "rgb": rgb} for z, rgb in colours.items()]
-    points.append({"x": 10.0, "y": 0, "z": 0, "rgb": 0x00FF00})
+    points = [{"x": 1.01, "y": 0.01, "z": z, "rgb": rgb} for z, rgb in colours.items()]
+    points.append({"x": 11.0, "y": 0, "z": 0, "rgb": 0x00FF00})
     seen = bird_eye(cloud_of(cloud(definitions, layout, points)), BirdEyeOptions(0.02, color_mode="rgb"))
     assert pixels(seen)[0, 0].tolist() == [255, 24, 24]
 
@@ -118,20 +127,72 @@ def test_a_wide_cloud_is_shown_coarser_and_says_so(definitions: Definitions) -> 
     points = cloud_of(cloud(definitions, XYZ, places([(0, 0, 0), (1000, 10, 1)])))
     seen = bird_eye(points, BirdEyeOptions(0.05, color_mode="height"))
     assert max(seen.picture.width, seen.picture.height) <= 1568
-    assert 1000 / 1568 < seen.numbers.resolution_m < 1.05 * 1000 / 1568
+    assert 1000 / 1568 < seen.numbers.resolution_m < 1.2 * 1000 / 1568
     assert seen.numbers.note.startswith(f"The resolution is {seen.numbers.resolution_m:.4g} m instead of 0.05 m")
 
 
 def test_a_picture_of_noise_stays_within_its_bytes() -> None:
-    from ros2_mcp.codec.clouds import Cloud
-
     random = np.random.default_rng(1)
     xyz = random.uniform(0, 70, (600_000, 3))
     seen = bird_eye(
         Cloud(xyz, random.uniform(0, 1, 600_000), None, 600_000, 0), BirdEyeOptions(bounds=Bounds(max_bytes=300_000))
     )
     assert len(seen.picture.data) <= 300_000
-    assert seen.numbers.metres_per_pixel * seen.picture.width == pytest.approx(70, abs=2 * seen.numbers.resolution_m)
+    assert seen.numbers.metres_per_pixel * pixels(seen).shape[1] == pytest.approx(70, abs=2 * seen.numbers.resolution_m)
+
+
+def room() -> np.ndarray:
+    """2000 points in a room of 8 m × 4 m, whose middle is 1 m east of the sensor."""
+    return np.random.default_rng(3).uniform((-3, -2, 0), (5, 2, 2), (2000, 3))
+
+
+def around(xyz: np.ndarray) -> Cloud:
+    return Cloud(xyz, None, None, len(xyz), 0)
+
+
+def test_one_outlier_does_not_make_the_picture_black() -> None:
+    alone, with_outlier = room(), np.vstack((room(), [[9e5, -1e4, 1]]))
+    seen = bird_eye(around(with_outlier), BirdEyeOptions(color_mode="height"))
+    assert (pixels(seen) == pixels(bird_eye(around(alone), BirdEyeOptions(color_mode="height")))).all()
+    assert seen.numbers.shown == 2000 and seen.numbers.note.startswith("1 point(s) far from the others are left out")
+    everything = BirdEyeOptions(x_min_m=-1e6, x_max_m=1e6, y_min_m=-1e6, y_max_m=1e6)
+    assert bird_eye(around(with_outlier), everything).numbers.shown == 2001
+
+
+def test_a_far_wall_is_no_outlier() -> None:
+    wall = np.random.default_rng(4).uniform((20, -2, 0), (20.1, 2, 2), (100, 3))
+    assert bird_eye(around(np.vstack((room(), wall))), BirdEyeOptions()).numbers.shown == 2100
+
+
+def test_only_the_ground_asked_for_is_shown() -> None:
+    numbers = bird_eye(around(room()), BirdEyeOptions(x_min_m=0.0, x_max_m=1.0, y_max_m=-1.0)).numbers
+    assert numbers.x_min_m >= 0 and numbers.x_max_m <= 1.05 and numbers.y_min_m >= -2.05 and numbers.y_max_m <= -0.95
+    with pytest.raises(BadData, match="outside the limits asked for"):
+        bird_eye(around(room()), BirdEyeOptions(x_min_m=10.0))
+
+
+def test_axes_origin_and_robot_are_drawn_where_they_are() -> None:
+    seen = bird_eye(around(room()), BirdEyeOptions(color_mode="height", colormap="gray"), Place(2.0, -1.0, np.pi / 2))
+    numbers, image = seen.numbers, whole(seen).astype(int)
+
+    def at(x: float, y: float) -> list[int]:
+        column = numbers.left_px + (x - numbers.x_min_m) / numbers.metres_per_pixel
+        return image[round(numbers.top_px + (numbers.y_max_m - y) / numbers.metres_per_pixel), round(column)].tolist()
+
+    assert at(2.0, -1.0) == [255, 140, 0]
+    ahead = 10 * numbers.metres_per_pixel
+    assert at(2.0, -1.0 + ahead) == [255, 140, 0] and at(2.0 + ahead, -1.0) != [255, 140, 0]  # it looks along y
+    assert at(5 * numbers.metres_per_pixel, 0) == [0xE0, 0x20, 0x20]
+    assert at(0, 5 * numbers.metres_per_pixel) == [0x10, 0xA0, 0x30]
+    below = image[numbers.top_px + pixels(seen).shape[0] + 2, numbers.left_px :]  # the ticks of the x axis
+    ticks = [numbers.x_min_m + column * numbers.metres_per_pixel for column in np.flatnonzero(below[:, 0] < 80)]
+    assert ticks == pytest.approx([round(tick) for tick in ticks], abs=2 * numbers.metres_per_pixel) and len(ticks) >= 3
+    assert "at (2.00, -1.00) m on these axes, heading 90°" in seen.picture.note
+
+
+def test_a_small_picture_has_no_axes() -> None:
+    seen = bird_eye(around(room()), BirdEyeOptions(bounds=Bounds(max_side=128)))
+    assert (seen.numbers.left_px, seen.numbers.top_px) == (0, 0) and whole(seen).shape == pixels(seen).shape
 
 
 def test_a_cloud_without_the_colour_asked_for_is_shown_by_height(definitions: Definitions) -> None:

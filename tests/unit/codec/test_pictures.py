@@ -8,11 +8,11 @@ from PIL import Image
 from ros2_mcp.codec import pictures as makers
 from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.maps import map_facts
+from ros2_mcp.codec.maps import map_drawing, map_facts
 from ros2_mcp.codec.pictures import picture_of
 from ros2_mcp.codec.raster import Raster
 from ros2_mcp.model.errors import BadData, BadValue
-from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, OCCUPANCY_GRID, Bounds, Picture
+from ros2_mcp.model.pictures import BOUNDS, COMPRESSED_IMAGE, IMAGE, OCCUPANCY_GRID, Bounds, Picture, Place
 
 RED, GREEN, BLUE, GREY = (250, 10, 10), (10, 250, 10), (10, 10, 250), (128, 128, 128)
 
@@ -232,8 +232,11 @@ def test_a_map_has_its_first_row_at_the_bottom_and_tells_its_facts(definitions: 
     cells = np.array([[0, 100, -1], [0, 0, 50]])
     message = grid(definitions, cells)
     picture = picture_of(OCCUPANCY_GRID, message)
-    scale = picture.width // 3
-    assert pixels(picture)[scale // 2 :: scale, scale // 2 :: scale].tolist() == [[255, 255, 128], [255, 0, 128]]
+    drawing = map_drawing(message, BOUNDS)
+    scale = round(0.05 / drawing.metres_per_pixel)
+    left, top = drawing.left_px + scale // 2, drawing.top_px + scale // 2
+    cells = pixels(picture)[top : top + 2 * scale : scale, left : left + 3 * scale : scale, 0]
+    assert cells.tolist() == [[255, 255, 128], [255, 0, 128]]
     facts = map_facts(message)
     assert (facts.free, facts.occupied, facts.unknown) == pytest.approx((3 / 6, 2 / 6, 1 / 6))
     assert (facts.origin_x_m, facts.origin_y_m, facts.origin_yaw_rad) == pytest.approx((-1, 2, 1.5707963))
@@ -245,7 +248,54 @@ def test_walls_stay_visible_on_a_map_that_is_made_smaller(definitions: Definitio
     cells[1500] = 100
     picture = picture_of(OCCUPANCY_GRID, grid(definitions, cells))
     assert max(picture.width, picture.height) <= 1568 and "3 × 3 cells" in picture.note
-    assert (pixels(picture) == 0).any(axis=0).all()
+    drawing = map_drawing(grid(definitions, cells), BOUNDS)
+    shown = pixels(picture)[drawing.top_px :, drawing.left_px : drawing.left_px + -(-4000 // 3)]
+    assert (shown == 0).all(axis=2).any(axis=0).all()
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_map_shows_the_robot_where_it_is(definitions: Definitions, turned: bool) -> None:
+    message = grid(definitions, np.zeros((40, 60)))  # 3 m × 2 m from (-1, 2), turned by 90°
+    robot = Place(-2.0, 2.5, np.pi)
+    if not turned:
+        message.info.origin.orientation.z, message.info.origin.orientation.w = 0.0, 1.0
+        robot = Place(-0.5, 3.0, np.pi / 2)
+    drawing = map_drawing(message, BOUNDS, robot)
+    orange = np.argwhere((drawing.raster.pixels == (255, 140, 0)).all(axis=2))
+    row, column = (orange.min(axis=0) + orange.max(axis=0)) / 2
+    x = (column - drawing.left_px) * drawing.metres_per_pixel
+    y = 2 - (row - drawing.top_px) * drawing.metres_per_pixel
+    assert (x, y) == pytest.approx((0.5, 1.0), abs=0.06)
+    assert np.ptp(orange[:, 0]) > np.ptp(orange[:, 1])  # up in the picture
+    assert ("(0.50, 1.00)" if turned else "(-0.50, 3.00)") in drawing.raster.note
+
+
+def labelled(definitions: Definitions, encoding: str, dtype: str, *values: int) -> Picture:
+    """Patches of 20 × 20 pixels with these values."""
+    rows = np.array([values], dtype).repeat(20, axis=0).repeat(20, axis=1)
+    return picture_of(IMAGE, image(definitions, encoding, rows))
+
+
+@pytest.mark.parametrize(
+    ("encoding", "dtype"),
+    [("mono8", "u1"), ("8UC1", "u1"), ("mono16", "<u2"), ("16UC1", "<u2"), ("16SC1", "<i2"), ("32SC1", "<i4")],
+)
+def test_labels_are_seen_in_colours_of_their_own(definitions: Definitions, encoding: str, dtype: str) -> None:
+    picture = labelled(definitions, encoding, dtype, 0, 1, 2, 17, 255)
+    colours = pixels(picture)[10, 10::20].astype(int)
+    assert colours[0].tolist() == [0, 0, 0]
+    apart = [np.abs(one - other).max() for index, one in enumerate(colours) for other in colours[index + 1 :]]
+    assert min(apart) > 50
+    assert f"{encoding}, labels" in picture.note and f"17 #{bytes(colours[3].tolist()).hex()} 20.0%" in picture.note
+
+
+def test_a_grey_picture_is_not_taken_for_labels(definitions: Definitions) -> None:
+    noise = np.random.default_rng(5).integers(0, 30, (60, 80), dtype=np.uint8)  # a dark photograph
+    assert "labels" not in picture_of(IMAGE, image(definitions, "mono8", noise)).note
+    assert "labels" not in labelled(definitions, "mono8", "u1", 0, 255).note  # a mask is seen as it is
+    assert "labels" not in labelled(definitions, "mono8", "u1", 0, 0).note
+    assert "Depth" in labelled(definitions, "16UC1", "<u2", 0, 800, 900).note
+    assert "black is -40000" in labelled(definitions, "32SC1", "<i4", *range(-40_000, 40_000, 200)).note
 
 
 def test_a_map_whose_data_does_not_fit_says_so(definitions: Definitions) -> None:

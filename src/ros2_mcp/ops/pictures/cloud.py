@@ -10,6 +10,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions
 from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.pictures.robot_place import robot_place
 from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.sources.source import Source
 
@@ -18,9 +19,10 @@ from ros2_mcp.ops.sources.source import Source
 class CloudPicture(WithPictures):
     """A point cloud from above, x to the right, y up, of the frame `frame_id`.
 
-    Pixel (column, row) begins at x = `x_min_m` + column · `metres_per_pixel`, y = `y_max_m` - row · `metres_per_pixel`.
-    Of `points`, `not_finite` have no place, and `shown` lie within the heights asked for. `color_low` and
-    `color_high` are the values at the ends of the colours; null for rgb.
+    Pixel (`left_px` + column, `top_px` + row) begins at x = `x_min_m` + column · `metres_per_pixel`,
+    y = `y_max_m` - row · `metres_per_pixel`; the rest are axes. Of `points`, `not_finite` have no place, and `shown`
+    lie within the limits asked for, or without limits near the others. The robot's place is null where nobody says it.
+    `color_low` and `color_high` are the values at the ends of the colours; null for rgb.
     """
 
     topic_name: str
@@ -30,6 +32,8 @@ class CloudPicture(WithPictures):
     not_finite: int
     resolution_m: float
     metres_per_pixel: float
+    left_px: int
+    top_px: int
     x_min_m: float
     x_max_m: float
     y_min_m: float
@@ -39,6 +43,9 @@ class CloudPicture(WithPictures):
     color_mode: str
     color_low: float | None
     color_high: float | None
+    robot_x_m: float | None
+    robot_y_m: float | None
+    robot_yaw_rad: float | None
     received_at: str
     source: str
     note: str
@@ -64,7 +71,8 @@ async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, rep
     bounded("resolution", options.resolution_m, 0.001, 100.0, "m")
     found = await next_message(source, topic, POINT_CLOUD, report)
     cloud = await asyncio.to_thread(cloud_of, found.message)
-    seen = await asyncio.to_thread(bird_eye, cloud, options)
+    robot = await robot_place(source, found.message.header.frame_id)
+    seen = await asyncio.to_thread(bird_eye, cloud, options, robot)
     numbers: dict[str, Any] = asdict(seen.numbers)
     numbers["note"] = " ".join(filter(None, (numbers["note"], found.note)))
     return CloudPicture(
@@ -73,6 +81,9 @@ async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, rep
         points=cloud.points,
         not_finite=cloud.not_finite,
         **numbers,
+        robot_x_m=robot and robot.x_m,
+        robot_y_m=robot and robot.y_m,
+        robot_yaw_rad=robot and robot.yaw_rad,
         received_at=iso_time(found.sample.received_ns),
         source=source.words,
         pictures=facts([seen.picture]),

@@ -6,8 +6,9 @@ import asyncio
 from dataclasses import asdict, dataclass
 
 from ros2_mcp.model import names
-from ros2_mcp.model.pictures import OCCUPANCY_GRID
+from ros2_mcp.model.pictures import BOUNDS, OCCUPANCY_GRID
 from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.pictures.robot_place import robot_place
 from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.sources.source import Source
 
@@ -15,7 +16,11 @@ from ros2_mcp.ops.sources.source import Source
 @dataclass(frozen=True, slots=True)
 class MapPicture(WithPictures):
     """A map. `width` and `height` in cells; the origin is the pose of the corner of cell (0, 0), lower left in the
-    picture; `free`, `occupied` (50 % and more) and `unknown` are shares of all cells."""
+    picture; `free`, `occupied` (50 % and more) and `unknown` are shares of all cells.
+
+    The map's upper left pixel is at `left_px`, `top_px`, a pixel is `metres_per_pixel` wide; the rest are axes. Where
+    the robot is in `frame_id` is null where nobody says so.
+    """
 
     topic_name: str
     frame_id: str
@@ -28,6 +33,12 @@ class MapPicture(WithPictures):
     free: float
     occupied: float
     unknown: float
+    metres_per_pixel: float
+    left_px: int
+    top_px: int
+    robot_x_m: float | None
+    robot_y_m: float | None
+    robot_yaw_rad: float | None
     received_at: str
     source: str
     note: str
@@ -46,15 +57,24 @@ async def map_picture(source: Source, topic: str, report: Report = silent) -> Ma
         TimedOut: if no map came.
         BadData: if the map is empty or does not fit its size.
     """
-    from ros2_mcp.codec.maps import map_facts  # with numpy: not before it is needed
-    from ros2_mcp.codec.pictures import picture_of
+    from ros2_mcp.codec.maps import map_drawing, map_facts  # with numpy: not before it is needed
+    from ros2_mcp.codec.raster import finished
 
     found = await next_message(source, topic, OCCUPANCY_GRID, report)
     numbers = await asyncio.to_thread(map_facts, found.message)
-    picture = await asyncio.to_thread(picture_of, OCCUPANCY_GRID, found.message)
+    robot = await robot_place(source, numbers.frame_id)
+    drawing = await asyncio.to_thread(map_drawing, found.message, BOUNDS, robot)
+    picture = await asyncio.to_thread(finished, drawing.raster, BOUNDS)
+    smaller = picture.width / drawing.raster.pixels.shape[1]
     return MapPicture(
         topic_name=names.absolute(topic),
         **asdict(numbers),
+        metres_per_pixel=drawing.metres_per_pixel / smaller,
+        left_px=round(drawing.left_px * smaller),
+        top_px=round(drawing.top_px * smaller),
+        robot_x_m=robot and robot.x_m,
+        robot_y_m=robot and robot.y_m,
+        robot_yaw_rad=robot and robot.yaw_rad,
         received_at=iso_time(found.sample.received_ns),
         source=source.words,
         note=found.note,

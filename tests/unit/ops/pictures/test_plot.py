@@ -122,4 +122,49 @@ async def test_a_map_is_shown_with_its_facts(window: Make) -> None:
     assert (found.origin_x_m, found.origin_y_m) == (-1.0, 2.0)
     assert (found.free, found.occupied, found.unknown) == (0.5, 0.25, 0.25)
     pixels = np.asarray(Image.open(io.BytesIO(found.images[0].data)).convert("L"))
-    assert [int(pixels[-1, 0]), int(pixels[-1, -1]), int(pixels[0, 0]), int(pixels[0, -1])] == [255, 0, 128, 255]
+    cell = round(0.5 / found.metres_per_pixel)
+    rows, columns = ([first + cell // 2, first + cell * 3 // 2] for first in (found.top_px, found.left_px))
+    assert pixels[np.ix_(rows, columns)].tolist() == [[128, 255], [255, 0]]
+    assert found.robot_x_m is None and "robot" not in found.images[0].note
+
+
+def tf(frame: str, child: str, x: float, y: float, yaw: float = 0.0) -> dict[str, object]:
+    rotation = {"z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}
+    return {
+        "header": {"frame_id": frame},
+        "child_frame_id": child,
+        "transform": {"translation": {"x": x, "y": y}, "rotation": rotation},
+    }
+
+
+GROUND = {"header": {"frame_id": "map"}, "info": {"resolution": 0.5, "width": 2, "height": 2}, "data": [0] * 4}
+TF = "tf2_msgs/msg/TFMessage"
+
+
+@pytest.mark.parametrize("prefix", ["", "robot1/"])
+async def test_a_map_tells_where_the_robot_is_by_its_transforms(window: Make, prefix: str) -> None:
+    odom, base = f"{prefix}odom", f"{prefix}base_link"
+    moving = [
+        (0.0, {"transforms": [tf("map", odom, 1, 2, math.pi / 2), tf(odom, f"{prefix}base_footprint", 9, 9)]}),
+        (0.1, {"transforms": [tf(odom, f"{prefix}base_footprint", 3, 0, 0.5)]}),
+    ]
+    static = [(0.0, {"transforms": [tf(f"{prefix}base_footprint", base, 0, 0)]})]
+    windows = [window("/map", "nav_msgs/msg/OccupancyGrid", [(0.0, GROUND)])]
+    windows += [window("/tf", TF, moving), window("/tf_static", TF, static)]
+    found = await map_picture(Recorded(windows), "/map")
+    assert (found.robot_x_m, found.robot_y_m, found.robot_yaw_rad) == pytest.approx((1.0, 5.0, math.pi / 2 + 0.5))
+
+
+async def test_a_map_tells_where_the_robot_is_by_its_localisation(window: Make) -> None:
+    pose = {"header": {"frame_id": "map"}, "pose": {"pose": {"position": {"x": 0.5, "y": 0.25}}}}
+    posed = window("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped", [(0.0, pose)])
+    other = window("/tf", TF, [(0.0, {"transforms": [tf("odom", "base_link", 7, 7)]})])  # says nothing of the map
+    recorded = Recorded([window("/map", "nav_msgs/msg/OccupancyGrid", [(0.0, GROUND)]), posed, other])
+    found = await map_picture(recorded, "/map")
+    assert (found.robot_x_m, found.robot_y_m, found.robot_yaw_rad) == (0.5, 0.25, 0.0)
+
+
+async def test_transforms_in_a_circle_place_no_robot(window: Make) -> None:
+    circle = [(0.0, {"transforms": [tf("odom", "base_link", 1, 0), tf("base_link", "odom", 1, 0)]})]
+    recorded = Recorded([window("/map", "nav_msgs/msg/OccupancyGrid", [(0.0, GROUND)]), window("/tf", TF, circle)])
+    assert (await map_picture(recorded, "/map")).robot_x_m is None
