@@ -108,17 +108,18 @@ class BoundTool:
             own_name = self.declaration.aliases.get(name, name)
             field = self.arguments.model_fields.get(own_name)
             if isinstance(value, str) and field and field.annotation is not str:
-                value = _parsed(value, acts=self._acts)  # noqa: PLW2901
+                value = _parsed(value, acts=self.acts)  # noqa: PLW2901
             meant[own_name] = _as_sent(value)
         return meant
 
     @property
-    def _acts(self) -> bool:
+    def acts(self) -> bool:
+        """Whether it can change or move something, or stop it."""
         return self.declaration.risk != "read"
 
     def _refuse_texts(self, arguments: Mapping[str, Any]) -> None:
         """Where the tool acts a text is no number: pydantic would take "1 " for one, and the robot would act on it."""
-        if self._acts and (path := text_for_number(self.listed.input_schema, arguments)):
+        if self.acts and (path := text_for_number(self.listed.input_schema, arguments)):
             raise CallFailed(f"BadInput: {path}: a text is given, a number is expected. Write it without quotes.")
 
 

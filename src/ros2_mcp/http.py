@@ -13,6 +13,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Mount, Route
 
+from ros2_mcp.leases import MESSAGES
 from ros2_mcp.presence import Connections, Presence
 
 if TYPE_CHECKING:
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
     from ros2_mcp.leases import Leases
     from ros2_mcp.settings import Settings
+
+
+_HTTP_PORT = 80
 
 
 async def serve_http(server: Server[Any], leases: Leases, settings: Settings) -> None:
@@ -33,8 +37,9 @@ async def serve_http(server: Server[Any], leases: Leases, settings: Settings) ->
     connections = Connections()
     config = uvicorn.Config(
         _KnownHosts(Presence(app, leases, connections), guard),
-        host=settings.host,
+        host=settings.host.strip("[]"),
         port=settings.port,
+        ws="none",  # a way in that no guard, lease or test of ours knows
         log_level=settings.log_level,
         http=connections.protocol(),
         proxy_headers=False,  # they say what the client likes, and connections are found by their real addresses
@@ -48,12 +53,16 @@ async def serve_http(server: Server[Any], leases: Leases, settings: Settings) ->
 def security(host: str, port: int) -> TransportSecuritySettings:
     """The headers that are accepted: this machine's own names and the address listened on."""
     named = ["127.0.0.1", "localhost", "[::1]"]
-    if host not in (*named, "0.0.0.0", "::"):
-        named.append(host)
+    host = host.strip("[]")
+    if host not in ("0.0.0.0", "::"):
+        written = f"[{host}]" if ":" in host else host
+        named += [written, written.lower()]  # browsers write names in lower case
+    at = [f"{name}:{port}" for name in dict.fromkeys(named)]
+    at += named if port == _HTTP_PORT else []  # which nobody writes
     return TransportSecuritySettings(
         enable_dns_rebinding_protection=True,
-        allowed_hosts=[f"{name}:{port}" for name in named],
-        allowed_origins=[f"http://{name}:{port}" for name in named],
+        allowed_hosts=at,
+        allowed_origins=[f"http://{name}" for name in at],
     )
 
 
@@ -77,11 +86,11 @@ class _KnownHosts:
 
 def _sse_app(server: Server[Any], guard: TransportSecuritySettings) -> Starlette:
     """The application of the older HTTP transport: a stream of events, and a place for messages to it."""
-    sse = SseServerTransport("/messages/", security_settings=guard)
+    sse = SseServerTransport(MESSAGES, security_settings=guard)
     routes = [
         # A client that tries the newer transport first must be refused its POST, to fall back to this one.
         Route("/sse", endpoint=_Stream(server, sse), methods=["GET"]),
-        Mount("/messages/", app=sse.handle_post_message),
+        Mount(MESSAGES, app=sse.handle_post_message),
     ]
     return Starlette(routes=routes)
 

@@ -22,10 +22,10 @@ from anyio.abc import TaskGroup
 from mcp.server.context import CallNext, ServerRequestContext
 from mcp.shared.message import ServerMessageMetadata
 from mcp.types import EmptyResult, PingRequest
+from mcp_types.version import HANDSHAKE_PROTOCOL_VERSIONS
 from starlette.requests import Request
 
 from ros2_mcp.model.commands import LOCAL, Principal
-from ros2_mcp.model.errors import RobotError
 from ros2_mcp.ops.topics.publish import Repetition
 from ros2_mcp.robot import Robot
 
@@ -43,6 +43,9 @@ _LOOK_S = 0.05
 """Between two looks at the leases: how late the end of one may be noticed, of the 0.3 s that a zero may take."""
 _LATE_S = 0.5
 """A look that comes so much too late shows that this process did not run: the silence was its own."""
+_CLOSED = "The client closed the response that was to carry the result."
+MESSAGES = "/messages/"
+"""Where the clients of SSE post to."""
 RESPONSE = "ros2_mcp.response"
 """The key of a request's scope under which its `OpenResponse` is found."""
 
@@ -51,11 +54,21 @@ _logger = logging.getLogger(__name__)
 
 
 class OpenResponse(Protocol):
-    """The response to one HTTP request, from its arrival on."""
+    """The response to one HTTP request, from its arrival on.
+
+    `listens` says that it carries what the server tells unasked: who closes that, goes.
+    """
+
+    listens: bool
 
     @property
     def is_open(self) -> bool:
         """Whether it is neither complete nor closed."""
+        ...
+
+    @property
+    def was_closed(self) -> bool:
+        """Whether its client has closed it before it was complete."""
         ...
 
     def heard_at(self) -> float:
@@ -69,38 +82,64 @@ class OpenResponse(Protocol):
 
 @dataclass(eq=False)
 class Call:
-    """One call of a tool that is under way, and the response that carries its result."""
+    """One call of a tool that is under way, and the response that carries its result. `acts` if the tool can."""
 
     scope: anyio.CancelScope
-    response: OpenResponse | None
-    ping: Callable[[], Awaitable[object]] | None
+    response: OpenResponse | None = None
+    ping: Callable[[], Awaitable[object]] | None = None
+    acts: bool = False
     pinged_at: float = 0.0
     end_reason: str = ""
 
     def end(self, reason: str) -> None:
         """Cancels it: nobody awaits its result."""
-        self.end_reason = reason
+        self.end_reason = self.end_reason or reason
         self.scope.cancel()
 
 
 @dataclass(eq=False)
 class Client:
-    """One client over HTTP. Times are monotonic, in s."""
+    """One client over HTTP. Times are monotonic, in s.
+
+    `has_gone` from the time on at which what it moves is ended, until it asks for something: it is ended once.
+    `ends_for` are the reasons to end it that are still to be carried out. `has_closed` if it has closed a response
+    that shows its going, and not asked for anything since.
+    """
 
     principal: Principal
     asked_at: float
     granted_at: float = 0.0
     """Its lease is not over sooner than this and the lease's length: set when it begins to move something."""
+    credited_until: float = 0.0
+    """Nor sooner than this: set when this process was late."""
+    credited_at: float = 0.0
+    """When it was last heard of before the silence for which lateness is credited, of which `credit_s` is left."""
+    credit_s: float = CLIENT_LEASE_S
     shown_alive_at: float = 0.0
     responses: set[OpenResponse] = field(default_factory=set[OpenResponse])
     calls: set[Call] = field(default_factory=set[Call])
+    ends_for: list[str] = field(default_factory=list[str])
     is_moving: bool = False
     is_ending: bool = False
+    has_closed: bool = False
+    has_gone: bool = False
+
+    def heard_at(self) -> float:
+        """The last sign of its life."""
+        return max(self.asked_at, self.granted_at, *(response.heard_at() for response in self.responses))
 
     def lease_ends_at(self) -> float:
         """When its lease is over, unless it is heard of again."""
-        heard = (response.heard_at() for response in self.responses)
-        return max(self.asked_at, self.granted_at, *heard) + CLIENT_LEASE_S
+        return max(self.heard_at() + CLIENT_LEASE_S, self.credited_until)
+
+    def credit(self, late_s: float, now: float) -> None:
+        """Makes good for what this process was late, in one silence of its client by the length of a lease at most."""
+        if (heard_at := self.heard_at()) > self.credited_at + _LOOK_S:  # the kernel counts ms: the same time differs
+            self.credited_at, self.credit_s = heard_at, CLIENT_LEASE_S
+        if (credit_s := min(late_s, self.credit_s)) > 0:
+            self.credit_s -= credit_s
+            ends_at = self.lease_ends_at()
+            self.credited_until = max(ends_at + credit_s, min(ends_at + late_s, now + credit_s))
 
 
 class Leases:
@@ -119,7 +158,7 @@ class Leases:
                 await self._asked.wait()
                 self._asked.clear()
                 looked_at = monotonic()
-                while self._look(looked_at):
+                while self._look_safely(looked_at):
                     looked_at = monotonic()
                     await anyio.sleep(_LOOK_S)
 
@@ -128,13 +167,21 @@ class Leases:
     async def note(self, ctx: Context, call_next: CallNext) -> Any:
         """As a middleware of the server: notes who asks, and that he does."""
         if (principal := principal_of(ctx)) != LOCAL:
-            self.asked(principal, _response_of(ctx))
+            response = _response_of(ctx)
+            if response and ctx.method == "subscriptions/listen":
+                response.listens = True
+            self.asked(principal, response)
         return await call_next(ctx)
 
     def asked(self, principal: Principal, response: OpenResponse | None = None) -> None:
-        """Notes a request of a client, which renews its lease, and the response that is open for it."""
+        """Notes a request of a client, which renews its lease, and the response that is open for it.
+
+        One whose response the client has closed already says nothing more of the client.
+        """
+        if response and response.was_closed:
+            return
         client = self._clients.setdefault(principal, Client(principal, monotonic()))
-        client.asked_at = monotonic()
+        client.asked_at, client.has_gone, client.has_closed = monotonic(), False, False
         if response and response.is_open:
             client.responses.add(response)
         self._asked.set()
@@ -145,14 +192,21 @@ class Leases:
             client.responses.discard(response)
 
     def closed(self, response: OpenResponse) -> None:
-        """Notes that a client has closed a response: ends its call, and all it moves if no other one is open."""
+        """Notes that a client has closed a response: ends its call, and all it moves if no other one is open.
+
+        Who closes the response to what only reads cancels that, and has not gone.
+        """
         for client in [client for client in self._clients.values() if response in client.responses]:
             client.responses.discard(response)
-            for call in client.calls:
-                if call.response is response:
-                    call.end("The client closed the response that was to carry the result.")
-            if not client.responses:
-                self._begin_end(client, "the end of its client, which closed its last open response")
+            calls = [call for call in client.calls if call.response is response]
+            for call in calls:
+                call.end(_CLOSED)
+            self._note_close(client, shows_going=response.listens or any(call.acts for call in calls))
+
+    def _note_close(self, client: Client, *, shows_going: bool) -> None:
+        client.has_closed = client.has_closed or shows_going
+        if client.has_closed and not client.responses:
+            self._begin_end(client, "the end of its client, which closed its last open response")
 
     def left(self, principal: Principal) -> None:
         """Notes that a client has ended its session."""
@@ -160,16 +214,22 @@ class Leases:
             self._begin_end(client, "the end of its client, which ended its session")
 
     @contextmanager
-    def attended(self, context: Context) -> Generator[Call]:
-        """The block is a call of a client: it is cancelled, and says why, when that client has gone."""
+    def attended(self, context: Context, *, acts: bool) -> Generator[Call]:
+        """The block is a call of a client: it is cancelled, and says why, when that client has gone.
+
+        One whose response was closed before this is cancelled from its beginning on.
+        """
         with anyio.CancelScope() as scope:
             principal = principal_of(context)
             if principal == LOCAL:
-                yield Call(scope, None, None)
+                yield Call(scope)
                 return
-            call = Call(scope, _response_of(context), _ping(context))
+            call = Call(scope, _response_of(context), _ping(context), acts)
             client = self._clients.setdefault(principal, Client(principal, monotonic()))
             client.calls.add(call)
+            if call.response and call.response.was_closed:
+                call.end(_CLOSED)
+                self._note_close(client, shows_going=acts)
             try:
                 yield call
             finally:
@@ -177,14 +237,23 @@ class Leases:
 
     # ── the watch ──────────────────────────────────────────────────────────────────────────────────────────────
 
+    def _look_safely(self, looked_at: float) -> bool:
+        try:
+            return self._look(looked_at)
+        except Exception:  # a fault that one client brings out must not end the watch over the others, nor the server
+            _logger.exception("a look at the leases failed")
+            return True
+
     def _look(self, looked_at: float) -> bool:
         """Ends what must end; whether there is anything to watch."""
         now = monotonic()
-        is_late = now - looked_at > _LATE_S
+        late_s = now - looked_at - _LOOK_S
         for client in list(self._clients.values()):
-            was_moving, client.is_moving = client.is_moving, self._robot.moves_for(client.principal)
-            if is_late or (client.is_moving and not was_moving):
-                client.granted_at = now
+            was_moving, client.is_moving = client.is_moving, self._is_moving(client)
+            if late_s > _LATE_S:
+                client.credit(late_s, now)
+            if client.is_moving and not was_moving:
+                client.granted_at = client.shown_alive_at = now
             if client.is_moving and not client.is_ending:
                 self._watch(client, now)
             elif not client.calls and not client.responses and now > client.lease_ends_at():
@@ -193,6 +262,12 @@ class Leases:
             client.is_moving or client.calls or client.asked_at + CLIENT_LEASE_S > now
             for client in self._clients.values()
         )
+
+    def _is_moving(self, client: Client) -> bool:
+        """Whether it may move something, or a call is under way that may: one that waits moves something later."""
+        if client.has_gone:
+            return False
+        return any(call.acts for call in client.calls) or self._robot.moves_for(client.principal)
 
     def _watch(self, client: Client, now: float) -> None:
         assert self._tasks
@@ -216,17 +291,26 @@ class Leases:
                 self._tasks.start_soon(_end_repeat, repeat)
 
     def _begin_end(self, client: Client, reason: str) -> None:
-        if self._tasks and not client.is_ending:
+        """Ends what a client moves who has gone, once: again only if it has asked for something since."""
+        if not self._tasks or client.has_gone:
+            return
+        client.has_gone = True
+        client.ends_for.append(reason)
+        if not client.is_ending:
             client.is_ending = True
-            self._tasks.start_soon(self._end, client, reason)
+            self._tasks.start_soon(self._end, client)
 
-    async def _end(self, client: Client, reason: str) -> None:
-        """Ends the calls of a client that has gone, and what it keeps moving."""
-        for call in client.calls:
-            call.end(f"This call was ended, and what it moved was stopped, by {reason}.")
+    async def _end(self, client: Client) -> None:
+        """Ends the calls of a client that has gone, and what it keeps moving; again if it goes again meanwhile."""
         try:
-            if ended := await self._robot.stop_owned(client.principal, reason):
-                _logger.warning("%s: ended by %s: %s", client.principal.name, reason, ", ".join(ended))
+            while client.ends_for:
+                reason = client.ends_for.pop()
+                for call in client.calls:
+                    call.end(f"This call was ended, and what it moved was stopped, by {reason}.")
+                if ended := await self._robot.stop_owned(client.principal, reason):
+                    _logger.warning("%s: ended by %s: %s", client.principal.name, reason, ", ".join(ended))
+        except Exception:  # a fault in ending what one client moves must not end the watch over the others
+            _logger.exception("what %s moves was not ended in good order", client.principal.name)
         finally:
             client.is_ending = False
 
@@ -242,7 +326,7 @@ async def _end_repeat(repeat: Repetition) -> None:
             f"the server: over HTTP a repeat of motion lasts at most {UNRENEWED_REPEAT_S:g} s unless its client asks "
             "for something or answers a ping meanwhile, and this one has not"
         )
-    except RobotError as error:
+    except Exception as error:  # noqa: BLE001 - whatever keeps one from ending must not end the watch over others
         _logger.warning("%s did not end in good order: %s", repeat.id, error)
 
 
@@ -287,13 +371,13 @@ def principal_of(context: Context) -> Principal:
 
 
 def session_of(request: Request[Any]) -> str:
-    """The id of the session that a request names; empty where it names none."""
-    if session := request.headers.get("mcp-session-id"):
-        return session
+    """The id of the session that a request names where its transport looks for it; empty where it names none."""
+    if not request.scope["path"].startswith(MESSAGES):
+        version = request.headers.get("mcp-protocol-version")
+        is_modern = version is not None and version not in HANDSHAKE_PROTOCOL_VERSIONS  # which knows no sessions
+        return "" if is_modern else request.headers.get("mcp-session-id", "")
     try:
-        return UUID(
-            hex=request.query_params.get("session_id", "")
-        ).hex  # as `/messages/` reads it: several ways to write it
+        return UUID(hex=request.query_params.get("session_id", "")).hex  # several ways to write it, as there
     except ValueError:
         return ""
 

@@ -27,6 +27,8 @@ _ALIVE = b": alive\r\n\r\n"
 _EVENTS = b"text/event-stream"
 _SSE_SESSION = re.compile(rb"^data: \S*[?&]session_id=([0-9a-f]{32})\s*$", re.MULTILINE)
 """In the event `endpoint`, the first one of an SSE stream: where its client posts to."""
+_ENDPOINT_BYTES = 1000
+"""How far into an answer that event is looked for: it is shorter, and what follows may be megabytes."""
 _TCP_INFO_BYTES = 60
 _SINCE_HEARD = struct.Struct("=52xII")
 """Of `struct tcp_info` of linux/tcp.h: `tcpi_last_data_recv` and `tcpi_last_ack_recv`, ms ago."""
@@ -48,11 +50,12 @@ class Connections:
         class NotedProtocol(AutoHTTPProtocol):
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
                 self._ends = _ends(transport.get_extra_info("peername"), transport.get_extra_info("sockname"))
-                sockets[self._ends] = transport.get_extra_info("socket")
+                sockets[self._ends] = self._socket = transport.get_extra_info("socket")
                 super().connection_made(transport)
 
             def connection_lost(self, exc: Exception | None) -> None:
-                sockets.pop(self._ends, None)
+                if sockets.get(self._ends) is self._socket:  # the same addresses may be in use anew
+                    del sockets[self._ends]
                 super().connection_lost(exc)
 
         return NotedProtocol
@@ -111,6 +114,9 @@ class _Response:
         self._is_ours = False
         self._held = b""
         self.is_open = True
+        self.was_closed = False
+        self.listens = scope["method"] == "GET"
+        self._may_name_session = self.listens
 
     def heard_at(self) -> float:
         """When its client last acknowledged or sent anything (monotonic, s)."""
@@ -120,7 +126,7 @@ class _Response:
         """What the client sends; its closing is noted first."""
         message = await self._receive()
         if message["type"] == "http.disconnect" and self.is_open:
-            self.is_open = False
+            self.is_open, self.was_closed = False, True
             self._leases.closed(self)
         return message
 
@@ -133,8 +139,10 @@ class _Response:
                     return  # `show_alive` has begun an event stream already
             elif self._is_ours and not self._is_stream:
                 message = self._as_event(message)
-            elif self._scope["method"] == "GET" and (found := _SSE_SESSION.search(message.get("body", b""))):
-                self._leases.asked(principal_of_session(found[1].decode()), self)
+            elif self._may_name_session and (body := message.get("body")):
+                self._may_name_session = False
+                if found := _SSE_SESSION.search(body, 0, _ENDPOINT_BYTES):
+                    self._leases.asked(principal_of_session(found[1].decode()), self)
             is_last = message["type"] == "http.response.body" and not message.get("more_body")
             if is_last:
                 self.end()

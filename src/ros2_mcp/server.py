@@ -8,6 +8,7 @@ from importlib.metadata import version
 from typing import Any
 
 import anyio
+from anyio.lowlevel import checkpoint_if_cancelled
 from mcp.server.context import ServerRequestContext
 from mcp.server.lowlevel import NotificationOptions, Server
 from mcp.server.stdio import stdio_server
@@ -129,8 +130,10 @@ class Tools:
 
         robot = self._robot.acting_for(principal_of(context))
         failed: CallFailed | None = None
-        with self._leases.attended(context) as attended:
+        tool = self._toolset.by_name.get(params.name)
+        with self._leases.attended(context, acts=tool is not None and tool.acts) as attended:
             try:
+                await checkpoint_if_cancelled()  # its client may have closed the response before this
                 return await self._toolset.call(params.name, params.arguments or {}, report, robot)
             except CallFailed as error:
                 _logger.info("%s failed: %r", params.name, str(error))

@@ -84,7 +84,14 @@ def test_what_the_library_offers_is_there(name: str) -> None:
 def test_who_asks_is_one_over_stdio_and_one_for_each_session_or_program_over_http() -> None:
     def principal(headers: dict[str, str], query: str = "", program: str = "a", address: str = "10.0.0.1") -> str:
         raw = [(name.encode(), value.encode()) for name, value in headers.items()]
-        scope = {"type": "http", "headers": raw, "query_string": query.encode(), "client": (address, 4711)}
+        path = "/messages/" if query else "/mcp"
+        scope = {
+            "type": "http",
+            "path": path,
+            "headers": raw,
+            "query_string": query.encode(),
+            "client": (address, 4711),
+        }
         params = SimpleNamespace(client_info=SimpleNamespace(name=program, version="1"))
         asked: Any = SimpleNamespace(request=Request(scope), session=SimpleNamespace(client_params=params))
         return principal_of(asked).name
@@ -96,6 +103,9 @@ def test_who_asks_is_one_over_stdio_and_one_for_each_session_or_program_over_htt
     programs = principal({}), principal({}, program="b"), principal({}, address="10.0.0.2")
     assert len({mine, yours, older, *programs}) == 6
     assert principal({"mcp-session-id": "a"}) == mine
+    assert principal({"mcp-session-id": "a"}, f"session_id={SESSION.hex}") == older
+    assert principal({"mcp-session-id": "a", "mcp-protocol-version": "2025-11-25"}) == mine
+    assert principal({"mcp-session-id": "a", "mcp-protocol-version": "2026-07-28"}) == programs[0]  # has no sessions
     assert principal({}, f"session_id={str(SESSION).upper()}") == older == principal_of_session(SESSION.hex).name
 
 

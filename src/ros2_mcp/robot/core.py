@@ -44,7 +44,7 @@ class Core:
         Raises:
             Stopped: if a stop came after that.
         """
-        accepted = self.accepted or self.stops.now(self.principal)
+        accepted = self.accepted or self.stops.now()
         self.stops.check(self.principal, accepted)
         return accepted
 

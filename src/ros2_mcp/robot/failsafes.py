@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+from collections import Counter
 from collections.abc import AsyncGenerator, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -44,7 +45,7 @@ _logger = logging.getLogger(__name__)
 class Driven:
     """A velocity topic that this server has driven, with its fail-safe.
 
-    `owner` is who commanded it last, `users` the number of commands that are under way on it, `commands` counts all.
+    `owner` is who commanded it last, `users` whose commands are under way on it and how many, `commands` counts all.
     It is at rest once a zero has been acknowledged, or nobody listens any more, and nothing was commanded since;
     `has_ended` if the last command on it ended with a zero of which that is not known.
     """
@@ -54,7 +55,7 @@ class Driven:
     qos: QoS
     owner: Principal
     commands: int = 0
-    users: int = 0
+    users: Counter[Principal] = field(default_factory=Counter[Principal])
     has_ended: bool = False
     is_at_rest: bool = False
     is_needed: asyncio.Event = field(default_factory=asyncio.Event)
@@ -90,12 +91,27 @@ class Failsafes:
         return list(self._driven.values())
 
     def owned(self, owner: Principal) -> Sequence[Driven]:
-        """Those that this client was the last to command, and that have got no zero since."""
+        """Those on which a command of this client is under way, and those that it was the last to command, that have
+        got no zero since, and on which no command of another is under way.
+        """
         return [
             driven
             for driven in self.driven
-            if driven.owner == owner and (driven.users or not (driven.is_at_rest or driven.has_ended))
+            if driven.users[owner]
+            or (driven.owner == owner and not driven.users and not (driven.is_at_rest or driven.has_ended))
         ]
+
+    def give_up(self, owner: Principal) -> Sequence[str]:
+        """Takes from a client that has gone what it owns. Returns the topics to be zeroed: nobody else uses them."""
+        topics: set[str] = set()
+        for driven in self.driven:
+            others = [user for user in driven.users if user != owner]
+            if others and driven.owner == owner:
+                driven.owner = others[-1]
+            elif not others and driven in self.owned(owner):
+                driven.has_ended = True  # what is to be sent now is not sent again and again if nobody acknowledges it
+                topics.add(driven.topic)
+        return sorted(topics)
 
     @asynccontextmanager
     async def driving(
@@ -118,13 +134,13 @@ class Failsafes:
             driven.held = asyncio.create_task(self._keep_driven(driven))
         driven.owner, driven.is_at_rest, driven.has_ended = owner, False, False
         driven.commands += 1
-        driven.users += 1
+        driven.users[owner] += 1
         driven.is_needed.set()
         await asyncio.sleep(0)  # the fail-safe's task writes first: the stream keeps the order
         try:
             yield driven
         finally:
-            driven.users -= 1
+            driven.users -= Counter([owner])  # keeps no zeros
 
     def commands(self) -> Mapping[tuple[str, str], int]:
         """How many commands each topic has had: what `rest` is to be told, taken before zeros are asked for."""

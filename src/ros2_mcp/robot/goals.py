@@ -16,7 +16,8 @@ from ros2_mcp.robot.jobs import Job
 from ros2_mcp.robot.services import call
 
 UNKNOWN_GOAL = 2
-"""A code of action_msgs/srv/CancelGoal (`CANCEL_CODES`)."""
+TERMINATED_GOAL = 3
+"""Codes of action_msgs/srv/CancelGoal (`CANCEL_CODES`)."""
 _AGAIN_S = 0.1
 """Between requests to cancel a goal that its server has yet to accept."""
 CANCELLED_S = 3.0
@@ -107,7 +108,11 @@ async def send(core: Core, command: SendGoal) -> Answer:
 
     async def ask_to_cancel() -> Mapping[str, Any]:
         answer = await call(core, cancel)
-        return core.values.in_full(answer.type, answer.body)
+        response = core.values.in_full(answer.type, answer.body)
+        code = response["return_code"]
+        if code == TERMINATED_GOAL or (code == UNKNOWN_GOAL and goal.is_accepted):
+            ended(core, goal.id)
+        return response
 
     goal = Goal(
         owner=command.principal,

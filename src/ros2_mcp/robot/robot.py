@@ -87,7 +87,7 @@ class Robot(Core):
         that principal, and not after a stop that comes later.
         """
         robot = copy.copy(self)
-        robot.principal, robot.accepted = principal, self.stops.now(principal)
+        robot.principal, robot.accepted = principal, self.stops.now()
         return robot
 
     # ── acting ─────────────────────────────────────────────────────────────────────────────────────────────────
@@ -137,22 +137,26 @@ class Robot(Core):
         return await self.failsafes.zero(topics)
 
     def moves_for(self, principal: Principal) -> bool:
-        """Whether this client may keep something moving: a job, a goal, or a velocity topic that it commanded last and
-        that has got no zero since.
+        """Whether this client may keep something moving: a job, a goal, a velocity topic that it drives, or a request
+        that acts and has not been answered.
         """
         running = self.jobs.running(Job)
-        return any(job.owner == principal and job.moves for job in running) or bool(self.failsafes.owned(principal))
+        return (
+            any(job.owner == principal and job.moves for job in running)
+            or self.stops.is_leaving(principal)
+            or bool(self.failsafes.owned(principal))
+        )
 
     async def stop_owned(self, principal: Principal, reason: str = "") -> Sequence[str]:
         """Ends what one client has in motion, who has gone: what it sent and has not been answered is ended, its jobs
         that move something end, for that reason, its goals are cancelled, and the zero goes out on every velocity topic
-        that it was the last to command. What others do goes on. Never raises a `RobotError`: what fails is logged.
+        that it drives and nobody else uses. What others do goes on. Never raises a `RobotError`: what fails is logged.
 
         Returns:
             In words, what was ended: `repeat repeat_0f3a9c21`, `zero on /cmd_vel`.
         """
         self.stops.end_of(principal)
-        topics = sorted({driven.topic for driven in self.failsafes.owned(principal)})
+        topics = self.failsafes.give_up(principal)
         ended, _ = await asyncio.gather(self.jobs.stop_owned(principal, reason), self._zero(topics))
         return [*(f"{job.kind} {job.id}" for job in ended), *(f"zero on {topic}" for topic in topics)]
 

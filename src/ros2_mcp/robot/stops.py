@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,16 +15,18 @@ from ros2_mcp.model.errors import Stopped
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge
 
+_MOST_ENDED = 1000
+"""Clients whose ends are remembered: more than can have a call under way that was accepted before their end."""
 _STOPPED = "ros2_stop came after this call was accepted: nothing was sent."
 _CLIENT_GONE = "The client that asked for this has gone: it was ended."
 
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """When a call was accepted: the stop epoch of that time, and how often its client's work had been ended."""
+    """When a call was accepted: the stop epoch of that time, and how many ends of clients there had been."""
 
     epoch: int
-    ends_of_client: int
+    ends: int
 
 
 class Stops:
@@ -35,7 +36,8 @@ class Stops:
 
     def __init__(self, bridge: Bridge) -> None:
         self._bridge = bridge
-        self._ends: Counter[Principal] = Counter()
+        self._ended_at: dict[Principal, int] = {}
+        self._ends = 0
         self._leaving: set[tuple[Principal, anyio.CancelScope]] = set()
         self.epoch = 0
 
@@ -46,20 +48,28 @@ class Stops:
 
     def end_of(self, principal: Principal) -> None:
         """Ends what one client has under way: what was accepted before and has not left, nor been answered."""
-        self._ends[principal] += 1
+        self._ends += 1
+        self._ended_at.pop(principal, None)
+        self._ended_at[principal] = self._ends
+        if len(self._ended_at) > _MOST_ENDED:
+            del self._ended_at[next(iter(self._ended_at))]
         for owner, scope in [*self._leaving]:
             if owner == principal:
                 scope.cancel()
 
-    def now(self, principal: Principal) -> Accepted:
-        """What a call of that client is accepted with at this time."""
-        return Accepted(self.epoch, self._ends[principal])
+    def is_leaving(self, principal: Principal) -> bool:
+        """Whether a request of that client that acts has not been answered."""
+        return any(owner == principal for owner, _ in self._leaving)
+
+    def now(self) -> Accepted:
+        """What a call is accepted with at this time."""
+        return Accepted(self.epoch, self._ends)
 
     def check(self, principal: Principal, accepted: Accepted) -> None:
         """Raises `Stopped` if what was accepted then must not be sent any more."""
         if accepted.epoch != self.epoch:
             raise Stopped(_STOPPED)
-        if accepted.ends_of_client != self._ends[principal]:
+        if accepted.ends < self._ended_at.get(principal, 0):
             raise Stopped(_CLIENT_GONE)
 
     @contextmanager

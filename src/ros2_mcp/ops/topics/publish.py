@@ -213,7 +213,7 @@ async def _note(robot: Robot, sent: Sent, reason: str) -> str:
         notes.append("A zero command was sent at the end.")
     elif sent.type in VELOCITY_TYPES and sent.matched:
         notes.append(
-            "No zero command follows: unless this was one, the robot moves until its own time-out. For a bounded move "
-            "give frequency and duration."
+            "No zero command follows while this client stays: unless this was one, the robot moves until its own "
+            "time-out. For a bounded move give frequency and duration."
         )
     return " ".join(filter(None, notes))
