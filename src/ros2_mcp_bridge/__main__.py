@@ -145,15 +145,16 @@ class Bridge:
         self._stops.lapse()
         self._outbox.send(Lapsed(event="lapsed", silent_s=round(silent_s, 3)))
         if self._operations is not None:
-            self._do_first(self._operations.lapse, self._operations.failsafes.carry_out)
+            self._do_first(self._operations.failsafes.carry_out, self._operations.lapse)
 
-    def _do_first(self, work: Callable[[], object], if_it_hangs: Callable[[], object]) -> None:
-        """Let the ROS thread do it before all else; if it does not come to that in time, another does the other."""
-        hangs = threading.Timer(ROS_HANGS_AFTER_S, if_it_hangs)
+    def _do_first(self, zeros: Callable[[], object], then: Callable[[], object]) -> None:
+        """Let the ROS thread send zeros before all else; if they have not left in time, another thread sends them."""
+        hangs = threading.Timer(ROS_HANGS_AFTER_S, zeros)
 
         def do() -> None:
-            hangs.cancel()
-            work()
+            zeros()
+            hangs.cancel()  # not before they have left: whatever this turn does next may hang
+            then()
 
         hangs.start()
         self._loop.submit_first(do)
@@ -175,7 +176,7 @@ class Bridge:
         if request.op == "ping":
             self._outbox.reply(request.id, self._ping(request))
         elif request.op == "stop" and self._operations is not None:
-            self._do_first(partial(self._operations.start, request), self._operations.send_zeros)
+            self._do_first(self._operations.send_zeros, partial(self._operations.start, request))
         else:
             self._accepted.put(request)
 

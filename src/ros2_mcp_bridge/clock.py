@@ -22,6 +22,7 @@ LOOKED_UP_S = 0.1
 # For the first message on a clock that was just subscribed to. Chosen: even at 0.1 x a simulation publishes 1 to 100 a
 # second, and after this a clock that is silent stands still.
 FIRST_S = 1.0
+NS_PER_S = 1_000_000_000
 
 
 class RobotClock:
@@ -90,12 +91,13 @@ class RobotClock:
     def _listen(self) -> None:
         if self._raw is None or threading.get_ident() != self._thread:
             return
-        newest = None
         while taken := self._raw.take_message(self._interface, True):
-            newest = taken[0]
-        if newest is not None:
-            stamp = rcl.deserialize(newest, self._interface).clock
-            self._heard_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+            try:
+                stamp = rcl.deserialize(taken[0], self._interface).clock
+            except Exception:  # noqa: BLE001 - anybody can publish a broken one: it must not keep a robot from a stop
+                continue
+            if stamp.nanosec < NS_PER_S:  # more is no time, and added to a large `sec` it fits into no stamp
+                self._heard_ns = stamp.sec * NS_PER_S + stamp.nanosec
 
     def _has_simulated(self, topic: str) -> bool:
         """By the nodes' names; by their participants while discovery has not told a name yet.

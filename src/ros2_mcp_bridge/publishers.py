@@ -128,20 +128,24 @@ class Publisher:
         return matched, acked
 
     def wait_acknowledged(self, wait_s: float) -> Steps[bool | None]:
-        """Steps until all is acknowledged: returns True, False when time is up, None where nobody acknowledges."""
-        if self.acknowledged() is None:
-            return None
+        """Steps until all that acknowledge have done so, or time is up: returns `acknowledged`."""
         deadline = time.monotonic() + wait_s
-        while not self.done():
-            if time.monotonic() >= deadline:
-                return False
-            yield POLL_S
-        return True
+        if self.acknowledged() is False:
+            while not self.done() and time.monotonic() < deadline:
+                yield POLL_S
+        return self.acknowledged()
 
     def acknowledged(self) -> bool | None:
-        """Whether every reliable subscriber has acknowledged everything; None where nobody acknowledges."""
-        is_reliable = self._profile.reliability.name == "RELIABLE" and any(self._subscribers_reliable())
-        return self.done() if is_reliable and self.matched() else None
+        """Whether every subscriber has acknowledged everything; None where one of them acknowledges nothing.
+
+        False as long as a reliable one has not: it is worth waiting for.
+        """
+        matched, reliable = self.matched(), self._subscribers_reliable()
+        if not matched or self._profile.reliability.name != "RELIABLE" or not any(reliable):
+            return None
+        if not self.done():
+            return False
+        return True if all(reliable) and len(reliable) >= matched else None
 
     def done(self) -> bool:
         """Whether every reliable subscriber has acknowledged everything."""

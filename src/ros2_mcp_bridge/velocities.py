@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from typing import Any, Protocol
 
 from . import rcl
-from .clock import FIRST_S, RobotClock
+from .clock import FIRST_S, NS_PER_S, RobotClock
 from .limits import MAX_FAILSAFES
 from .protocol import FrameIdChanged, StoppedTopic
 from .request import OperationError, Request, Steps
@@ -26,7 +26,6 @@ POLL_S = 0.005
 AGAIN_AFTER_S = (0.1, 0.5)
 # A new bridge knows the robot after 4 s at most on a quiet network; on a bad one the zero still has to come. Chosen.
 DISCOVERED_S = 10.0
-NS_PER_S = 1_000_000_000
 
 
 class Exit(Protocol):
@@ -45,7 +44,7 @@ class Exit(Protocol):
         ...
 
     def acknowledged(self) -> bool | None:
-        """Whether every reliable subscriber has got everything; None where nobody acknowledges."""
+        """Whether every subscriber has acknowledged everything; None where one of them acknowledges nothing."""
         ...
 
 
@@ -178,14 +177,27 @@ class VelocityTopic:
         return max((publisher.matched() for publisher in list(self.publishers)), default=0)
 
     def send_zero(self) -> None:
-        """Send the zero from any thread: twice, for best-effort subscribers; through every publisher there is."""
-        message = self._interface()
-        if self.is_stamped:
-            message.header.frame_id = self.frame_id
-        data = self.stamped(message)
+        """Send the zero from any thread: twice, for best-effort subscribers; through every publisher there is.
+
+        One that fails does not keep the others from being sent, and does not end what sends them.
+        """
+        try:
+            message = self._interface()
+            if self.is_stamped:
+                message.header.frame_id = self.frame_id
+            data = self.stamped(message)
+        except Exception as error:  # noqa: BLE001 - whatever it is, other topics are stopped
+            self._log_unsent(error)
+            return
         for publisher in list(self.publishers):
-            publisher.publish_zero(data)
-            publisher.publish_zero(data)
+            try:
+                publisher.publish_zero(data)
+                publisher.publish_zero(data)
+            except Exception as error:  # noqa: BLE001 - the other publishers may reach the robot
+                self._log_unsent(error)
+
+    def _log_unsent(self, error: Exception) -> None:
+        sys.stderr.write(f"{self.name} could not be stopped: {error}\n")
 
     def stop_whoever_comes(self) -> Steps[None]:
         """Steps that send the zero now, and for a while to every subscriber that is discovered, until a command."""
@@ -205,8 +217,8 @@ class VelocityTopic:
 
     def outcome(self) -> StoppedTopic:
         """How many got its last messages, and whether that is known."""
-        told = {publisher.acknowledged() for publisher in self.publishers}
-        acked = None if told <= {None} else False not in told
+        told = {publisher.acknowledged() for publisher in self.publishers if publisher.matched()}
+        acked = False if False in told else None if None in told or not told else True
         return {"topic": self.name, "type": self.type, "matched": self.matched(), "acked": acked}
 
 
@@ -286,12 +298,9 @@ class Velocities:
             self._clock.forget(topic.name)
 
     def send_zeros(self) -> None:
-        """Zeros on all driven topics, from any thread; one that fails does not keep the others from being sent."""
+        """Zeros on all driven topics, from any thread."""
         for topic in self.driven():
-            try:
-                topic.send_zero()
-            except Exception as error:  # noqa: BLE001 - whatever it is, the others are stopped
-                sys.stderr.write(f"{topic.name} could not be stopped: {error}\n")
+            topic.send_zero()
 
     def stop(self, topics: list[VelocityTopic], wait_match_s: float, wait_ack_s: float) -> Steps[list[StoppedTopic]]:
         """Steps that send zeros, again for whoever is discovered meanwhile, until all have them or time is up."""

@@ -32,6 +32,7 @@ HOSTILE = 1000 if FULL else 60
 LEASE_S = 0.5
 ON_TIME_S = 0.1
 """A zero is on the wire so long after a lease; a stamp is no further from now."""
+CLOCK = "rosgraph_msgs/msg/Clock"
 SET_BOOL = "std_srvs/srv/SetBool"
 TRUE = b"\0\1\0\0\1"
 WAITS = {"wait_match_s": PATIENCE_S, "wait_ack_s": PATIENCE_S}
@@ -108,7 +109,7 @@ def test_nothing_that_was_accepted_before_a_stop_leaves_after_its_answer(begin, 
         until(lambda later=later: observer.matched(by=later) >= 1)
         assert (told["repeats"], told["relays"]) == (1, 1)
         assert [["publish", later], ["call", later]] == [row for row in told["dropped"] if row[1] == later]
-        assert next(row for row in told["topics"] if row["topic"] == topic)["acked"]
+        assert next(row for row in told["topics"] if row["topic"] == topic)["acked"] is None  # two are best effort
         assert [bridge.answer(one)[0]["error"]["kind"] for one in waiting] == ["stopped"] * 2
         assert bridge.answer(repeating)[0]["ok"]["ended_by"] == "stop"
         assert bridge.answer(feeding)[0]["ok"]["ended_by"] == "stop"
@@ -157,7 +158,7 @@ def test_a_command_is_stamped_now_and_its_zero_keeps_its_frame(
     observer.watch(topic, kind)
     matched(bridge, topic)
     drive(bridge, topic, kind, frame="odd")
-    assert bridge.ok("zero", topics=[topic], **WAITS)["topics"][0]["acked"]
+    assert bridge.ok("zero", topics=[topic], **WAITS)["topics"][0]["acked"] is None  # two are best effort
     assert {one["frame"] for one in observer.messages(topic=topic)} == {"odd"}
     observer.forget()
     future = cdr(kind, 0.5, stamp=(2_000_000_000, 0), frame="base_link")
@@ -306,7 +307,7 @@ def test_a_stopped_server_that_goes_on_finds_the_bridge_as_it_was(begin, observe
     drive(bridge, topic)
     bridge.ok("ping", lease_s=0.2, epoch=0)
     time.sleep(0.5)
-    assert bridge.ok("publish", cdr(TWIST, 0.5), **command(topic), **WAITS)["acked"]
+    assert bridge.ok("publish", cdr(TWIST, 0.5), **command(topic), **WAITS)["matched"] == 4
     observer.until_driven(topic)
 
 
@@ -354,8 +355,43 @@ def test_publishers_of_every_quality_send_the_zero(begin, observer: Observer, to
     bridge.send("failsafe_publish", topic=topic, type=TWIST, qos={**RELIABLE, "reliability": "best_effort"})
     bridge.ok("publish", cdr(TWIST, 0.5), **command(topic), **WAITS)
     observer.until_driven(topic)
-    assert bridge.ok("stop", epoch=1, **WAITS)["topics"][0]["acked"]
+    told = bridge.ok("stop", epoch=1, **WAITS)["topics"][0]
+    assert (told["matched"], told["acked"]) == (4, None)
     assert observer.comes_to_rest(topic, within_s=1.0) == []
+
+
+@pytest.mark.parametrize(("best_effort", "acked"), [((False, False), True), ((False, True), None), ((True,), None)])
+def test_a_zero_is_acknowledged_if_every_subscriber_says_so(
+    begin, observer: Observer, topic: str, best_effort: tuple[bool, ...], acked: bool | None
+) -> None:
+    """A recorder that acknowledges does not speak for a base that does not."""
+    bridge = begin()
+    for number, is_best_effort in enumerate(best_effort):
+        observer.join(by=f"{topic} {number}", topic=topic, kind=TWIST, best_effort=is_best_effort)
+    matched(bridge, topic, len(best_effort))
+    drive(bridge, topic)
+    assert bridge.ok("publish", cdr(TWIST, 0.5), **command(topic), **WAITS)["acked"] is acked
+    assert bridge.ok("stop", epoch=1, **WAITS)["topics"][0]["acked"] is acked
+
+
+def test_a_broken_clock_keeps_no_topic_from_its_zero(begin, observer: Observer, topic: str) -> None:
+    """Messages on /clock that nobody can decode, or that hold no time."""
+    bridge = begin()
+    observer.join(by="simulated", topic=topic, kind=TWIST_STAMPED, sim_time=True)
+    observer.watch(f"{topic}_other")
+    matched(bridge, topic, 1)
+    matched(bridge, f"{topic}_other")
+    drive(bridge, topic, TWIST_STAMPED)
+    drive(bridge, f"{topic}_other")
+    observer.offer(topic="/clock", kind=CLOCK)
+    bridge.ok("wait_endpoints", topic="/clock", publishers=1, subscribers=1, timeout_s=PATIENCE_S)
+    bridge.ok("publish", cdr(TWIST_STAMPED, 0.5), **command(topic, TWIST_STAMPED), **WAITS)
+    bridge.ok("publish", cdr(TWIST, 0.5), **command(f"{topic}_other"), **WAITS)
+    bodies = [bytes.fromhex("00010000ffffff7fffffffff"), b"\0\1\0\0\1\0"]
+    observer.say(topic="/clock", kind=CLOCK, bodies=[body.hex() for body in bodies], gap_s=0.1)
+    assert len(bridge.ok("stop", epoch=1, **WAITS)["topics"]) == 2
+    for name in (topic, f"{topic}_other"):
+        assert observer.comes_to_rest(name, within_s=1.0) == []
 
 
 def test_one_topic_more_than_there_are_fail_safes_is_refused_and_takes_none_away(begin, topic: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,6 +27,45 @@ PATIENCE_S = 10.0
 def test_there_is_one_exit_of_messages_and_one_of_requests(exit_name: str) -> None:
     counts = {path.name: path.read_text(encoding="utf-8").count(exit_name) for path in SOURCE.glob("*.py")}
     assert {name: count for name, count in counts.items() if count} == EXITS[exit_name]
+
+
+class Rounds:
+    """Stands in for rclpy's executor: it has nothing to do."""
+
+    def create_task(self, callback: Callable[[], None]) -> None:
+        """The next round comes at once anyway."""
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        time.sleep(min(timeout_sec or 0.0, 0.001))
+
+
+def test_a_stop_sends_its_zeros_before_what_else_the_ros_thread_does_in_that_turn() -> None:
+    """The next request of that turn hangs in the middleware, when nothing is left that would send them instead."""
+    (incoming, server), (answers, outgoing) = os.pipe(), os.pipe()
+    bridge = Bridge(incoming, outgoing)
+    zeros, ended = threading.Event(), threading.Event()
+    came_first: list[bool] = []
+
+    def gather() -> None:
+        """The turn after this one has the stop and a request that hangs."""
+        os.write(server, pack({"id": 1, "op": "stop", "epoch": 1}))
+        while not bridge._loop._submitted:
+            time.sleep(0.001)
+        bridge._loop._submitted.append(hang)
+
+    def hang() -> None:
+        came_first.append(zeros.wait(10 * ROS_HANGS_AFTER_S))
+        ended.set()
+
+    bridge._operations = SimpleNamespace(send_zeros=zeros.set, start=lambda _: None)  # type: ignore[assignment]
+    bridge._loop.submit(gather)
+    turning = threading.Thread(target=bridge._loop.run, args=(Rounds(),), daemon=True)
+    turning.start()
+    assert ended.wait(PATIENCE_S)
+    bridge._loop.end()
+    turning.join(PATIENCE_S)
+    assert came_first == [True]
+    del answers
 
 
 @pytest.mark.parametrize(

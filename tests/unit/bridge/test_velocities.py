@@ -1,0 +1,114 @@
+"""What ends one topic's motion depends on no other topic, on no clock of others, and is told as it is."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from ros2_mcp_bridge import clock, velocities
+from ros2_mcp_bridge.request import Request
+
+TWIST = "geometry_msgs/msg/Twist"
+MIXED: list[tuple[list[bool | None], bool | None]] = [
+    ([True], True),
+    ([True, None], None),
+    ([True, False], False),
+    ([None, False], False),
+    ([None], None),
+    ([], None),
+]
+
+
+class Exit:
+    """A publisher with one subscriber, which says what it is told to."""
+
+    def __init__(self, acked: bool | None = True, *, fails: bool = False, matched: int = 1) -> None:
+        self.sent = 0
+        self._acked, self._fails, self._matched = acked, fails, matched
+
+    def publish_zero(self, data: bytes) -> None:
+        if self._fails:
+            raise RuntimeError("the middleware refuses it")
+        assert data
+        self.sent += 1
+
+    def matched(self) -> int:
+        return self._matched
+
+    def has_all_matched(self) -> bool:
+        return True
+
+    def acknowledged(self) -> bool | None:
+        return self._acked
+
+
+@pytest.fixture
+def driven(monkeypatch: pytest.MonkeyPatch):
+    """Make velocity topics that are driven, by their names; a message is made by the second argument."""
+    monkeypatch.setattr(velocities, "rcl", SimpleNamespace(serialize=lambda _: b"zero"))
+    everything = velocities.Velocities(SimpleNamespace(forget=lambda _: None), print)  # type: ignore[arg-type]
+
+    def drive(name: str, *exits: Exit, interface: Any = object) -> velocities.VelocityTopic:
+        request = Request({"id": 1, "op": "failsafe_publish", "topic": name, "type": TWIST}, b"")
+        request.interface = interface
+        topic = everything.topic(request)
+        assert topic is not None
+        topic.holders[request] = None
+        topic.publishers.update(dict.fromkeys(exits))
+        return topic
+
+    drive.everything = everything  # type: ignore[attr-defined]
+    return drive
+
+
+def test_a_topic_that_fails_does_not_keep_the_others_from_being_stopped(driven, capsys) -> None:
+    broken, other, good = Exit(fails=True), Exit(), Exit()
+    driven("/a", broken, other)
+    driven("/b", interface=lambda: 1 // 0)
+    driven("/c", good)
+    everything: velocities.Velocities = driven.everything
+    everything.send_zeros()
+    assert (other.sent, good.sent) == (2, 2)
+    steps = everything.stop(everything.driven(), 0.0, 0.0)
+    with pytest.raises(StopIteration) as ended:
+        next(steps)
+    assert [row["topic"] for row in ended.value.value] == ["/a", "/b", "/c"]
+    assert (other.sent, good.sent) == (4, 4)
+    said = capsys.readouterr().err
+    assert "/a could not be stopped" in said and "/b could not be stopped" in said
+
+
+@pytest.mark.parametrize(("told", "whole"), MIXED)
+def test_one_acknowledgement_does_not_stand_for_all(driven, told: list[bool | None], whole: bool | None) -> None:
+    topic = driven("/a", *(Exit(acked) for acked in told), Exit(None, matched=0))
+    assert topic.outcome()["acked"] is whole
+
+
+def test_a_broken_message_on_the_clock_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Undecodable, or with nanoseconds that fit into no stamp."""
+
+    def deserialize(data: object, _interface: object) -> object:
+        if data == "broken":
+            raise ValueError("broken")
+        return SimpleNamespace(clock=data)
+
+    waiting: list[Any] = [
+        SimpleNamespace(sec=7, nanosec=5),
+        "broken",
+        SimpleNamespace(sec=2**31 - 1, nanosec=2**32 - 1),
+    ]
+    raw = SimpleNamespace(take_message=lambda *_: (waiting.pop(0), {}) if waiting else None)
+    rcl = SimpleNamespace(deserialize=deserialize, subscription=lambda *_: raw)
+    monkeypatch.setattr(clock, "rcl", rcl)
+    monkeypatch.setattr(clock.interfaces, "load", lambda _: object)
+    nodes = SimpleNamespace(node_name="sim", node_namespace="/")
+    graph = SimpleNamespace(subscribers=lambda _: [nodes])
+    monkeypatch.setattr(clock.participants, "is_bridge", lambda _: False)
+    robots = clock.RobotClock(object(), graph)  # type: ignore[arg-type]
+    robots.follow()
+    assert robots.now_ns("/a", lambda: 1) == 7_000_000_005
+    assert waiting == []
