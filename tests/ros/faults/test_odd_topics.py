@@ -57,7 +57,8 @@ async def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(
         return time.monotonic() - begun
 
     assert await undisturbed_async(refused_after) < 1.0
-    assert (await agent.call("ros2_topic_stats", topic_names=["/thing"], duration=0.5))["topics"][0]["error"]
+    with pytest.raises(Refusal, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
+        await agent.call("ros2_topic_stats", topic_names=["/thing"], duration=0.5)
     await agent.call("ros2_status")
 
 

@@ -54,7 +54,7 @@ class Heard:
     stamp: int | None
     """Of its header in ns; None where its type has none, or it cannot be decoded."""
     age_s: float | None
-    """By how much the clock of the subscriber's node was ahead of that stamp when it arrived."""
+    """By how much the wall clock was ahead of that stamp when it was written; simulated time, when it arrived."""
     frame: str | None
     size: int
     """Of the message as it came, in bytes."""
@@ -235,7 +235,9 @@ class Observer:
             if hasattr(message, "header"):
                 stamp = message.header.stamp
                 one.stamp, one.frame = stamp.sec * 10**9 + stamp.nanosec, message.header.frame_id
-                one.age_s = (robot_ns - one.stamp) / 1e9
+                # By the time at which it was written, where that can be compared: a machine that is busy delivers late.
+                on_wall_time = not node.get_parameter("use_sim_time").value and info["source_timestamp"]
+                one.age_s = ((info["source_timestamp"] if on_wall_time else robot_ns) - one.stamp) / 1e9
         self.heard.append(one)
 
     # ── what a robot offers ────────────────────────────────────────────────────────────────────────────────────
