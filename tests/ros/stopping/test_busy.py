@@ -46,7 +46,7 @@ class Load:
             self.reading = self._read()
         if self.repeating in self.server.answers:
             self.faults += [
-                said for said in [self.server.outcome(self.repeating)] if "lease" in said or "isError" in said
+                said for said in [self.server.outcome(self.repeating)] if "lease" in said or '"isError": true' in said
             ]
             self.repeating, self.repeats = self._repeat(), self.repeats + 1
 

@@ -374,7 +374,9 @@ class Observer:
 
         place = self.place("servers", serves=True)
         cls = interface(kind)
-        self.kept.append(place.node.create_service(cls, service, answer, callback_group=ReentrantCallbackGroup()))
+        every_call = QoSProfile(depth=500, reliability=QoSReliabilityPolicy.RELIABLE)  # of 200; 10 lose some
+        group = ReentrantCallbackGroup()
+        self.kept.append(place.node.create_service(cls, service, answer, qos_profile=every_call, callback_group=group))
 
     def close(self) -> None:
         for done in self.talkers.values():
