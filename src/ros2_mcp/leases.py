@@ -122,6 +122,7 @@ class Client:
     is_moving: bool = False
     is_ending: bool = False
     has_closed: bool = False
+    has_failed: bool = False
     has_gone: bool = False
 
     def heard_at(self) -> float:
@@ -158,7 +159,7 @@ class Leases:
                 await self._asked.wait()
                 self._asked.clear()
                 looked_at = monotonic()
-                while self._look_safely(looked_at):
+                while self._look(looked_at):
                     looked_at = monotonic()
                     await anyio.sleep(_LOOK_S)
 
@@ -237,31 +238,34 @@ class Leases:
 
     # ── the watch ──────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _look_safely(self, looked_at: float) -> bool:
-        try:
-            return self._look(looked_at)
-        except Exception:  # a fault that one client brings out must not end the watch over the others, nor the server
-            _logger.exception("a look at the leases failed")
-            return True
-
     def _look(self, looked_at: float) -> bool:
         """Ends what must end; whether there is anything to watch."""
         now = monotonic()
         late_s = now - looked_at - _LOOK_S
         for client in list(self._clients.values()):
-            was_moving, client.is_moving = client.is_moving, self._is_moving(client)
-            if late_s > _LATE_S:
-                client.credit(late_s, now)
-            if client.is_moving and not was_moving:
-                client.granted_at = client.shown_alive_at = now
-            if client.is_moving and not client.is_ending:
-                self._watch(client, now)
-            elif not client.calls and not client.responses and now > client.lease_ends_at():
-                del self._clients[client.principal]
+            try:
+                self._look_at(client, late_s, now)
+            except (
+                Exception
+            ):  # a fault that one client brings out must not end the watch over the others, nor the server
+                if not client.has_failed:  # said once, and not 20 times a second
+                    _logger.exception("the watch over %s failed", client.principal.name)
+                client.has_failed = True
         return any(
             client.is_moving or client.calls or client.asked_at + CLIENT_LEASE_S > now
             for client in self._clients.values()
         )
+
+    def _look_at(self, client: Client, late_s: float, now: float) -> None:
+        was_moving, client.is_moving = client.is_moving, self._is_moving(client)
+        if late_s > _LATE_S:
+            client.credit(late_s, now)
+        if client.is_moving and not was_moving:
+            client.granted_at = client.shown_alive_at = now
+        if client.is_moving and not client.is_ending:
+            self._watch(client, now)
+        elif not client.calls and not client.responses and now > client.lease_ends_at():
+            del self._clients[client.principal]
 
     def _is_moving(self, client: Client) -> bool:
         """Whether it may move something, or a call is under way that may: one that waits moves something later."""

@@ -261,9 +261,13 @@ async def test_a_fault_does_not_end_the_watch(
         leases.asked(CLIENT)
         leases.left(CLIENT)
         await asyncio.sleep(0.1)
+    broken_response = Response()
+    broken_response.heard_at = lambda: 1 / 0
+    leases.asked(CLIENT, cast(Any, broken_response))
+    await robot.acting_for(CLIENT).do(publish(CLIENT))
     leases.asked(OTHER)
-    leases.left(OTHER)
     await soon(lambda: "zero" in bridge.sent)
+    assert bridge.arguments["zero"]["topics"] == ["/other"]
 
 
 async def test_the_clients_whose_ends_are_remembered_are_bounded(robot: Robot) -> None:

@@ -115,27 +115,31 @@ class Driver:
         self.name = f"driver{next(_numbers)}"
         self.topic, self.action = f"/{self.name}/cmd_vel", f"/{self.name}/count"
 
+    def begin(self, *, keeps_stream: bool = True) -> None:
+        """Connects."""
+        at = {"host": self.field.host, "port": self.field.ports[self.transport]}
+        self.clients.join(name=self.name, transport=self.transport, keeps_stream=keeps_stream, **at)
+
     def drive(self, *, keeps_stream: bool = True) -> None:
         """Begins, and waits until the observer has seen it move."""
         observer = self.field.observer
-        at = {"host": self.field.host, "port": self.field.ports[self.transport]}
-        self.clients.join(name=self.name, transport=self.transport, keeps_stream=keeps_stream, **at)
+        self.begin(keeps_stream=keeps_stream)
         if self.motion == "goal":
             observer.act(action=self.action)
             asked = {"action_name": self.action, "action_type": "test_msgs/action/Fibonacci"}
             goal = {**asked, "goal_fields": {"order": 600}}
-            until(lambda: not self._called("ros2_send_action_goal", goal).get("isError"))  # it has yet to be discovered
+            until(lambda: not self.called("ros2_send_action_goal", goal).get("isError"))  # it has yet to be discovered
             until(lambda: any(goal["status"] == "running" for goal in observer.goals_of(action=self.action)))
             return
         for by, best_effort in (("reliable", False), ("best effort", True)):
             observer.join(by=f"{self.name} {by}", topic=self.topic, kind=TWIST, best_effort=best_effort)
         if self.motion == "relay":
             ends = {"source_topic": "/talk", "destination_topic": self.topic, "message_type": TWIST}
-            begun = self._called("ros2_relay_start", {**ends, "duration_sec": 0})
+            begun = self.called("ros2_relay_start", {**ends, "duration_sec": 0})
             assert not begun.get("isError"), begun
         elif self.motion == "playback":
             played = {"bag": "drive", "remaps": {RECORDED: self.topic}, "force": True, "loop": True, "wait_sec": 0}
-            begun = self._called("ros2_bag_play", played)
+            begun = self.called("ros2_bag_play", played)
             assert not begun.get("isError"), begun
         elif self.motion == "publish":
             once = {"topic_name": self.topic, "message_type": TWIST, "data": MOVING}
@@ -165,12 +169,17 @@ class Driver:
             observer.leave(by=f"{self.name} {by}")
         return (max(zeros) - went) / 1e9
 
+    def heard_by(self, by: str) -> list[dict[str, Any]]:
+        """What one subscriber of the observer has received on its topic."""
+        return self.field.observer.messages(by=by, topic=self.topic)
+
     def _is_heard_after(self, tool: str, arguments: dict[str, Any]) -> bool:
-        begun = self._called(tool, arguments)
+        begun = self.called(tool, arguments)
         assert not begun.get("isError"), begun
         return sum(count > 0 for count in self.field.observer.driven(topic=self.topic).values()) == 2
 
-    def _called(self, tool: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    def called(self, tool: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        """The result of a call of a tool."""
         return self.clients.call(name=self.name, tool=tool, arguments=arguments)
 
 
@@ -277,6 +286,38 @@ def test_a_client_that_waits_at_an_open_stream_keeps_its_relay(field: Field, cli
     for driver in drivers:
         assert field.observer.moved(sent_after=time.monotonic_ns() - 200_000_000, topic=driver.topic)
         driver.rests_after(clients.go(name=driver.name, resetting=False), CLOSED_S)
+
+
+def test_a_departure_is_ended_once_though_nobody_acknowledges_its_zero(field: Field, clients: CommandedProcess) -> None:
+    """The end is not sent again and again over what somebody else, such as an operator, publishes then."""
+    driver = Driver(field, clients, "handshake", "publish")
+    field.observer.join(by="listener", topic=driver.topic, kind=TWIST, best_effort=True)
+    driver.begin()
+    once = {"topic_name": driver.topic, "message_type": TWIST, "data": MOVING}
+    until(lambda: not driver.called("ros2_topic_publish", once).get("isError") and driver.heard_by("listener"))
+    clients.go(name=driver.name, resetting=False)
+    until(lambda: not any(driver.heard_by("listener")[-1]["values"]))
+    time.sleep(1.0)  # a zero is sent twice, and once more to each subscriber that is discovered only then
+    zeros = len(driver.heard_by("listener"))
+    time.sleep(3.0)  # a lease, and a second more
+    assert len(driver.heard_by("listener")) == zeros
+    field.observer.leave(by="listener")
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_the_departure_of_one_client_leaves_what_another_moves_on_the_same_topic(
+    field: Field, clients: CommandedProcess, transport: str
+) -> None:
+    stays, goes = (Driver(field, clients, transport, "repeat") for _ in range(2))
+    stays.drive()
+    goes.topic = stays.topic
+    goes.begin()
+    goes.called("ros2_topic_publish", {"topic_name": goes.topic, "message_type": TWIST, "data": MOVING})
+    went = clients.go(name=goes.name, resetting=False)
+    time.sleep(1.0)
+    heard = [one for one in stays.heard_by(f"{stays.name} reliable") if one["at"] > went]
+    assert len(heard) > 10 and all(any(one["values"]) for one in heard)
+    stays.rests_after(clients.go(name=stays.name, resetting=False), CLOSED_S)
 
 
 @pytest.mark.parametrize("transport", ["handshake", "modern"])
