@@ -53,7 +53,7 @@ class Noting:
     """`sent` has the operations in their order, `arguments` those of the last of each; a fail-safe stays in force.
 
     `answer` is the body of every answer. `may_answer` holds back the answers to what acts, and `refuse` has the kind
-    of error with which an operation is answered.
+    of error with which an operation is answered. `zeros` is what became of them, `subscribers` who is in the graph.
     """
 
     hello = None
@@ -72,6 +72,8 @@ class Noting:
         self.may_define.set()
         self.refuse: dict[str, str] = {}
         self.zeros: list[dict[str, Any]] = []
+        self.failsafes: list[Mapping[str, Any]] = []
+        self.subscribers: list[dict[str, Any]] = []
 
     async def request(self, op: str, _body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
         del timeout_s
@@ -82,6 +84,7 @@ class Noting:
         self.sent.append(op)
         self.arguments[op] = arguments
         if op.startswith("failsafe"):
+            self.failsafes.append(arguments)
             await asyncio.Event().wait()
         await self.may_answer.wait()
         if op in self.refuse:
@@ -89,7 +92,7 @@ class Noting:
         if op in ("zero", "stop"):
             return Reply({"repeats": 0, "relays": 0, "dropped": [], "topics": self.zeros}, b"")
         if op == "endpoints":
-            return Reply({"publishers": [], "subscribers": [], "settled": True}, b"")
+            return Reply({"publishers": [], "subscribers": self.subscribers, "settled": True}, b"")
         if op == "relay":
             return Reply({"passed": 1, "final_sent": True}, b"")
         told = {"passed": 0, "matched": 1, "acked": True, "waited_s": 0.0, "sent": 1, "elapsed_s": 0.1, "late": 0}

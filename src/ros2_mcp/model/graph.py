@@ -83,6 +83,10 @@ class TopicEndpoints:
         """Every type in use on the topic, sorted."""
         return sorted({endpoint.type for endpoint in (*self.publishers, *self.subscribers)})
 
+    def subscribers_of(self, type_name: str) -> int:
+        """The number of subscribers of one type."""
+        return sum(subscriber.type == type_name for subscriber in self.subscribers)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelayCounts:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import anyio
 
-from ros2_mcp.model.errors import BridgeLost, NotFound, RobotError, TimedOut
+from ros2_mcp.model.errors import BridgeLost, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, TERMINAL
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.robot import Robot
@@ -32,8 +32,8 @@ _NOTHING: StopReply = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
 class StoppedTopic:
     """A topic that got a zero command.
 
-    `acknowledged` is null where it is not known. `others` are nodes that publish on it too: their messages still move
-    the robot.
+    `subscribers` were sent it, `unreached` are in the graph besides and were not. `acknowledged` is null where it is
+    not known. `others` are nodes that publish on it too: their messages still move the robot.
     """
 
     topic_name: str
@@ -41,6 +41,7 @@ class StoppedTopic:
     acknowledged: bool | None
     others: Sequence[str] = ()
     error: str = ""
+    unreached: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +171,8 @@ async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> 
         return StoppedTopic(topic, zero["matched"], zero["acked"], error=unseen)
     others = sorted({publisher.node for publisher in present.publishers} - {*robot.graph.own_nodes})
     unseen = "" if present.settled else f"Discovery is under way: more may listen to {topic}, or publish on it."
-    return StoppedTopic(topic, zero["matched"], zero["acked"], others, unseen)
+    unreached = max(0, present.subscribers_of(zero["type"]) - zero["matched"])
+    return StoppedTopic(topic, zero["matched"], zero["acked"], others, unseen, unreached)
 
 
 async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
@@ -188,8 +190,6 @@ async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
     except RobotError as error:
         if not goal.was_sent:
             return None
-        if isinstance(error, NotFound):
-            robot.goal_ended(goal.id)
         return StoppedGoal(goal.action, goal.id, "UNKNOWN", False, error=str(error))
     confirmed = (is_unknown and result.status == STATUS[0]) or result.status_code in TERMINAL
     return StoppedGoal(goal.action, goal.id, result.status, confirmed, cancelled)
@@ -204,6 +204,8 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal]) -> lis
     for topic in topics:
         if topic.others:
             doubts.append(f"{', '.join(topic.others)} also publishes on {topic.topic_name}: the robot may still move.")
+        if topic.unreached:
+            doubts.append(f"{topic.unreached} subscriber(s) of {topic.topic_name} did not get the zero: stop again.")
         if topic.error:
             doubts.append(topic.error)
         elif topic.subscribers and topic.acknowledged is None:
@@ -238,7 +240,9 @@ def _facts(
     if others := [job for job in jobs if job.kind not in ("repeat", "relay")]:
         facts.append(f"Ended: {', '.join(f'{job.kind} {job.id}' for job in others)}.")
     facts += [
-        f"Nobody subscribes to {topic.topic_name} now." for topic in topics if not topic.subscribers and not topic.error
+        f"Nobody subscribes to {topic.topic_name} now."
+        for topic in topics
+        if not (topic.subscribers or topic.unreached or topic.error)
     ]
     if not (ended["repeats"] or ended["relays"] or ended["dropped"] or topics or goals or jobs):
         facts.append(

@@ -7,6 +7,7 @@ withdrawing it cancels the request. Here too is what we have driven, so that it 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import math
 from collections import Counter
@@ -34,6 +35,8 @@ MATCH_S = 0.2
 """Before a zero: the publisher is there already, as it drove. Only one whose endpoint had expired needs a moment."""
 ACKNOWLEDGED_S = 0.5
 """A reliable subscriber acknowledges a zero within milliseconds; what comes later is not confirmed."""
+_LOOK_S = 1.0
+"""For looking up who subscribes: the bridge knows it at once, unless discovery is still under way."""
 ZERO_S = 3.0
 """For the answer about zeros, beyond these two: a bridge that is alive has given it long before."""
 _AGAIN_S = 1.0
@@ -41,25 +44,39 @@ _AGAIN_S = 1.0
 _logger = logging.getLogger(__name__)
 
 
+@dataclass(eq=False, slots=True)
+class _Held:
+    """What keeps one fail-safe in force; `is_needed` is set by each command."""
+
+    qos: QoS
+    is_needed: asyncio.Event = field(default_factory=asyncio.Event)
+    task: asyncio.Task[None] | None = None
+
+
 @dataclass(eq=False, slots=True, kw_only=True)
 class Driven:
-    """A velocity topic that this server has driven, with its fail-safe.
+    """A velocity topic that this server has driven, with its fail-safes: one for each reliability and durability that
+    it was driven with, as a publisher of one does not reach every subscriber that one of the other does.
 
     `owner` is who commanded it last, `users` whose commands are under way on it and how many, `commands` counts all.
-    It is at rest once a zero has been acknowledged, or nobody listens any more, and nothing was commanded since;
+    It is at rest once every subscriber has acknowledged a zero, or there is none, and nothing was commanded since;
     `has_ended` if the last command on it ended with a zero of which that is not known.
     """
 
     topic: str
     type: str
-    qos: QoS
     owner: Principal
     commands: int = 0
     users: Counter[Principal] = field(default_factory=Counter[Principal])
     has_ended: bool = False
     is_at_rest: bool = False
-    is_needed: asyncio.Event = field(default_factory=asyncio.Event)
-    held: asyncio.Task[None] | None = None
+    held: dict[tuple[str, str], _Held] = field(default_factory=dict[tuple[str, str], _Held])
+
+    def close(self) -> None:
+        """Ends all that keeps its fail-safes in force."""
+        for held in self.held.values():
+            if held.task:
+                held.task.cancel()
 
 
 class Failsafes:
@@ -77,9 +94,10 @@ class Failsafes:
 
     def close(self) -> None:
         """Ends all that keeps them in force; safe to call twice. The bridge has carried them out, or is to."""
-        for task in [*(driven.held for driven in self.driven), *self._goals.values()]:
-            if task:
-                task.cancel()
+        for driven in self.driven:
+            driven.close()
+        for task in self._goals.values():
+            task.cancel()
         self._driven.clear()
         self._goals.clear()
 
@@ -130,12 +148,15 @@ class Failsafes:
             await self._make_room()
         driven = self._driven.get(key)
         if driven is None:
-            driven = self._driven[key] = Driven(topic=topic, type=type_name, qos=qos, owner=owner)
-            driven.held = asyncio.create_task(self._keep_driven(driven))
+            driven = self._driven[key] = Driven(topic=topic, type=type_name, owner=owner)
+        if (qos.reliability, qos.durability) not in driven.held:
+            held = driven.held[qos.reliability, qos.durability] = _Held(qos)
+            held.task = asyncio.create_task(self._keep_driven(driven, held))
         driven.owner, driven.is_at_rest, driven.has_ended = owner, False, False
         driven.commands += 1
         driven.users[owner] += 1
-        driven.is_needed.set()
+        for held in driven.held.values():
+            held.is_needed.set()
         await asyncio.sleep(0)  # the fail-safe's task writes first: the stream keeps the order
         try:
             yield driven
@@ -146,14 +167,26 @@ class Failsafes:
         """How many commands each topic has had: what `rest` is to be told, taken before zeros are asked for."""
         return {key: driven.commands for key, driven in self._driven.items()}
 
-    def rest(self, zeros: Sequence[StoppedTopic], before: Mapping[tuple[str, str], int]) -> None:
-        """Notes which topics are at rest: those whose zero has arrived, unless they were commanded since `before`."""
-        for zero in zeros:
+    async def rest(self, zeros: Sequence[StoppedTopic], before: Mapping[tuple[str, str], int]) -> None:
+        """Notes which topics are at rest: those whose zero has arrived at every subscriber in the graph, unless they
+        were commanded since `before`.
+        """
+        arrived = await asyncio.gather(*(self._has_arrived(zero) for zero in zeros))
+        for zero in itertools.compress(zeros, arrived):
             key = zero["topic"], zero["type"]
             driven = self._driven.get(key)
-            arrived = zero["acked"] or not zero["matched"]
-            if driven and arrived and not driven.users and driven.commands == before.get(key):
+            if driven and not driven.users and driven.commands == before.get(key):
                 driven.is_at_rest = True
+
+    async def _has_arrived(self, zero: StoppedTopic) -> bool:
+        """Whether every subscriber in the graph is known to have got this zero; true where there is none."""
+        if zero["matched"] and not zero["acked"]:
+            return False
+        try:
+            present = await self._graph.endpoints(zero["topic"], _LOOK_S)
+        except RobotError:
+            return False
+        return present.settled and zero["matched"] >= present.subscribers_of(zero["type"])
 
     async def zero(self, topics: Collection[str]) -> Sequence[StoppedTopic]:
         """Publishes the zero on some of these topics, and says what became of each. Raises as `Graph.ask`."""
@@ -166,7 +199,7 @@ class Failsafes:
             wait_ack_s=ACKNOWLEDGED_S,
             timeout_s=MATCH_S + ACKNOWLEDGED_S + ZERO_S,
         )
-        self.rest(reply["topics"], before)
+        await self.rest(reply["topics"], before)
         return reply["topics"]
 
     async def _make_room(self) -> None:
@@ -177,8 +210,7 @@ class Failsafes:
             ended = {driven.topic for driven in self.driven if driven.has_ended and not driven.users}
             if at_rest:
                 del self._driven[at_rest.topic, at_rest.type]
-                if at_rest.held:
-                    at_rest.held.cancel()
+                at_rest.close()
             elif ended and not has_asked:
                 has_asked = True
                 await self.zero(ended)
@@ -189,19 +221,19 @@ class Failsafes:
                     "ros2_stop stops them all, and those whose stop is confirmed make room.",
                 )
 
-    async def _keep_driven(self, driven: Driven) -> None:
-        """Keeps the fail-safe in force, in one bridge after the other. What a lost bridge left moving, its successor
+    async def _keep_driven(self, driven: Driven, held: _Held) -> None:
+        """Keeps a fail-safe in force, in one bridge after the other. What a lost bridge left moving, its successor
         stops at once.
         """
         after_a_loss = False
         while True:
-            driven.is_needed.clear()
+            held.is_needed.clear()
             try:
                 await self._graph.ask(
                     "failsafe_publish",
                     topic=driven.topic,
                     type=driven.type,
-                    qos=driven.qos.request(),
+                    qos=held.qos.request(),
                     frame=self._graph.frame_id_of(driven.topic),
                     now=after_a_loss and not driven.is_at_rest,
                     timeout_s=NO_END_S,
@@ -214,9 +246,9 @@ class Failsafes:
                 _logger.warning("the fail-safe of %s is not in force: %s", driven.topic, error)
                 after_a_loss = after_a_loss or not was_refused(error)
                 with anyio.move_on_after(math.inf if was_refused(error) else _AGAIN_S):
-                    await driven.is_needed.wait()  # until the topic is commanded once more
+                    await held.is_needed.wait()  # until the topic is commanded once more
             else:
-                await driven.is_needed.wait()
+                await held.is_needed.wait()
 
     # ── goals ──────────────────────────────────────────────────────────────────────────────────────────────────
 

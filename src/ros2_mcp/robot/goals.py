@@ -129,8 +129,9 @@ async def send(core: Core, command: SendGoal) -> Answer:
         await asyncio.sleep(0)  # the fail-safe's task writes first: the stream keeps the order
         answer = await call(core, command)
     except (NotFound, Stopped) as error:
-        goal.was_sent = not was_refused(error)
-        ended(core, command.goal_id)
+        if was_refused(error):  # any other was sent, and may run: its server was out of sight for a while
+            goal.was_sent = False
+            ended(core, command.goal_id)
         raise
     response: Any = core.values.codec.decode(answer.type, answer.body)
     goal.is_accepted = response.accepted

@@ -129,7 +129,7 @@ class Robot(Core):
             wait_ack_s=ACKNOWLEDGED_S,
             timeout_s=MATCH_S + ACKNOWLEDGED_S + ZERO_S,
         )
-        self.failsafes.rest(reply["topics"], before)
+        await self.failsafes.rest(reply["topics"], before)
         return reply
 
     async def zero(self, topics: Sequence[str]) -> Sequence[StoppedTopic]:

@@ -158,7 +158,9 @@ def busy_stop(server: RawServer, field, robot) -> float:
     assert (result["confirmed"], result["repeats_stopped"]) == (False, 1)
     assert result["unknown_services"] == [f"{robot.name('slow')} (test_msgs/srv/BasicTypes)"]
     assert result["note"].startswith("Since its start this server has called 1 service(s), of which")
-    topic = {"topic_name": field.name("cmd_vel"), "subscribers": 1, "acknowledged": True, "others": [], "error": ""}
+    topic = {"topic_name": field.name("cmd_vel"), "subscribers": 1, "acknowledged": True, "others": [], "error": ""} | {
+        "unreached": 0
+    }
     assert result["topics"] == [topic]
     assert [(g["action_name"], g["status"], g["confirmed"]) for g in result["goals"]] == [
         (field.name("count"), "CANCELED", True)

@@ -65,6 +65,21 @@ def test_a_bridge_that_is_killed_leaves_nobody_without_a_zero(server, observer) 
     assert unstopped == [], f"{len(unstopped)} of {DEATHS} deaths"
 
 
+def test_a_driver_that_joined_later_and_asks_for_more_gets_a_zero_when_the_bridge_dies(start_server, observer) -> None:
+    """The topic is driven with two kinds of publishers: the first one never matches who is reliable."""
+    server, topic = start_server(), fresh("joined")
+    message = {"topic_name": topic, "message_type": TWIST, "data": speed(TWIST, MOVING)}
+    observer.join(by=f"{topic} lossy", topic=topic, kind=TWIST, best_effort=True)
+    server.knows(topic, 1)
+    server.do("ros2_topic_publish", **message)
+    observer.join(by=f"{topic} reliable", topic=topic, kind=TWIST, apart=True)
+    server.knows(topic, 2)
+    server.do("ros2_topic_publish", **message)
+    until(lambda: observer.driven(topic=topic)[f"{topic} reliable"])
+    os.kill(server.bridge(), signal.SIGKILL)
+    assert observer.comes_to_rest(topic, SUCCESSOR_S) == []
+
+
 def played(server, observer) -> str:
     """A topic onto which a bag was played to its end: the robot goes on with its last command."""
     topic = fresh("played")

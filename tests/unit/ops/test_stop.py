@@ -24,6 +24,15 @@ ENDED = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
             "Whether the zero on /cmd_vel arrived is not known: nobody acknowledges there.",
         ),
         (StoppedTopic("/cmd_vel", 0, False, error="/cmd_vel got no zero."), "/cmd_vel got no zero."),
+        (StoppedTopic("/cmd_vell", 0, False), ""),
+        (
+            StoppedTopic("/cmd_vel", 0, None, unreached=2),
+            "2 subscriber(s) of /cmd_vel did not get the zero: stop again.",
+        ),
+        (
+            StoppedTopic("/cmd_vel", 1, True, unreached=1),
+            "1 subscriber(s) of /cmd_vel did not get the zero: stop again.",
+        ),
     ],
 )
 def test_a_topic_is_still_only_if_everybody_who_listens_has_said_that_the_zero_arrived(
@@ -34,6 +43,7 @@ def test_a_topic_is_still_only_if_everybody_who_listens_has_said_that_the_zero_a
 
 def test_that_nobody_listens_is_said() -> None:
     assert _facts(ENDED, [StoppedTopic("/cmd_vell", 0, None)], [], {}) == ["Nobody subscribes to /cmd_vell now."]
+    assert _facts(ENDED, [StoppedTopic("/cmd_vel", 0, None, unreached=1)], [], {}) == []
 
 
 def test_what_cannot_be_stopped_is_named_up_to_a_bound() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator
+from dataclasses import asdict
 from typing import Any, cast
 
 import anyio
@@ -11,7 +12,8 @@ import pytest
 
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.commands import LOCAL, CancelGoals, Command, Principal, Publish, Record, Repeat
-from ros2_mcp.model.errors import BadValue, Refused, Stopped
+from ros2_mcp.model.errors import BadValue, NotFound, Refused, Stopped
+from ros2_mcp.model.qos import Choice, QoS
 from ros2_mcp.ops.stop import stop
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
@@ -102,6 +104,53 @@ async def test_a_goal_that_was_never_sent_is_none_of_ours(robot: Robot, bridge: 
         await robot.do(goal())
     [dropped] = robot.jobs.all(Goal)
     assert not dropped.is_running and not dropped.was_sent
+
+
+async def test_a_goal_that_was_sent_is_known_although_its_server_went_out_of_sight(
+    robot: Robot, bridge: Noting
+) -> None:
+    bridge.refuse["call"] = "server_gone"
+    with pytest.raises(NotFound):
+        await robot.do(goal())
+    [known] = robot.jobs.running(Goal)
+    assert known.was_sent
+    for _ in range(2):  # its server cannot be asked: it is neither forgotten, nor without its fail-safe
+        stopped = await stop(robot)
+        assert not stopped.confirmed and [one.confirmed for one in stopped.goals] == [False]
+    assert robot.jobs.running(Goal) == [known]
+    bridge.sent.clear()
+    robot.failsafes.leave_cancel(known.id, "/go")
+    await asyncio.sleep(0.01)
+    assert bridge.sent == []  # it is still in force
+    robot.goal_ended(known.id)
+
+
+async def test_each_quality_of_service_that_drove_a_topic_has_a_fail_safe(robot: Robot, bridge: Noting) -> None:
+    driven = [("best_effort", "volatile"), ("reliable", "volatile"), ("reliable", "transient_local")]
+    for kind in [*driven, *driven]:
+        await robot.do(publish(choice=Choice(QoS(*kind), "as chosen")))
+    kept = [(one["qos"]["reliability"], one["qos"]["durability"]) for one in bridge.failsafes]
+    assert kept == driven
+    assert len(robot.failsafes.driven) == 1
+
+
+@pytest.mark.parametrize("matched", [0, 1])
+async def test_a_subscriber_in_the_graph_that_was_not_matched_is_not_stopped(
+    robot: Robot, bridge: Noting, matched: int
+) -> None:
+    await robot.do(publish())
+    qos = asdict(QoS())
+    bridge.subscribers = [
+        {"node": name, "namespace": "/", "type": kind, "hash": "", "gid": name, "qos": qos}
+        for name, kind in (("base", TWIST), ("arm", TWIST), ("odd", STAMPED))
+    ]
+    bridge.zeros = [{"topic": "/cmd_vel", "type": TWIST, "matched": matched, "acked": True if matched else None}]
+    stopped = await stop(robot)
+    assert (stopped.confirmed, stopped.topics[0].unreached) == (False, 2 - matched)
+    assert "did not get the zero" in stopped.note and "Nobody" not in stopped.note
+    assert robot.moves_for(LOCAL)
+    bridge.zeros[0] |= {"matched": 2, "acked": True}
+    assert (await stop(robot)).confirmed and not robot.moves_for(LOCAL)
 
 
 # ── what is driven ─────────────────────────────────────────────────────────────────────────────────────────────────
