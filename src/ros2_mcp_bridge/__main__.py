@@ -41,6 +41,8 @@ ROS_IS_UP_WITHIN_S = 30.0
 ROS_HANGS_AFTER_S = 0.05
 # What acts in any case, so that it cannot be asked for without an epoch; a call may only read.
 ACTING = frozenset({"publish", "repeat", "relay", "relay_feed"})
+# What ends something, and answers for nothing that only begins.
+ENDING = frozenset({"cancel", "zero", "repeat_stop", "relay_stop"})
 # What waits to be written at the end is little, and perhaps nobody reads any more. Chosen.
 LAST_WORDS_S = 0.2
 
@@ -173,11 +175,15 @@ class Bridge:
             self._stops.raise_to(request.number("epoch", 0.0 if request.op == "ping" else None))
         elif request.op in ACTING or request.has("epoch"):
             request.acceptance = self._stops.accept(request.number("epoch"))
+            if not request.acceptance.overtaken_by():
+                self._stops.coming[request] = None
         if request.op == "ping":
             self._outbox.reply(request.id, self._ping(request))
         elif request.op == "stop" and self._operations is not None:
             self._do_first(self._operations.send_zeros, partial(self._operations.start, request))
         else:
+            if request.op in ENDING and self._operations is not None:
+                self._loop.submit(partial(self._operations.end_at_once, request))
             self._accepted.put(request)
 
     def _prepare(self, accepted: queue.SimpleQueue[Request]) -> None:
@@ -187,6 +193,7 @@ class Bridge:
             try:
                 self._submit(request)
             except Exception as error:  # noqa: BLE001 - whatever it is, it answers this request
+                self._stops.coming.pop(request, None)
                 self._outbox.reply_error(request.id, error)
 
     def _submit(self, request: Request) -> None:

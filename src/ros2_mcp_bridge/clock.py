@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 CLOCK = "/clock"
+CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 # As rclcpp and rclpy subscribe to it: only the newest counts.
 CLOCK_QOS = {"reliability": "best_effort", "durability": "volatile", "history": "keep_last", "depth": 1}
 # Who listens to a topic is looked up anew after this time, and at once when their number changes. Chosen: two lists of
@@ -49,7 +50,7 @@ class RobotClock:
     def follow(self) -> None:
         """Subscribe to the simulated time, if that was not done before; a while before the first stamp is needed."""
         if self._raw is None:
-            self._interface = interfaces.load("rosgraph_msgs/msg/Clock")
+            self._interface = interfaces.load(CLOCK_TYPE)
             self._raw = rcl.subscription(self._node, self._interface, CLOCK, qos.profile(CLOCK_QOS))
 
     def now_ns(self, topic: str, matched: Callable[[], int]) -> int:

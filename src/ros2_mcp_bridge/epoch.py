@@ -13,11 +13,12 @@ if TYPE_CHECKING:
 
 
 class Overtaken(Protocol):
-    """A request that was held back: what it is, and its arguments."""
+    """A request that a stop may keep back: what it is, when it was accepted, and its arguments."""
 
     op: str
+    acceptance: Acceptance | None
 
-    def text(self, name: str) -> str:
+    def text(self, name: str, default: str | None = None) -> str:
         """One of its arguments."""
         ...
 
@@ -25,18 +26,28 @@ class Overtaken(Protocol):
 class StopEpoch:
     """The newest epoch that was heard of, and how often the link lease has lapsed; only the reading thread changes it.
 
-    `overtaken` are the requests that an exit has held back because of a stop: the stop itself, which comes to the ROS
-    thread a little later, takes them over.
+    `coming` are the acting requests that were accepted and have not come to the ROS thread. `overtaken` are those that
+    were held back because of a stop: the stop itself, which comes to the ROS thread a little later, takes both over.
     """
 
     def __init__(self) -> None:
         self.epoch = 0.0
         self.lapses = 0
+        self.coming: dict[Overtaken, None] = {}
         self.overtaken: list[Overtaken] = []
 
     def raise_to(self, epoch: float) -> None:
         """Stops that arrive late change nothing: the highest counts."""
         self.epoch = max(self.epoch, epoch)
+
+    def take_overtaken(self) -> list[Overtaken]:
+        """Those that a stop has kept from leaving before they were open; a second stop does not hear of them again."""
+        overtaken, self.overtaken = self.overtaken, []
+        for request in list(self.coming):
+            if request.acceptance and request.acceptance.overtaken_by() == "stop":
+                del self.coming[request]
+                overtaken.append(request)
+        return overtaken
 
     def lapse(self) -> None:
         """The link lease has lapsed, or the stream has ended."""

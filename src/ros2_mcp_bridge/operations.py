@@ -7,24 +7,26 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from . import shared_memory
+from . import interfaces, shared_memory
 from .clients import Clients
-from .clock import RobotClock
-from .epoch import StopEpoch
+from .clock import CLOCK_TYPE, RobotClock
+from .epoch import Overtaken, StopEpoch
 from .failsafes import FailSafes
 from .graph import Graph
 from .loop import Loop, log_failure
 from .protocol import Empty, RelayStopReply, ServicesReply, StatsReply, StopReply, ZeroReply
 from .publishers import Publisher, Publishers
 from .relay import Relay, Relays
-from .request import Answer, OperationError, Request, Steps
+from .request import Answer, Cancelled, OperationError, Request, Steps
 from .stream import Outbox
 from .subscriptions import Subscriptions
-from .velocities import Velocities
+from .velocities import Velocities, VelocityTopic
+from .velocity import VELOCITY_TYPES
 
 if TYPE_CHECKING:
     from rclpy.executors import Executor
@@ -96,17 +98,26 @@ class Operations:
                 "stats": self._stats,
             }
         )
+        for type_name in (*VELOCITY_TYPES, CLOCK_TYPE):
+            with suppress(OperationError):  # a robot need not have all of them
+                interfaces.load(
+                    type_name
+                )  # before anything is commanded: no command and no stop waits for these imports
         for steps in (self._graph.settle(), self._expire(), self._leave_when_shared_memory_is_lost()):
             loop.start(steps, log_failure)
 
     def start(self, request: Request) -> None:
         """Begin to work on a request; it is answered when that is done."""
+        was_coming = request in self._stops.coming
+        self._stops.coming.pop(request, None)
         try:
             if request.op not in self._table:
                 raise OperationError("bad_request", f"There is no operation {request.op!r}.")
             request.check_accepted()
             result = self._table[request.op](request)
         except Exception as error:  # noqa: BLE001 - whatever it is, it answers this request
+            if was_coming and isinstance(error, Cancelled) and error.ended_by == "stop":
+                self._stops.overtaken.append(request)
             self._finish(request, None, error)
             return
         if isinstance(result, Generator):
@@ -163,23 +174,43 @@ class Operations:
 
     def _stop(self, request: Request) -> Steps[StopReply]:
         """End all that was accepted before and has not left, then zeros on every topic that is driven."""
-        overtaken, self._stops.overtaken = self._stops.overtaken, []
+        overtaken = self._stops.take_overtaken()
         ended = list(dict.fromkeys([*overtaken, *(acting for acting in self._acting() if acting.end("stop"))]))
+        return self._stop_topics(request, ended)
+
+    def _stop_topics(self, request: Request, ended: list[Overtaken]) -> Steps[StopReply]:
         ops = [found.op for found in ended]
         wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
         topics = yield from self._velocities.stop(self._velocities.driven(), wait_match_s, wait_ack_s)
         return {
             "repeats": ops.count("repeat"),
             "relays": ops.count("relay"),
-            "dropped": [(found.op, found.text(LEAVING[found.op])) for found in ended if found.op in LEAVING],
+            "dropped": [
+                (found.op, found.text(LEAVING[found.op], default="?")) for found in ended if found.op in LEAVING
+            ],
             "topics": topics,
         }
 
     def _zero(self, request: Request) -> Steps[ZeroReply]:
         """Zeros on some of the topics that are driven."""
-        chosen = [topic for topic in self._velocities.driven() if topic.name in request.texts("topics")]
+        chosen = self._chosen(request)
         wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
         return {"topics": (yield from self._velocities.stop(chosen, wait_match_s, wait_ack_s))}
+
+    def _chosen(self, request: Request) -> list[VelocityTopic]:
+        return [topic for topic in self._velocities.driven() if topic.name in request.texts("topics")]
+
+    def end_at_once(self, request: Request) -> None:
+        """What ends something does not wait for the imports of others; it is done again, and answered, in its turn.
+
+        Then it also ends what was accepted before it and comes only now.
+        """
+        with suppress(OperationError):  # that is answered in its turn
+            if request.op == "zero":
+                for topic in self._chosen(request):
+                    topic.send_zero()
+            else:
+                self._table[request.op](request)
 
     def _repeat_stop(self, request: Request) -> Empty:
         """End one repeat by its name."""
@@ -193,7 +224,8 @@ class Operations:
         """End one relay by its name."""
         name = request.text("name")
         relays = [found for found in self._requests.values() if found.op == "relay" and found.text("name") == name]
-        return {"relays": sum(relay.end("cancel") for relay in relays)}
+        request.ended += sum(relay.end("cancel") for relay in relays)
+        return {"relays": request.ended}
 
     def _stats(self, _request: Request) -> StatsReply:
         return {

@@ -14,6 +14,7 @@ from .pool import Pool
 from .protocol import PublishReply, RepeatReply
 from .request import Cancelled, OperationError, Request, Steps
 from .velocities import Outgoing, Raw, Velocities
+from .velocity import VELOCITY_TYPES
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -47,20 +48,20 @@ class Publisher:
         self._graph = graph
         self._velocities = velocities
         self._topic, self._type = request.text("topic"), request.text("type")
-        self.velocity = velocities.topic(request)
         # Fast DDS asks for acknowledgement at once (5 ms) only when its history is full, else every 3 s. A depth of 1
         # is always full. Nobody can tell the difference but late joiners of a transient-local topic.
         is_volatile = request.qos().get("durability") != "transient_local"
         max_depth = max_depth or (1 if is_volatile else MAX_LATCHED_DEPTH)
         wanted = request.qos()
         if (
-            self.velocity is not None
+            self._type in VELOCITY_TYPES
         ):  # whoever comes late, or was held up, gets the newest command: after a stop, the zero
             wanted, max_depth = {**wanted, "history": "keep_last"}, 1
         self._profile = qos.profile(wanted, max_depth=max_depth)
         self.is_busy = False
         self._accepted: tuple[int, int] | None = None
         self._raw = rcl.publisher(node, request.interface, self._topic, self._profile)
+        self.velocity = velocities.topic(request)  # not before: nothing is kept of a publisher that could not be made
         if self.velocity is not None:
             self.velocity.publishers[self] = None
 

@@ -66,6 +66,7 @@ class Request:
 
     `interface` is the Python class of the argument `type`, where there is one; `task` is what works on the request, as
     long as it can be cancelled. One that acts has an `acceptance`; `has_left` as soon as something of it was sent.
+    `ended` is how many others it has ended.
     """
 
     def __init__(self, header: Mapping[str, Any], body: bytes) -> None:
@@ -74,6 +75,7 @@ class Request:
         self.body = body
         self.acceptance: Acceptance | None = None
         self.has_left = False
+        self.ended = 0
         self.interface: Any = None
         self.task: Work | None = None
         self._header = header

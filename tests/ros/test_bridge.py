@@ -321,6 +321,8 @@ def test_nothing_follows_the_zero_of_a_relay_that_is_being_fed(bridge: Client, p
         while heard[-1] != f"{-float(number)}":
             heard.append(line(listener))
         go = f"{float(number)}"
+        own = heard[heard.index(go) :] if go in heard else heard[-1:]  # before it, the zeros of the round before
+        assert set(own) <= {go, "0.0", f"{-float(number)}"}
         assert go not in heard[heard.index("0.0") :] if "0.0" in heard else go not in heard
         return took
 
@@ -353,6 +355,8 @@ def test_a_fail_safe_that_is_withdrawn_is_answered_and_not_carried_out(bridge: C
     command(bridge, 2)
     bridge.ok("cancel", request=failsafe)
     assert bridge.answer(failsafe)[0]["ok"] == {"cancelled": True}
+    refused = bridge.error("publish", cdr(TWIST, 3), topic="/driven", type=TWIST, qos=RELIABLE, epoch=0)
+    assert refused["kind"] == "bad_request" and "no fail-safe is in force" in refused["message"]
     assert [line(listener), line(listener)] == ["1.0", "2.0"]
     bridge.close()
     listener.terminate()

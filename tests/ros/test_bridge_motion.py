@@ -127,6 +127,18 @@ def test_nothing_that_was_accepted_before_a_stop_leaves_after_its_answer(begin, 
         observer.leave(by=later)
 
 
+def test_what_waits_behind_an_import_when_a_stop_comes_is_named_once(begin, topic: str) -> None:
+    """Sent in one piece: the publish has not come to the ROS thread when the stop is read."""
+    bridge = begin()
+    drive(bridge, topic)
+    publishing = [
+        bridge.send("publish", cdr(TWIST, 0.5), **command(f"{topic}_{n}", wait_match_s=3600)) for n in range(20)
+    ]
+    told = bridge.ok("stop", epoch=1)
+    assert [bridge.answer(one)[0]["error"]["kind"] for one in publishing].count("stopped") == len(told["dropped"])
+    assert bridge.ok("stop", epoch=2)["dropped"] == []
+
+
 def test_a_call_that_was_sent_stays_open_for_its_answer(begin, observer: Observer, topic: str) -> None:
     bridge = begin()
     observer.serve(service=topic, kind=SET_BOOL, delay_s=0.5)

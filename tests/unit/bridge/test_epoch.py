@@ -77,3 +77,15 @@ def test_a_request_that_ends_already_is_no_work_for_the_stop() -> None:
     with pytest.raises(Cancelled):
         ending.leave()
     assert stops.overtaken == []
+
+
+def test_a_stop_learns_once_of_what_was_accepted_before_it_and_comes_only_then() -> None:
+    stops = StopEpoch()
+    before = accepted(stops, 0)
+    stops.coming[before] = None
+    stops.raise_to(1)
+    after = accepted(stops, 1)
+    stops.coming[after] = None
+    assert stops.take_overtaken() == [before]
+    assert stops.take_overtaken() == []
+    assert list(stops.coming) == [after]

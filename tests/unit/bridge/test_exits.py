@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from ros2_mcp_bridge import interfaces
 from ros2_mcp_bridge.__main__ import ROS_HANGS_AFTER_S, Bridge
 from ros2_mcp_bridge.packets import pack
 
@@ -92,4 +93,28 @@ def test_a_ros_thread_that_hangs_keeps_no_robot_moving(said: dict[str, Any], don
     assert came.wait(PATIENCE_S)
     assert [what for what, _ in heard] == [done]
     assert heard[0][1] - begun >= ROS_HANGS_AFTER_S
+    del answers
+
+
+def test_what_ends_something_does_not_wait_for_the_imports_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    (incoming, server), (answers, outgoing) = os.pipe(), os.pipe()
+    bridge = Bridge(incoming, outgoing)
+    loaded, ended, begun = threading.Event(), threading.Event(), list[str]()
+    monkeypatch.setattr(interfaces, "load", lambda _: loaded.wait(PATIENCE_S))
+    bridge._operations = SimpleNamespace(  # type: ignore[assignment]
+        start=lambda request: begun.append(request.op), end_at_once=lambda _: ended.set()
+    )
+    bridge._ros_is_up.set()
+    turning = threading.Thread(target=bridge._loop.run, args=(Rounds(),), daemon=True)
+    turning.start()
+    os.write(server, pack({"id": 1, "op": "subscribe", "type": "a/msg/B"}) + pack({"id": 2, "op": "cancel"}))
+    assert ended.wait(PATIENCE_S)
+    assert begun == []
+    loaded.set()
+    deadline = time.monotonic() + PATIENCE_S
+    while begun != ["subscribe", "cancel"]:  # in its turn, once more
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    bridge._loop.end()
+    turning.join(PATIENCE_S)
     del answers

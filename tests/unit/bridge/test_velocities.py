@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from ros2_mcp_bridge import clock, velocities
+from ros2_mcp_bridge import clock, publishers, velocities
 from ros2_mcp_bridge.request import Request
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -112,3 +112,15 @@ def test_a_broken_message_on_the_clock_is_skipped(monkeypatch: pytest.MonkeyPatc
     robots.follow()
     assert robots.now_ns("/a", lambda: 1) == 7_000_000_005
     assert waiting == []
+
+
+def test_nothing_is_kept_of_a_publisher_that_could_not_be_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise RuntimeError("the middleware refuses it")
+
+    monkeypatch.setattr(publishers, "rcl", SimpleNamespace(publisher=fails))
+    everything = velocities.Velocities(SimpleNamespace(forget=lambda _: None), print)  # type: ignore[arg-type]
+    request = Request({"id": 1, "op": "publish", "topic": "/a", "type": TWIST, "qos": {}}, b"")
+    with pytest.raises(RuntimeError):
+        publishers.Publisher(node=object(), graph=object(), velocities=everything, request=request)  # type: ignore[arg-type]
+    assert everything._topics == {}
