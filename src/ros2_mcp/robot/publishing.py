@@ -44,6 +44,7 @@ async def repeat(core: Core, command: Repeat) -> Sent:
     """One message at a rate for a time, with a zero at the end of what moves."""
     body = await core.values.encode(command.type, command.value)
     async with _sending(core, command, command.choice.qos) as driven:
+        number = driven.commands if driven else 0
         answer = await core.act(
             "repeat",
             body,
@@ -55,8 +56,7 @@ async def repeat(core: Core, command: Repeat) -> Sent:
             **_destination(command, command.choice.qos),
         )
         reply = cast("protocol.RepeatReply", answer.ok)
-        if driven:
-            driven.has_ended = reply["final_sent"]
+        _note_end(driven, number, reply["final_sent"])
     return Sent(
         topic=command.name,
         type=command.type,
@@ -78,6 +78,7 @@ async def relay(core: Core, command: Relay | Play) -> RelayCounts:
         arguments = {"source": command.source, "duration_s": command.duration_s or 0.0}
         arguments |= {"rate_hz": command.rate_hz} if command.rate_hz else {}
     async with _sending(core, command, command.qos) as driven:
+        number = driven.commands if driven else 0
         answer = await core.act(
             "relay",
             timeout_s=NO_END_S,
@@ -87,8 +88,7 @@ async def relay(core: Core, command: Relay | Play) -> RelayCounts:
             **arguments,
         )
         counts = RelayCounts(**answer.ok)
-        if driven:
-            driven.has_ended = counts.final_sent
+        _note_end(driven, number, counts.final_sent)
     return counts
 
 
@@ -118,6 +118,12 @@ async def _sending(
         core.graph.note_frame_id(command.name, frame_id)
     async with core.failsafes.driving(command.name, command.type, qos, command.principal) as driven:
         yield driven
+
+
+def _note_end(driven: Driven | None, number: int, has_final: bool) -> None:
+    """Notes that a topic got its final zero, unless a later command than that of this number moves it."""
+    if driven and driven.commands == number:
+        driven.has_ended = has_final
 
 
 def _destination(command: Command[Any], qos: QoS) -> dict[str, Any]:

@@ -205,6 +205,19 @@ async def test_a_topic_that_was_commanded_again_is_not_at_rest(robot: Robot, bri
     assert robot.moves_for(LOCAL)
 
 
+async def test_a_repeat_that_is_answered_late_does_not_end_what_was_commanded_since(
+    robot: Robot, bridge: Noting
+) -> None:
+    bridge.may_answer.clear()
+    repeating = asyncio.ensure_future(robot.do(Repeat(**on("/cmd_vel", value={}, choice=CHOICE, wait_match_s=0.0))))
+    await soon(lambda: "repeat" in bridge.sent)
+    moving = asyncio.ensure_future(robot.do(publish()))
+    await soon(lambda: "publish" in bridge.sent)
+    bridge.may_answer.set()
+    await asyncio.gather(repeating, moving)
+    assert robot.moves_for(LOCAL)
+
+
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), 1e400, "nan", "inf", "-inf"])
 @pytest.mark.parametrize("kind", [TWIST, STAMPED])
 async def test_a_velocity_that_is_not_finite_is_refused_and_named(
