@@ -21,7 +21,7 @@ ENDED = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
         (StoppedTopic("/cmd_vel", 1, False), "Not every subscriber of /cmd_vel has acknowledged the zero."),
         (
             StoppedTopic("/cmd_vel", 2, None),
-            "Whether the zero on /cmd_vel arrived is not known: nobody acknowledges there.",
+            "Whether the zero on /cmd_vel arrived is not known: not every subscriber acknowledges.",
         ),
         (StoppedTopic("/cmd_vel", 0, False, error="/cmd_vel got no zero."), "/cmd_vel got no zero."),
         (StoppedTopic("/cmd_vell", 0, False), ""),
