@@ -209,7 +209,8 @@ def _doubts(topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal]) -> lis
         if topic.error:
             doubts.append(topic.error)
         elif topic.subscribers and topic.acknowledged is None:
-            doubts.append(f"Whether the zero on {topic.topic_name} arrived is not known: not every subscriber acknowledges.")
+            unknown = f"Whether the zero on {topic.topic_name} arrived is not known"
+            doubts.append(f"{unknown}: not every subscriber acknowledges.")
         elif topic.subscribers and not topic.acknowledged:
             doubts.append(f"Not every subscriber of {topic.topic_name} has acknowledged the zero.")
     doubts += [goal.error for goal in goals if goal.error]
