@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sqlite3
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Mapping
 from contextlib import closing
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, TypeAlias
 
 import zstandard
 
@@ -22,6 +22,10 @@ from ros2_mcp.model.times import iso_time
 
 _BUSY_S = 1.0
 """How long to wait for a recorder that writes to the file; its transactions take milliseconds."""
+_Row: TypeAlias = "tuple[tuple[int, int], tuple[str, Sample] | None]"
+"""The place of a row (its time and number), and its message; None if it is not asked for or cannot be unpacked."""
+_NOWHERE = (-1, 0)
+"""The place of no row."""
 
 
 class SqliteFile:
@@ -38,7 +42,7 @@ class SqliteFile:
         self.path = path
         self.problems: list[str] = []
         self.unfinished: list[str] = []
-        self.holes: list[Hole] = []
+        self._holes: dict[Hole, None] = {}  # in the order they were found, each once however often it is read
         self._compressed = compression == "message"
         self._whole = _decompressed(path) if compression == "file" else None
         try:
@@ -50,7 +54,12 @@ class SqliteFile:
         except sqlite3.Error as error:
             raise BadData(f"{path.name} cannot be read: {error}.") from error
         self.times: tuple[int, int] | None = (int(rows[0][0]), int(rows[1][0])) if rows[0] and rows[1] else None
-        self._unchecked: Iterator[object] | None = None
+        self._checked_ns = 0
+
+    @property
+    def holes(self) -> list[Hole]:
+        """The times of messages that are lost, as far as it is known yet."""
+        return list(self._holes)
 
     @property
     def count(self) -> int | None:
@@ -70,61 +79,92 @@ class SqliteFile:
             return {}
         return {self._names[number]: int(count) for number, count in rows if number in self._names}
 
-    def messages(self, span: Span, newest_first: bool = False) -> Iterator[tuple[str, Sample]]:
-        """Topic and message in the order of time; what cannot be read is left out, and noted as a hole."""
-        numbers = [number for number, name in self._names.items() if span.topics is None or name in span.topics]
-        start_ns, end_ns = span.start_ns, min(span.end_ns, FOREVER)
+    def messages(self, span: Span, newest_first: bool = False) -> Generator[tuple[str, Sample], None, None]:
+        """Topic and message in the order of time; what cannot be read is left out, and noted as a hole.
+
+        The messages of other topics are passed by one by one, not by the query: a hole is between the messages of the
+        file that can be read around it, whichever topics are asked for.
+        """
+        numbers = {number for number, name in self._names.items() if span.topics is None or name in span.topics}
+        start_ns, end_ns, past = span.start_ns, min(span.end_ns, FOREVER), _NOWHERE
         while numbers:
-            reached_ns: int | None = None
             try:
-                for at_ns, message in self._rows(numbers, start_ns, end_ns, newest_first):
-                    reached_ns = at_ns
+                for place, message in self._rows(numbers, start_ns, end_ns, newest_first, past):
+                    past = place
+                    start_ns, end_ns = (start_ns, past[0] + 1) if newest_first else (past[0], end_ns)
                     if message:
                         yield message
                 return
             except sqlite3.Error as error:
+                # `sqlite3` reads a row ahead and drops the one before the damage: that one is asked for by itself.
+                if before := self._next_row(numbers, start_ns, end_ns, newest_first, past):
+                    past, message = before
+                    start_ns, end_ns = (start_ns, past[0] + 1) if newest_first else (past[0], end_ns)
+                    if message:
+                        yield message
+                    continue
+                following_ns = self._beyond(numbers, start_ns, end_ns, newest_first)
                 if newest_first:
-                    end_ns = end_ns if reached_ns is None else reached_ns
-                    following_ns = self._beyond(numbers, start_ns, end_ns, newest_first)
-                    hole_ns = start_ns if following_ns is None else following_ns, end_ns
+                    hole_ns = start_ns if following_ns is None else following_ns, end_ns - (past != _NOWHERE)
                     end_ns = hole_ns[0] + 1
                 else:
-                    start_ns = start_ns if reached_ns is None else reached_ns
-                    following_ns = self._beyond(numbers, start_ns, end_ns, newest_first)
                     hole_ns = start_ns, end_ns if following_ns is None else following_ns
                     start_ns = hole_ns[1]
+                past = _NOWHERE
                 self._note_hole(Hole(*self._within(*hole_ns)), str(error))
                 if following_ns is None:
                     return
 
     def _rows(
-        self, numbers: Sequence[int], start_ns: int, end_ns: int, newest_first: bool
-    ) -> Iterator[tuple[int, tuple[str, Sample] | None]]:
-        """Time and message of each row; None where its data cannot be unpacked."""
-        order = "DESC" if newest_first else "ASC"
+        self,
+        numbers: Collection[int],
+        start_ns: int,
+        end_ns: int,
+        newest_first: bool,
+        past: tuple[int, int] = _NOWHERE,
+        most: int = -1,
+    ) -> Generator[_Row, None, None]:
+        """Each row of the file in that time and beyond the place `past`; only the data of those topics is read."""
+        order, beyond = ("DESC", "<") if newest_first else ("ASC", ">")
         statement = (
-            "SELECT topic_id, timestamp, data FROM messages WHERE timestamp >= ? AND timestamp < ? "
-            f"AND topic_id IN ({','.join('?' * len(numbers))}) ORDER BY timestamp {order}, id {order}"
+            f"SELECT id, topic_id, timestamp, CASE WHEN topic_id IN ({','.join('?' * len(numbers))}) THEN data END "
+            f"FROM messages WHERE timestamp >= ? AND timestamp < ? AND (timestamp != ? OR id {beyond} ?) "
+            f"ORDER BY timestamp {order}, id {order} LIMIT ?"
         )
         with closing(self._database.cursor()) as cursor:
-            for number, at_ns, data in cursor.execute(statement, (start_ns, end_ns, *numbers)):
+            for row, number, at_ns, data in cursor.execute(statement, (*numbers, start_ns, end_ns, *past, most)):
+                place = int(at_ns), row
+                if number not in numbers:
+                    yield place, None
+                    continue
                 name = self._names[number]
                 try:
-                    body = unzstd(data) if self._compressed else bytes(data)
-                except (Damaged, TypeError) as error:
+                    if not isinstance(data, bytes):  # SQLite lets a damaged row have another type than its column
+                        raise Damaged("it is not of bytes")
+                    body = unzstd(data) if self._compressed else data
+                except Damaged as error:
                     self._note(f"a message of {named(name)} at {iso_time(at_ns)} cannot be read: {error}")
-                    self.holes.append(Hole(at_ns, at_ns, frozenset((name,))))
-                    yield at_ns, None
+                    self._holes[Hole(at_ns, at_ns, frozenset((name,)))] = None
+                    yield place, None
                     continue
-                yield at_ns, (name, Sample(int(at_ns), 0, None, body))
+                yield place, (name, Sample(int(at_ns), 0, None, body))
 
-    def _beyond(self, numbers: Sequence[int], start_ns: int, end_ns: int, newest_first: bool) -> int | None:
+    def _next_row(
+        self, numbers: Collection[int], start_ns: int, end_ns: int, newest_first: bool, past: tuple[int, int]
+    ) -> _Row | None:
+        """The next row beyond `past`; None if it cannot be read."""
+        try:
+            return next(self._rows(numbers, start_ns, end_ns, newest_first, past, 1), None)
+        except sqlite3.Error:
+            return None
+
+    def _beyond(self, numbers: Collection[int], start_ns: int, end_ns: int, newest_first: bool) -> int | None:
         """The time of the first message that can be read again beyond damage at the start (or the end) of that time."""
 
         def found(away_ns: int) -> int | None:
             """The first message that is so far away, or None where there is no more; raises where it is damaged."""
             span = (start_ns, end_ns - away_ns) if newest_first else (start_ns + away_ns, end_ns)
-            return next((at_ns for at_ns, _ in self._rows(numbers, *span, newest_first)), None)
+            return next((place[0] for place, _ in self._rows(numbers, *span, newest_first, most=1)), None)
 
         first_ns, last_ns = self._within(start_ns, end_ns)
         if newest_first:
@@ -158,9 +198,12 @@ class SqliteFile:
 
     def check(self, until_s: float) -> bool:
         """Reads on, to find damage, until that steady time; whether all has been read."""
-        if self._unchecked is None:
-            self._unchecked = self.messages(Span())
-        return all(monotonic() < until_s for _ in self._unchecked)
+        with closing(self.messages(Span(start_ns=self._checked_ns))) as messages:
+            for _, sample in messages:
+                self._checked_ns = sample.received_ns
+                if monotonic() >= until_s:
+                    return False  # and the query is ended: as long as it is open nobody else can write to the file
+        return True
 
     def close(self) -> None:
         """Closes the file."""
@@ -200,8 +243,7 @@ class SqliteFile:
         return {row[1] for row in self._database.execute(f"PRAGMA table_info({table})")}
 
     def _note_hole(self, hole: Hole, error: str) -> None:
-        if hole not in self.holes:
-            self.holes.append(hole)
+        self._holes[hole] = None
         self._note(f"{hole.words}: {error}")
 
     def _note(self, problem: str) -> None:

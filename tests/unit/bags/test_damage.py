@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 
 from ros2_mcp.bags import chunks
 from ros2_mcp.bags.bag import Bag
-from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.bags.stored import Hole, Span, StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.samples import Sample
@@ -355,3 +355,65 @@ def damage_in_the_middle(path: Path) -> None:
     middle = (summary if summary > 0 else len(whole)) // 2
     whole[middle] ^= 0xFF
     path.write_bytes(whole)
+
+
+def with_a_damaged_page(path: Path) -> list[Message]:
+    """A database with one message of `/first`, the last one before the damage, and all others of `/second`."""
+    messages = database(path, 3000)
+    whole = bytearray(path.read_bytes())
+    page = len(whole) // 2 // 4096 * 4096
+    whole[page : page + 4096] = bytes(4096)
+    path.write_bytes(whole)
+    with Bag(path) as bag:
+        list(bag.messages())
+        (hole,) = bag.holes
+    with sqlite3.connect(path) as connection:  # neither index nor size changes: each page stays where it is
+        connection.execute("UPDATE messages SET topic_id = 1 WHERE timestamp < ?", (hole.start_ns,))
+        connection.execute("UPDATE messages SET topic_id = 0 WHERE timestamp = ?", (hole.start_ns,))
+        connection.execute("UPDATE messages SET topic_id = 1 WHERE timestamp > 2990")
+    connection.close()
+    return [message for message in messages if message[1].received_ns == hole.start_ns]
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_the_message_before_damage_is_read_and_no_topic_widens_the_hole(
+    tmp_path: Path, open_bag: OpenBag, newest_first: bool
+) -> None:
+    path = tmp_path / "run_0.db3"
+    ((_, latched),) = with_a_damaged_page(path)
+    rare_first, frequent_first = open_bag(path), open_bag(path)
+    for bag, topics in ((rare_first, TOPICS), (frequent_first, TOPICS[::-1])):
+        for topic in topics:
+            read = [sample for _, sample in bag.messages(Span((topic,)), newest_first)]
+            assert topic == "/second" or latched in read
+    (hole,) = rare_first.holes
+    assert rare_first.holes == frequent_first.holes
+    assert hole.end_ns - hole.start_ns < 20
+
+
+@pytest.mark.parametrize("wrong", [500_000_000, 3.5, "text"])
+def test_a_message_that_is_not_of_bytes_is_a_hole_at_its_time(tmp_path: Path, open_bag: OpenBag, wrong: object) -> None:
+    path = tmp_path / "run_0.db3"
+    messages = database(path, 5)
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE messages SET data = ? WHERE timestamp = 1002", (wrong,))
+    connection.close()
+    bag = open_bag(path)
+    for _ in range(3):  # and however often it is read, it is told once
+        assert list(bag.messages()) == messages[:2] + messages[3:]
+    assert bag.holes == [Hole(1002, 1002, frozenset(("/first",)))]
+
+
+def test_a_database_that_was_checked_in_part_can_be_written_and_the_check_goes_on(
+    tmp_path: Path, open_bag: OpenBag
+) -> None:
+    path = tmp_path / "run_0.db3"
+    database(path, 5)
+    bag = open_bag(path)
+    turns = 0
+    while not bag.check(0) and turns < 10:
+        turns += 1
+        with sqlite3.connect(path, timeout=0) as connection:
+            connection.execute("UPDATE messages SET topic_id = topic_id")
+        connection.close()
+    assert bag.check(10)
