@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 import unicodedata
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
@@ -59,10 +60,18 @@ def visible(text: str, keep: str = "") -> str:
 
 
 def as_sent(text: str) -> str:
-    """The text that `visible` made this of: what a model was shown and sends back is the robot's own text again."""
-    if _OPEN not in text:
-        return text
-    return _ESCAPE.sub(lambda found: "".join(chr(int(code, 16)) for code in found[1].split()), text)
+    """The text that `visible` made this of: what a model was shown and sends back is the robot's own text again.
+
+    An escape of what is no character (a surrogate, or beyond U+10FFFF) stays as it is: no text could carry it.
+    """
+    return _ESCAPE.sub(_as_characters, text) if _OPEN in text else text
+
+
+def _as_characters(escape: re.Match[str]) -> str:
+    codes = [int(code, 16) for code in escape[1].split()]
+    if any(code > sys.maxunicode or 0xD800 <= code <= 0xDFFF for code in codes):
+        return escape[0]
+    return "".join(map(chr, codes))
 
 
 def visible_json(value: Any) -> tuple[Any, str]:

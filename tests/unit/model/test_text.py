@@ -52,6 +52,11 @@ def test_every_default_ignorable_character_is_escaped() -> None:
             assert visible(chr(code)) == f"⟦U+{code:04X}⟧"
 
 
+@pytest.mark.parametrize("text", ["⟦U+FFFFFF⟧", "⟦U+D800⟧", "a⟦U+200B 110000⟧b"])
+def test_an_escape_of_what_is_no_character_stays_as_it_is(text: str) -> None:
+    assert as_sent(text) == text
+
+
 def test_what_was_escaped_and_is_sent_back_is_the_same_text_again() -> None:
     dice = random.Random(7)
     signs = [*"⟦⟧U+20 \\n\n\tFEé漢😀", *HIDDEN.values(), "⟦U+202E⟧", "⟦U+", "200B⟧"]

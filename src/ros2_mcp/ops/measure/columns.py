@@ -208,6 +208,10 @@ class Column:
         self._rows.append(whole + np.int32(first_row))
         self._values.append(numbers)
 
+    def kept_of(self, rows: Sequence[int], parts: Sequence[Numbers]) -> int:
+        """How many numbers are kept of what `read` gave: of a list one, unless whole lists are."""
+        return len(rows) if self.path.is_list and not self.whole_lists else sum(map(len, parts))
+
     def _compare(self, parts: Sequence[Numbers]) -> None:
         """Whether it is the same in every message; a NaN is never the same, unless it is in a list."""
         if not self.messages:
@@ -278,7 +282,8 @@ class Columns(Arrivals):
                 self.trouble = self.trouble or error
         times_s = flat([(sample.received_ns - self.first_ns) / 1e9 for sample in readable])
         batches = [column.read(messages) for column in self.columns]
-        numbers = len(readable) + sum(sum(map(len, parts)) for _, parts in batches)
+        kept = [column.kept_of(*batch) for column, batch in zip(self.columns, batches, strict=True)]
+        numbers = len(readable) + sum(kept)
         first_row = None
         if self.all_read and numbers <= self._room.values and len(self._read) + len(readable) <= MOST_ROWS:
             first_row = len(self._read)

@@ -58,6 +58,12 @@ def test_of_lists_the_mean_of_each_message_or_all_elements_are_kept() -> None:
     assert whole.totals.count == 5 and whole.totals.nan == 2
 
 
+def test_a_list_takes_as_much_room_as_is_kept_of_it() -> None:
+    samples = samples_of(ARRAY, [[1.0] * 100] * 50)
+    assert len(columns(ARRAY, samples, Room(values=100)).read_ns) == 50
+    assert len(columns(ARRAY, samples, Room(values=100), whole_lists=True).read_ns) == 0
+
+
 def test_a_message_that_is_not_what_its_type_says_is_counted_and_told() -> None:
     samples = samples_of(NUMBER, [1.0, 2.0, 3.0])
     samples.insert(1, Sample(START_NS + 1, 0, None, b"\0\1\0\0no"))
