@@ -6,6 +6,7 @@ the source, and feeds the bridge with what it lets through.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -299,6 +300,7 @@ class Relay(Job):
         batch: list[bytes] = []
         size = 0
         for sample in samples:
+            await asyncio.sleep(0)  # a large message takes 30 ms, and the link lease is renewed by this event loop
             try:
                 message = self._pass(sample)
             except (BadValue, BadData) as error:
