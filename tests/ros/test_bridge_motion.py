@@ -16,6 +16,7 @@ from ros2_mcp_bridge.limits import MAX_FAILSAFES
 from support.agent import FULL, until
 from support.bridge_client import PATIENCE_S, RELIABLE, Client
 from support.observer import Observer
+from support.standstill import undisturbed
 from support.velocities import (
     ACKERMANN_STAMPED,
     STAMPED,
@@ -196,7 +197,15 @@ def test_now_is_simulated_time_where_the_subscriber_uses_it(
     matched(bridge, topic, 2)
     drive(bridge, topic, TWIST_STAMPED)
     body = cdr(TWIST_STAMPED, 0.5, stamp=(5, 0), frame="base_link")
-    bridge.ok("publish", body, **command(topic, TWIST_STAMPED), **WAITS)
+
+    def is_on_time() -> bool:
+        observer.forget()
+        bridge.ok("publish", body, **command(topic, TWIST_STAMPED), **WAITS)
+        observer.until_driven(topic, 1, 2)
+        return observer.misstamped(most_s=ON_TIME_S * max(1.0, factor)) == []
+
+    until(is_on_time)  # until now nobody needed the clock: the bridge has to discover it first
+    observer.forget()
     lasting = bridge.send("repeat", body, **command(topic, TWIST_STAMPED, rate_hz=50, duration_s=1.0))
     bridge.answer(lasting)
     assert observer.comes_to_rest(topic, within_s=1.0) == []
@@ -297,18 +306,23 @@ def test_a_silent_server_ends_what_moves_and_the_bridge_lives_on(begin, observer
         assert bridge.answer(repeating)[0]["ok"]["ended_by"] == "lease"
         assert bridge.answer(waiting)[0]["error"]["kind"] == "stopped"
         new = [header for header, _ in bridge.samples[len(before) :] if header["event"] == "lapsed"]
-        assert [round(header["silent_s"], 1) for header in new] == [LEASE_S]
+        assert [LEASE_S <= header["silent_s"] < 2 * LEASE_S for header in new] == [True]
         return since
 
-    for count in (2, 1):
+    def ended_after_s() -> float:
+        """How long after the last packet it was over; the call that was left is made after the zeros."""
+        observer.forget()
         since = silent()
         assert observer.comes_to_rest(topic, within_s=1.0) == []
-        moved = observer.moved(sent_after=since + int((LEASE_S + ON_TIME_S) * 1e9), topic=topic)
-        assert moved == []
-        zeros = [one for one in observer.messages(topic=topic) if not any(one["values"])]
-        assert min(one["sent"] for one in zeros) - since <= (LEASE_S + ON_TIME_S) * 1e9
-        assert len(observer.asked(service=f"{topic}_cancel")) == count
-        observer.forget()
+        heard = observer.messages(topic=topic)
+        last_motion = max(one["sent"] for one in heard if any(one["values"]))
+        first_zero = min(one["sent"] for one in heard if not any(one["values"]))
+        until(lambda: observer.asked(service=f"{topic}_cancel"))
+        assert len(observer.asked(service=f"{topic}_cancel")) == 1
+        return (max(last_motion, first_zero) - since) / 1e9
+
+    for _ in range(2):
+        assert undisturbed(ended_after_s) <= LEASE_S + ON_TIME_S
     assert bridge.ok("ping", lease_s=0, epoch=0)
 
 
