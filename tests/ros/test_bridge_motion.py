@@ -201,7 +201,7 @@ def test_now_is_simulated_time_where_the_subscriber_uses_it(
     def is_on_time() -> bool:
         observer.forget()
         bridge.ok("publish", body, **command(topic, TWIST_STAMPED), **WAITS)
-        observer.until_driven(topic, 1, 2)
+        observer.until_driven(topic, 1, 1)  # the lossy one may miss a single message
         return observer.misstamped(most_s=ON_TIME_S * max(1.0, factor)) == []
 
     until(is_on_time)  # until now nobody needed the clock: the bridge has to discover it first

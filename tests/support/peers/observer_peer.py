@@ -54,7 +54,7 @@ class Heard:
     stamp: int | None
     """Of its header in ns; None where its type has none, or it cannot be decoded."""
     age_s: float | None
-    """By how much the wall clock was ahead of that stamp when it was written; simulated time, when it arrived."""
+    """By how much its subscriber's clock, wall or simulated, was ahead of that stamp when it was written."""
     frame: str | None
     size: int
     """Of the message as it came, in bytes."""
@@ -236,8 +236,11 @@ class Observer:
                 stamp = message.header.stamp
                 one.stamp, one.frame = stamp.sec * 10**9 + stamp.nanosec, message.header.frame_id
                 # By the time at which it was written, where that can be compared: a machine that is busy delivers late.
-                on_wall_time = not node.get_parameter("use_sim_time").value and info["source_timestamp"]
-                one.age_s = ((info["source_timestamp"] if on_wall_time else robot_ns) - one.stamp) / 1e9
+                if not node.get_parameter("use_sim_time").value and info["source_timestamp"]:
+                    robot_ns = info["source_timestamp"]
+                elif robot_ns:  # a node that has not heard the clock is at 0
+                    robot_ns = next((told for at, told in reversed(self.ticks) if at <= sent), robot_ns)
+                one.age_s = (robot_ns - one.stamp) / 1e9
         self.heard.append(one)
 
     # ── what a robot offers ────────────────────────────────────────────────────────────────────────────────────
