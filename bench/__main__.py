@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable
 from datetime import datetime, timezone
 from pathlib import Path
 
-from . import measure
+from . import limits, measure, reaction, stopping
 from .report import Row, save, table
 
 MEASUREMENTS: dict[str, Callable[[bool], Awaitable[list[Row]]]] = {
@@ -22,6 +22,11 @@ MEASUREMENTS: dict[str, Callable[[bool], Awaitable[list[Row]]]] = {
     "subscribed": lambda full: measure.while_subscribed(4 if full else 1),
     "flood": lambda _: measure.flooded(5000, 10),
     "service": lambda full: measure.service_calls(1000 if full else 300),
+    "frames": lambda full: measure.look_up(1000 if full else 300),
+    "sandbox": lambda full: measure.sandbox(50 if full else 10),
+    "limits": limits.cost,
+    "stop": stopping.stop_to_zero,
+    "programs": reaction.of_programs,
     "many": lambda full: measure.many_calls(10_000 if full else 500),
 }
 

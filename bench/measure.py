@@ -6,7 +6,10 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
+
+from ros2_mcp_interfaces import build, default_cache
 
 from .processes import Peer, counts, ours, rss_bytes, trivial
 from .report import Row, p50, p99
@@ -14,6 +17,7 @@ from .stdio import StdioClient
 
 TOPICS = 40
 PROCESSES = 4
+FRAMES = 10
 SET = {"service_type": "std_srvs/srv/SetBool", "service_name": "/bench/set", "fields": {"data": True}}
 
 
@@ -171,6 +175,23 @@ async def service_calls(rounds: int) -> list[Row]:
     return [Row("ros2_service_call, p50", p50(mine), "ms", 1.6, p50(floor) + p50(bare), note=parts)]
 
 
+async def look_up(rounds: int) -> list[Row]:
+    """Where a frame is, ten moving edges away, told at 50 Hz."""
+    tf2_msgs = Path(__file__).parents[1] / "src" / "ros2_mcp_demo" / "interfaces" / "tf2_msgs"
+    prefixes = build([tf2_msgs], default_cache(), lambda _line: None)
+    asked = {"target": "map", "source": f"on_moving_{FRAMES - 1}"}
+    mine, floor = [], []
+    with Peer("frames", FRAMES, 50, prefixes=prefixes):
+        async with ours() as us, trivial() as them:
+            await us.greet()
+            await them.greet()
+            await us.call("ros2_tf_lookup", **asked)
+            for _ in range(rounds):
+                mine.append(await timed(us.call("ros2_tf_lookup", **asked)))
+                floor.append(await timed(them.call("ping")))
+    return [Row(f"ros2_tf_lookup, warm, {FRAMES} moving edges, p50", p50(mine), "ms", 3, p50(floor))]
+
+
 async def many_calls(count: int) -> list[Row]:
     with Peer("service"):
         async with ours() as us:
@@ -204,3 +225,24 @@ async def everything_open(client: StdioClient) -> dict[str, int]:
         "bridge_threads": bridge[0],
         "bridge_files": bridge[1],
     }
+
+
+async def sandbox(rounds: int) -> list[Row]:
+    """A program from its call to its answer, and a call out of it and back, beside a trivial tool."""
+    calls = 200
+    loop = f"import robot\nfor _ in range({calls}):\n    robot.mean([1.0, 2.0])\n"
+    whole, floor, out_and_back = [], [], []
+    async with ours() as us, trivial() as them:
+        await us.greet()
+        await them.greet()
+        await us.call("ros2_run", program="1 + 1")
+        for _ in range(rounds):
+            one = await timed(us.call("ros2_run", program="1 + 1"))
+            many = await timed(us.call("ros2_run", program=loop))
+            whole.append(one)
+            out_and_back.append((many - one) / calls)
+            floor.append(await timed(them.call("ping")))
+    return [
+        Row("ros2_run of a program without calls, p50", p50(whole), "ms", floor=p50(floor)),
+        Row("a call of a program's, out and back, p50", p50(out_and_back), "ms"),
+    ]

@@ -8,8 +8,10 @@ import signal
 import sys
 import threading
 import time
+from itertools import pairwise
 
 import rclpy
+from geometry_msgs.msg import Twist
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -40,6 +42,36 @@ def ticks(node: Node, count: str, rate_hz: str) -> None:
             time.sleep(max(0.0, due - time.monotonic()))
 
     threading.Thread(target=publish, daemon=True).start()
+
+
+def reactions(node: Node, count: str, rate_hz: str) -> None:
+    """Numbers on /bench/tick0 … at that rate; for each line on stdin, how long those that came back on /bench/back0 …
+    took since the line before, in s.
+    """
+    publishers = [node.create_publisher(UInt64, f"/bench/tick{number}", 10) for number in range(int(count))]
+    sent_at: list[float] = []
+    took_s: list[float] = []
+
+    def publish() -> None:
+        due = time.monotonic()
+        while True:
+            for publisher in publishers:
+                sent_at.append(time.monotonic())
+                publisher.publish(UInt64(data=len(sent_at) - 1))
+            due += 1 / float(rate_hz)
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def hear(message: UInt64) -> None:
+        took_s.append(time.monotonic() - sent_at[message.data])
+
+    def serve() -> None:
+        for _ in sys.stdin:
+            told, took_s[:] = list(took_s), []
+            _say(json.dumps(told))
+
+    node.kept = [node.create_subscription(UInt64, f"/bench/back{number}", hear, 10) for number in range(int(count))]
+    for work in (publish, serve):
+        threading.Thread(target=work, daemon=True).start()
 
 
 def flood(node: Node, rate_hz: str, count: str) -> None:
@@ -78,6 +110,63 @@ def service(node: Node) -> None:
         return response
 
     node.kept = node.create_service(SetBool, "/bench/set", answer)
+
+
+def driven(node: Node, count: str) -> None:
+    """Subscribes to /bench/vel0, /bench/vel1 … For a line `moving N` on stdin it answers as soon as N of them move the
+    robot; for `zeros`, as soon as all that moved have had a zero, with the (monotonic) time of the last first one.
+    """
+    zero_at: dict[int, float] = {}
+
+    def hear(number: int, message: Twist) -> None:
+        if message.linear.x:
+            zero_at[number] = 0.0
+        elif number in zero_at:
+            zero_at[number] = zero_at[number] or time.monotonic()
+
+    def subscribe(number: int) -> object:
+        return node.create_subscription(Twist, f"/bench/vel{number}", lambda message: hear(number, message), 10)
+
+    def serve() -> None:
+        for line in sys.stdin:
+            what, _, least = line.strip().partition(" ")
+            if what == "moving":
+                zero_at.clear()
+                while len(zero_at) < int(least):
+                    time.sleep(0.005)
+                _say("true")
+            else:
+                while not all(zero_at.values()):
+                    time.sleep(0.005)
+                _say(json.dumps(max(zero_at.values())))
+
+    node.kept = [subscribe(number) for number in range(int(count))]
+    threading.Thread(target=serve, daemon=True).start()
+
+
+def frames(node: Node, count: str, rate_hz: str) -> None:
+    """A chain of so many moving frames below `map`, all told at that rate, and as many static ones below them."""
+    from geometry_msgs.msg import TransformStamped
+    from rclpy.qos import DurabilityPolicy
+    from tf2_msgs.msg import TFMessage  # built by whoever starts this, and only then there
+
+    def told(parent: str, child: str) -> TransformStamped:
+        one = TransformStamped(child_frame_id=child)
+        one.header.frame_id = parent
+        one.header.stamp = node.get_clock().now().to_msg()
+        one.transform.translation.x = 0.1
+        return one
+
+    names = ["map", *(f"moving_{number}" for number in range(int(count)))]
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    static = node.create_publisher(TFMessage, "/tf_static", latched)
+    static.publish(TFMessage(transforms=[told(name, f"on_{name}") for name in names]))
+    moving = node.create_publisher(TFMessage, "/tf", 100)
+
+    def tick() -> None:
+        moving.publish(TFMessage(transforms=[told(*pair) for pair in pairwise(names)]))
+
+    node.kept = static, moving, node.create_timer(1 / float(rate_hz), tick)
 
 
 def floor(node: Node) -> None:

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -34,10 +35,16 @@ def trivial() -> StdioClient:
 class Peer:
     """A node of `peers.py` that is ready; use as a context manager."""
 
-    def __init__(self, role: str, *arguments: object) -> None:
+    def __init__(self, role: str, *arguments: object, prefixes: Sequence[Path] = ()) -> None:
         command = [sys.executable, str(HERE / "peers.py"), role, *map(str, arguments)]
+        packages = [str(prefix / "site-packages") for prefix in prefixes]
+        known = {
+            "PYTHONPATH": os.pathsep.join(filter(None, [*packages, os.environ.get("PYTHONPATH")])),
+            "AMENT_PREFIX_PATH": os.pathsep.join([*map(str, prefixes), sys.prefix]),
+        }
+        environment = {**ENVIRONMENT, **(known if prefixes else {})}
         self._process = subprocess.Popen(
-            command, env=ENVIRONMENT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+            command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         assert self.line() == "ready"
 
@@ -53,11 +60,15 @@ class Peer:
     def line(self) -> str:
         return self._process.stdout.readline().strip()  # type: ignore[union-attr]
 
+    def ask(self, what: str) -> str:
+        """Its answer to a line."""
+        self._process.stdin.write(f"{what}\n")  # type: ignore[union-attr]
+        self._process.stdin.flush()  # type: ignore[union-attr]
+        return self.line()
+
     def seconds(self, what: str, count: int) -> list[float]:
         """How long each took, done by the node itself with bare rclpy."""
-        self._process.stdin.write(f"{what} {count}\n")  # type: ignore[union-attr]
-        self._process.stdin.flush()  # type: ignore[union-attr]
-        return json.loads(self.line())
+        return json.loads(self.ask(f"{what} {count}"))
 
 
 def rss_bytes(pid: int) -> int:

@@ -1,6 +1,7 @@
-"""Writes what follows from declarations: docs/reference/tools.md and settings.md, and tests/house/snapshots/tools.json.
+"""Writes what follows from declarations: docs/reference/{tools,settings,promises}.md, tests/house/snapshots/tools.json.
 
-Run it after every change of a tool or of a setting: `python docs/generate.py`. A test fails while they are out of date.
+Run it after every change of a tool, a setting, a promise or a mark of one: `python docs/generate.py`. A test fails
+while they are out of date.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from mcp.types import Tool
+from promises import PROMISES, promises
 
 from ros2_mcp.assembly import assemble
 from ros2_mcp.settings import OPTIONS, Option, Settings
@@ -33,6 +35,9 @@ What a tool risks is declared with it: one that *reads* changes nothing; one tha
 software; one that *can move the robot* says so to the client, so that it asks its user first. A read-only server
 (`--read-only`) offers only those that read. What *stops the robot* is no danger: clients need not ask first, and it is
 offered with every choice of tools (`--tools`) that has one which does more than read.
+
+Where a server has [several robots](../how-to/several-robots.md), each tool has one argument more, `robot`, which names
+one, and each result says which; `ros2_robots` shows them all.
 
 An argument that a tool does not know is an error, never ignored. Results also come as structured content with the
 fields listed here; `[]` stands for the elements of a list, and a type that ends in `or null` may be unknown.
@@ -131,15 +136,17 @@ def walk(schema: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Map
     for name, node in schema.get("properties", {}).items():
         path = f"{prefix}{name}"
         yield path, node, name in schema.get("required", ())
-        yield from walk(node, f"{path}.")
-        yield from walk(node.get("items", {}), f"{path}[].")
+        for part in node.get("anyOf", [node]):
+            yield from walk(part, f"{path}.")
+            yield from walk(part.get("items", {}), f"{path}[].")
 
 
 def kind(node: Mapping[str, Any]) -> str:
     """The type of a node, in words."""
-    types = node.get("type", "any")
-    names = [types] if isinstance(types, str) else list(types)
-    return " or ".join(f"list of {kind(node.get('items', {}))}" if name == "array" else name for name in names)
+    if "anyOf" in node:
+        return " or ".join(kind(branch) for branch in node["anyOf"])
+    name = node.get("type", "any")
+    return f"list of {kind(node.get('items', {}))}" if name == "array" else name
 
 
 def presence(node: Mapping[str, Any], required: bool) -> str:
@@ -191,6 +198,7 @@ def main() -> None:
     SNAPSHOT.parent.mkdir(exist_ok=True)
     REFERENCE.write_text(reference(tools), encoding="utf-8")
     SETTINGS.write_text(settings_reference(), encoding="utf-8")
+    PROMISES.write_text(promises(tools), encoding="utf-8")
     SNAPSHOT.write_text(snapshot(tools), encoding="utf-8")
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import atexit
 import inspect
 import os
+import shutil
+import tempfile
 from collections.abc import AsyncIterator, Generator, Iterator
 from pathlib import Path
 from typing import TypeVar
@@ -16,6 +19,9 @@ from support.turns import turn
 
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
 ROS = Path(__file__).with_name("ros")
+os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="ros2_mcp_state_")
+"""Nothing that a test latches outlives it, nor is anything of this machine's robots found by one."""
+atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
 TASKS_END_S = 1.0
 """A task that was cancelled needs a few rounds of the loop until it has ended; a busy machine stretches them."""
 
@@ -81,8 +87,12 @@ def turn_of_the_test(request: pytest.FixtureRequest, tmp_path_factory: pytest.Te
         yield
         return
     folder_of_all_workers = tmp_path_factory.getbasetemp().parent
-    with turn(folder_of_all_workers, alone=request.node.get_closest_marker("alone") is not None):
-        yield
+    with turn(folder_of_all_workers) as its_own:
+        if not request.node.get_closest_marker("alone"):
+            yield
+            return
+        with its_own.alone():
+            yield
 
 
 @pytest.fixture(scope="session")

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from inspect import Parameter
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 from mcp.types import CallToolResult, ContentBlock, ImageContent, TextContent, Tool, ToolAnnotations
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
-from ros2_mcp.model.errors import RobotError
-from ros2_mcp.model.names import did_you_mean
-from ros2_mcp.model.text import as_sent, visible, visible_json
+from ros2_mcp.model.aside import aside, extent
+from ros2_mcp.model.brief import EXPLAINED
+from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.model.text import as_sent, quoted, visible, visible_json
+from ros2_mcp.model.values import DIAGONAL, DIAGONAL_EXPLAINED
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import Report, as_json, at_most_every, lines_of
+from ros2_mcp.ops.results import Report, as_json, at_most_every, in_brief, lines_of
 from ros2_mcp.ops.sources.kinds import OWN_KINDS
 from ros2_mcp.ops.sources.source import SourceKind
+from ros2_mcp.programs.declare import Function
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import ToolDeclaration
+from ros2_mcp.tools.arguments import TimeArgument
 from ros2_mcp.tools.injection import Call
+from ros2_mcp.tools.leniency import as_meant
+from ros2_mcp.tools.misnamed import hint_for
 from ros2_mcp.tools.schema import argument_schema, result_schema, text_for_number
 
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
@@ -29,6 +35,9 @@ _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is ex
 _MAX_TEXT = 40_000
 # What of a recording is damaged or missing, in every answer made from it; results with `problems` say it there.
 _DAMAGE = "damage"
+# What there is to be said of an answer, also how arguments were taken that do not say it all.
+_NOTE = "note"
+_MOST_NAMED = 5
 # Twice a second looks alive, and does not fill the client's log during a minute's wait.
 _PROGRESS_S = 0.5
 
@@ -48,7 +57,10 @@ class StrictArguments(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundTool:
-    """A declared tool with what it works on: `listed` is how clients see it, `arguments` checks what they send."""
+    """A declared tool with what it works on: `listed` is how clients see it, `arguments` checks what they send.
+
+    `only_offered` leaves of a hint or a note what names tools that the server offers.
+    """
 
     declaration: ToolDeclaration
     listed: Tool
@@ -57,6 +69,8 @@ class BoundTool:
     store: BagStore
     kinds: Sequence[SourceKind]
     limitations: Sequence[str]
+    only_offered: Callable[[str], str]
+    functions: Callable[[], Sequence[Function]]
 
     @property
     def name(self) -> str:
@@ -75,42 +89,104 @@ class BoundTool:
             CallFailed: with the text that the model reads.
         """
         try:
-            meant = self._as_meant(arguments)
-            self._refuse_texts(meant)
-            checked = self.arguments.model_validate(meant)
+            checked, told = await aside(extent(arguments), self._checked, arguments)
         except ValidationError as error:
             raise CallFailed(_explain(self.name, error, self.listed.input_schema)) from error
         # One level only: an argument that is an object stays the model that the tool declared.
         values = {name: getattr(checked, name) for name in self.arguments.model_fields}
+        told += [f"{name}: {said}." for name, kind in self._times() if (said := kind.taken_as(values[name]))]
+        view = robot or self.robot.acting_for(self.robot.principal)
         with self.store.noting_damage() as damage:
             try:
-                made_for = Call(
-                    robot=robot or self.robot,
-                    store=self.store,
-                    report=at_most_every(_PROGRESS_S, _visibly(report)),
-                    kinds=self.kinds,
-                    limitations=self.limitations,
-                )
-                result = await self.declaration.perform(made_for, values)
+                shown = at_most_every(_PROGRESS_S, _visibly(report))
+                result = await self._perform(checked, values, shown, view)
+                told += view.notes
             except RobotError as error:
-                told = [f"{type(error).__name__}: {error}", *(f"Damage: {line}" for line in damage())]
-                raise CallFailed(" ".join(told)) from error
-            return answer(result, damage())
+                hint = self.only_offered(error.hint)
+                lines = [f"{type(error).__name__}: {error.message} {hint}".rstrip(), *told]
+                raise CallFailed(" ".join((*lines, *(f"Damage: {line}" for line in self._damage(damage()))))) from error
+            noted = self._with_notes(result, told)
+            value = as_json(noted)
+            return await aside(extent(value), answer, noted, value, self._damage(damage()), told)
 
-    def _as_meant(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """The arguments under their own names, taken apart where they came as text, and with the robot's own texts.
+    async def perform(self, arguments: Mapping[str, Any], report: Report, robot: Robot) -> Any:
+        """The result itself, for a program; strict as a call is.
 
-        One desktop client sends a list or an object as a string of JSON, always. What the model was shown with its
-        hidden characters escaped, and sends back, means those characters.
+        Raises:
+            RobotError: as the tool does; `BadInput` for arguments that it does not take.
+        """
+        try:
+            checked, _ = self._checked(arguments)
+        except ValidationError as error:
+            raise BadInput(_explain(self.name, error, self.listed.input_schema)) from error
+        except CallFailed as error:
+            raise BadInput(str(error)) from error
+        values = {name: getattr(checked, name) for name in self.arguments.model_fields}
+        return await self._perform(checked, values, report, robot)
+
+    async def _perform(self, checked: StrictArguments, values: Mapping[str, Any], report: Report, robot: Robot) -> Any:
+        made_for = Call(
+            robot=robot,
+            store=self.store,
+            report=report,
+            kinds=self.kinds,
+            limitations=self.limitations,
+            given=checked.model_fields_set,
+            functions=self.functions,
+        )
+        return await self.declaration.perform(made_for, values)
+
+    def _checked(self, arguments: Mapping[str, Any]) -> tuple[StrictArguments, list[str]]:
+        """The arguments as declared, and what is to be told of how they were taken; raises `ValidationError` too."""
+        meant, told = self._as_meant(arguments)
+        self._refuse_texts(meant)
+        return self.arguments.model_validate(meant), told
+
+    def _damage(self, lines: Sequence[str]) -> list[str]:
+        return [self.only_offered(line) for line in lines]
+
+    def _with_notes(self, result: Any, told: Sequence[str]) -> Any:
+        """The result with what is to be told in its own note, and there only tools that are offered."""
+        note = getattr(result, _NOTE, None)
+        if not isinstance(note, str):
+            return result
+        shown = " ".join(filter(None, (*told, self.only_offered(note))))
+        return result if shown == note else replace(result, note=shown)
+
+    def _times(self) -> list[tuple[str, TimeArgument]]:
+        """The arguments that are times."""
+        fields = self.arguments.model_fields
+        return [
+            (name, item) for name, field in fields.items() for item in field.metadata if isinstance(item, TimeArgument)
+        ]
+
+    def _as_meant(self, arguments: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+        """The arguments as they are meant, and what is to be told of that.
+
+        They have their own names, are taken apart where they came as text, and have the robot's own texts; what counts
+        as not given is left out. One desktop client sends a list or an object as a string of JSON, always. What the
+        model was shown with its hidden characters escaped, and sends back, means those characters.
         """
         meant: dict[str, Any] = {}
+        spelled: dict[str, str] = {}
+        unknown: list[str] = []
         for name, value in arguments.items():
             own_name = self.declaration.aliases.get(name, name)
+            if self.declaration.risk == "stop" and own_name not in self.arguments.model_fields:
+                unknown.append(name)
+                continue
+            if (other := spelled.setdefault(own_name, name)) != name:
+                raise CallFailed(f"BadInput: {other!r} and {name!r} are two names of one argument: give one of them.")
             field = self.arguments.model_fields.get(own_name)
             if isinstance(value, str) and field and field.annotation is not str:
                 value = _parsed(value, acts=self.acts)  # noqa: PLW2901
             meant[own_name] = _as_sent(value)
-        return meant
+        taken, told = as_meant(self.listed.input_schema, meant, acts=self.acts)
+        if unknown:  # what stops is not refused because of them
+            told.append(f"{self.name} has no argument {', '.join(map(quoted, unknown[:_MOST_NAMED]))}: ignored.")
+        fields = self.arguments.model_fields  # some say themselves what null means, such as no time-out
+        nulls = [name for name, value in meant.items() if value is None and name in fields]
+        return {**{name: None for name in nulls if type(None) in get_args(fields[name].annotation)}, **taken}, told
 
     @property
     def acts(self) -> bool:
@@ -130,6 +206,8 @@ def bind(
     kinds: Sequence[SourceKind] = OWN_KINDS,
     *,
     limitations: Sequence[str] = (),
+    only_offered: Callable[[str], str] = lambda text: text,
+    functions: Callable[[], Sequence[Function]] = tuple,
 ) -> BoundTool:
     """The tool with plain closed schemas, and annotations from the declared risk."""
     signature = declaration.arguments()
@@ -155,6 +233,7 @@ def bind(
     results: Mapping[str, Any] = listed.output_schema or {}
     if declaration.recorded and "problems" not in results["properties"]:
         results["properties"][_DAMAGE] = {"type": "array", "items": {"type": "string"}}  # only where there is some
+    results["properties"].setdefault(_NOTE, {"type": "string"})  # not the result's own: only where there is one
     return BoundTool(
         declaration=declaration,
         listed=listed,
@@ -163,22 +242,35 @@ def bind(
         store=store,
         kinds=kinds,
         limitations=limitations,
+        only_offered=only_offered,
+        functions=functions,
     )
 
 
-def answer(result: Any, damage: Sequence[str] = ()) -> CallToolResult:
-    """A result as MCP content: readable lines, the values as JSON, pictures, and the same values structured.
+def answer(result: Any, value: Any, damage: Sequence[str] = (), told: Sequence[str] = ()) -> CallToolResult:
+    """A result and its `value` as MCP content: lines to read, the value as short JSON, pictures, all of it structured.
 
     A summary is one line or a list of lines: a line break within one is shown as what it is, and begins no line.
-    `damage` says of the bags that were read for it what of them is damaged or missing.
+    `damage` says of the bags that were read for it what of them is damaged or missing, `told` how arguments were taken.
     """
-    value: Any = as_json(result)
     lines = lines_of(result.summary())
+    if told:
+        value.setdefault(_NOTE, " ".join(told))
+        lines = [*lines, *(line for line in told if not any(line in shown for shown in lines))]
     if damage and not hasattr(result, "problems"):  # those say it themselves
         value[_DAMAGE] = list(damage)
         lines = [*lines, *(f"Damage: {line}" for line in damage)]
-    structured, text = visible_json(value)
-    shown = "\n".join([*map(visible, lines), text])
+    structured, _ = visible_json(value)
+    short, is_shortened = in_brief(result, value, "\n".join(lines))
+    _, text = visible_json(short)
+    shown = "\n".join(
+        [
+            *map(visible, lines),
+            text,
+            *([EXPLAINED] if is_shortened else []),
+            *([DIAGONAL_EXPLAINED] if f'"{DIAGONAL}"' in text else []),
+        ]
+    )
     content: list[ContentBlock] = [TextContent(type="text", text=_cut(shown))]
     for image in getattr(result, "images", ()):
         data = base64.b64encode(image.data).decode()
@@ -235,11 +327,12 @@ def _explain_one(tool: str, problem: Mapping[str, Any], schema: Mapping[str, Any
     path = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
         known = _names_beside(schema, problem["loc"])
-        hint = did_you_mean(str(problem["loc"][-1]), known, f"It takes: {', '.join(known)}.")
+        hint = hint_for(str(problem["loc"][-1]), known)
         return f"{tool} has no argument {path!r}. {hint}"
     if problem["type"] == "missing":
         return f"{tool} needs the argument {path!r}."
     message = _PLAIN_WORDS.get(problem["type"], str(problem["msg"]).removeprefix("Value error, "))
+    path = path or "the name of an argument"  # that is no text, such as half a character
     return f"BadInput: {path}: {message}, not {json.dumps(problem['input'], default=str)[:100]}."
 
 

@@ -6,6 +6,8 @@ The modules of the verbs are imported when they are run: the bridge is launched 
 from __future__ import annotations
 
 import argparse
+import io
+import itertools
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -41,31 +43,78 @@ def _serve(arguments: argparse.Namespace) -> int:
 
 def _doctor(arguments: argparse.Namespace) -> int:
     from ros2_mcp.commands.doctor import doctor
+    from ros2_mcp.entries import entries_of
 
-    return doctor(settings_from(arguments))
+    codes: list[int] = []
+    for entry in entries_of(settings_from(arguments)):
+        if entry.name:
+            print(f"{chr(10) if codes else ''}The robot {entry.name}, {entry.settings.robot.text}:")  # noqa: T201
+        codes.append(doctor(entry.settings))
+    return max(codes)
+
+
+def _declare_robot(verb: argparse.ArgumentParser) -> None:
+    """Which robot, and which ROS 2 there: of a command about one, people write it behind the command."""
+    for option in _of_robot():
+        keywords = _argument(option)
+        keywords["default"] = argparse.SUPPRESS  # what stands before the command holds where nothing stands behind
+        verb.add_argument(option.flag, **keywords)
+
+
+def _of_robot() -> list[Option]:
+    return [option for option in OPTIONS.values() if option.group in ("robot", "ROS 2")]
 
 
 def _declare_demo(demo: argparse.ArgumentParser) -> None:
-    demo.add_argument("--robot", action="store_true", help="run only the simulated robot, until it is stopped")
+    from ros2_mcp.commands.robots import DEFAULT, ROBOTS
+
+    only = f"run only this simulated robot, until it is stopped: {', '.join(ROBOTS)} (without a name: {DEFAULT})"
+    demo.add_argument("--robot", dest="simulated", nargs="?", const=DEFAULT, choices=ROBOTS, metavar="ROBOT", help=only)
+    demo.add_argument("--tour", action="store_true", help="with --robot: the tour with that robot")
     demo.add_argument("--output", type=Path, help="folder for the pictures and the transcript")
 
 
 def _demo(arguments: argparse.Namespace) -> int:
     from ros2_mcp.commands.demo import demo
+    from ros2_mcp.commands.robots import DEFAULT
 
-    return demo(settings_from(arguments), robot_only=arguments.robot, output=arguments.output)
+    robot_only = arguments.simulated is not None and not arguments.tour
+    robot = arguments.simulated or DEFAULT
+    return demo(settings_from(arguments), robot=robot, robot_only=robot_only, output=arguments.output)
 
 
 def _declare_call(call: argparse.ArgumentParser) -> None:
+    _declare_robot(call)
     call.add_argument("tool", nargs="?", help="name of the tool; without it the tools are listed")
     call.add_argument("arguments", nargs="*", metavar="key=value", help="its arguments; values may be JSON")
     call.add_argument("--json", action="store_true", help="print the structured result only")
+    call.add_argument("--output", type=Path, metavar="DIR", help="folder for pictures (default: of temporary files)")
+    call.add_argument(
+        "-h", "--help", action=_HelpOnTool, nargs=0, help="show this; after the name of a tool, what that tool takes"
+    )
+
+
+class _HelpOnTool(argparse.Action):
+    """The help of `call`, or behind the name of a tool that of the tool."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, *_: Any) -> None:
+        if namespace.tool is None:
+            parser.print_help()
+            parser.exit()
+        namespace.help = True
 
 
 def _call(arguments: argparse.Namespace) -> int:
+    from ros2_mcp.entries import named_in
+
+    settings, words = named_in(settings_from(arguments), arguments.arguments, needed=bool(arguments.tool))
+    if arguments.tool is None or arguments.help:
+        from ros2_mcp.commands.tool_help import print_help
+
+        return print_help(settings, arguments.tool)
     from ros2_mcp.commands.call import call
 
-    return call(settings_from(arguments), arguments.tool, arguments.arguments, as_json=arguments.json)
+    return call(settings, arguments.tool, words, as_json=arguments.json, output=arguments.output)
 
 
 def _declare_interfaces(interfaces: argparse.ArgumentParser) -> None:
@@ -93,30 +142,167 @@ def _prompts(arguments: argparse.Namespace) -> int:
     return check_prompts(arguments.folder)
 
 
+def _declare_config(config: argparse.ArgumentParser) -> None:
+    _declare_robot(config)
+    config.add_argument("client", choices=CLIENTS, metavar="CLIENT", help=", ".join(CLIENTS))
+    config.add_argument("--http", action="store_true", help="for a server that runs already, over HTTP: URL and token")
+
+
+def _connect(arguments: argparse.Namespace) -> int:
+    from ros2_mcp.commands.connect import connect
+
+    return connect(arguments.path)
+
+
+def _declare_token(token: argparse.ArgumentParser) -> None:
+    token.add_argument("name", metavar="NAME", help="what the client is called in logs")
+    token.add_argument(
+        "--scopes", default="observe,act,stop", metavar="SCOPES", help="of observe,act,stop (default: all three)"
+    )
+
+
+def _token(arguments: argparse.Namespace) -> int:
+    from ros2_mcp.commands.token import print_token
+
+    return print_token(settings_from(arguments), arguments.name, arguments.scopes.split(","))
+
+
 def _config(arguments: argparse.Namespace) -> int:
     from ros2_mcp.commands.config import print_config
 
     return print_config(arguments.client, arguments, settings_from(arguments))
 
 
+_STATE = "the robot's state folder (default: that of the settings)"
+
+
+def _declare_operate(operate: argparse.ArgumentParser) -> None:
+    steps = "list, show ID, approve ID, deny ID, grant ID 10m linear=0.2, revoke ID, mode MODE, stop, reset"
+    operate.add_argument("step", nargs="?", default="", metavar="STEP", help=f"{steps}; without it, a screen")
+    operate.add_argument("arguments", nargs="*", metavar="WORD", help="what it is about")
+    operate.add_argument("--json", action="store_true", help="print the answers as JSON")
+    operate.add_argument("--state", type=Path, metavar="DIR", help=_STATE)
+
+
+def _operate(arguments: argparse.Namespace) -> int:
+    from ros2_mcp.commands.operate import operate
+
+    return operate(_state(arguments), arguments.step, arguments.arguments, as_json=arguments.json)
+
+
+def _declare_audit(audit: argparse.ArgumentParser) -> None:
+    audit.add_argument("step", choices=("show", "verify"), metavar="STEP", help="show the last lines, or verify all")
+    audit.add_argument("--limit", type=int, default=50, metavar="N", help="show the newest so many (default: 50)")
+    audit.add_argument("--json", action="store_true", help="show the lines as they are written")
+    audit.add_argument("--head", default="", help="verify that this line, copied from ros2_status, is still there")
+    audit.add_argument("--state", type=Path, metavar="DIR", help=_STATE)
+
+
+def _audit(arguments: argparse.Namespace) -> int:
+    from ros2_mcp.commands.audit import audit
+    from ros2_mcp.commands.operate import folder_of
+    from ros2_mcp.guard.consent import AUDIT
+
+    folder = (arguments.state or folder_of(_state(arguments))) / AUDIT
+    return audit(folder, arguments.step, limit=arguments.limit, as_json=arguments.json, head=arguments.head)
+
+
+def _state(arguments: argparse.Namespace) -> Path:
+    """The state folder that is meant."""
+    if arguments.state:
+        return arguments.state
+    from ros2_mcp.entries import only_one
+    from ros2_mcp.guard.policy_file import policy_for
+    from ros2_mcp.guard.state import state_of
+
+    settings = only_one(settings_from(arguments), arguments.verb)
+    return state_of(settings, policy_for(settings)).path
+
+
+def _declare_policy(policy: argparse.ArgumentParser) -> None:
+    steps = policy.add_subparsers(dest="step", metavar="STEP", required=True)
+    which: dict[str, Any] = {"metavar": "POLICY", "help": "a file, or the name of a profile"}
+    check = steps.add_parser("check", help="find its mistakes, and say what it allows in words")
+    check.add_argument("which", **which)
+    explain = steps.add_parser("explain", help="say what it decides about one command, and why")
+    explain.add_argument("which", **which)
+    explain.add_argument(
+        "command", help='in quotes, such as: \'publish /cmd_vel geometry_msgs/Twist {"linear": {"x": 0.1}}\''
+    )
+    diff = steps.add_parser("diff", help="name each difference of two")
+    diff.add_argument("which", **which)
+    diff.add_argument("other", **which)
+    test = steps.add_parser("test", help="hold it to a table of commands")
+    test.add_argument("which", **which)
+    test.add_argument("table", type=Path, metavar="TABLE.csv", help="verb, name, type, value, …, decision")
+    init = steps.add_parser("init", help="write a commented draft from the robot that is seen now")
+    init.add_argument("--output", type=Path, metavar="FILE", help="a new file (default: to stdout)")
+
+
+def _policy(arguments: argparse.Namespace) -> int:
+    settings = settings_from(arguments)
+    from ros2_mcp.commands import policy
+
+    match arguments.step:
+        case "check":
+            return policy.check(arguments.which)
+        case "explain":
+            return policy.explain(arguments.which, arguments.command)
+        case "diff":
+            return policy.diff(arguments.which, arguments.other)
+        case "test":
+            return policy.test(arguments.which, arguments.table)
+        case _:
+            from ros2_mcp.entries import only_one
+
+            return policy.init(only_one(settings, "policy init"), arguments.output)
+
+
 VERBS: Mapping[str, Verb] = {
-    "serve": Verb("serve MCP (the default)", _serve),
-    "doctor": Verb("say which ROS 2 is used and why, and how to mend what is wrong", _doctor),
+    "serve": Verb("serve MCP (the default)", _serve, _declare_robot),
+    "doctor": Verb("say which ROS 2 is used and why, and how to mend what is wrong", _doctor, _declare_robot),
     "demo": Verb("the one-minute tour with a simulated robot", _demo, _declare_demo),
     "call": Verb("call one tool, such as: call ros2_topic_list pattern=scan", _call, _declare_call),
     "interfaces": Verb("build interface packages for a ROS 2 from wheels", _interfaces, _declare_interfaces),
+    "operate": Verb("approve, deny, stop, reset the latch: the operator's terminal", _operate, _declare_operate),
+    "audit": Verb("show what was done, or verify that nobody changed what is written of it", _audit, _declare_audit),
     "prompts": Verb("check a folder of prompts in Markdown", _prompts, _declare_prompts),
-    "config": Verb(
-        "print the configuration for an MCP client",
-        _config,
-        lambda config: config.add_argument("client", choices=CLIENTS),
+    "policy": Verb("check, explain, compare and draft what an agent may do", _policy, _declare_policy),
+    "config": Verb("print the configuration for an MCP client", _config, _declare_config),
+    "connect": Verb(
+        "speak stdio with a server at a Unix socket (--socket)",
+        _connect,
+        lambda connect: connect.add_argument("path", type=Path, metavar="PATH", help="the socket"),
     ),
+    "token": Verb("add a token to a file (--token-file), and print it", _token, _declare_token),
 }
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that names what a misspelt word was most likely meant to be."""
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        choices = [str(choice) for choice in action.choices or ()]
+        if action.choices is None or value in choices:
+            return
+        import difflib  # slow, and nobody needs it who writes what is right
+
+        near = difflib.get_close_matches(str(value).lower(), choices, n=2)
+        hint = f"Did you mean {' or '.join(near)}?" if near else f"Choose from: {', '.join(choices)}."
+        what = (action.metavar or action.dest).lower() if isinstance(action.metavar, str) else action.dest
+        raise argparse.ArgumentError(None, f"There is no {what} {value!r}. {hint}")
 
 
 def run(argv: Sequence[str]) -> int:
     """Runs the command and returns the process's exit code."""
-    arguments = parser().parse_args(_options_first(argv))
+    if sys.platform == "win32":  # else what is piped comes in the characters of a code page
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, io.TextIOWrapper):
+                stream.reconfigure(encoding="utf-8", errors="replace")
+    top = parser()
+    arguments, unknown = top.parse_known_args(_options_first(argv))
+    if unknown:
+        top.exit(2, f"ros2-mcp: {_not_taken(arguments.verb, unknown)}\n")
     try:
         return VERBS[arguments.verb or "serve"].run(arguments)
     except RobotError as error:
@@ -130,17 +316,39 @@ def run(argv: Sequence[str]) -> int:
         return 0
 
 
+def _not_taken(verb: str | None, unknown: Sequence[str]) -> str:
+    """What is to be said of words that a command does not take: one line, for the usage would hide it."""
+    flags = {option.flag for option in OPTIONS.values()}
+    if ours := next((flag for word in unknown if (flag := word.partition("=")[0]) in flags), None):
+        return f"{ours} has to stand before the command: ros2-mcp {ours} … {verb} …"
+    help_of = " ".join(filter(None, ("ros2-mcp", verb, "--help")))
+    return f"{visible(' '.join(unknown))} is not taken here: {help_of} lists what is."
+
+
 def _options_first(argv: Sequence[str]) -> list[str]:
-    """`call TOOL --json key=value` as argparse takes it: the option before the words."""
-    if "call" not in argv or "--json" not in argv:
+    """`call TOOL --json key=value` as argparse takes it: options before the words, but help behind them."""
+    if "call" not in argv:
         return list(argv)
-    after = list(argv).index("call") + 1
-    return [*argv[:after], "--json", *(word for word in argv[after:] if word != "--json")]
+    at = list(argv).index("call") + 1
+    valued = {"--output", *(option.flag for option in _of_robot() if option.takes_value)}
+    options: list[str] = []
+    words: list[str] = []
+    helps: list[str] = []
+    rest = iter(argv[at:])
+    for word in rest:
+        flag, is_whole, _ = word.partition("=")
+        if word in valued:
+            options += [word, *itertools.islice(rest, 1)]
+        elif word == "--json" or (is_whole and flag in valued):
+            options.append(word)
+        else:
+            (helps if word in ("-h", "--help") else words).append(word)
+    return [*argv[:at], *options, *words, *helps]
 
 
 def parser() -> argparse.ArgumentParser:
     """The parser of the whole command line."""
-    top = argparse.ArgumentParser(
+    top = _Parser(
         prog="ros2-mcp",
         description="Model Context Protocol server for ROS 2. Without a command it serves MCP over stdio.",
     )
@@ -152,7 +360,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action=_Version, nargs=0, help="print the version and end")
     verbs = top.add_subparsers(dest="verb", metavar="COMMAND")
     for name, verb in VERBS.items():
-        verb.declare(verbs.add_parser(name, help=verb.help))
+        verb.declare(verbs.add_parser(name, help=verb.help, add_help=name != "call"))  # `call` has its own
     return top
 
 
@@ -184,5 +392,5 @@ def settings_from(arguments: argparse.Namespace) -> Settings:
     for name, option in OPTIONS.items():
         word = words[name]
         if word is not None:
-            overrides[name] = option.parse(word if isinstance(word, str) else os.pathsep.join(word))
+            overrides[name] = option.parse(word if isinstance(word, str) else option.kind.joined(word))
     return Settings.from_environment(os.environ, **overrides)

@@ -34,10 +34,13 @@ Find = Callable[[str, str], Awaitable[CompletionRequest | None]]
 
 
 class Completions:
-    """Answers `completion/complete`: `of_prompt` and `of_template` say how an argument is completed."""
+    """Answers `completion/complete`: `of_prompt` and `of_template` say how an argument is completed.
 
-    def __init__(self, robot: Robot, *, of_prompt: Find, of_template: Find) -> None:
-        self._robot = robot
+    Of several `robots`, by their names, it is the one that the argument `robot` names.
+    """
+
+    def __init__(self, robots: Mapping[str, Robot], *, of_prompt: Find, of_template: Find) -> None:
+        self._robots = robots
         self._of_prompt = of_prompt
         self._of_template = of_template
 
@@ -63,17 +66,20 @@ class Completions:
 
     async def _values(self, request: CompletionRequest, typed: str, others: Mapping[str, str]) -> list[str]:
         """What the typed text may become; where a list is taken, its last part. `others` are the other arguments."""
-        if request.kind in _ONE_OF_MANY and not request.choices:
-            before, separator, last = typed.rpartition(",")
-            chosen = {name.strip() for name in before.split(",")}
-            names = [name for name in await live_names(self._robot, _ONE_OF_MANY[request.kind]) if name not in chosen]
-            lead = f"{before}{separator} " if separator else ""
-            return [lead + name for name in ranked(names, last.strip())]
         if request.choices or request.kind == "boolean":
             return ranked(request.choices or ("true", "false"), typed)
+        robot = self._robots.get(others.get("robot", "") if len(self._robots) > 1 else next(iter(self._robots)))
+        if robot is None:
+            return []
+        if request.kind in _ONE_OF_MANY:
+            before, separator, last = typed.rpartition(",")
+            chosen = {name.strip() for name in before.split(",")}
+            names = [name for name in await live_names(robot, _ONE_OF_MANY[request.kind]) if name not in chosen]
+            lead = f"{before}{separator} " if separator else ""
+            return [lead + name for name in ranked(names, last.strip())]
         topic = others.get(request.type_of)
-        first = await topic_types(self._robot, topic) if topic else []
-        return ranked(dict.fromkeys([*first, *await live_names(self._robot, request.kind)]), typed)
+        first = await topic_types(robot, topic) if topic else []
+        return ranked(dict.fromkeys([*first, *await live_names(robot, request.kind)]), typed)
 
 
 def ranked(names: Iterable[str], typed: str) -> list[str]:

@@ -10,11 +10,11 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
-from collections.abc import Awaitable, Callable, Generator
+from collections.abc import Awaitable, Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from time import monotonic
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 from uuid import UUID
 
 import anyio
@@ -25,9 +25,15 @@ from mcp.types import EmptyResult, PingRequest
 from mcp_types.version import HANDSHAKE_PROTOCOL_VERSIONS
 from starlette.requests import Request
 
+from ros2_mcp.guard.tokens import Login
 from ros2_mcp.model.commands import LOCAL, Principal
 from ros2_mcp.ops.topics.publish import Repetition
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.stops import Accepted, Stops
+from ros2_mcp.scopes import login_of
+
+if TYPE_CHECKING:
+    from starlette.types import Scope
 
 CLIENT_LEASE_S = 2.0
 """Without a sign of life. A lost packet is sent again within 0.2 s, then 0.4 s: four signs may fail on a bad wireless
@@ -44,10 +50,14 @@ _LOOK_S = 0.05
 _LATE_S = 0.5
 """A look that comes so much too late shows that this process did not run: the silence was its own."""
 _CLOSED = "The client closed the response that was to carry the result."
+_GONE = "the end of its client, which closed its last open response"
+_UNHEARD = f"the client lease: nothing was heard of its client for {CLIENT_LEASE_S:g} s"
 MESSAGES = "/messages/"
 """Where the clients of SSE post to."""
 RESPONSE = "ros2_mcp.response"
 """The key of a request's scope under which its `OpenResponse` is found."""
+_ACCEPTED = "ros2_mcp.accepted"
+"""The key under which is noted when all of a request had come."""
 
 Context = ServerRequestContext[Any, Any]
 _logger = logging.getLogger(__name__)
@@ -72,7 +82,9 @@ class OpenResponse(Protocol):
         ...
 
     def heard_at(self) -> float:
-        """When its client last acknowledged or sent anything (monotonic, s); now, where nobody can tell."""
+        """When its client last acknowledged or sent anything (monotonic, s); now, where nobody can tell; 0 where it has
+        closed the connection, which `closed` is told a moment later.
+        """
         ...
 
     async def show_alive(self) -> None:
@@ -80,14 +92,23 @@ class OpenResponse(Protocol):
         ...
 
 
+class Connected(OpenResponse, Protocol):
+    """A client at a connection of its own, which carries all its requests and their answers."""
+
+    principal: Principal
+
+
 @dataclass(eq=False)
 class Call:
-    """One call of a tool that is under way, and the response that carries its result. `acts` if the tool can."""
+    """One call of a tool that is under way, and the response that carries its result. `acts` if the tool can; `about`
+    names the robot, where there are several and it names one.
+    """
 
     scope: anyio.CancelScope
     response: OpenResponse | None = None
     ping: Callable[[], Awaitable[object]] | None = None
     acts: bool = False
+    about: str = ""
     pinged_at: float = 0.0
     end_reason: str = ""
 
@@ -102,8 +123,8 @@ class Client:
     """One client over HTTP. Times are monotonic, in s.
 
     `has_gone` from the time on at which what it moves is ended, until it asks for something: it is ended once.
-    `ends_for` are the reasons to end it that are still to be carried out. `has_closed` if it has closed a response
-    that shows its going, and not asked for anything since.
+    `ends_for` are, for each robot on which it is being ended, the reasons that are still to be carried out.
+    `has_closed` if it has closed a response that shows its going, and not asked for anything since.
     """
 
     principal: Principal
@@ -118,9 +139,8 @@ class Client:
     shown_alive_at: float = 0.0
     responses: set[OpenResponse] = field(default_factory=set[OpenResponse])
     calls: set[Call] = field(default_factory=set[Call])
-    ends_for: list[str] = field(default_factory=list[str])
+    ends_for: dict[Robot, list[str]] = field(default_factory=dict[Robot, list[str]])
     is_moving: bool = False
-    is_ending: bool = False
     has_closed: bool = False
     has_failed: bool = False
     has_gone: bool = False
@@ -146,8 +166,8 @@ class Client:
 class Leases:
     """The clients over HTTP that were heard of lately, and the end of what those keep moving that have gone."""
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+    def __init__(self, *robots: Robot) -> None:
+        self._robots = robots
         self._clients: dict[Principal, Client] = {}
         self._asked = asyncio.Event()
         self._tasks: TaskGroup | None = None
@@ -163,6 +183,10 @@ class Leases:
                     looked_at = monotonic()
                     await anyio.sleep(_LOOK_S)
 
+    def calls_under_way(self, about: str) -> int:
+        """How many calls of tools about that robot wait for their results; of "" those that name none."""
+        return sum(call.about == about for client in self._clients.values() for call in client.calls)
+
     # ── what is heard of clients ───────────────────────────────────────────────────────────────────────────────
 
     async def note(self, ctx: Context, call_next: CallNext) -> Any:
@@ -173,6 +197,12 @@ class Leases:
                 response.listens = True
             self.asked(principal, response)
         return await call_next(ctx)
+
+    def received(self, scope: Scope) -> None:
+        """Notes in a request that all of it has come: a stop that comes now is a later one, however long the request
+        is still read and waits.
+        """
+        scope[_ACCEPTED] = {robot.stops: robot.stops.now() for robot in self._robots}
 
     def asked(self, principal: Principal, response: OpenResponse | None = None) -> None:
         """Notes a request of a client, which renews its lease, and the response that is open for it.
@@ -207,7 +237,7 @@ class Leases:
     def _note_close(self, client: Client, *, shows_going: bool) -> None:
         client.has_closed = client.has_closed or shows_going
         if client.has_closed and not client.responses:
-            self._begin_end(client, "the end of its client, which closed its last open response")
+            self._begin_end(client, _GONE)
 
     def left(self, principal: Principal) -> None:
         """Notes that a client has ended its session."""
@@ -215,7 +245,7 @@ class Leases:
             self._begin_end(client, "the end of its client, which ended its session")
 
     @contextmanager
-    def attended(self, context: Context, *, acts: bool) -> Generator[Call]:
+    def attended(self, context: Context, *, acts: bool, about: str = "") -> Generator[Call]:
         """The block is a call of a client: it is cancelled, and says why, when that client has gone.
 
         One whose response was closed before this is cancelled from its beginning on.
@@ -225,7 +255,7 @@ class Leases:
             if principal == LOCAL:
                 yield Call(scope)
                 return
-            call = Call(scope, _response_of(context), _ping(context), acts)
+            call = Call(scope, _response_of(context), _ping(context), acts, about)
             client = self._clients.setdefault(principal, Client(principal, monotonic()))
             client.calls.add(call)
             if call.response and call.response.was_closed:
@@ -262,7 +292,8 @@ class Leases:
             client.credit(late_s, now)
         if client.is_moving and not was_moving:
             client.granted_at = client.shown_alive_at = now
-        if client.is_moving and not client.is_ending:
+        # Where it is being ended on all robots there is nothing to end; one that is away takes its time for it.
+        if client.is_moving and len(client.ends_for) < len(self._robots):
             self._watch(client, now)
         elif not client.calls and not client.responses and now > client.lease_ends_at():
             del self._clients[client.principal]
@@ -271,19 +302,25 @@ class Leases:
         """Whether it may move something, or a call is under way that may: one that waits moves something later."""
         if client.has_gone:
             return False
-        return any(call.acts for call in client.calls) or self._robot.moves_for(client.principal)
+        return any(call.acts for call in client.calls) or any(
+            robot.moves_for(client.principal) for robot in self._robots
+        )
 
     def _watch(self, client: Client, now: float) -> None:
         assert self._tasks
         if now > client.lease_ends_at():
-            self._begin_end(client, f"the client lease: nothing was heard of its client for {CLIENT_LEASE_S:g} s")
+            has_closed = client.has_closed or any(not response.heard_at() for response in client.responses)
+            self._begin_end(client, _GONE if has_closed else _UNHEARD)
             return
         if now - client.shown_alive_at >= ALIVE_S:
             client.shown_alive_at = now
             for response in client.responses:
                 self._tasks.start_soon(_attempt, response.show_alive)
         repeats = [
-            job for job in self._robot.jobs.running(Repetition) if job.owner == client.principal and job.is_motion
+            job
+            for robot in self._robots
+            for job in robot.jobs.running(Repetition)
+            if job.owner == client.principal and job.is_motion
         ]
         for call in client.calls if repeats else ():
             if call.ping and now - call.pinged_at >= PING_S:
@@ -299,29 +336,38 @@ class Leases:
         if not self._tasks or client.has_gone:
             return
         client.has_gone = True
-        client.ends_for.append(reason)
-        if not client.is_ending:
-            client.is_ending = True
-            self._tasks.start_soon(self._end, client)
+        for robot in self._robots:
+            is_ending = robot in client.ends_for
+            client.ends_for.setdefault(robot, []).append(reason)
+            if not is_ending:
+                self._tasks.start_soon(self._end, client, robot)
 
-    async def _end(self, client: Client) -> None:
-        """Ends the calls of a client that has gone, and what it keeps moving; again if it goes again meanwhile."""
+    async def _end(self, client: Client, robot: Robot) -> None:
+        """Ends the calls of a client that has gone, and what it keeps moving on one robot; again if it goes again
+        meanwhile.
+        """
+        reasons = client.ends_for[robot]
         try:
-            while client.ends_for:
-                reason = client.ends_for.pop()
+            while reasons:
+                reason = reasons.pop()
                 for call in client.calls:
                     call.end(f"This call was ended, and what it moved was stopped, by {reason}.")
-                if ended := await self._robot.stop_owned(client.principal, reason):
+                if ended := await robot.stop_owned(client.principal, reason):
                     _logger.warning("%s: ended by %s: %s", client.principal.name, reason, ", ".join(ended))
         except Exception:  # a fault in ending what one client moves must not end the watch over the others
             _logger.exception("what %s moves was not ended in good order", client.principal.name)
         finally:
-            client.is_ending = False
+            del client.ends_for[robot]
 
 
 def _response_of(context: Context) -> OpenResponse | None:
     request: Request[Any] | None = context.request
-    return request.scope.get(RESPONSE) if request else None
+    return _connected(context) or (request.scope.get(RESPONSE) if request else None)
+
+
+def _connected(context: Context) -> Connected | None:
+    """The client at a connection of its own, if the request came there."""
+    return context.request if hasattr(context.request, "principal") else None
 
 
 async def _end_repeat(repeat: Repetition) -> None:
@@ -361,17 +407,27 @@ async def _attempt(sign: Callable[[], Awaitable[object]]) -> None:
 def principal_of(context: Context) -> Principal:
     """Who asks: the one client over stdio, a session over HTTP, or a program of that name at an address.
 
-    HTTP requests of the modern era belong to no session. What tells their clients apart is the address they come from
-    and what they call themselves: two that run the same program on one machine are the same principal.
+    HTTP requests of the modern era belong to no session. What tells their clients apart is their token, the address
+    they come from and what they call themselves: two that run the same program on one machine are the same principal.
     """
+    if connected := _connected(context):
+        return connected.principal
     request: Request[Any] | None = context.request
     if request is None:
         return LOCAL
+    login = login_of(request)
     if session := session_of(request):
-        return principal_of_session(session)
+        return principal_of_session(session, login)
     params = context.session.client_params
     program = f"{params.client_info.name} {params.client_info.version}" if params else ""
-    return _named(f"{request.client.host if request.client else ''} {program}")
+    return _named(f"{request.client.host if request.client else ''} {program}", login)
+
+
+def accepted_at(context: Context, robot: Robot) -> Accepted | None:
+    """When a request over HTTP had come, as that robot counts it, if that was noted."""
+    request: Request[Any] | None = context.request
+    noted: Mapping[Stops, Accepted] = {} if request is None or _connected(context) else request.scope.get(_ACCEPTED, {})
+    return noted.get(robot.stops)
 
 
 def session_of(request: Request[Any]) -> str:
@@ -386,10 +442,11 @@ def session_of(request: Request[Any]) -> str:
         return ""
 
 
-def principal_of_session(session: str) -> Principal:
+def principal_of_session(session: str, login: Login | None = None) -> Principal:
     """The client of a session. Who knows the session's id can use it: the principal is named by a hash of it."""
-    return _named(f"session {session}")
+    return _named(f"session {session}", login)
 
 
-def _named(text: str) -> Principal:
-    return Principal(name=f"http_{hashlib.sha256(text.encode()).hexdigest()[:8]}", transport="http")
+def _named(text: str, login: Login | None) -> Principal:
+    digest, who = hashlib.sha256(text.encode()).hexdigest()[:8], login.name if login else ""
+    return Principal(name=f"{who or 'http'}_{digest}", transport="http", login=who)

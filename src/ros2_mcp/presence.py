@@ -1,26 +1,20 @@
-"""Whether a client over HTTP is there: its open responses, and what the kernel has heard of it.
-
-Under Linux the kernel says when a connection's peer last acknowledged or sent anything (TCP_INFO). Elsewhere an open
-response counts as a client that is there.
-"""
+"""Whether a client over HTTP is there: its open responses, and what the kernel has heard of it (`connections.py`)."""
 
 from __future__ import annotations
 
 import asyncio
 import re
-import socket
-import struct
-import sys
-from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from starlette.requests import Request
-from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from ros2_mcp.leases import RESPONSE, Leases, principal_of_session, session_of
+from ros2_mcp.scopes import login_of
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+    from ros2_mcp.connections import Connections
 
 _ALIVE = b": alive\r\n\r\n"
 """A comment of an event stream, which every reader of one skips."""
@@ -29,52 +23,6 @@ _SSE_SESSION = re.compile(rb"^data: \S*[?&]session_id=([0-9a-f]{32})\s*$", re.MU
 """In the event `endpoint`, the first one of an SSE stream: where its client posts to."""
 _ENDPOINT_BYTES = 1000
 """How far into an answer that event is looked for: it is shorter, and what follows may be megabytes."""
-_TCP_INFO_BYTES = 60
-_SINCE_HEARD = struct.Struct("=52xII")
-"""Of `struct tcp_info` of linux/tcp.h: `tcpi_last_data_recv` and `tcpi_last_ack_recv`, ms ago."""
-
-Ends = tuple[tuple[Any, ...], tuple[Any, ...]]
-"""The addresses of the client and of the server."""
-
-
-class Connections:
-    """The connections of all clients, by the addresses of both ends, as far as the kernel tells of them."""
-
-    def __init__(self) -> None:
-        self._sockets: dict[Ends, Any] = {}
-
-    def protocol(self) -> type[asyncio.Protocol]:
-        """The class of uvicorn's that speaks HTTP, which notes each connection here while it is open."""
-        sockets = self._sockets
-
-        class NotedProtocol(AutoHTTPProtocol):
-            def connection_made(self, transport: asyncio.BaseTransport) -> None:
-                self._ends = _ends(transport.get_extra_info("peername"), transport.get_extra_info("sockname"))
-                sockets[self._ends] = self._socket = transport.get_extra_info("socket")
-                super().connection_made(transport)
-
-            def connection_lost(self, exc: Exception | None) -> None:
-                if sockets.get(self._ends) is self._socket:  # the same addresses may be in use anew
-                    del sockets[self._ends]
-                super().connection_lost(exc)
-
-        return NotedProtocol
-
-    def heard_at(self, scope: Scope) -> float:
-        """When the client of a request last acknowledged or sent anything (monotonic, s); now, if nobody can tell."""
-        if sys.platform != "linux":
-            return monotonic()
-        try:
-            connection = self._sockets[_ends(scope["client"], scope["server"])]
-            info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _TCP_INFO_BYTES)
-        except (KeyError, OSError):
-            return 0.0  # it is closed
-        return monotonic() - min(_SINCE_HEARD.unpack(info)) / 1000
-
-
-def _ends(client: Any, server: Any) -> Ends:
-    """The first two parts of each address: IPv6 has four, and a connection that was reset at once has none."""
-    return tuple(client or ())[:2], tuple(server or ())[:2]
 
 
 class Presence:
@@ -90,6 +38,7 @@ class Presence:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        self.connections.trust(scope)
         response = _Response(self, scope, receive, send)
         scope[RESPONSE] = response
         try:
@@ -142,7 +91,7 @@ class _Response:
             elif self._may_name_session and (body := message.get("body")):
                 self._may_name_session = False
                 if found := _SSE_SESSION.search(body, 0, _ENDPOINT_BYTES):
-                    self._leases.asked(principal_of_session(found[1].decode()), self)
+                    self._leases.asked(principal_of_session(found[1].decode(), login_of(self._request)), self)
             is_last = message["type"] == "http.response.body" and not message.get("more_body")
             if is_last:
                 self.end()
@@ -178,9 +127,10 @@ class _Response:
         session = session_of(self._request)
         if not session or message["status"] >= 400:
             return
-        self._leases.asked(principal_of_session(session), self)
+        principal = principal_of_session(session, login_of(self._request))
+        self._leases.asked(principal, self)
         if self._scope["method"] == "DELETE":
-            self._leases.left(principal_of_session(session))
+            self._leases.left(principal)
 
     def _as_event(self, message: Message) -> Message:
         """The JSON of an answer as the one event of the stream that was begun for it."""

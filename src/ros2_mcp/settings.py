@@ -8,17 +8,19 @@ and `docs/reference/settings.md`. Nothing else lists the options.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+import re
+import shlex
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from ros2_mcp.model.address import LOCAL, MAX_DOMAIN_ID, RobotAddress, of_command, parse_address
 from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.shell import words_of
 
 Transport = Literal["stdio", "sse", "streamable-http"]
 
-# DDS reckons its UDP ports from the domain id (7400 + 250 per domain): from 233 on they would lie beyond 65535.
-MAX_DOMAIN_ID = 232
 # Fewer bytes leave no room for a message and the account of what was cut. One desktop client refuses results beyond
 # 1 MiB; the upper bound is for those that do not, and guards our memory.
 _RESULT_BYTES = (1000, 10_000_000)
@@ -38,7 +40,9 @@ class Kind:
     """What values an option takes: `values` says it in words, `metavar` in the command line's help.
 
     `parse` makes a value of a text or raises `ValueError`, `allows` says whether it is within the bounds, `written` is
-    the value as a user would write it. `is_path`: files or folders. `several`: the option may be given again.
+    the value as a user would write it. `is_path`: files or folders. `several`: the option may be given again, and
+    `joined` makes of the texts the one that the variable would have. `adds`: the variable holds besides the option, so
+    that nobody lifts with one what the other says.
     """
 
     metavar: str = "TEXT"
@@ -48,6 +52,8 @@ class Kind:
     written: Callable[[Any], str] = str
     is_path: bool = False
     several: bool = False
+    joined: Callable[[Sequence[str]], str] = os.pathsep.join
+    adds: bool = False
 
 
 def _one_of(*choices: str) -> Kind:
@@ -82,15 +88,49 @@ def _paths(text: str) -> tuple[Path, ...]:
     return tuple(Path(entry).expanduser() for entry in text.split(os.pathsep) if entry)
 
 
+def _choices(text: str) -> tuple[str, ...]:
+    return tuple(entry for entry in text.split(os.pathsep) if entry)
+
+
+def _as_they_stand(text: str) -> tuple[Path, ...]:
+    """Paths that may be the robot's: `~` is another one's home there."""
+    return tuple(Path(entry) for entry in text.split(os.pathsep) if entry)
+
+
+def _addresses(text: str) -> tuple[RobotAddress, ...]:
+    return tuple(parse_address(word) for word in text.split())
+
+
+def _have_names(robots: Sequence[RobotAddress]) -> bool:
+    names = [robot.name for robot in robots]
+    return len(robots) < 2 or (all(names) and len(set(names)) == len(names))
+
+
 def _exists(path: Path) -> bool:
     return path.expanduser().exists()
 
 
+_ADDRESS = re.compile(r"https?://(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.-]+)(:[1-9]\d{0,4})?(/[A-Za-z0-9._~/-]*)?")
+
+
+def _is_address(text: str) -> bool:
+    return _ADDRESS.fullmatch(text) is not None
+
+
 _NAME = Kind("NAME")
+_URL = Kind("URL", "http:// or https:// with a host, and at most a port and a path", allows=_is_address)
 _SWITCH = Kind("true|false", "1 (on) or 0 (off)", _on_or_off, written=lambda value: "true" if value else "false")
 _FOLDER = Kind("DIR", "a path", _path, is_path=True)
 _FILE = replace(_FOLDER, metavar="FILE")
 _FILE_THAT_EXISTS = replace(_FILE, values="a file or folder that exists", allows=_exists)
+_POLICIES = Kind(
+    "FILE|PROFILE",
+    f"files, or names of profiles (several: the option again, or {os.pathsep!r} between them in the variable)",
+    _choices,
+    written=os.pathsep.join,
+    several=True,
+    adds=True,
+)
 _FOLDERS = Kind(
     "DIR",
     f"paths (several: the option again, or {os.pathsep!r} between them in the variable)",
@@ -98,6 +138,42 @@ _FOLDERS = Kind(
     written=lambda paths: os.pathsep.join(map(str, paths)),
     is_path=True,
     several=True,
+)
+
+
+_WORKSPACES = replace(_FOLDERS, parse=_as_they_stand)
+_ROBOTS = Kind(
+    "ADDRESS",
+    "addresses such as ssh://user@host, docker://NAME or local, several as NAME=ADDRESS with names that differ (the "
+    "option again, or a space between them in the variable)",
+    _addresses,
+    _have_names,
+    written=lambda robots: " ".join(robot.written for robot in robots),
+    several=True,
+    joined=" ".join,
+)
+_COMMAND = Kind("COMMAND", "words as in a shell, with quotes where they have spaces", words_of, written=shlex.join)
+_SSH_OPTIONS = Kind(
+    "WORD",
+    "words for ssh (several: the option again, or a space between them in the variable, quotes where they have spaces)",
+    words_of,
+    written=shlex.join,
+    several=True,
+    joined=shlex.join,
+)
+_VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*=[^\0]*", re.DOTALL)
+
+
+def _are_variables(words: tuple[str, ...]) -> bool:
+    return all(map(_VARIABLE.fullmatch, words))
+
+
+_VARIABLES = replace(
+    _SSH_OPTIONS,
+    metavar="NAME=VALUE",
+    values="variables as NAME=VALUE (several: the option again, or a space between them in the variable, quotes where "
+    "they have spaces)",
+    allows=_are_variables,
 )
 
 
@@ -158,7 +234,7 @@ def _option(default: Any, flag: str, variable: str, group: str, kind: Kind, help
     return field(default=default, metadata={"option": declared})
 
 
-_ROS, _SERVING, _PROMPTS, _MEMORY = "ROS 2", "serving", "prompts", "memory"
+_ROBOT, _ROS, _SERVING, _PROMPTS, _MEMORY = "robot", "ROS 2", "serving", "prompts", "memory"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -167,12 +243,34 @@ class Settings:
 
     # One option is read more easily in two or three lines than in eight.
     # fmt: off
+    robots: tuple[RobotAddress, ...] = _option(
+        (), "--robot", "ROS2_MCP_ROBOT", _ROBOT, _ROBOTS,
+        "the robot, over the system's ssh (ssh://user@host, ?container=NAME) or in a container here (docker://NAME)",
+        unset="local: the ROS of this machine",
+    )
+    robots_file: Path | None = _option(
+        None, "--robots", "ROS2_MCP_ROBOTS", _ROBOT, _FILE,
+        "a file with several robots, each with settings of its own",
+    )
+    robot_command: tuple[str, ...] = _option(
+        (), "--robot-command", "ROS2_MCP_ROBOT_COMMAND", _ROBOT, _COMMAND,
+        "instead: a command that gives a shell where the robot is, such as 'kubectl exec -i pod --'",
+    )
+    ssh_options: tuple[str, ...] = _option(
+        (), "--ssh-option", "ROS2_MCP_SSH_OPTION", _ROBOT, _SSH_OPTIONS,
+        "handed to ssh as it stands, such as --ssh-option=-oProxyJump=gate",
+    )
+    robot_env: tuple[str, ...] = _option(
+        (), "--robot-env", "ROS2_MCP_ROBOT_ENV", _ROBOT, _VARIABLES,
+        "environment of ROS where the robot is, such as CYCLONEDDS_URI=file:///etc/cyclone.xml",
+    )
+
     distro: str | None = _option(
         None, "--distro", "ROS2_MCP_DISTRO", _ROS, _NAME, "distribution to use, such as jazzy",
         unset="the sourced one, else the newest installed",
     )
     workspaces: tuple[Path, ...] = _option(
-        (), "--workspace", "ROS2_MCP_WORKSPACE", _ROS, _FOLDERS, "overlay to source on top",
+        (), "--workspace", "ROS2_MCP_WORKSPACE", _ROS, _WORKSPACES, "overlay to source on top; one of the robot's",
     )
     domain_id: int | None = _option(
         None, "--domain-id", "ROS_DOMAIN_ID", _ROS, _number(0, MAX_DOMAIN_ID), "DDS domain", unset="ROS's own, 0",
@@ -186,8 +284,8 @@ class Settings:
         "where the installations are, each as DIR/<distro>/setup.bash",
     )
     bridge_python: Path | None = _option(
-        None, "--bridge-python", "ROS2_MCP_BRIDGE_PYTHON", _ROS, _FILE, "the Python that runs the bridge",
-        unset="that of the installation",
+        None, "--bridge-python", "ROS2_MCP_BRIDGE_PYTHON", _ROS, replace(_FILE, parse=Path),
+        "the Python that runs the bridge", unset="that of the installation",
     )
     interface_prefixes: tuple[Path, ...] = _option(
         (), "--interfaces", "ROS2_MCP_INTERFACES", _ROS, _FOLDERS,
@@ -204,9 +302,40 @@ class Settings:
     )
     host: str = _option("127.0.0.1", "--host", "ROS2_MCP_HOST", _SERVING, Kind("ADDRESS"), "address for HTTP")
     port: int = _option(8123, "--port", "ROS2_MCP_PORT", _SERVING, _number(1, 65535), "port for HTTP")
+    token_file: Path | None = _option(
+        None, "--token-file", "ROS2_MCP_TOKEN_FILE", _SERVING, _FILE, "who may come in over HTTP, and for what",
+        unset="a token made at the first start, kept in XDG_STATE_HOME/ros2-mcp",
+    )
+    no_login: bool = _option(
+        False, "--no-login", "ROS2_MCP_NO_LOGIN", _SERVING, _SWITCH,
+        "over HTTP on this machine, let in whoever comes without a token", takes_value=False,
+    )
+    tls_cert: Path | None = _option(
+        None, "--tls-cert", "ROS2_MCP_TLS_CERT", _SERVING, _FILE_THAT_EXISTS, "certificate for HTTPS, PEM",
+    )
+    tls_key: Path | None = _option(
+        None, "--tls-key", "ROS2_MCP_TLS_KEY", _SERVING, _FILE_THAT_EXISTS, "key of that certificate, PEM",
+    )
+    behind_proxy: bool = _option(
+        False, "--behind-proxy", "ROS2_MCP_BEHIND_PROXY", _SERVING, _SWITCH,
+        "a proxy speaks TLS in front of this server: listen beyond this machine without", takes_value=False,
+    )
+    public_url: str | None = _option(
+        None, "--public-url", "ROS2_MCP_PUBLIC_URL", _SERVING, _URL, "address under which clients find it, such as "
+        "https://robot.example",
+    )
+    socket: Path | None = _option(
+        None, "--socket", "ROS2_MCP_SOCKET", _SERVING, _FILE,
+        "serve at this Unix socket; clients start: ros2-mcp connect PATH",
+    )
     read_only: bool = _option(
         False, "--read-only", "ROS2_MCP_READONLY", _SERVING, _SWITCH, "leave out tools that write",
         takes_value=False,
+    )
+    policy: tuple[str, ...] = _option(
+        (), "--policy", "ROS2_MCP_POLICY", _SERVING, _POLICIES,
+        "what the agent may do; each has to allow it, and /etc/ros2-mcp/policy.yaml too, where it is there",
+        unset="everything is allowed",
     )
     tools: tuple[str, ...] = _option(
         (), "--tools", "ROS2_MCP_TOOLS", _SERVING, _names("GROUPS"),
@@ -224,6 +353,10 @@ class Settings:
 
     prompts: Path | None = _option(
         None, "--prompts", "ROS2_MCP_PROMPTS", _PROMPTS, _FOLDER, "folder of your prompts in Markdown",
+    )
+    programs: Path = _option(
+        Path("~/ros2-mcp/programs"), "--programs", "ROS2_MCP_PROGRAMS", _PROMPTS, _FOLDER,
+        "for kept programs, in Markdown",
     )
     # The three names that begin with MCP_ are those under which WiseVision's servers know these settings.
     custom_prompts: bool = _option(
@@ -275,6 +408,52 @@ class Settings:
         return self.log_level == "debug"
 
     @property
+    def is_http(self) -> bool:
+        """Whether clients come over HTTP."""
+        return self.transport != "stdio"
+
+    @property
+    def is_stdio(self) -> bool:
+        """Whether its one client speaks to it over stdin and stdout."""
+        return not self.is_http and self.socket is None
+
+    @property
+    def is_here(self) -> bool:
+        """Whether every robot of these settings is reached by the ROS of this machine."""
+        return not self.robot_command and not any(robot.is_remote for robot in self.robots)
+
+    @property
+    def robot(self) -> RobotAddress:
+        """Where the one robot of these settings is.
+
+        Raises:
+            BadInput: if they name several, or an address and a command.
+        """
+        if self.robots and self.robot_command:
+            raise BadInput("Both --robot and --robot-command say where the robot is.", "Leave one of them out.")
+        if len(self.robots) > 1:
+            raise BadInput(f"{len(self.robots)} robots are named here, and one is needed.", "Give --robot once.")
+        if self.robot_command:
+            return of_command(self.robot_command)
+        return self.robots[0] if self.robots else LOCAL
+
+    def for_robot(self, address: RobotAddress) -> Settings:
+        """The same settings for one robot.
+
+        What this machine's variables say of its own ROS (`ROS_DOMAIN_ID`, `RMW_IMPLEMENTATION`) does not hold for one
+        that is elsewhere: there its own hold, unless an option says otherwise.
+        """
+        changed: dict[str, Any] = {}
+        origins = dict(self.origins)
+        for name in ("domain_id", "rmw") if address.is_remote else ():
+            if origins.get(name) == OPTIONS[name].variable:
+                changed[name] = OPTIONS[name].default
+                del origins[name]
+        if address.domain_id is not None:
+            changed["domain_id"] = address.domain_id
+        return replace(self, robots=(address,), robot_command=(), origins=origins, **changed)
+
+    @property
     def interface_folder(self) -> Path:
         """Where interface packages that were built for wheels are kept."""
         return self.cache_dir.expanduser() / "interfaces"
@@ -295,9 +474,14 @@ class Settings:
             # A variable that an option overrides is not even looked at: it may be wrong.
             if overrides.get(name) is not None:
                 values[name], origins[name] = option.checked(overrides[name]), option.flag
+                if option.kind.adds and (text := env.get(option.variable, "").strip()):
+                    values[name] = (*option.parse(text), *values[name])
             elif text := env.get(option.variable, "").strip():
                 values[name], origins[name] = option.parse(text), option.variable
-        return cls(**values, origins=origins)
+        made = cls(**values, origins=origins)
+        if len(made.robots) > 1:
+            return made
+        return replace(made.for_robot(made.robot), robots=made.robots, robot_command=made.robot_command)
 
 
 OPTIONS: Mapping[str, Option] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import queue
 import signal
@@ -10,15 +11,21 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 from . import definitions, interfaces, participants
 from .epoch import StopEpoch
+from .latch import FILE, Latch, LatchState
 from .lease import LinkLease
+from .lifeline import Lifeline
+from .limiter import Limiter
 from .loop import Loop, log_failure
 from .packets import PacketError
-from .protocol import Lapsed, PingReply
+from .protocol import Lapsed, PingReply, PolicyReply
 from .request import Request
+from .rules import meaning
+from .spawning import STOPPER_ARGUMENT, copy_process
 from .stream import Outbox, claim_standard_streams, read_packets
 
 if TYPE_CHECKING:
@@ -29,7 +36,7 @@ T = TypeVar("T")
 # The ROS thread carries the fail-safes out when it leaves its loop, usually at once. If it hangs in the middleware,
 # another thread does it after this time. Chosen so that both fit into GIVE_UP_AFTER_S.
 FAILSAFES_AFTER_S = 0.3
-# From the end of the stream to the end of the process, whatever hangs: time for the fail-safes (0.3 s, and 0.3 s for
+# From the end of the stream to the end of the process, whatever hangs: time for the fail-safes (0.3 s, and 0.6 s for
 # their arrival) and for leaving ROS. Chosen. The server waits for half a second more.
 GIVE_UP_AFTER_S = 1.0
 # From the start to the end of the process, if ROS does not come up: longer than the server waits (20 s). Once the
@@ -39,22 +46,45 @@ ROS_IS_UP_WITHIN_S = 30.0
 # A stop, or a lease that lapses, is to end all motion within 0.1 s; a ROS thread that does not hang goes round in a
 # tenth of that. Chosen.
 ROS_HANGS_AFTER_S = 0.05
-# What acts in any case, so that it cannot be asked for without an epoch; a call may only read.
-ACTING = frozenset({"publish", "repeat", "relay", "relay_feed"})
+# What acts in any case, so that it cannot be asked for without an epoch.
+ACTING = frozenset({"publish", "repeat", "relay", "relay_feed", "move"})
 # What ends something, and answers for nothing that only begins.
 ENDING = frozenset({"cancel", "zero", "repeat_stop", "relay_stop"})
+# An outage may end after the server has given this bridge up, 4 s after it last heard of it (SILENCE_S there; ssh does
+# so at the same time). What it had sent is in the network then, and arrives: a command of before, perhaps of before a
+# stop that this bridge never hears of. So what was sent longer ago than this does not act. Chosen: less than those 4 s,
+# and more than any delay over which a connection was measured to live on (1.0 s at 15 % loss).
+LATE_S = 3.5
 # What waits to be written at the end is little, and perhaps nobody reads any more. Chosen.
 LAST_WORDS_S = 0.2
 
 
 def main() -> None:
-    """Run the bridge until its stdin ends; does not return."""
+    """Run the bridge, or the stopper, until its stdin ends; does not return."""
+    options = argparse.ArgumentParser("ros2_mcp_bridge", description=__doc__, allow_abbrev=False)
+    options.add_argument("--under-policy", action="store_true", help="nothing leaves but zeros until the rules came")
+    options.add_argument("--state", type=Path, metavar="DIR", help="the robot's state folder, with its latch")
+    options.add_argument("--orphan-s", type=float, default=0.0, metavar="S", help="leave when nothing came for so long")
+    options.add_argument("--arrival", metavar="NONCE", help="say on stdout where the stream begins, as stage 1 does")
+    options.add_argument(STOPPER_ARGUMENT, action="store_true", help="be the stopper of the bridge that starts it")
+    chosen = options.parse_args()
+    if chosen.arrival:
+        from . import stage1  # which else has done it before this process
+
+        why = f"ros2_mcp_bridge is installed in {Path(__file__).parent}."
+        stage1.tell(chosen.arrival, "found", distro=os.environ.get("ROS_DISTRO", ""), python=sys.executable, why=why)
+        stage1.tell(chosen.arrival, "bridge")
     incoming, outgoing = claim_standard_streams()
+    if chosen.stopper:
+        from . import stopper  # which needs rclpy
+
+        stopper.main(incoming, outgoing)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C goes to the server, which then closes us
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # ends us if all else hangs; it may have been inherited as ignored
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # for sigwait in a thread of ours
     signal.setitimer(signal.ITIMER_REAL, ROS_IS_UP_WITHIN_S)
-    Bridge(incoming, outgoing).run()
+    latch = Latch(chosen.state / FILE if chosen.state else None)
+    Bridge(incoming, outgoing, latch=latch, is_under_policy=chosen.under_policy, orphan_s=chosen.orphan_s).run()
 
 
 class Bridge:
@@ -63,23 +93,35 @@ class Bridge:
     `_table` has a row for each operation. Those that need no ROS are there from the start, so that they answer while
     ROS comes up or hangs; `Operations` adds those of the ROS thread. The reading thread answers pings, raises the stop
     epoch and watches over the link lease, and waits for nothing else; the preparing thread takes requests in order.
+    Under a policy nothing but zeros leaves before its rules have come; they come once.
     """
 
-    def __init__(self, incoming: int, outgoing: int) -> None:
+    def __init__(
+        self,
+        incoming: int,
+        outgoing: int,
+        *,
+        latch: Latch | None = None,
+        is_under_policy: bool = False,
+        orphan_s: float = 0.0,
+    ) -> None:
         self._loop = Loop()
         self._outbox = Outbox()
-        self._stops = StopEpoch()
+        self._stops = StopEpoch(latch)
+        self._limiter = Limiter(is_under_policy)
         self._accepted: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._ros_is_up = threading.Event()
         self._table: dict[str, Operation] = {
             "ping": self._ping,
+            "policy": self._policy,
             "interfaces": definitions.list_interfaces,
             "definitions": definitions.find,
         }
         self._without_ros = frozenset(self._table)
         self._operations: Operations | None = None
+        self._greeted_s = 0.0
         self._ending = threading.Lock()
-        self._lease = LinkLease(incoming, self._lapse)
+        self._lease = LinkLease(incoming, self._lapse, orphan_s=orphan_s)
         self._start_thread(self._read, incoming)
         self._start_thread(self._prepare, self._accepted)
         self._writer = self._start_thread(self._outbox.write_packets, outgoing)
@@ -89,12 +131,20 @@ class Bridge:
         """Be the ROS thread; ends the process."""
         missing = "no_rclpy"
         try:
-            from . import operations, ros
+            from . import operations, ros, stopper
 
             missing = "init_failed"
+            operations.load_types()
+            copy = copy_process(stopper.main)
             node, executor = ros.enter(f"{participants.BRIDGE_NODE}{os.getpid()}")
             self._operations = operations.Operations(
-                node=node, loop=self._loop, outbox=self._outbox, stops=self._stops, table=self._table
+                node=node,
+                loop=self._loop,
+                outbox=self._outbox,
+                stops=self._stops,
+                limiter=self._limiter,
+                table=self._table,
+                lifeline=Lifeline(self._stopper_lost, self._outbox.send, copy, lambda: self._loop.last_turn),
             )
         except Exception as error:  # noqa: BLE001 - a broken installation can raise anything here
             log_failure(None, error)
@@ -105,6 +155,7 @@ class Bridge:
             signal.setitimer(signal.ITIMER_REAL, 0)
             if self._ending.locked():  # the end began in between, and its timer is the one that was taken back
                 signal.setitimer(signal.ITIMER_REAL, GIVE_UP_AFTER_S)
+        self._greeted_s = time.monotonic()
         self._outbox.send(ros.hello(node, executor))
         self._ros_is_up.set()
         self._loop.run(executor)
@@ -149,6 +200,11 @@ class Bridge:
         if self._operations is not None:
             self._do_first(self._operations.failsafes.carry_out, self._operations.lapse)
 
+    def _stopper_lost(self) -> None:
+        """There is no second process any more that would stop what moves: it stops, and may begin anew."""
+        if self._operations is not None:
+            self._do_first(self._operations.send_zeros, self._operations.end_lasting)
+
     def _do_first(self, zeros: Callable[[], object], then: Callable[[], object]) -> None:
         """Let the ROS thread send zeros before all else; if they have not left in time, another thread sends them."""
         hangs = threading.Timer(ROS_HANGS_AFTER_S, zeros)
@@ -158,12 +214,14 @@ class Bridge:
             hangs.cancel()  # not before they have left: whatever this turn does next may hang
             then()
 
-        hangs.start()
         self._loop.submit_first(do)
+        hangs.start()  # which waits for the new thread to run; one that was cancelled before ends at once
 
     def _read(self, incoming: int) -> None:
-        for header, body in read_packets(incoming, self._lease.wait_readable):
+        for header, body in read_packets(incoming, self._lease.wait_readable, self._outbox):
             request = Request(header, body)
+            if request.op == "policy" and self._limiter.rules is not None:
+                raise PacketError("a second policy came")
             try:
                 self._accept(request)
             except Exception as error:  # noqa: BLE001 - whatever it is, it answers this request
@@ -173,12 +231,15 @@ class Bridge:
         """Note when it was accepted; a stop goes before all that waits."""
         if request.op in ("ping", "stop"):
             self._stops.raise_to(request.number("epoch", 0.0 if request.op == "ping" else None))
-        elif request.op in ACTING or request.has("epoch"):
-            request.acceptance = self._stops.accept(request.number("epoch"))
+        elif request.op in ACTING or request.has("epoch") or _calls_what_acts(request):
+            now = self._stops.epoch if request.op == "call" else None
+            request.acceptance = self._stops.accept(request.number("epoch", now))
             if not request.acceptance.overtaken_by():
                 self._stops.coming[request] = None
         if request.op == "ping":
             self._outbox.reply(request.id, self._ping(request))
+        elif request.op == "policy":  # here, so that it holds for all that is read after it
+            self._outbox.reply(request.id, self._policy(request))
         elif request.op == "stop" and self._operations is not None:
             self._do_first(self._operations.send_zeros, partial(self._operations.start, request))
         else:
@@ -205,12 +266,48 @@ class Bridge:
         self._ros_is_up.wait()
         if request.has("type"):
             request.interface = interfaces.load(request.text("type"))
+        for type_name in request.texts("hears") if request.has("hears") else ():
+            interfaces.load(type_name)  # it stays loaded
         if self._operations is not None:
             self._loop.submit(partial(self._operations.start, request))
 
     def _ping(self, request: Request) -> PingReply:
-        self._lease.renew(request.number("lease_s", 0.0))
-        return {"ros_idle_s": round(time.monotonic() - self._loop.last_turn, 6)}
+        self._stops.is_late = self._is_late(request)
+        if not self._stops.is_late:  # what is late says nothing of whether the server is there
+            self._lease.renew(request.number("lease_s", 0.0))
+        self._outbox.begin_pieces(int(request.number("window_bytes", 0.0)))
+        if request.has("latch_count"):
+            self._stops.latch.mirror(
+                LatchState(
+                    is_set=bool(request.number("latch_set", 0.0)),
+                    count=int(request.number("latch_count", 0.0)),
+                    by=request.text("latch_by", ""),
+                    reason=request.text("latch_reason", ""),
+                )
+            )
+        now_s = time.monotonic()
+        idle_s = round(now_s - self._loop.last_turn, 6)
+        sent_ns = request.number("sent_ns", 0)
+        return {"ros_idle_s": idle_s, "now_ns": time.time_ns(), "sent_ns": sent_ns, "steady_s": now_s}
+
+    def _is_late(self, request: Request) -> bool:
+        """Whether a ping left the server long ago: by the answer of ours that the server had heard last by then."""
+        if not request.has("heard_s"):  # on one machine nothing is under way
+            return False
+        return time.monotonic() - (request.number("heard_s") or self._greeted_s) > LATE_S
+
+    def _policy(self, request: Request) -> PolicyReply:
+        return {"digest": self._limiter.take(request.body)}
+
+
+def _calls_what_acts(request: Request) -> bool:
+    """Whether it calls a service that does more than tell something or stop: a stop or the latch holds it.
+
+    That one which says that it `brakes` does so is seen where its request is decoded, before it leaves.
+    """
+    if request.op != "call" or request.flag("brakes"):
+        return False
+    return meaning(request.text("service"), request.text("type")).verb not in ("read", "cancel")
 
 
 if __name__ == "__main__":

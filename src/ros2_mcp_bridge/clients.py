@@ -13,10 +13,14 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 
 from . import protocol, rcl
 from .failsafes import FailSafes
+from .flight import brakes
+from .lifeline import Lifeline
+from .limiter import Limiter
 from .pace import Pace
 from .pool import Pool
 from .protocol import CallReply
 from .request import OperationError, Request, Steps
+from .rules import meaning
 
 if TYPE_CHECKING:
     from rclpy.client import Client
@@ -43,16 +47,22 @@ ServiceKey = tuple[str, str]
 class Clients:
     """Pooled clients of services, those of actions included."""
 
-    def __init__(self, node: Node, failsafes: FailSafes) -> None:
+    def __init__(self, node: Node, failsafes: FailSafes, limiter: Limiter, lifeline: Lifeline) -> None:
         self._node = node
+        self._lifeline = lifeline
         self._failsafes = failsafes
+        self._limiter = limiter
         self.pool: Pool[ServiceKey, Client] = Pool(node.destroy_client)
+        self._awaited: dict[Future, tuple[Request, Pace]] = {}
         self._paces: WeakKeyDictionary[Client, Pace] = WeakKeyDictionary()
 
     def call(self, request: Request) -> Steps[tuple[CallReply, bytes]]:
         """Send a request and wait for its response."""
-        service = request.text("service")
-        wait_s, timeout_s = request.number("wait_s", 0.0), request.number("timeout_s")
+        return self.answered(request, request.number("timeout_s"))
+
+    def answered(self, request: Request, timeout_s: float) -> Steps[tuple[CallReply, bytes]]:
+        """Steps that send a request, and wait at most so long for its response."""
+        service, wait_s = request.text("service"), request.number("wait_s", 0.0)
         started = time.monotonic()
         latest = started + request.number("within_s", wait_s + timeout_s)
         with self._use(request) as (client, message):
@@ -64,33 +74,50 @@ class Clients:
                 too_late = f"The server of {service} appeared too late: nothing was sent."
                 raise OperationError("timeout", too_late, "Try again: it is there now.")
             request.leave()
-            future = client.call_async(message)
-
-            def answered(_: object) -> None:
-                pace.answered(request)
-                request.wake()
-
-            future.add_done_callback(answered)  # pyright: ignore[reportUnknownMemberType]
+            future = self._send(client, request, message)
+            self._awaited[future] = request, pace
             try:
                 yield from _wait_response(client, service, future, timeout_s, latest)
             finally:
+                self._awaited.pop(future, None)
                 client.remove_pending_request(future)
             body = rcl.serialize(future.result())
         elapsed_s = round(time.monotonic() - sent_at, 6)
         return {"waited_s": round(sent_at - started, 6), "elapsed_s": elapsed_s}, body
+
+    def look(self) -> None:
+        """Wake those whose answers have come: after each round, for rclpy's own callbacks take two rounds more."""
+        for future in [future for future in self._awaited if future.done()]:
+            request, pace = self._awaited.pop(future)
+            pace.answered(request)
+            request.wake()
 
     def unserved(self) -> set[ServiceKey]:
         """The services that we have a client of and nobody serves: pairs of name and type."""
         return {key for key, client in self.pool.entities().items() if not client.service_is_ready()}
 
     def failsafe(self, request: Request) -> Steps[protocol.Cancelled]:
-        """A request to send at the end, if its server is there, unless this request is cancelled before."""
+        """A request that cancels a goal, or makes a vehicle stand, at the end, if its server is there, unless this
+        request is cancelled before. Where this process and the server die together, the stopper sends it.
+
+        No other: it is sent where the latch is set, too.
+        """
         with self._use(request) as (client, message):
+            service, type_name = request.text("service"), request.text("type")
+            if meaning(service, type_name).verb != "cancel" and not brakes(service, type_name, message):
+                problem = f"{service} cancels no goals, nor does it make a vehicle stand: it cannot be left."
+                raise OperationError("bad_request", problem)
 
             def call_if_ready() -> Future | None:
-                return client.call_async(message) if client.service_is_ready() else None
+                return self._send(client, request, message) if client.service_is_ready() else None
 
-            return (yield from self._failsafes.until_cancelled(request, call_if_ready))
+            with self._lifeline.leaving(service, type_name, request.body):
+                return (yield from self._failsafes.until_cancelled(request, call_if_ready))
+
+    def _send(self, client: Client, request: Request, message: Any) -> Future:
+        """The exit of requests; raises `OperationError` for what the policy does not let out."""
+        self._limiter.check_call(request, message, leaves=True)
+        return client.call_async(message)
 
     @contextmanager
     def _use(self, request: Request) -> Generator[tuple[Client, Any], None, None]:
@@ -101,6 +128,9 @@ class Clients:
         except Exception as error:  # the middlewares raise errors of many kinds
             problem = f"{request.op}: the body is no request of {type_name}: {error}"
             raise OperationError("bad_request", problem) from error
+        if request.flag("brakes") and not brakes(service, type_name, message):
+            raise OperationError("bad_request", f"{service} is not asked to make a vehicle stand: it is an order.")
+        self._limiter.check_call(request, message, leaves=False)  # before anything is made, or waited for
         create = partial(rcl.client, self._node, request.interface, service, MANY_AT_ONCE)
         with self.pool.use((service, type_name), create) as (client, _):
             yield client, message

@@ -8,12 +8,11 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from . import interfaces, participants, qos, rcl
-from .graph import UNKNOWN_NODE, Graph
+from .graph import CLOCK, UNKNOWN_NODE, Graph
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-CLOCK = "/clock"
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 # As rclcpp and rclpy subscribe to it: only the newest counts.
 CLOCK_QOS = {"reliability": "best_effort", "durability": "volatile", "history": "keep_last", "depth": 1}

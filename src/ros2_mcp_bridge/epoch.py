@@ -1,5 +1,9 @@
 """The stop epoch: what was accepted before the newest stop, or before the link lease lapsed, does not leave any more.
 
+Nor does what comes so late that its server has given this bridge up: `is_late`.
+
+Nor does anything while the latch is set, or what was accepted before it was set, whoever has reset it since.
+
 The reading thread raises it as soon as it has read the packet, and the exits ask. So nothing overtakes a stop, however
 many requests wait before it. See docs/decisions/0021-stop-means-stop.md.
 """
@@ -7,6 +11,8 @@ many requests wait before it. See docs/decisions/0021-stop-means-stop.md.
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
+
+from .latch import Latch
 
 if TYPE_CHECKING:
     from .protocol import EndedBy
@@ -30,9 +36,11 @@ class StopEpoch:
     were held back because of a stop: the stop itself, which comes to the ROS thread a little later, takes both over.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, latch: Latch | None = None) -> None:
+        self.latch = latch or Latch()
         self.epoch = 0.0
         self.lapses = 0
+        self.is_late = False
         self.coming: dict[Overtaken, None] = {}
         self.overtaken: list[Overtaken] = []
 
@@ -59,18 +67,23 @@ class StopEpoch:
 
 
 class Acceptance:
-    """When a request was accepted: in which epoch of the server, after how many lapses of the lease."""
+    """When a request was accepted: in which epoch of the server, after how many lapses of the lease and latchings."""
 
     def __init__(self, stops: StopEpoch, epoch: float) -> None:
         self._stops = stops
         self._epoch = epoch
-        self._lapses = stops.lapses
+        self._lapses = -1 if stops.is_late else stops.lapses  # what comes too late never leaves
+        latch = stops.latch.look()
+        self._latchings = -1 if latch.is_set else latch.count  # what comes while it is set never leaves
 
     def overtaken_by(self) -> EndedBy:
         """What came after it and keeps it from leaving; "" where nothing did."""
         if self._epoch < self._stops.epoch:
             return "stop"
-        return "lease" if self._lapses != self._stops.lapses else ""
+        if self._lapses != self._stops.lapses:
+            return "lease"
+        latch = self._stops.latch.look()
+        return "latch" if latch.is_set or latch.count != self._latchings else ""
 
     def hold_back(self, request: Overtaken) -> None:
         """Let the stop know of a request that an exit has held back."""

@@ -51,6 +51,11 @@ class FailSafes:
             except Cancelled:
                 return {"cancelled": True}
 
+    @property
+    def has_goals(self) -> bool:
+        """Whether something is left to be done besides zeros: a goal runs that is to be cancelled."""
+        return bool(self._actions)
+
     def carry_out(self) -> list[Arrival]:
         """Carry all of them out, zeros first, because calls can block; returns what to wait for.
 

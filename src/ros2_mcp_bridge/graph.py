@@ -6,9 +6,10 @@ import time
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from . import participants, qos
+from . import participants, qos, rcl
 from .protocol import Endpoint, EndpointsReply, NodeReply, NodesReply, ServicesReply, TopicsReply
 from .request import OperationError, Request, Steps
+from .velocity import MOTION_TYPES
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -25,9 +26,13 @@ ANNOUNCEMENT_PERIOD_S = 3.5
 LONGEST_SETTLING_S = 10.0
 # What `settle_s` is if it is not given: as long as the period of announcements (decision 13).
 SETTLE_S = 3.0
+# For the names of nodes, which come a little after their endpoints: mostly milliseconds. Where they do not come at all,
+# as after the robot was frozen for longer than its lease, they are waited for once. Chosen.
+NAMES_S = 1.0
 # While a request waits; each time costs a look at one number, or at the endpoints of one topic. Chosen.
 WAIT_POLL_S = 0.02
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+CLOCK = "/clock"
 
 
 class Graph:
@@ -36,6 +41,7 @@ class Graph:
     def __init__(self, node: Node) -> None:
         self.settled = False
         self._node = node
+        self._nameless: set[str] = set()
 
     def settle(self) -> Steps[None]:
         """Steps that watch discovery until the graph has been quiet for a while, or has had ample time."""
@@ -56,7 +62,7 @@ class Graph:
         """Every topic with its types and numbers of endpoints."""
         yield from self._wait_settled(request)
         topics = [
-            (name, types, self._node.count_publishers(name), self._node.count_subscribers(name))
+            (name, types, self._count_publishers(name, types), self._count_subscribers(name))
             for name, types in self._node.get_topic_names_and_types()
         ]
         return {"topics": topics, "settled": self.settled}
@@ -69,7 +75,8 @@ class Graph:
     def nodes(self, request: Request) -> Steps[NodesReply]:
         """Every node."""
         yield from self._wait_settled(request)
-        return {"nodes": self._node.get_node_names_and_namespaces(), "settled": self.settled}
+        found = self._node.get_node_names_and_namespaces()
+        return {"nodes": [node for node in found if not participants.is_stopper(node[0])], "settled": self.settled}
 
     def node(self, request: Request) -> Steps[NodeReply]:
         """What one node publishes, subscribes, serves and calls."""
@@ -87,8 +94,17 @@ class Graph:
     def endpoints(self, request: Request) -> Steps[EndpointsReply]:
         """The publishers and subscribers of a topic with their QoS."""
         topic = request.text("topic")
+        deadline = time.monotonic() + min(NAMES_S, request.number("settle_s", SETTLE_S))
         yield from self._wait_settled(request)
-        return self._endpoints(topic)
+        while True:
+            found = self._endpoints(topic)
+            both = *found["publishers"], *found["subscribers"]
+            nameless = {endpoint["gid"] for endpoint in both if endpoint["node"] == UNKNOWN_NODE}
+            if time.monotonic() >= deadline:
+                self._nameless |= nameless
+            if nameless <= self._nameless:
+                return found
+            yield WAIT_POLL_S
 
     def wait_endpoints(self, request: Request) -> Steps[EndpointsReply]:
         """The same, as soon as there are enough of them."""
@@ -96,7 +112,7 @@ class Graph:
         publishers, subscribers = request.number("publishers", 0), request.number("subscribers", 0)
         deadline = time.monotonic() + request.number("timeout_s")
         while True:
-            present = self._node.count_publishers(topic), self._node.count_subscribers(topic)
+            present = self._count_publishers(topic), self._count_subscribers(topic)
             is_enough = present[0] >= publishers and present[1] >= subscribers
             is_late = time.monotonic() >= deadline
             if is_enough and (is_late or not self._has_unknown_nodes([topic])):
@@ -107,16 +123,30 @@ class Graph:
             yield WAIT_POLL_S
 
     def subscribers(self, topic: str) -> list[TopicEndpointInfo]:
-        """rclpy's information about every subscriber of a topic."""
-        return self._node.get_subscriptions_info_by_topic(topic)
+        """rclpy's information about every subscriber of a topic but stoppers."""
+        return _without_stoppers(self._node.get_subscriptions_info_by_topic(topic))
 
     def publishers(self, topic: str) -> list[TopicEndpointInfo]:
-        """rclpy's information about every publisher of a topic."""
-        return self._node.get_publishers_info_by_topic(topic)
+        """rclpy's information about every publisher of a topic but stoppers."""
+        return _without_stoppers(self._node.get_publishers_info_by_topic(topic))
+
+    def stoppers(self, topic: str) -> int:
+        """The number of publishers that stoppers keep ready on a topic."""
+        return len(self._node.get_publishers_info_by_topic(topic)) - len(self.publishers(topic))
 
     def publisher_gids(self, topic: str) -> set[bytes]:
         """The global identifiers of a topic's publishers."""
         return {participants.gid(info) for info in self.publishers(topic)}
+
+    # Stoppers publish velocities, and listen to the simulated time: other topics are counted without looking at names.
+
+    def _count_publishers(self, topic: str, types: Iterable[str] | None = None) -> int:
+        count = rcl.count_publishers(self._node, topic)
+        may_have_stoppers = types is None or not MOTION_TYPES.isdisjoint(types)
+        return len(self.publishers(topic)) if count and may_have_stoppers else count
+
+    def _count_subscribers(self, topic: str) -> int:
+        return len(self.subscribers(topic)) if topic == CLOCK else rcl.count_subscribers(self._node, topic)
 
     def _wait_settled(self, request: Request) -> Steps[None]:
         deadline = time.monotonic() + request.number("settle_s", SETTLE_S)
@@ -152,6 +182,10 @@ class Graph:
             for topic in topics
             for info in (*self.publishers(topic), *self.subscribers(topic))
         )
+
+
+def _without_stoppers(infos: list[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
+    return [info for info in infos if not participants.is_stopper(info.node_name)]
 
 
 def _endpoint(info: TopicEndpointInfo) -> Endpoint:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import sys
 from functools import lru_cache
 from typing import Any
 
@@ -33,6 +34,8 @@ def load(type_name: str) -> Any:
         if not _NAME.fullmatch(type_name):
             raise ValueError("that is not the name of an interface")
         package, kind, name = type_name.split("/")
+        if package not in sys.modules:
+            importlib.invalidate_caches()  # it may have been built since this began
         module = importlib.import_module(f"{package}.{kind}")
         if kind == "action" and "_" in name:
             action, _, part = name.partition("_")

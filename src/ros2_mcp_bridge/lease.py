@@ -6,6 +6,8 @@ import select
 import time
 from collections.abc import Callable
 
+from .packets import PacketError
+
 # A machine that slept is noticed this soon after it went on. Chosen: ten looks a second cost nothing that is measured.
 LOOK_EVERY_S = 0.1
 # Two clocks are compared only if they were read at once; otherwise this thread's own lateness would look like sleep.
@@ -28,6 +30,7 @@ class LinkLease:
 
     Only the kernel knows whether the server was silent: bytes that wait unread, because this process was late, are a
     sign of life. There is no lease before the server has named its length, and none between its lapse and a new ping.
+    Without a byte for `orphan_s` there is no server any more, from the start on; with 0 that is never so.
     """
 
     def __init__(
@@ -35,12 +38,14 @@ class LinkLease:
         descriptor: int,
         lapsed: Callable[[float], None],
         *,
+        orphan_s: float = 0.0,
         now: Callable[[], float] = time.monotonic,
         slept_s: Callable[[], float] = _slept_s,
     ) -> None:
         self._poll = select.poll()
         self._poll.register(descriptor, select.POLLIN)
         self._lapsed = lapsed
+        self._orphan_s = orphan_s
         self._now = now
         self._slept_s = slept_s
         self._lease_s = 0.0
@@ -56,16 +61,27 @@ class LinkLease:
         self._is_in_force = lease_s > 0
 
     def wait_readable(self) -> None:
-        """Returns when bytes of the server, or the end of its stream, can be read; tells once if the lease lapses."""
+        """Returns when bytes of the server, or the end of its stream, can be read; tells once if the lease lapses.
+
+        Raises:
+            PacketError: if nothing came for so long that there is no server any more.
+        """
         while True:
-            left_s = self._heard_at + self._lease_s - self._now()
-            is_readable = self._has_bytes(min(max(left_s, 0.0), LOOK_EVERY_S) if self._is_in_force else None)
+            is_readable = self._has_bytes(self._look_s())
             now = self._now()
             if self._is_in_force:
                 self._check(now, is_readable)
+            elif self._orphan_s and now - self._heard_at > self._orphan_s and not (is_readable or self._has_bytes(0.0)):
+                raise PacketError(f"nothing came for {self._orphan_s:.0f} s")
             if is_readable:
                 self._heard_at = now
                 return
+
+    def _look_s(self) -> float | None:
+        """How long to wait for bytes before the next look at the clock; None for ever."""
+        if self._is_in_force:
+            return min(max(self._heard_at + self._lease_s - self._now(), 0.0), LOOK_EVERY_S)
+        return max(self._heard_at + self._orphan_s - self._now(), 0.0) + LOOK_EVERY_S if self._orphan_s else None
 
     def _check(self, now: float, is_readable: bool) -> None:
         """Let it lapse if it is time to; a look at the bytes after `now` was taken tells whether they were missing."""

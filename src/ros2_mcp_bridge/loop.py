@@ -18,6 +18,10 @@ T = TypeVar("T")
 # The longest sleep of the ROS thread. Requests and due work wake it; `ping` tells how long ago it went round, and the
 # server takes 4 s of that for a hang. Chosen: far below these 4 s.
 IDLE_S = 0.25
+# After so long what is submitted, and what is due, waits for the next round: many slow ones at once, such as listings
+# of a large graph, hold up neither a stop, which goes first in the next round, nor one another, nor the executor.
+# Chosen.
+PART_AT_MOST_S = 0.02
 # After a callback has failed: one that fails in every round must not take the whole processor. Chosen.
 AFTER_FAILURE_S = 0.01
 
@@ -70,10 +74,14 @@ class Task(Generic[T]):
 
 
 class Loop:
-    """Everything that touches rclpy entities runs in here, on the thread that calls `run`."""
+    """Everything that touches rclpy entities runs in here, on the thread that calls `run`.
+
+    `after_turn` is called each time that the executor has done something.
+    """
 
     def __init__(self) -> None:
         self.last_turn = time.monotonic()
+        self.after_turn: Callable[[], None] = lambda: None
         self._executor: Executor | None = None
         self._submitted: deque[Callable[[], None]] = deque()
         self._waiting: list[tuple[float, int, Task[object]]] = []
@@ -120,32 +128,43 @@ class Loop:
         """Go round until `end` is called."""
         self._executor = executor
         while not self._ending:
-            try:
-                self._turn(executor)
-            except Exception:  # noqa: BLE001 - one failing callback must not end the bridge
-                traceback.print_exc(file=sys.stderr)
-                time.sleep(AFTER_FAILURE_S)
+            self._turn(executor)
 
     def _turn(self, executor: Executor) -> None:
         self.last_turn = time.monotonic()
         # Only as many as wait now: what they submit themselves waits for the next round, so that the executor has one.
         for _ in range(len(self._submitted)):
-            self._submitted.popleft()()
-        now = time.monotonic()
+            _try(self._submitted.popleft())
+            if time.monotonic() > self.last_turn + PART_AT_MOST_S:
+                break
+        began_at = time.monotonic()
         due: list[tuple[float, int, Task[object]]] = []
-        while self._waiting and self._waiting[0][0] <= now:
+        while self._waiting and self._waiting[0][0] <= began_at:
             due.append(heapq.heappop(self._waiting))
-        for _, entry, task in due:
+        while due and time.monotonic() <= began_at + PART_AT_MOST_S:
+            _, entry, task = due.pop(0)
             if task.open and task.entry == entry:
-                task.advance()
+                _try(task.advance)
+        for left in due:
+            heapq.heappush(self._waiting, left)
         pause = self._waiting[0][0] - time.monotonic() if self._waiting else IDLE_S
         if self._submitted or self._ending:
             pause = 0.0
-        executor.spin_once(timeout_sec=min(max(pause, 0.0), IDLE_S))
+        _try(lambda: executor.spin_once(timeout_sec=min(max(pause, 0.0), IDLE_S)))
+        _try(self.after_turn)
 
     def _wake(self) -> None:
         if self._executor is not None:
             self._executor.create_task(lambda: None)  # creating a task wakes the executor
+
+
+def _try(call: Callable[[], object]) -> None:
+    """One that fails must not end the bridge, nor keep the others of its turn from being done."""
+    try:
+        call()
+    except Exception:  # noqa: BLE001 - one failing callback must not end the bridge
+        traceback.print_exc(file=sys.stderr)
+        time.sleep(AFTER_FAILURE_S)
 
 
 def log_failure(_result: object, error: Exception | None) -> None:

@@ -23,6 +23,8 @@ DISCOVERY_TOPIC = "ros_discovery_info"
 GUID_PREFIX_BYTES = 12
 # How the names of the bridges' nodes begin; the number of the process follows.
 BRIDGE_NODE = "ros2_mcp_"
+# The same of the stoppers, with the number of the bridge's process; hidden, as the nodes of ROS's own tools are.
+STOPPER_NODE = "_ros2_mcp_stopper_"
 
 
 def reach_is_local() -> bool:
@@ -62,6 +64,11 @@ def of(info: TopicEndpointInfo) -> bytes:
 def is_bridge(info: TopicEndpointInfo) -> bool:
     """Whether an endpoint is one of a bridge, of this server or another one."""
     return info.node_name.startswith(BRIDGE_NODE)
+
+
+def is_stopper(node_name: str) -> bool:
+    """Whether a node is a stopper's, of this server or another one: it is no part of the robot, and says nothing."""
+    return node_name.startswith(STOPPER_NODE)
 
 
 def gid(info: TopicEndpointInfo) -> bytes:

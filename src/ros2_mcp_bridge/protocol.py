@@ -11,11 +11,13 @@ from typing import Literal, NamedTuple, TypedDict
 
 # Said in `hello`; the server refuses a bridge of another number. It grows with every change that an older end of the
 # stream would misunderstand.
-PROTOCOL = 3
+PROTOCOL = 5
 
-# `stopped`: `ros2_stop` or the end of the link lease came after what is refused or ended with it was accepted.
+# `stopped`: `ros2_stop` came after what is refused or ended with it was accepted; `lapsed`: the link lease lapsed then;
+# `latched`: the latch is set, or was set then.
 ErrorKind = Literal[
-    "bad_request", "unknown_type", "not_found", "timeout", "cancelled", "stopped", "server_gone", "ros_error"
+    "bad_request", "unknown_type", "not_found", "timeout", "cancelled", "stopped", "lapsed", "latched", "server_gone",
+    "ros_error", "refused",
 ]  # fmt: skip
 
 
@@ -43,12 +45,16 @@ class Hello(NamedTuple):
 
 
 class SampleHead(NamedTuple):
-    """One row of a `samples` event. Times are Unix times; `sequence` is None where the middleware tells none."""
+    """One row of a `samples` event. Times are Unix times; `sequence` is None where the middleware tells none.
+
+    `size` bytes of it are in the body; `whole` is how many it has where those are only its head, else 0.
+    """
 
     received_ns: int
     source_ns: int
     sequence: int | None
     size: int
+    whole: int
 
 
 class Counts(TypedDict):
@@ -75,11 +81,49 @@ class FrameIdChanged(TypedDict):
     frame_id: str
 
 
+class RepeatBegun(TypedDict):
+    """The `begun` event: the first message of the repeat of that name has just been sent, or the condition of the
+    `cancel_when` of that name is being asked.
+    """
+
+    event: Literal["begun"]
+    name: str
+
+
+class StopperEvent(TypedDict):
+    """The `stopper` event: it has `acted`, as the bridge was silent; or it was `lost`, and what moved was ended."""
+
+    event: Literal["stopper"]
+    what: Literal["acted", "lost"]
+    message: str
+
+
 class Lapsed(TypedDict):
     """The `lapsed` event: the server was silent for longer than its link lease, and all that moved was ended."""
 
     event: Literal["lapsed"]
     silent_s: float
+
+
+class LatchSet(TypedDict):
+    """The `latched` event: the latch was set, or found set, by somebody; all that moved was ended."""
+
+    event: Literal["latched"]
+    by: str
+    reason: str
+    own: bool
+
+
+class MotionProgress(TypedDict):
+    """The `motion` event: what can be told now of the motion of that name, by its controller."""
+
+    event: Literal["motion"]
+    name: str
+    report: dict[str, object]
+
+
+Told = FrameIdChanged | Lapsed | LatchSet | MotionProgress | RepeatBegun | StopperEvent
+"""What the bridge tells unasked, beside samples."""
 
 
 # ── what several operations share ──────────────────────────────────────────────────────────────────────────────
@@ -122,11 +166,13 @@ class Cancelled(TypedDict):
     cancelled: bool
 
 
-EndedBy = Literal["", "cancel", "stop", "lease"]
+EndedBy = Literal["", "cancel", "stop", "lease", "latch", "stopper"]
 
 
 class Ended(TypedDict):
-    """What ended it before its time: a request `cancel`, the request `stop`, or a link lease that lapsed."""
+    """What ended it before its time: a request `cancel`, the request `stop`, a link lease that lapsed, the latch, or
+    the death of the stopper.
+    """
 
     ended_by: EndedBy
 
@@ -135,9 +181,14 @@ class Ended(TypedDict):
 
 
 class PingReply(TypedDict):
-    """How long ago the ROS thread went round its loop."""
+    """How long ago the ROS thread went round its loop; the robot's clock when it answered, in ns of Unix time, and the
+    `sent_ns` of the ping. `steady_s` is its steady clock then, which a ping over a network brings back as `heard_s`.
+    """
 
     ros_idle_s: float
+    now_ns: int
+    sent_ns: float
+    steady_s: float
 
 
 class InterfacesReply(TypedDict):
@@ -212,32 +263,63 @@ class SubscribeReply(TypedDict):
     sub: int
 
 
-class PublishReply(TypedDict):
-    """Who got it; `acked` is None where somebody acknowledges nothing."""
+class PolicyReply(TypedDict):
+    """The rules that hold from now on."""
+
+    digest: str
+
+
+class Guarded(TypedDict):
+    """How long it waited for the stopper, and in words why it went on without one; "" where it did not."""
+
+    stopper_s: float
+    unguarded: str
+
+
+class PublishReply(Guarded):
+    """Who got it; `acked` is None where somebody acknowledges nothing. `limited` is 1 where less was sent than was
+    asked for; `hold_s` is after how long the policy sends the zero, 0 where it does not.
+    """
 
     matched: int
     acked: bool | None
     created: bool
     waited_s: float
+    limited: int
+    hold_s: float
 
 
-class RepeatReply(Ended):
-    """What was sent."""
+class RepeatReply(Ended, Guarded):
+    """What was sent; `limited` is of how many messages less was sent than was asked for."""
 
     sent: int
     matched: int
     elapsed_s: float
     late: int
+    limited: int
     final_sent: bool
 
 
-class RelayCounts(TypedDict):
-    """What became of the messages of a relay; `refused` are velocities that are not finite or cannot be decoded."""
+class MotionReply(RepeatReply):
+    """What ended a motion, in a word and a sentence, both "" where `ended_by` says it; and what its controller tells of
+    it at the end.
+    """
+
+    outcome: str
+    why: str
+    report: dict[str, object]
+
+
+class RelayCounts(Guarded):
+    """What became of the messages of a relay; `refused` are what the policy holds back, and velocities that are not
+    finite or cannot be decoded; of `limited` less was sent than came.
+    """
 
     running: bool
     passed: int
     dropped: int
     refused: int
+    limited: int
     lost: int | None
     publishers: int
     matched: int
@@ -273,12 +355,16 @@ class RelayStopReply(TypedDict):
 
 
 class StoppedTopic(TypedDict):
-    """A velocity topic that got its zero; `acked` is None where somebody acknowledges nothing."""
+    """A velocity topic that got its zero; `acked` is None where somebody acknowledges nothing.
+
+    `problem` says in words why nothing could be sent that ends the motion; "" where it was.
+    """
 
     topic: str
     type: str
     matched: int
     acked: bool | None
+    problem: str
 
 
 class ZeroReply(TypedDict):
@@ -303,6 +389,15 @@ class CallReply(TypedDict):
 
     waited_s: float
     elapsed_s: float
+
+
+class CancelWhenReply(TypedDict):
+    """After what time the condition was met, and what it was asked of (`asking.Asking.report`); the body is the CDR of
+    the response to the request to cancel.
+    """
+
+    met_s: float
+    report: dict[str, object]
 
 
 # ── the bridge itself ──────────────────────────────────────────────────────────────────────────────────────────

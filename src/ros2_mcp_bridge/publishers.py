@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 from . import protocol, qos, rcl
 from .failsafes import HOLD_S
 from .graph import Graph
+from .lifeline import Guarded
+from .limiter import Limiter, check_size
 from .pool import Pool
-from .protocol import PublishReply, RepeatReply
+from .protocol import PublishReply, RepeatBegun, RepeatReply
 from .request import Cancelled, OperationError, Request, Steps
-from .velocities import Outgoing, Raw, Velocities
-from .velocity import VELOCITY_TYPES
+from .velocities import Decoded, Outgoing, Raw, Velocities, decoded
+from .velocity import MOTION_TYPES
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -39,12 +41,20 @@ ROUNDING = 1e-6
 class Publisher:
     """A publisher of serialized messages, with the `velocity` topic that it belongs to, if it is of such a type.
 
-    `publish` is the one exit of what the server or another node has made.
+    `publish` is the one exit of what the server or another node has made; `limits` is what the policy says of it.
     """
 
     def __init__(
-        self, *, node: Node, graph: Graph, velocities: Velocities, request: Request, max_depth: int | None = None
+        self,
+        *,
+        node: Node,
+        graph: Graph,
+        velocities: Velocities,
+        limiter: Limiter,
+        request: Request,
+        max_depth: int | None = None,
     ) -> None:
+        self.limits = limiter.topic(request)  # first of all: nothing is made for what is not allowed
         self._graph = graph
         self._velocities = velocities
         self._topic, self._type = request.text("topic"), request.text("type")
@@ -54,35 +64,59 @@ class Publisher:
         max_depth = max_depth or (1 if is_volatile else MAX_LATCHED_DEPTH)
         wanted = request.qos()
         if (
-            self._type in VELOCITY_TYPES
+            self._type in MOTION_TYPES
         ):  # whoever comes late, or was held up, gets the newest command: after a stop, the zero
             wanted, max_depth = {**wanted, "history": "keep_last"}, 1
         self._profile = qos.profile(wanted, max_depth=max_depth)
+        self.kind: tuple[str, str] = (self._profile.reliability.name.lower(), self._profile.durability.name.lower())
         self.is_busy = False
         self._accepted: tuple[int, int] | None = None
+        self._interface = request.interface
         self._raw = rcl.publisher(node, request.interface, self._topic, self._profile)
         self.velocity = velocities.topic(request)  # not before: nothing is kept of a publisher that could not be made
         if self.velocity is not None:
             self.velocity.publishers[self] = None
+            self.velocity.rested = self.limits.rest
+            self.limits.zeros[self.velocity] = self.velocity.send_zero
+        else:
+            self.limits.zeros[self] = self._send_default
 
-    def outgoing(self, data: bytes) -> Outgoing:
-        """What `publish` takes; raises `OperationError` for a velocity that is refused."""
-        return Raw(data) if self.velocity is None else self.velocity.command(data)
+    def outgoing(self, data: bytes, request: Request) -> Outgoing:
+        """What `publish` takes; raises `OperationError` for what is refused."""
+        if needs_value := self.limits.needs_value(request):
+            check_size(data)
+        if self.velocity is not None:
+            message: Outgoing = self.velocity.command(data)
+        elif needs_value:
+            message = Decoded(decoded(data, self._interface, self._type))
+        else:
+            return Raw(data)
+        message.is_clamped = self.limits.fit(message.value, request)
+        return message
 
-    def publish(self, message: Outgoing, request: Request) -> None:
-        """Hand one message to the middleware; raises `Cancelled` if its request is not to act any more."""
-        data = message.data()
-        request.leave()
-        self._raw.publish_raw(data)
+    def publish(self, message: Outgoing, request: Request) -> bool:
+        """Hand one message to the middleware: returns whether less was sent than was wanted, by a limit or its ramp.
+
+        Raises `Cancelled` if its request is not to act any more, `OperationError` if the policy does not let it out.
+        """
+        with self.limits.passing(message.value, request) as is_held_back:
+            request.leave()
+            data = message.data()  # from here on it moves, as far as the stopper knows
+            self._raw.publish_raw(data)
         message.has_left()
+        return message.is_clamped or is_held_back
 
     def publish_zero(self, data: bytes) -> None:
         """Hand a zero to the middleware: no stop holds it back. From any thread."""
         self._raw.publish_raw(data)
 
+    def _send_default(self) -> None:
+        """What ends a command of a type that is no velocity, where a limit says how long it may hold."""
+        self.publish_zero(rcl.serialize(self._interface()))
+
     def is_needed(self) -> bool:
         """Whether a zero may have to go through it."""
-        return self.velocity is not None and self.velocity.is_driven
+        return self.limits.is_held or (self.velocity is not None and self.velocity.is_driven)
 
     def matched(self) -> int:
         """The number of subscribers that would get a message now."""
@@ -113,20 +147,33 @@ class Publisher:
         if self.velocity is not None:
             yield from self.velocity.wait_clock()
 
+    def call_stopper(self, message: Outgoing | None = None) -> None:
+        """A velocity is to come: this message, if it is known already. A zero waits for nobody."""
+        if self.velocity is not None and (message is None or message.moves):
+            self.velocity.call_stopper()
+
+    def wait_stopper(self, message: Outgoing | None = None) -> Steps[Guarded]:
+        """Steps until the stopper is ready for it, as far as it is waited for."""
+        if self.velocity is None or (message is not None and not message.moves):
+            return Guarded()
+        return (yield from self.velocity.wait_stopper())
+
     def publish_acknowledged(
         self, message: Outgoing, request: Request, wait_s: float
-    ) -> Steps[tuple[int, bool | None]]:
-        """Steps that publish one message after the other: returns the number of matches and `wait_acknowledged`."""
+    ) -> Steps[tuple[int, bool | None, bool]]:
+        """Steps that publish one message after the other: returns the number of matches, `wait_acknowledged`, and
+        whether less was sent than was wanted.
+        """
         while self.is_busy:
             yield POLL_S
         self.is_busy = True
         try:
             matched = self.matched()
-            self.publish(message, request)
+            is_limited = self.publish(message, request)
             acked = yield from self.wait_acknowledged(wait_s)
         finally:
             self.is_busy = False
-        return matched, acked
+        return matched, acked, is_limited
 
     def wait_acknowledged(self, wait_s: float) -> Steps[bool | None]:
         """Steps until all that acknowledge have done so, or time is up: returns `acknowledged`."""
@@ -157,6 +204,8 @@ class Publisher:
         if self.velocity is not None:
             self.velocity.publishers.pop(self, None)
             self._velocities.forget(self.velocity)
+        if self.velocity is None or not self.velocity.publishers:
+            self.limits.zeros.pop(self.velocity or self, None)
         self._raw.destroy_when_not_in_use()
 
     def _subscribers_reliable(self) -> list[bool]:
@@ -169,19 +218,22 @@ class Publisher:
 
 
 class Repeat:
-    """Repeated publishing of one message."""
+    """Repeated publishing of one message; `send_event` tells the server when the first one has left."""
 
-    def __init__(self, request: Request) -> None:
+    def __init__(self, request: Request, send_event: Callable[[RepeatBegun], None]) -> None:
         self._request = request
+        self._send_event = send_event
         self.sent = 0
+        self.limited = 0
         self.late = 0
         self.started = time.monotonic()
 
     def run(self, publisher: Publisher, message: Outgoing, rate_hz: float, duration_s: float) -> Steps[None]:
         """Steps that publish at the rate; periods that were missed are counted and not made up for."""
         period = 1.0 / rate_hz
-        publisher.publish(message, self._request)
-        self.sent = 1
+        self._publish(publisher, message)
+        if self._request.has("name"):
+            self._send_event(RepeatBegun(event="begun", name=self._request.text("name")))
         # A subscriber may not know a new publisher yet, and with a depth of 1 the second message replaces the first.
         yield from publisher.wait_acknowledged(FIRST_ACK_S)
         self.started = due = time.monotonic()
@@ -195,15 +247,24 @@ class Repeat:
             yield max(0.0, min(due, end) - time.monotonic())
             if due >= end - period * ROUNDING:
                 return
-            publisher.publish(message, self._request)
-            self.sent += 1
+            self._publish(publisher, message)
+
+    def _publish(self, publisher: Publisher, message: Outgoing) -> None:
+        self.limited += publisher.publish(message, self._request)
+        self.sent += 1
 
 
 class Publishers:
-    """Pooled publishers and what is done with them."""
+    """Pooled publishers and what is done with them; `send_event` tells the server that a repeat has begun."""
 
-    def __init__(self, velocities: Velocities, create: Callable[..., Publisher]) -> None:
+    def __init__(
+        self,
+        velocities: Velocities,
+        create: Callable[..., Publisher],
+        send_event: Callable[[RepeatBegun], None],
+    ) -> None:
         self._velocities = velocities
+        self._send_event = send_event
         self._create = create
         self.pool: Pool[Hashable, Publisher] = Pool(Publisher.destroy, keeps=Publisher.is_needed)
 
@@ -211,25 +272,38 @@ class Publishers:
         """Publish once, when the subscribers are matched, and wait for their acknowledgement."""
         wait_match_s, wait_ack_s = request.number("wait_match_s", 0.0), request.number("wait_ack_s", 0.0)
         started = time.monotonic()
-        with self._use(request) as (publisher, created):
-            message = publisher.outgoing(request.body)
+        with self.use(request) as (publisher, created):
+            message = publisher.outgoing(request.body, request)
+            publisher.call_stopper(message)
             yield from publisher.wait_match(created, wait_match_s)
             yield from publisher.wait_clock()
-            matched, acked = yield from publisher.publish_acknowledged(message, request, wait_ack_s)
-        waited_s = round(time.monotonic() - started, 6)
-        return {"matched": matched, "acked": acked, "created": created, "waited_s": waited_s}
+            guarded = yield from publisher.wait_stopper(message)
+            matched, acked, is_limited = yield from publisher.publish_acknowledged(message, request, wait_ack_s)
+            hold_s = publisher.limits.hold_s
+        return {
+            "matched": matched,
+            "acked": acked,
+            "created": created,
+            "waited_s": round(time.monotonic() - started, 6),
+            "limited": int(is_limited),
+            "hold_s": hold_s,
+            "stopper_s": guarded.waited_s,
+            "unguarded": guarded.problem,
+        }
 
     def repeat(self, request: Request) -> Steps[RepeatReply]:
         """Publish at a rate for a while, then the zero where it is a velocity command."""
         rate_hz, duration_s = request.rate(), request.number("duration_s")
-        wait_match_s, ended_by = request.number("wait_match_s", 0.0), ""
-        with self._use(request) as (publisher, created):
-            message = publisher.outgoing(request.body)
-            repeat, velocity = Repeat(request), publisher.velocity
+        wait_match_s, ended_by, guarded = request.number("wait_match_s", 0.0), "", Guarded()
+        with self.use(request) as (publisher, created):
+            message = publisher.outgoing(request.body, request)
+            repeat, velocity = Repeat(request, self._send_event), publisher.velocity
             with self._velocities.hold(velocity, request):
                 try:
+                    publisher.call_stopper(message)
                     yield from publisher.wait_match(created, wait_match_s)
                     yield from publisher.wait_clock()
+                    guarded = yield from publisher.wait_stopper(message)
                     yield from repeat.run(publisher, message, rate_hz, duration_s)
                 except Cancelled as cancelled:
                     ended_by = cancelled.ended_by
@@ -245,8 +319,11 @@ class Publishers:
             "matched": matched,
             "elapsed_s": elapsed_s,
             "late": repeat.late,
+            "limited": repeat.limited,
             "final_sent": velocity is not None,
             "ended_by": ended_by,
+            "stopper_s": guarded.waited_s,
+            "unguarded": guarded.problem,
         }
 
     def failsafe(self, request: Request) -> Steps[protocol.Cancelled]:
@@ -254,7 +331,7 @@ class Publishers:
 
         With `now` it gets one at once, as of a robot that a former bridge has left moving.
         """
-        with self._use(request) as (publisher, _):
+        with self.use(request) as (publisher, _):
             velocity = publisher.velocity
             if velocity is None:
                 problem = f"{request.text('type')} is no velocity command: it is not known what would stop it."
@@ -262,6 +339,7 @@ class Publishers:
             with self._velocities.hold(velocity, request):
                 if not velocity.commands:
                     velocity.frame_id = request.text("frame", default=velocity.frame_id)
+                    velocity.joints = tuple(request.texts("joints")) if request.has("joints") else ()
                 try:
                     if request.flag("now"):
                         yield from velocity.stop_whoever_comes()
@@ -270,7 +348,7 @@ class Publishers:
                 except Cancelled:
                     return {"cancelled": True}
 
-    def _use(self, request: Request) -> AbstractContextManager[tuple[Publisher, bool]]:
+    def use(self, request: Request) -> AbstractContextManager[tuple[Publisher, bool]]:
         """The pooled publisher that a request names: a context of it and whether it was created for it."""
         key = (request.text("topic"), request.text("type"), tuple(sorted(request.qos().items())))
         return self.pool.use(key, lambda: self._create(request=request))

@@ -14,15 +14,16 @@ from typing import TYPE_CHECKING
 
 from . import qos
 from .graph import Graph
+from .lifeline import Guarded
 from .loop import Loop
-from .protocol import RelayCounts, RelayEnd, RelayFeedReply, RelayReply, RelaysReply
+from .protocol import EndedBy, RelayCounts, RelayEnd, RelayFeedReply, RelayReply, RelaysReply
 from .publishers import Publisher
 from .request import Cancelled, OperationError, Request, Steps
 from .rhythm import Rhythm
 from .stream import Sample
 from .subscriptions import DEPTH_FOR_ALL, DRAIN_AT_MOST_S, DRAIN_PERIOD_S, LAST_DRAIN_S, RawSubscription
 from .velocities import Velocities
-from .velocity import VELOCITY_TYPES
+from .velocity import MOTION_TYPES
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -74,6 +75,11 @@ class FollowedSource:
             self.subscription = self._open(qos.profile(chosen, DEPTH_FOR_ALL))
             self.subscription.lost = lost
 
+    @property
+    def is_latched(self) -> bool:
+        """Whether it is given what was sent before."""
+        return self._chosen is not None and self._chosen["durability"] == "transient_local"
+
     def destroy(self) -> None:
         """End receiving."""
         if self.subscription is not None:
@@ -81,15 +87,16 @@ class FollowedSource:
 
 
 class Relay:
-    """One relay with its entities and counts: `passed` messages were published, `dropped` held back by the rate, and
-    `refused` are velocity commands that are not finite or cannot be decoded.
+    """One relay with its entities and counts: `passed` messages were published, of which `limited` less than they
+    were; `dropped` were held back by the rate, and `refused` by the policy, or as velocity commands that are not finite
+    or cannot be decoded.
     """
 
     def __init__(
         self, *, node: Node, graph: Graph, loop: Loop, create: Callable[..., Publisher], request: Request
     ) -> None:
         # A depth of 1 is acknowledged at once (see `Publisher`), which a zero needs; else a burst must fit.
-        self._awaits_first_ack = request.text("type") in VELOCITY_TYPES
+        self._awaits_first_ack = request.text("type") in MOTION_TYPES
         self._rhythm = Rhythm(request.rate()) if request.has("rate_hz") else None
         self._source = FollowedSource(node, graph, request) if request.has("source") else None
         self.publisher = create(request=request, max_depth=1 if self._awaits_first_ack else DEPTH)
@@ -100,11 +107,16 @@ class Relay:
         self.passed = 0
         self.dropped = 0
         self.refused = 0
+        self.limited = 0
+        self.ended_by: EndedBy = ""
+        self._guarded = Guarded()
 
     def run(self, duration_s: float) -> Steps[None]:
         """Steps that relay: first wait for the subscribers, so that they miss nothing."""
+        self.publisher.call_stopper()
         yield from self.publisher.wait_match(True, self._request.number("wait_match_s", 0.0))
         yield from self.publisher.wait_clock()
+        self._guarded = yield from self.publisher.wait_stopper()
         self._has_begun, self.is_running, self._started = True, True, time.monotonic()
         end = self._started + (duration_s or math.inf)
         while time.monotonic() < end:
@@ -120,12 +132,13 @@ class Relay:
         if not self.is_running:
             return
         try:
-            message = self.publisher.outgoing(data)
+            self.limited += self.publisher.publish(self.publisher.outgoing(data, self._request), self._request)
+        except Cancelled:
+            raise
         except OperationError:
             self.refused += 1
-            return
-        self.publisher.publish(message, self._request)
-        self.passed += 1
+        else:
+            self.passed += 1
 
     def wait_first_ack(self) -> Steps[None]:
         """Steps until the first message is acknowledged, where there is no room for a second one beside it.
@@ -146,6 +159,7 @@ class Relay:
         self.is_running = False
         if velocity is not None and self._has_begun:
             velocity.send_zero()
+        self.publisher.limits.end()  # nobody else could: the publisher ends with the relay
         yield from self.publisher.wait_acknowledged(LAST_ACK_S)
         return {**counts, "final_sent": velocity is not None and self._has_begun}
 
@@ -157,10 +171,13 @@ class Relay:
             "passed": self.passed,
             "dropped": self.dropped,
             "refused": self.refused,
+            "limited": self.limited,
             "lost": subscription.lost if subscription else 0,
             "publishers": subscription.publisher_count() if subscription else 0,
             "matched": self.publisher.matched(),
             "elapsed_s": round(time.monotonic() - self._started, 6),
+            "stopper_s": self._guarded.waited_s,
+            "unguarded": self._guarded.problem,
         }
 
     def destroy(self) -> None:
@@ -201,7 +218,7 @@ class Relays:
 
     def relay(self, request: Request) -> Steps[RelayReply]:
         """Relay until its time is over or the request is ended, then send the zero where it is a velocity."""
-        name, duration_s, ended_by = request.text("name"), request.number("duration_s", 0.0), ""
+        name, duration_s = request.text("name"), request.number("duration_s", 0.0)
         if name in self._open:
             raise OperationError("bad_request", f"There is a relay {name!r} already.")
         relay = self._open[name] = self._create(request=request)
@@ -212,24 +229,34 @@ class Relays:
                 try:
                     yield from relay.run(duration_s)
                 except Cancelled as cancelled:
-                    ended_by = cancelled.ended_by
+                    relay.ended_by = cancelled.ended_by
                 finally:
                     request.task = None  # it ends now, and cannot be cancelled any more
                     counts = yield from relay.finish()
         finally:
             self._open.pop(name, None)
             relay.destroy()
-        return {**counts, "ended_by": ended_by}
+        return {**counts, "ended_by": relay.ended_by}
 
     def feed(self, request: Request) -> Steps[RelayFeedReply]:
         """Publish messages through a relay of that name: the body is one after the other, of these sizes."""
         relay, offset = self._open.get(request.text("name")), 0
+        sizes = request.sizes("sizes")
+        if relay is not None and relay.ended_by in ("stop", "lease", "latch", "stopper"):
+            raise Cancelled(relay.ended_by)
         if relay is None or not relay.is_running:
             raise OperationError("not_found", f"There is no running relay {request.text('name')!r}.")
-        for size in request.sizes("sizes"):
-            request.check_accepted()
-            relay.publish(request.body[offset : offset + size])
-            yield from relay.wait_first_ack()
+        passed_before = relay.passed
+        for size in sizes:
+            try:
+                request.check_accepted()
+                relay.publish(request.body[offset : offset + size])
+                yield from relay.wait_first_ack()
+            except Cancelled as cancelled:
+                if relay.passed == passed_before:
+                    raise
+                sent = f"{relay.passed - passed_before} of {len(sizes)} messages had been sent"
+                raise Cancelled(cancelled.ended_by, sent) from None
             offset += size
         return {"passed": relay.passed}
 

@@ -35,17 +35,20 @@ class OperationError(Exception):
 
 
 _WHY_ENDED: Mapping[EndedBy, tuple[ErrorKind, str]] = {
-    "cancel": ("cancelled", "The request was cancelled."),
-    "stop": ("stopped", "A stop came after this was accepted: nothing was sent."),
-    "lease": ("stopped", "The server was silent for longer than its link lease: nothing was sent."),
+    "cancel": ("cancelled", "The request was cancelled"),
+    "stop": ("stopped", "A stop came after this was accepted"),
+    "lease": ("lapsed", "The server was silent for longer than its link lease"),
+    "latch": ("latched", "The latch of this robot is set, or was since this was accepted; only an operator resets it"),
+    "stopper": ("stopped", "The stopper died, and what moved was stopped"),
 }
 
 
 class Cancelled(OperationError):
-    """Thrown into an operation that is ended before its time, with what ended it."""
+    """Thrown into an operation that is ended before its time, with what ended it and what of it was sent."""
 
-    def __init__(self, ended_by: EndedBy = "cancel") -> None:
-        super().__init__(*_WHY_ENDED[ended_by])
+    def __init__(self, ended_by: EndedBy = "cancel", sent: str = "nothing was sent") -> None:
+        kind, why = _WHY_ENDED[ended_by]
+        super().__init__(kind, f"{why}: {sent}.")
         self.ended_by: EndedBy = ended_by
 
 
@@ -70,7 +73,8 @@ class Request:
     """
 
     def __init__(self, header: Mapping[str, Any], body: bytes) -> None:
-        self.id: int | None = header.get("id")
+        number = header.get("id")
+        self.id: int | None = number if isinstance(number, int) else None  # NaN is no JSON: it could not be answered
         self.op: str = header.get("op") or ""
         self.body = body
         self.acceptance: Acceptance | None = None
@@ -93,7 +97,7 @@ class Request:
         return task is not None
 
     def check_accepted(self) -> None:
-        """Raise `Cancelled` if a stop, or the end of the link lease, came after this request was accepted."""
+        """Raise `Cancelled` if a stop, the end of the link lease or the latch came after this request was accepted."""
         if self.acceptance and (ended_by := self.acceptance.overtaken_by()):
             raise Cancelled(ended_by)
 

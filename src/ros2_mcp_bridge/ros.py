@@ -26,12 +26,26 @@ if TYPE_CHECKING:
 MORE_CANDIDATES = 2
 # The participants of this machine answer an announcement after 0.2 to 1 ms (decision 13), a busy one later.
 ANSWERED_S = 0.2
+# What rcl logs goes to stderr, which is the bridge's log; it writes no file on the robot.
+WITHOUT_LOG_FILES = ["--ros-args", "--disable-external-lib-logs"]
 # While these answers are waited for; each time reads the kernel's table of ports. Chosen.
 _LOOK_EVERY_S = 0.01
 
 
 def enter(node_name: str) -> tuple[Node, Executor]:
-    """Initialise ROS and make the bridge's node, as light as it can be; returns it with its executor.
+    """Initialise ROS and make the bridge's node; returns it with its executor."""
+    node = join(node_name)
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor as BestExecutor
+    except ImportError:  # before Jazzy
+        from rclpy.executors import SingleThreadedExecutor as BestExecutor
+    executor = BestExecutor(context=node.context)
+    executor.add_node(node)
+    return node, executor
+
+
+def join(node_name: str) -> Node:
+    """Initialise ROS and make a node, as light as it can be.
 
     A participant that has not discovered everybody on this machine at once discovers the others only at their next
     announcement, up to 3 s later: then more are tried, and the one that has discovered most stays.
@@ -46,21 +60,15 @@ def enter(node_name: str) -> tuple[Node, Executor]:
         node = max(nodes, key=participants.discovered)
         for other in nodes:
             if other is not node:
-                _destroy_node(other)
-    try:
-        from rclpy.experimental.events_executor import EventsExecutor as BestExecutor
-    except ImportError:  # before Jazzy
-        from rclpy.executors import SingleThreadedExecutor as BestExecutor
-    executor = BestExecutor(context=node.context)
-    executor.add_node(node)
-    return node, executor
+                destroy(other)
+    return node
 
 
 def leave(node: Node, executor: Executor) -> None:
     """Undo `enter`."""
     executor.remove_node(node)
     executor.shutdown()
-    _destroy_node(node)
+    destroy(node)
 
 
 def hello(node: Node, executor: Executor) -> dict[str, object]:
@@ -82,7 +90,7 @@ def hello(node: Node, executor: Executor) -> dict[str, object]:
 def _new_node(node_name: str) -> Node:
     context = Context()
     with _receiving_after_sending():
-        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=WITHOUT_LOG_FILES, context=context, signal_handler_options=SignalHandlerOptions.NO)
         return rclpy.create_node(
             node_name,
             context=context,
@@ -120,7 +128,8 @@ def _receiving_after_sending() -> Generator[None, None, None]:
                 os.sched_setscheduler(int(thread.name), os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
 
 
-def _destroy_node(node: Node) -> None:
+def destroy(node: Node) -> None:
+    """Undo `join`."""
     context = node.context
     node.destroy_node()
     context.try_shutdown()

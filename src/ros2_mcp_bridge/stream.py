@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import threading
@@ -10,13 +11,16 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import NamedTuple
 
-from .limits import BATCH_BYTES, MAX_BODY_BYTES
+from .limits import BATCH_BYTES, MAX_BODY_BYTES, MOST_WAITING_BYTES, PIECE_BYTES
 from .packets import Packet, PacketError, PacketReader, pack
+from .pieces import LANE_OF_REQUESTS, Credit, Cut, Lanes
 from .protocol import Counts, SampleHead, Samples
 from .request import OperationError
 
 # As much as a pipe of the local carrier holds; one that holds less gives less.
 READ_BYTES = BATCH_BYTES
+# In a batch that leaves in pieces: the times of as many samples take about as much room as a piece.
+PIECE_SAMPLES = 256
 
 
 def claim_standard_streams() -> tuple[int, int]:
@@ -32,18 +36,32 @@ def claim_standard_streams() -> tuple[int, int]:
     return incoming, outgoing
 
 
-def read_packets(descriptor: int, wait_readable: Callable[[], None] = lambda: None) -> Iterator[Packet]:
+def read_packets(
+    descriptor: int,
+    wait_readable: Callable[[], None] = lambda: None,
+    outbox: Outbox | None = None,
+) -> Iterator[Packet]:
     """Yield every packet until the stream ends; raises `PacketError` when it breaks.
 
-    `wait_readable` is called before each read; it returns when something can be read.
+    `wait_readable` is called before each read; it returns when something can be read. With an `outbox`, pieces are put
+    together and acknowledged through it, and what the other side acknowledges is told to it.
     """
-    reader = PacketReader()
+    reader, lanes = PacketReader(), Lanes()
     while True:
         wait_readable()
         piece = os.read(descriptor, READ_BYTES)
         if not piece:
             break
-        yield from reader.feed(piece)
+        for packet in reader.feed(piece):
+            op = packet.header.get("op")
+            if outbox and op == "ack":
+                outbox.acknowledge(packet.header.get("bytes"))
+            elif outbox and op == "piece":
+                whole = list(lanes.feed(*packet))
+                outbox.send({"event": "ack", "bytes": lanes.taken_bytes})
+                yield from whole
+            else:
+                yield packet
     if reader.is_inside_packet:
         raise PacketError("the stream ended inside a packet")
 
@@ -51,7 +69,8 @@ def read_packets(descriptor: int, wait_readable: Callable[[], None] = lambda: No
 class Sample(NamedTuple):
     """One message as bytes.
 
-    `lost` is the number of messages known to be lost up to this one, or None where that cannot be known.
+    `lost` is the number of messages known to be lost up to this one, or None where that cannot be known. `whole` is
+    how many bytes the message has where `data` is only its head, else 0.
     """
 
     received_ns: int
@@ -59,21 +78,25 @@ class Sample(NamedTuple):
     sequence: int | None
     data: bytes
     lost: int | None
+    whole: int = 0
 
 
 class SampleQueue:
     """The samples of one subscription that wait for the stream: bounded, the oldest are dropped and counted.
 
-    Use it only through the `Outbox`, which holds the lock.
+    `cut` is the packet of them that is leaving in pieces; `skipped` are those between every n-th, which count as
+    received. Use it only through the `Outbox`, which holds the lock.
     """
 
     def __init__(self, number: int, max_samples: float, max_bytes: float) -> None:
         self.number = number
         self.received = 0
+        self.skipped = 0
         self.dropped = 0
         self.waiting: deque[Sample] = deque()
-        self.last_packet: bytes | None = None
-        self._bytes = 0
+        self.cut: Cut | None = None
+        self.after: list[bytes] = []  # packets that follow what waits
+        self.bytes = 0
         self._max_samples = max_samples
         self._max_bytes = max_bytes
 
@@ -85,27 +108,44 @@ class SampleQueue:
                 self.dropped += 1
                 continue
             self.waiting.append(sample)
-            self._bytes += len(sample.data)
-            while len(self.waiting) > 1 and (len(self.waiting) > self._max_samples or self._bytes > self._max_bytes):
-                self._pop()
-                self.dropped += 1
+            self.bytes += len(sample.data)
+            while len(self.waiting) > 1 and (len(self.waiting) > self._max_samples or self.bytes > self._max_bytes):
+                self.drop_oldest()
+
+    def drop_oldest(self) -> None:
+        """One that waits is not sent."""
+        self._pop()
+        self.dropped += 1
 
     def counts(self, lost: int | None) -> Counts:
         """What became of the messages so far; those that still wait count as received."""
-        return {"received": self.received, "dropped": self.dropped, "lost": lost}
+        return {"received": self.received + self.skipped, "dropped": self.dropped, "lost": lost}
 
-    def take_batch(self) -> bytes:
-        """Remove the oldest samples, up to `BATCH_BYTES` or one, and return their packet."""
+    @property
+    def has_work(self) -> bool:
+        """Whether something of it has yet to be written."""
+        return bool(self.waiting or self.cut)
+
+    def leave_at_most(self, most_bytes: int) -> None:
+        """Drop what would take longer than so many bytes: the oldest that wait, and a packet that has hardly begun."""
+        if self.cut and self.cut.left_bytes > most_bytes:  # batches of several are smaller: it is one sample
+            self.cut = None
+            self.dropped += 1
+        while self.waiting and self.bytes > most_bytes:
+            self.drop_oldest()
+
+    def take_batch(self, most_bytes: int = BATCH_BYTES, most_samples: float = math.inf) -> bytes:
+        """Remove the oldest samples, up to so many bytes or one, and return their packet."""
         batch = [self._pop()]
         size = len(batch[0].data)
-        while self.waiting and size + len(self.waiting[0].data) <= BATCH_BYTES:
+        while self.waiting and size + len(self.waiting[0].data) <= most_bytes and len(batch) < most_samples:
             batch.append(self._pop())
             size += len(batch[-1].data)
         header: Samples = {
             "event": "samples",
             "sub": self.number,
-            "samples": [SampleHead(*sample[:3], len(sample.data)) for sample in batch],
-            "received": self.received - len(self.waiting),
+            "samples": [SampleHead(*sample[:3], len(sample.data), sample.whole) for sample in batch],
+            "received": self.received + self.skipped - len(self.waiting),
             "dropped": self.dropped,
             "lost": batch[-1].lost,
         }
@@ -113,21 +153,47 @@ class SampleQueue:
 
     def _pop(self) -> Sample:
         sample = self.waiting.popleft()
-        self._bytes -= len(sample.data)
+        self.bytes -= len(sample.data)
         return sample
 
 
 class Outbox:
-    """What waits to be written: replies and events, which are never dropped, and queues of samples."""
+    """What waits to be written: replies and events, which are never dropped, and queues of samples.
+
+    Over a slow link (`begin_pieces`) what is large, and all samples, leave in pieces as far as the server keeps up;
+    what is small goes before them.
+    """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._packets: deque[bytes] = deque()
+        self._large: deque[Cut] = deque()
         self._queues: deque[SampleQueue] = deque()
+        self._credit: Credit | None = None
+
+    def begin_pieces(self, window_bytes: int) -> None:
+        """From now on only so many bytes of pieces are under way, unless it is 0; a second call changes nothing."""
+        with self._changed:
+            if window_bytes and self._credit is None:
+                self._credit = Credit(max(window_bytes, PIECE_BYTES))
+
+    def acknowledge(self, total: object) -> None:
+        """The server has taken so many bytes of pieces; raises `PacketError` for what cannot be."""
+        with self._changed:
+            if self._credit is None:
+                raise PacketError("pieces were acknowledged that were not written")
+            self._credit.acknowledge(total)
+            self._changed.notify()
 
     def send(self, header: Mapping[str, object], body: bytes = b"") -> None:
         """Send a reply or an event; one that no packet can carry is replaced by an error."""
-        self._append(_pack(header, body))
+        packet = _pack(header, body)
+        with self._changed:
+            if self._credit is not None and len(packet) > PIECE_BYTES:
+                self._large.append(Cut("event", LANE_OF_REQUESTS, packet))
+            else:
+                self._packets.append(packet)
+            self._changed.notify()
 
     def reply(self, request_id: int | None, ok: Mapping[str, object], body: bytes = b"") -> None:
         """Answer a request."""
@@ -143,24 +209,42 @@ class Outbox:
     def add_samples(self, queue: SampleQueue, samples: Iterable[Sample]) -> None:
         """Let samples wait in their subscription's queue."""
         with self._changed:
-            was_empty = not queue.waiting
+            was_idle = not queue.has_work
             queue.add(samples)
-            if was_empty and queue.waiting:
+            if was_idle and queue.waiting:
                 self._queues.append(queue)
                 self._changed.notify()
+            while sum(each.bytes for each in self._queues) > MOST_WAITING_BYTES:
+                largest = max(self._queues, key=lambda each: each.bytes)
+                if len(largest.waiting) == 1:
+                    break
+                largest.drop_oldest()
 
-    def reply_after_samples(self, queue: SampleQueue, request_id: int | None, ok: Mapping[str, object]) -> None:
-        """Answer a request as soon as the queue's samples have been sent."""
-        packet = _pack({"id": request_id, "ok": ok}, b"")
+    def reply_after_samples(
+        self, queue: SampleQueue, request_id: int | None, lost: int | None, *, is_last: bool = True
+    ) -> None:
+        """Answer a request with the counts as soon as the queue's samples have been sent.
+
+        Over a slow link only so much is still sent as may be under way, if they are the last: who ends a subscription
+        does not wait for more.
+        """
         with self._changed:
-            if queue.waiting:
-                queue.last_packet = packet
-                return
-        self._append(packet)
+            if self._credit is not None and is_last:
+                queue.leave_at_most(self._credit.window_bytes)
+                if not queue.has_work and queue in self._queues:
+                    self._queues.remove(queue)
+            packet = _pack({"id": request_id, "ok": queue.counts(lost)}, b"")
+            if queue.has_work:
+                queue.after.append(packet)
+            else:
+                self._packets.append(packet)
+                self._changed.notify()
 
     def finish(self) -> None:
         """Let `write_packets` return when it has written what waits now."""
-        self._append(b"")
+        with self._changed:
+            self._packets.append(b"")
+            self._changed.notify()
 
     def write_packets(self, descriptor: int) -> None:
         """Write until `finish`, or until the other side closes the stream."""
@@ -172,24 +256,39 @@ class Outbox:
         except OSError as error:
             sys.stderr.write(f"the stream to the server is broken: {error}\n")
 
-    def _append(self, packet: bytes) -> None:
-        with self._changed:
-            self._packets.append(packet)
-            self._changed.notify()
-
     def _next_packet(self) -> bytes:
         with self._changed:
-            self._changed.wait_for(lambda: self._packets or self._queues)
+            self._changed.wait_for(self._has_something_to_write)
             if self._packets:
                 return self._packets.popleft()
-            # One packet of each queue in turn, so that a flood on one topic does not hold up the others.
+            if self._credit is not None and self._large:
+                packet = self._piece_of(self._large[0], self._credit)
+                if not self._large[0].left_bytes:
+                    self._large.popleft()
+                return packet
+            # One packet or piece of each queue in turn, so that a flood on one topic does not hold up the others.
             queue = self._queues.popleft()
-            packet = queue.take_batch()
-            if queue.waiting:
+            if self._credit is None:
+                packet = queue.take_batch()
+            else:
+                queue.cut = queue.cut or Cut("event", queue.number, queue.take_batch(PIECE_BYTES, PIECE_SAMPLES))
+                packet = self._piece_of(queue.cut, self._credit)
+                queue.cut = queue.cut if queue.cut.left_bytes else None
+            if queue.has_work:
                 self._queues.append(queue)
-            elif queue.last_packet:
-                self._packets.append(queue.last_packet)
+            else:
+                self._packets.extend(queue.after)
+                queue.after.clear()
             return packet
+
+    def _has_something_to_write(self) -> bool:
+        may_write_pieces = self._credit is None or self._credit.has_room
+        return bool(self._packets or ((self._large or self._queues) and may_write_pieces))
+
+    def _piece_of(self, cut: Cut, credit: Credit) -> bytes:
+        packet, size = cut.take()
+        credit.write(size)
+        return packet
 
 
 def _pack(header: Mapping[str, object], body: bytes) -> bytes:

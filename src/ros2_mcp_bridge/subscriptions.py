@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from . import qos, rcl
 from .graph import Graph
 from .loop import Loop, Task, log_failure
-from .protocol import SubscribeReply
+from .protocol import Counts, SubscribeReply
+from .replayed import NewestOfOld
 from .request import OperationError, Request, Steps
 from .stream import Outbox, Sample, SampleQueue
 
@@ -51,9 +52,13 @@ class RawSubscription:
         self._raw = rcl.subscription(node, interface, topic, profile)
 
     def publisher_count(self) -> int:
-        """The number of publishers that it is matched with; where rclpy does not tell (Humble), of those there are."""
+        """The number of publishers that it is matched with; where rclpy does not tell (Humble), of those there are.
+
+        Those of stoppers, which say nothing, do not count.
+        """
         count: Callable[[], int] | None = getattr(self._raw, "get_publisher_count", None)
-        return len(self._graph.publishers(self._topic)) if count is None else count()
+        matched = len(self._graph.publishers(self._topic)) if count is None else count()
+        return matched - self._graph.stoppers(self._topic) if count and matched > 1 else matched
 
     def drain(self, take_in: Callable[[Sample], bool | None], is_enough: Callable[[], bool]) -> bool:
         """Give `take_in` what the middleware holds; False if it, or now and then `is_enough`, ended that early."""
@@ -106,27 +111,56 @@ class Subscription(RawSubscription):
         keeps_all = request.choice("keep", ("all", "latest")) == "all"
         max_samples = max(1, request.number("max_samples")) if keeps_all else 1
         self.drain_s = max(DRAIN_PERIOD_S, request.number("drain_s", DRAIN_PERIOD_S))
+        self._head_bytes = int(request.number("head_bytes", 0))
+        self._every_n = max(1, int(request.number("every_n", 1)))
+        self._seen = 0
         self.queue = SampleQueue(number, max_samples, request.number("max_bytes"))
         profile = qos.profile(request.qos(), DEPTH_FOR_ALL if keeps_all else 1)
+        opened_ns = time.time_ns()
         super().__init__(node, graph, request.text("topic"), request.interface, profile)
         if not keeps_all:
             self.lost = None  # overwritten in the middleware, as asked for: not a loss to count
         self._has_failed = False
+        is_latched = request.qos().get("durability") == "transient_local"
+        judges = request.flag("newest_of_old") and is_latched
+        self._old = NewestOfOld[Sample](opened_ns, time.monotonic()) if judges else None
 
     def drain_to(self, outbox: Outbox, is_enough: Callable[[], bool]) -> bool:
         """Move what the middleware holds to the outbox; returns False if `is_enough` ended it before all was taken."""
         samples: list[Sample] = []
+        seen_before = self._seen
+
+        def give_on(found: Sequence[Sample]) -> None:
+            for sample in found:
+                if self._seen % self._every_n == 0:
+                    samples.append(self._head_of(sample))
+                self._seen += 1
+
+        def take_in(sample: Sample) -> None:
+            give_on(self._old.passed(sample, time.monotonic()) if self._old else [sample])
+
         try:
-            is_empty = self.drain(samples.append, is_enough)
+            is_empty = self.drain(take_in, is_enough)
+            if self._old:
+                give_on(self._old.due(time.monotonic()))
         except rcl.RCLError as error:
             is_empty = True  # this one is tried again, and the others go on
             if not self._has_failed:
                 log_failure(None, error)  # once
             self._has_failed, self.lost = True, None
-        if samples:
+        if self._seen > seen_before:
             self.check_publishers()
+            self.queue.skipped += self._seen - seen_before - len(samples)
+        if samples:
             outbox.add_samples(self.queue, samples)
         return is_empty
+
+    def _head_of(self, sample: Sample) -> Sample:
+        """The sample with no more of its bytes than were asked for."""
+        size = len(sample.data)
+        if not self._head_bytes or size <= self._head_bytes:
+            return sample
+        return sample._replace(data=sample.data[: self._head_bytes], whole=size)
 
 
 class Subscriptions:
@@ -155,15 +189,32 @@ class Subscriptions:
 
     def unsubscribe(self, request: Request) -> Steps[None]:
         """Send what has arrived, and end; the queue of samples sends the answer."""
-        subscription = self._open.pop(request.number("sub"), None)
+        subscription = self._of(request)
+        del self._open[subscription.queue.number]
+        yield from self._send_rest(subscription, request, is_last=True)
+        subscription.destroy()
+
+    def counts_of(self, request: Request) -> Counts | Steps[None]:
+        """What has come of a subscription up to now; sent at once, or after what has arrived."""
+        subscription = self._of(request)
+        if request.flag("after_samples"):
+            return self._send_rest(subscription, request, is_last=False)
+        return subscription.queue.counts(subscription.lost)
+
+    def _of(self, request: Request) -> Subscription:
+        subscription = self._open.get(request.number("sub"))
         if subscription is None:
             raise OperationError("not_found", "There is no such subscription.")
+        return subscription
+
+    def _send_rest(self, subscription: Subscription, request: Request, *, is_last: bool) -> Steps[None]:
+        """Send what has arrived, and answer after it; another one may end meanwhile what is not ended here."""
         deadline = time.monotonic() + LAST_DRAIN_S
-        while not subscription.drain_to(self._outbox, self._loop.has_due) and time.monotonic() < deadline:
+        while (is_last or subscription.queue.number in self._open) and time.monotonic() < deadline:
+            if subscription.drain_to(self._outbox, self._loop.has_due):
+                break
             yield 0.0
-        subscription.destroy()
-        counts = subscription.queue.counts(subscription.lost)
-        self._outbox.reply_after_samples(subscription.queue, request.id, counts)
+        self._outbox.reply_after_samples(subscription.queue, request.id, subscription.lost, is_last=is_last)
 
     def clear(self) -> None:
         """End all."""

@@ -1,4 +1,4 @@
-"""`python -m ros2_mcp_demo`: run the simulated robot until a signal, or the end of its input, stops it."""
+"""`python -m ros2_mcp_demo`: run a simulated robot until a signal, or the end of its input, stops it."""
 
 # pyright: basic
 from __future__ import annotations
@@ -10,10 +10,13 @@ import signal
 import sys
 import threading
 
+from .robots import ROBOTS, left_out, named
+
 
 def main():
     """Run the robot; it ends on SIGINT, on SIGTERM, or with its standard input if asked to."""
     parser = argparse.ArgumentParser(prog="ros2_mcp_demo", description="A simulated robot of ROS 2 nodes.")
+    parser.add_argument("--robot", choices=ROBOTS, default="rover", help="which one (default %(default)s)")
     parser.add_argument("--seed", type=int, default=7, help="of all noise (default %(default)s)")
     parser.add_argument("--namespace", default="", help="put all nodes and topics under this name")
     parser.add_argument("--rate", type=_rate, default=50.0, help="steps a second, 10 to 100 (default %(default)s)")
@@ -23,11 +26,11 @@ def main():
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: signalled.set())
     # Imported now, since it takes a second or more, in which a signal must already end the robot in order.
-    from . import optional
     from .robot import Robot
 
-    robot = Robot(options.seed, options.namespace, options.rate)
-    missing = "; left out: " + ", ".join(optional.left_out()) if optional.left_out() else ""
+    chosen = named(options.robot)
+    robot = Robot(chosen, options.seed, options.namespace, options.rate)
+    missing = "; left out: " + ", ".join(left_out(chosen)) if left_out(chosen) else ""
     sys.stdout.write(f"robot ready: {robot.node_count} nodes, seed {options.seed}{missing}\n")
     sys.stdout.flush()
     try:

@@ -67,7 +67,7 @@ class Drive:
         self._arrived = False
         self._next_look = now
         self._mark, self._marked_at = Pose(math.inf), now  # no place yet
-        self._back_off_until, self._bumps = 0.0, 0
+        self._back_off_until, self._bumps, self._lost = 0.0, 0, 0
 
     def step(self, pose: Pose, now, blocked, fastest, turning):
         """The velocities (m/s, rad/s) to drive with from here; `blocked`: the base stands against something."""
@@ -85,6 +85,11 @@ class Drive:
         linear, angular = self._pursuit.velocity(pose, fastest, turning)
         self.state = "driving" if linear > 0 else "turning"
         return linear, angular
+
+    @property
+    def recoveries(self):
+        """How often it backed off, or had no way where it had one before."""
+        return self._bumps + self._lost
 
     def remaining(self, pose: Pose):
         """The way still to go in m; the straight line while there is no plan."""
@@ -114,6 +119,7 @@ class Drive:
         path = plan(costmap, (pose.x, pose.y), (self.goal.x, self.goal.y))
         self.replans += 1
         if path is None:
+            self._lost += self.state != "replanning"
             self.state, self._pursuit, self.path = "replanning", None, []
         else:
             self.path, self._pursuit = path, Pursuit(path)

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import importlib
+import os
+import sys
 from typing import Any
 
 
@@ -15,22 +17,20 @@ def module(name: str) -> Any:
         return None
 
 
+def arrived(package: str, *names: str) -> list[Any]:
+    """The modules of a package that may be built while the robot runs; empty while they are not there."""
+    importlib.invalidate_caches()
+    found = [module(f"{package}.{name}") for name in names]
+    return [] if None in found else found
+
+
+def is_expected(package: str) -> bool:
+    """Whether it is there, or has a place in the search path, which is empty while it is being built."""
+    return module(package) is not None or any(f"{os.sep}{package}-" in entry for entry in sys.path)
+
+
 tf2_msgs = module("tf2_msgs.msg")
 demo_services = module("ros2_mcp_demo_interfaces.srv")
 demo_actions = module("ros2_mcp_demo_interfaces.action")
 lifecycle = module("rclpy.lifecycle")
 pillow = module("PIL.Image")
-
-
-_GOES_WITHOUT = (
-    (tf2_msgs, "/tf and /tf_static (no tf2_msgs)"),
-    (demo_services, "/set_mode, /spawn_obstacle, /slow_echo (no ros2_mcp_demo_interfaces)"),
-    (demo_actions, "/navigate_to (no ros2_mcp_demo_interfaces)"),
-    (lifecycle, "/gripper_driver (no rclpy.lifecycle)"),
-    (pillow, "/camera/image_raw/compressed (no Pillow)"),
-)
-
-
-def left_out():
-    """What the robot goes without, one phrase for each missing package."""
-    return [what for package, what in _GOES_WITHOUT if package is None]

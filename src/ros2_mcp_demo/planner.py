@@ -22,10 +22,14 @@ _NEIGHBOURS = [(dx, dy, math.hypot(dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 
 
 @dataclass
 class Costmap:
-    """Where the middle of the robot may be: `blocked` is bool (rows, columns), row 0 at the smallest y."""
+    """Where the middle of the robot may be: `blocked` is bool (rows, columns), row 0 at the smallest y.
+
+    `occupied`, of the same shape, is where something stands; None where only the other is known.
+    """
 
     blocked: np.ndarray
     origin: tuple[float, float]
+    occupied: np.ndarray | None = None
 
     @classmethod
     def from_occupancy(cls, cells, origin, resolution, points=()):
@@ -38,6 +42,7 @@ class Costmap:
             row, column = costmap.cell(x, y)
             if costmap.holds(row, column):
                 costmap.blocked[row, column] = True
+        costmap.occupied = costmap.blocked
         costmap.blocked = inflated(costmap.blocked, INFLATION / RESOLUTION)
         return costmap
 

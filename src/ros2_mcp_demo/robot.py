@@ -12,38 +12,29 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from . import optional
-from .nodes.base_controller import BaseController
-from .nodes.battery_monitor import BatteryMonitor
-from .nodes.camera import Camera
-from .nodes.echo_server import EchoServer
-from .nodes.health import Health
-from .nodes.imu_driver import ImuDriver
-from .nodes.lidar import Lidar
-from .nodes.localization import Localization
-from .nodes.map_server import MapServer
-from .nodes.navigator import Navigator
-from .nodes.robot_state_publisher import RobotStatePublisher
-from .nodes.simulator import Simulator
-from .simulation import Simulation
 
+LATE_EVERY_S = 1.0  # between looks for what could not be there at the start
 FALLEN_BEHIND_S = 0.25  # more than that is not made up for: the steps would come in a jump
 
 
 class Robot:
-    """All nodes in one process. `rate` times a second the world moves on and nodes publish what is due."""
+    """All nodes of one of the `robots` in one process.
 
-    def __init__(self, seed=7, namespace="", rate=50.0):
+    `rate` times a second the world moves on and nodes publish what is due.
+    """
+
+    def __init__(self, robot, seed=7, namespace="", rate=50.0):
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._simulation = Simulation(seed)
+        self._simulation, self._parts = robot.build(seed, namespace)
+        has_late = hasattr(robot, "late")
+        self._late = (lambda: robot.late(self._simulation, namespace, self._parts)) if has_late else None
         self._period = 1.0 / rate
         self._clock = Clock()
-        self._parts = _parts(self._simulation, namespace)
         # The events executor is by far the cheapest; older ROS installations have only the other one.
         experimental = optional.module("rclpy.experimental")
         self._executor = getattr(experimental, "EventsExecutor", SingleThreadedExecutor)()
-        self._spun = [part for part in self._parts if part.needs_executor]
-        for part in self._spun:
-            self._executor.add_node(part)
+        self._spun = []
+        self._spin(self._parts)
 
     @property
     def node_count(self):
@@ -52,8 +43,11 @@ class Robot:
 
     def run(self, should_stop):
         """Live until `should_stop()`; a computer that is too slow makes the robot slow, not jumpy."""
-        due = time.monotonic()
+        due = look_at = time.monotonic()
         while not should_stop():
+            if self._late and time.monotonic() >= look_at:
+                look_at = time.monotonic() + LATE_EVERY_S
+                self._join(self._late())
             self._simulation.step(self._period)
             stamp = self._clock.now().to_msg()
             for part in self._parts:
@@ -70,6 +64,19 @@ class Robot:
             part.destroy_node()
         try_shutdown()
 
+    def _join(self, parts):
+        """Take in nodes that were not there at the start."""
+        if parts:
+            self._late = None
+            self._parts += parts
+            self._spin(parts)
+
+    def _spin(self, parts):
+        for part in parts:
+            if part.needs_executor:
+                self._executor.add_node(part)
+                self._spun.append(part)
+
     def _answer_until(self, due):
         """Handle commands, requests and goals; at least one, however late it is."""
         while True:
@@ -80,18 +87,3 @@ class Robot:
                 self._parts[0].get_logger().error(f"a callback failed: {error!r}")
             if left <= 0.0:
                 return
-
-
-def _parts(simulation, namespace):
-    """The nodes in the order in which they tick: commands are followed before anything is measured."""
-    classes = [BaseController, Lidar, Camera, ImuDriver, BatteryMonitor, MapServer, Localization, RobotStatePublisher]
-    if optional.demo_actions:
-        classes.append(Navigator)
-    if optional.demo_services:
-        classes += [Simulator, EchoServer]
-    if optional.lifecycle:
-        from .nodes.gripper_driver import GripperDriver  # it inherits from what an installation may lack
-
-        classes.append(GripperDriver)
-    parts = [part(simulation, namespace) for part in classes]
-    return [*parts, Health(simulation, namespace, parts)]

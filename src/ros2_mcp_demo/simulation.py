@@ -31,7 +31,8 @@ class Simulation:
     """The state of everything.
 
     `now` is the simulated time in s, `commanded` the velocities (m/s, rad/s) to drive with. `ranges` is the latest scan
-    (see `scan`), or None while the scanner is off.
+    (see `scan`), or None while the scanner is off. `driver` is what drives by itself, or did last. `localized_at` is
+    when the robot last knew where it is (s).
     """
 
     def __init__(self, seed=7):
@@ -46,6 +47,9 @@ class Simulation:
         self.ranges = None
         self.now = 0.0
         self.gyro_bias = 0.002
+        self.driver = None
+        self.localized_at = -math.inf
+        self._misplaced = (0.0, 0.0, 0.0)
         self._scanned_from = self.base.pose
         self._steps = 0
 
@@ -56,6 +60,10 @@ class Simulation:
         self.base.step(*(self.commanded if self.why_not_driving() is None else (0.0, 0.0)), dt)
         rims = abs(self.base.left.velocity) + abs(self.base.right.velocity)
         self.battery.step(rims * 0.05, dt)
+
+    def heartbeat(self):
+        """How the robot is, in one line."""
+        return f"alive {self.now:.0f} s, mode {self.mode}, battery {self.battery.charge * 100:.0f} %"
 
     def why_not_driving(self):
         """None while the motors have power, else in words why not."""
@@ -99,10 +107,16 @@ class Simulation:
         yaw, yaw_rate = wrapped(base.pose.yaw + 0.002 * noise[0]), base.angular + self.gyro_bias + 0.003 * noise[1]
         return yaw, yaw_rate, (float(x), float(y), float(z))
 
-    def localize(self):
-        """Where the robot believes to be in the map: its true pose to about a centimetre."""
-        noise, pose = self._place_rng.standard_normal(3), self.base.pose
-        return Pose(pose.x + 0.008 * noise[0], pose.y + 0.008 * noise[1], wrapped(pose.yaw + 0.004 * noise[2]))
+    def localize(self, stddev=0.008):
+        """Where the robot believes to be in the map: its true pose to `stddev` m, and half as many radians."""
+        self.localized_at = self.now
+        self._misplaced = tuple(stddev * self._place_rng.standard_normal(3) * (1.0, 1.0, 0.5))
+        return self.believed()
+
+    def believed(self):
+        """Where it believes to be now, as wrong as when it was localized."""
+        (dx, dy, turn), pose = self._misplaced, self.base.pose
+        return Pose(pose.x + dx, pose.y + dy, wrapped(pose.yaw + turn))
 
     def spawn(self, name, x, y, radius):
         """Put a pillar into the world. Returns None, or in words why not."""

@@ -3,8 +3,8 @@
 Runs under the ROS installation's Python: standard library and the `rosidl` modules of that installation only.
 """
 
-from ros2_mcp_interfaces.builder import build
+from ros2_mcp_interfaces.builder import build, finished, planned
 from ros2_mcp_interfaces.cache import default_cache
 from ros2_mcp_interfaces.errors import BuildError
 
-__all__ = ["BuildError", "build", "default_cache"]
+__all__ = ["BuildError", "build", "default_cache", "finished", "planned"]

@@ -42,6 +42,40 @@ def build(directories: Sequence[Path], cache: Path, report: Callable[[str], None
     return prefixes
 
 
+def finished(directories: Sequence[Path], cache: Path) -> list[Path]:
+    """The prefixes of those packages that are in the cache as `build` would make them here. Builds nothing.
+
+    What needs a package that has not been built has not been built either.
+
+    Raises `BuildError` where this Python belongs to no installation that can be built against.
+    """
+    packages, installation = find_packages(directories), find_installation()
+    prefixes: list[Path] = []
+    for package in packages:
+        try:
+            prefix = Path(cache).absolute() / content_name(package, installation)
+        except BuildError:
+            continue
+        if prefix.is_dir():
+            installation = installation.with_package(prefix)
+            prefixes.append(prefix)
+    return prefixes
+
+
+def planned(directories: Sequence[Path], cache: Path) -> list[Path]:
+    """The prefixes that `build` would give these packages here, built or not. What one needs of another must be built.
+
+    Raises `BuildError` where it is not, and where this Python belongs to no installation that can be built against.
+    """
+    packages, installation = find_packages(directories), find_installation()
+    prefixes: list[Path] = []
+    for package in packages:
+        prefixes.append(Path(cache).absolute() / content_name(package, installation))
+        if prefixes[-1].is_dir():
+            installation = installation.with_package(prefixes[-1])
+    return prefixes
+
+
 def _build_or_reuse(package: Package, installation: Installation, cache: Path, report: Callable[[str], None]) -> Path:
     if (installation.home / "share" / package.name).is_dir():
         raise BuildError(f"{package.name} is part of the installation {installation.home}", "Leave it out.")

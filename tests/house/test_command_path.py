@@ -22,12 +22,13 @@ BEGINS_AND_ENDS = {"src/ros2_mcp/library.py": {"robot.bridge.attach", "robot.bri
 """What the composition does with the link of a robot."""
 STREAM_MODULES = {"client", "connection", "subscription", "carrier", "carriers", "local", "heartbeat"}
 """Modules of `link/` that carry the stream; the others look for installations."""
-EXECUTORS = {"core", "failsafes", "goals", "publishing", "services", "translation"}
+EXECUTORS = {"core", "facts", "failsafes", "goals", "publishing", "services", "translation"}
 SPEAKING = {"ask", "query", "request", "subscribe"}
 OF_MCP = {
     "src/ros2_mcp/resources/push.py": {"self._bus.subscribe"},
     "src/ros2_mcp/server.py": {"resources.push.subscribe"},
     "src/ros2_mcp/leases.py": {"context.request"},
+    "src/ros2_mcp/scopes.py": {"context.request"},
 }
 """Who is subscribed with, or has made a request, is a client of ours, and no robot."""
 FAILSAFES = {"driving", "leave_cancel", "withdraw", "rest"}
@@ -105,20 +106,27 @@ def test_what_a_module_calls_its_own_is_no_way_around() -> None:
     assert list(ways_around("src/ros2_mcp/ops/planted.py", ast.parse(own))) == []
 
 
+DECIDING = {("guard", "acting"), ("policy", "decide")}
+
+
 def decisions() -> list[str]:
-    """Every call of a policy's `check`."""
+    """Every place that enters the guard, or asks a policy to decide."""
     return [
         f"{path}: {ast.unparse(node.func)}"
         for path, tree in trees().items()
         if path.startswith("src/ros2_mcp/")
         for node in ast.walk(tree)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
-        if node.func.attr == "check" and ast.unparse(node.func.value).endswith("policy")
+        if any(node.func.attr == verb and ast.unparse(node.func.value).endswith(who) for who, verb in DECIDING)
     ]
 
 
 def test_one_place_decides() -> None:
-    assert decisions() == ["src/ros2_mcp/robot/robot.py: self.policy.check"]
+    assert set(decisions()) == {
+        "src/ros2_mcp/robot/robot.py: self.guard.acting",
+        "src/ros2_mcp/guard/guard.py: self.policy.decide",
+        "src/ros2_mcp/guard/trials.py: policy.decide",  # about commands that nobody sends
+    }
 
 
 def test_every_command_can_be_carried_out() -> None:

@@ -66,6 +66,7 @@ def test_what_runs_beside_ros_needs_the_standard_library_and_rclpy_only(package:
     assert foreign == set()
 
 
+@pytest.mark.promise("README", "The server runs under any Python")
 def test_the_server_never_imports_rclpy() -> None:
     ours = {path: tree for path, tree in trees().items() if path.startswith("src/ros2_mcp/")}
     assert [path for path, tree in ours.items() if any(n.split(".")[0] == "rclpy" for n in imported(path, tree))] == []

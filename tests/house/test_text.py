@@ -7,8 +7,10 @@ import ast
 from support.source import trees
 
 OUTLETS = (
-    *("binding", "server", "completions", "cli", "commands/call", "commands/doctor", "commands/serve"),
+    *("binding", "server", "incoming", "completions", "cli", "commands/call", "commands/doctor", "commands/serve"),
+    *("commands/operate", "commands/audit"),
     *("resources/fitting", "resources/offering", "resources/push", "prompts/serving", "prompts/mistakes"),
+    "following",
 )
 MEASURE = ("codec/render", "ops/log")
 """These only measure how long a text will be when it is shown."""

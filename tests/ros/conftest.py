@@ -12,8 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from support.agent import Agent, agent_for
+from support.demo_robot import build_interfaces
 from support.domains import reserved_domains
-from support.processes import peer_command, python_path
+from support.observer import Observer, observing
+from support.processes import peer_command, python_path, running
+from support.tokens import leave_token
 
 END_S = 10.0
 os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(Path(__file__).with_name("quiet_fast_dds.xml")))
@@ -29,16 +33,77 @@ def domain_id() -> Iterator[int]:
 
 
 @pytest.fixture(scope="module")
-def ros_environment(domain_id: int) -> dict[str, str]:
-    """The environment of every ROS process that a test starts."""
+def ros_environment(domain_id: int, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The environment of every ROS process that a test starts; the state that servers keep is that file's alone."""
+    state_home = tmp_path_factory.mktemp("state")
+    leave_token(state_home)
     return {
         **os.environ,
         "ROS_DOMAIN_ID": str(domain_id),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_LOG_DIR": tempfile.gettempdir(),
+        "XDG_STATE_HOME": str(state_home),
         "PYTHONPATH": python_path(),
         "PYTHONUNBUFFERED": "1",
     }
+
+
+@pytest.fixture(scope="module")
+def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
+    """A client of a server with all tools, which the tests of a file share."""
+    with agent_for(ros_environment, "--tools", "all") as client:
+        yield client
+
+
+@pytest.fixture
+def start_agent(ros_environment: dict[str, str]) -> Iterator[Callable[..., Agent]]:
+    """Start a server of this test's own: `start_agent("--read-only", ROS2_MCP_TOOLS="core")`."""
+    with contextlib.ExitStack() as running:
+
+        def begin(*options: str, **changed: str) -> Agent:
+            return running.enter_context(agent_for({**ros_environment, **changed}, *options))
+
+        yield begin
+
+
+@pytest.fixture(scope="module")
+def observer(ros_environment: dict[str, str]) -> Iterator[Observer]:
+    """The observer of a file's tests, which alone judges what reached the robot; each has topics of its own."""
+    with observing(ros_environment) as process:
+        yield process
+
+
+@pytest.fixture(scope="module")
+def demo_environment(ros_environment: dict[str, str]) -> dict[str, str]:
+    """The environment of a robot and of servers that know its own interfaces."""
+    prefixes = [str(prefix) for prefix in build_interfaces()]
+    sites = [f"{prefix}/site-packages" for prefix in prefixes]
+    return {
+        **ros_environment,
+        "PYTHONPATH": os.pathsep.join([*sites, ros_environment["PYTHONPATH"]]),
+        "AMENT_PREFIX_PATH": os.pathsep.join([*prefixes, sys.prefix]),
+    }
+
+
+@pytest.fixture(scope="module")
+def demo_robot(demo_environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    """The simulated robot of a file of tests."""
+    with running(demo_environment, sys.executable, "-m", "ros2_mcp_demo") as robot:
+        yield robot
+
+
+@pytest.fixture(autouse=True)
+def _who_joined_leaves(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Subscribers that a test's observer got during the test are gone after it: a domain shows 32 participants only."""
+    if "observer" not in request.fixturenames:
+        yield
+        return
+    observer: Observer = request.getfixturevalue("observer")
+    before = observer.joined()
+    yield
+    for by in observer.joined():
+        if by not in before:
+            observer.leave(by=by)
 
 
 @pytest.fixture

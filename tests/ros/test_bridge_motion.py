@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from ros2_mcp_bridge.__main__ import LATE_S
 from ros2_mcp_bridge.limits import MAX_FAILSAFES
 from support.agent import FULL, until
 from support.bridge_client import PATIENCE_S, RELIABLE, Client
@@ -36,6 +37,9 @@ ON_TIME_S = 0.1
 CLOCK = "rosgraph_msgs/msg/Clock"
 SET_BOOL = "std_srvs/srv/SetBool"
 TRUE = b"\0\1\0\0\1"
+CANCEL_GOAL = "action_msgs/srv/CancelGoal"
+ANY_GOAL = b"\0\1\0\0" + bytes(24)
+"""Its request that cancels all goals."""
 WAITS = {"wait_match_s": PATIENCE_S, "wait_ack_s": PATIENCE_S}
 _numbers = itertools.count(1)
 
@@ -81,6 +85,7 @@ def matched(bridge: Client, topic: str, count: int = 4) -> None:
     bridge.ok("wait_endpoints", topic=topic, publishers=0, subscribers=count, timeout_s=PATIENCE_S)
 
 
+@pytest.mark.promise("README", "What was accepted before it and has not been sent is not sent after it")
 def test_nothing_that_was_accepted_before_a_stop_leaves_after_its_answer(begin, observer: Observer, topic: str) -> None:
     bridge = begin()
     observer.watch(topic)
@@ -136,7 +141,8 @@ def test_what_waits_behind_an_import_when_a_stop_comes_is_named_once(begin, topi
         bridge.send("publish", cdr(TWIST, 0.5), **command(f"{topic}_{n}", wait_match_s=3600)) for n in range(20)
     ]
     told = bridge.ok("stop", epoch=1)
-    assert [bridge.answer(one)[0]["error"]["kind"] for one in publishing].count("stopped") == len(told["dropped"])
+    assert [bridge.answer(one)[0]["error"]["kind"] for one in publishing] == ["stopped"] * 20
+    assert sorted(told["dropped"]) == sorted(["publish", f"{topic}_{n}"] for n in range(20))
     assert bridge.ok("stop", epoch=2)["dropped"] == []
 
 
@@ -163,6 +169,11 @@ def test_calls_that_wait_for_their_turn_are_not_sent_after_a_stop(begin, observe
     assert len(observer.asked(service=topic)) == len(requests) - len(stopped)
 
 
+@pytest.mark.promise("README", "it stamps commands and zeros with the robot's own time")
+@pytest.mark.promise(
+    "stopping",
+    "Its zero is the default value of the type, with the frame of the last command and the robot's time as its stamp",
+)
 @pytest.mark.parametrize("kind", STAMPED)
 def test_a_command_is_stamped_now_and_its_zero_keeps_its_frame(
     begin, observer: Observer, topic: str, kind: str
@@ -173,17 +184,22 @@ def test_a_command_is_stamped_now_and_its_zero_keeps_its_frame(
     drive(bridge, topic, kind, frame="odd")
     assert bridge.ok("zero", topics=[topic], **WAITS)["topics"][0]["acked"] is None  # two are best effort
     assert {one["frame"] for one in observer.messages(topic=topic)} == {"odd"}
-    observer.forget()
     future = cdr(kind, 0.5, stamp=(2_000_000_000, 0), frame="base_link")
     bridge.ok("publish", future, **command(topic, kind), **WAITS)
-    lasting = bridge.send("repeat", future, **command(topic, kind, rate_hz=50, duration_s=0.5))
+    lasting = bridge.send("repeat", future, **command(topic, kind, name="named", rate_hz=50, duration_s=0.5))
     assert bridge.answer(lasting)[0]["ok"]["final_sent"]
     assert observer.comes_to_rest(topic, within_s=1.0) == []
     assert observer.misstamped(most_s=ON_TIME_S) == []
-    assert {one["frame"] for one in observer.messages(topic=topic)} == {"base_link"}
+    heard = observer.messages(topic=topic)
+    first = min(one["sent"] for one in heard if one["frame"] == "base_link")  # until then the zero is sent again
+    assert {one["frame"] for one in heard if one["sent"] >= first} == {"base_link"}
     assert [header["frame_id"] for header, _ in bridge.samples if header["event"] == "frame"] == ["base_link"]
+    assert [header["name"] for header, _ in bridge.samples if header["event"] == "begun"] == ["named"]
 
 
+@pytest.mark.promise(
+    "stopping", "the last /clock where a subscriber of the topic uses simulated time, else the wall clock"
+)
 @pytest.mark.parametrize("factor", [0.1, 5.0])
 def test_now_is_simulated_time_where_the_subscriber_uses_it(
     begin, observer: Observer, topic: str, factor: float
@@ -229,6 +245,8 @@ def test_a_simulated_clock_that_was_never_heard_is_0_and_a_real_one_beside_it_is
     assert observer.misstamped(most_s=ON_TIME_S) == []
 
 
+@pytest.mark.promise("README", "A velocity that is not a finite number is never sent")
+@pytest.mark.promise("stopping", "a relay or playback holds the message back, counts it and tells")
 @pytest.mark.parametrize("kind", VELOCITY_TYPES)
 def test_what_is_not_finite_leaves_on_no_way(begin, observer: Observer, topic: str, kind: str) -> None:
     bridge, source = begin(), f"{topic}_source"
@@ -284,15 +302,32 @@ def test_hostile_commands_arrive_sound_or_not_at_all(begin, observer: Observer, 
     assert observer.misstamped(most_s=ON_TIME_S, topic=topic) == []
 
 
+@pytest.mark.promise("README", "0.8 s where its ROS thread alone hangs")
+def test_the_stopper_stops_what_a_hanging_ros_thread_moves(
+    start, environment: dict[str, str], observer: Observer, topic: str
+) -> None:
+    bridge = Client(start("hanging_bridge.py", env=environment))
+    observer.watch(topic)
+    matched(bridge, topic)
+    drive(bridge, topic)
+    repeat(bridge, topic)
+    observer.until_driven(topic, 10, 4)
+    bridge.send("stats")
+    assert observer.comes_to_rest(topic, within_s=4.0) == []  # it hangs for longer
+    bridge.process.kill()
+
+
+@pytest.mark.promise("README", "everything that was driven when the server dies, is stopped or sleeps (within 1.1 s)")
 def test_a_silent_server_ends_what_moves_and_the_bridge_lives_on(begin, observer: Observer, topic: str) -> None:
     bridge = begin()
     observer.watch(topic, ACKERMANN_STAMPED)
-    observer.serve(service=f"{topic}_cancel", kind=SET_BOOL)
+    cancel = {"service": f"{topic}/_action/cancel_goal", "type": CANCEL_GOAL}
+    observer.serve(service=cancel["service"], kind=CANCEL_GOAL)
     matched(bridge, topic)
     for name in (topic, f"{topic}_later"):
         drive(bridge, name, ACKERMANN_STAMPED)
-    bridge.send("failsafe_call", TRUE, service=f"{topic}_cancel", type=SET_BOOL, epoch=0)
-    bridge.answer(bridge.send("call", TRUE, service=f"{topic}_cancel", type=SET_BOOL, wait_s=PATIENCE_S, timeout_s=5))
+    bridge.send("failsafe_call", ANY_GOAL, epoch=0, **cancel)
+    bridge.answer(bridge.send("call", ANY_GOAL, wait_s=PATIENCE_S, timeout_s=5, **cancel))
 
     def silent() -> int:
         """Drive and fall silent: when the last packet was sent."""
@@ -304,7 +339,7 @@ def test_a_silent_server_ends_what_moves_and_the_bridge_lives_on(begin, observer
         since = time.monotonic_ns()
         bridge.ok("ping", lease_s=LEASE_S, epoch=0)
         assert bridge.answer(repeating)[0]["ok"]["ended_by"] == "lease"
-        assert bridge.answer(waiting)[0]["error"]["kind"] == "stopped"
+        assert bridge.answer(waiting)[0]["error"]["kind"] == "lapsed"
         new = [header for header, _ in bridge.samples[len(before) :] if header["event"] == "lapsed"]
         assert [LEASE_S <= header["silent_s"] < 2 * LEASE_S for header in new] == [True]
         return since
@@ -317,8 +352,9 @@ def test_a_silent_server_ends_what_moves_and_the_bridge_lives_on(begin, observer
         heard = observer.messages(topic=topic)
         last_motion = max(one["sent"] for one in heard if any(one["values"]))
         first_zero = min(one["sent"] for one in heard if not any(one["values"]))
-        until(lambda: observer.asked(service=f"{topic}_cancel"))
-        assert len(observer.asked(service=f"{topic}_cancel")) == 1
+        until(lambda: observer.asked(service=cancel["service"]))
+        # Twice where the ROS thread was so late that another one had to do it, see `FailSafes.carry_out`.
+        assert len(observer.asked(service=cancel["service"])) in (1, 2)
         return (max(last_motion, first_zero) - since) / 1e9
 
     for _ in range(2):
@@ -337,6 +373,27 @@ def test_a_stopped_server_that_goes_on_finds_the_bridge_as_it_was(begin, observe
     observer.until_driven(topic)
 
 
+def test_what_was_under_way_for_longer_than_a_server_waits_does_not_act(begin, topic: str) -> None:
+    """A network delivers after an outage what was sent before it, perhaps before a stop of which this bridge never
+    hears: its server has given it up in the meantime.
+    """
+    bridge = begin()
+    until(lambda: time.monotonic() > LATE_S + 1)  # since this machine was started
+    long_ago = bridge.ok("ping", heard_s=0)["steady_s"] - LATE_S - 0.5
+    bridge.ok("ping", heard_s=long_ago)
+    for op, body, arguments in (
+        ("publish", cdr(TWIST, 0.5), command(topic)),
+        ("repeat", cdr(TWIST, 0.5), command(topic, rate_hz=10, duration_s=60)),
+        ("call", TRUE, {"service": "/arm", "type": SET_BOOL, "epoch": 0, "timeout_s": 1}),
+    ):
+        assert bridge.error(op, body, **arguments)["kind"] == "lapsed"
+    assert bridge.ok("zero", topics=[topic]) == {"topics": []}  # what ends something is never late
+    drive(bridge, topic)
+    bridge.ok("ping", heard_s=bridge.ok("ping", heard_s=long_ago)["steady_s"])
+    assert bridge.ok("publish", cdr(TWIST, 0.0), **command(topic))["matched"] == 0
+
+
+@pytest.mark.promise("stopping", "its successor sends the zeros, to each subscriber as it discovers it")
 def test_the_successor_of_a_killed_bridge_stops_whoever_it_discovers(begin, observer: Observer, topic: str) -> None:
     for _ in range(ROUNDS):
         bridge = begin()
@@ -367,7 +424,7 @@ def test_a_zero_of_a_successor_does_not_stop_what_is_commanded_anew(begin, obser
     bridge.ok("publish", cdr(TWIST, 0.5), **command(topic), **WAITS)
     observer.until_driven(topic)
     observer.join(by="later", topic=topic, kind=TWIST)
-    until(lambda: observer.matched(by="later") == 1)
+    until(lambda: observer.matched(by="later") == 2)  # the publisher of the bridge and that of its stopper
     bridge.ok("publish", cdr(TWIST, 0.7), **command(topic), **WAITS)
     until(lambda: observer.driven(topic=topic)["later"] == 1)
     assert [one for one in observer.messages(topic=topic) if not any(one["values"])] == []
@@ -386,6 +443,7 @@ def test_publishers_of_every_quality_send_the_zero(begin, observer: Observer, to
     assert observer.comes_to_rest(topic, within_s=1.0) == []
 
 
+@pytest.mark.promise("stopping", "Every zero was acknowledged by all subscribers of its topic (or there are none)")
 @pytest.mark.parametrize(("best_effort", "acked"), [((False, False), True), ((False, True), None), ((True,), None)])
 def test_a_zero_is_acknowledged_if_every_subscriber_says_so(
     begin, observer: Observer, topic: str, best_effort: tuple[bool, ...], acked: bool | None
@@ -420,6 +478,7 @@ def test_a_broken_clock_keeps_no_topic_from_its_zero(begin, observer: Observer, 
         assert observer.comes_to_rest(name, within_s=1.0) == []
 
 
+@pytest.mark.promise("stopping", "A 65th velocity topic, because only 64 have a fail-safe")
 def test_one_topic_more_than_there_are_fail_safes_is_refused_and_takes_none_away(begin, topic: str) -> None:
     bridge = begin()
     open_requests = [drive(bridge, f"{topic}_{number}") for number in range(MAX_FAILSAFES)]

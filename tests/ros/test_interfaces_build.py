@@ -13,6 +13,10 @@ import pytest
 
 pytest.importorskip("rosidl_generator_py", reason="needs the interface generators of the ROS 2 wheels")
 
+from ros2_mcp.commands.robots import ROBOTS
+from ros2_mcp.link.diagnosis import diagnose
+from ros2_mcp.link.environment import find_ros
+from ros2_mcp.settings import Settings
 from ros2_mcp_interfaces import BuildError, build, default_cache
 from ros2_mcp_interfaces.cache import content_name
 from ros2_mcp_interfaces.installation import find_installation
@@ -20,6 +24,8 @@ from ros2_mcp_interfaces.package import find_packages
 from support.processes import peer_command
 
 SHIPPED = Path(__file__).parents[2] / "src" / "ros2_mcp_demo" / "interfaces"
+FOLLOW_HASH = "RIHS01_738ebcb7a2d7cfa42f9f1001cc99ce3a4383d1cfe508015d9be8485e4b1c66f6"
+"""Of control_msgs/action/FollowJointTrajectory, as released for ROS 2 Iron and Jazzy: as a build of it has it."""
 TF_MESSAGE_HASH = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"
 
 BUILD_S = 200
@@ -116,6 +122,7 @@ def test_prefixes_come_in_dependency_order_and_carry_the_original_texts(shop):
     assert installed.read_text(encoding="utf-8") == WARES["wares/msg/Item.msg"]
 
 
+@pytest.mark.promise("README", "The robot's own interfaces are compiled once")
 def test_a_second_build_needs_no_compiler_and_takes_no_time(shop, tmp_path):
     sources, cache, prefixes = shop
     again, said = outcome(builder(sources, cache, PATH=str(tmp_path), CC="", CXX=""))
@@ -149,6 +156,31 @@ def test_tf2_msgs_from_the_shipped_definitions_is_the_type_that_every_robot_has(
         "type_name": "tf2_msgs/msg/TFMessage",
         "hash_string": TF_MESSAGE_HASH,
     }
+
+
+def test_control_msgs_from_the_shipped_definitions_is_the_type_that_every_robot_has():
+    (prefix,) = build([SHIPPED / "control_msgs"], default_cache(), quiet)
+    description = json.loads((prefix / "share/control_msgs/action/FollowJointTrajectory.json").read_text())
+    assert description["type_hashes"][0]["hash_string"] == FOLLOW_HASH
+
+
+def test_what_the_demo_of_another_environment_built_is_used_by_every_installation_just_like_it(tmp_path):
+    folder = tmp_path / "ros2-mcp" / "interfaces"
+    folder.mkdir(parents=True)
+    settings = Settings(cache_dir=folder.parent)
+    env = {"PATH": os.environ["PATH"]}
+    used = build([SHIPPED / name for name in ROBOTS["rover"]], default_cache(), quiet)
+    (folder / "tf2_msgs-0123456789abcdef").mkdir()  # for another Python
+    (folder / "in_use.json").write_text("{}")
+    assert find_ros(settings, env).interface_prefixes == ()
+    (told,) = (found for found in diagnose(settings, env) if found.title == "Built interfaces")
+    assert told.detail == "in use here: none; built for other installations and not used here: tf2_msgs"
+    assert "ros2-mcp interfaces build" in told.fix
+    for prefix in used:
+        (folder / prefix.name).symlink_to(prefix)
+    assert {prefix.name for prefix in find_ros(settings, env).interface_prefixes} == {prefix.name for prefix in used}
+    (told,) = (found for found in diagnose(settings, env) if found.title == "Built interfaces")
+    assert told.detail == "in use here: ros2_mcp_demo_interfaces, tf2_msgs"
 
 
 def test_two_builders_at_once_build_once(tmp_path):
@@ -218,6 +250,7 @@ def test_a_package_of_the_installation_is_not_replaced(tmp_path):
         build([tmp_path / "std_msgs"], tmp_path / "cache", quiet)
 
 
+@pytest.mark.promise("README", "with a C and C++ compiler and the headers of Python")
 def test_a_machine_without_a_compiler_is_told_what_to_install(tmp_path, monkeypatch):
     write(tmp_path, WARES)
     monkeypatch.setenv("PATH", str(tmp_path))

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 import venv
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Awaitable, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -17,12 +17,12 @@ import pytest
 
 from ros2_mcp.link.carrier import Carrier
 from ros2_mcp.link.carriers import start_carrier
-from ros2_mcp.link.client import Bridge
-from ros2_mcp.link.environment import rclpy_below
+from ros2_mcp.link.client import Bridge, Reply
 from ros2_mcp.link.installation import WHEEL_GUARD
 from ros2_mcp.link.local import LocalBridge, start_local
 from ros2_mcp.model.errors import BridgeLost, BridgeRefused, LinkError, RosNotFound
 from ros2_mcp.settings import Settings
+from ros2_mcp_bridge.finding import rclpy_below
 from support.standstill import undisturbed_async
 from support.tasks import running_tasks
 
@@ -162,12 +162,45 @@ async def test_a_cancelled_call_and_a_cancelled_subscribe_leave_nothing_in_the_b
         await asyncio.sleep(0.02)
 
 
+async def test_who_comes_and_goes_at_a_topic_shares_one_subscription_and_misses_nothing_while_there(
+    bridge: Bridge,
+) -> None:
+    topic, kind = "/shared", "std_msgs/msg/String"
+    published = {"topic": topic, "type": kind, "qos": QOS, "epoch": 0, "wait_match_s": 10, "wait_ack_s": 0}
+    repeat = {**published, "rate_hz": 500, "duration_s": 60, "name": "steady"}
+    repeating = asyncio.ensure_future(bridge.request("repeat", STRING, timeout_s=PATIENCE_S, **repeat))
+
+    async def listens(number: int) -> None:
+        await asyncio.sleep(0.02 * number)
+        async with await bridge.subscribe(topic, kind, QOS, keep="all", max_samples=1000, max_bytes=10**6) as listening:
+            taken = await listening.take(PATIENCE_S)
+            while len(taken) < 50 + 10 * (number % 3):
+                taken += await listening.take(PATIENCE_S)
+        taken += await listening.take(0.0)
+        numbers = [sample.sequence for sample in taken]
+        assert numbers == list(range(numbers[0] or 0, (numbers[0] or 0) + len(numbers)))
+        assert (listening.counts.received, listening.counts.dropped, listening.counts.lost) == (len(numbers), 0, 0)
+
+    def subscriptions() -> Awaitable[Reply]:
+        return bridge.request("stats", timeout_s=PATIENCE_S)
+
+    listeners = [asyncio.ensure_future(listens(number)) for number in range(20)]
+    while not all(listener.done() for listener in listeners):
+        assert (await subscriptions()).ok["subscriptions"] <= 2  # one that ends, and one that begins
+        await asyncio.sleep(0.01)
+    await asyncio.gather(*listeners)
+    assert (await subscriptions()).ok["subscriptions"] == 0
+    await bridge.request("repeat_stop", name="steady", timeout_s=PATIENCE_S)
+    assert (await repeating).ok["sent"]
+
+
 async def test_a_refusal_of_the_bridge_arrives_with_its_kind(bridge: Bridge) -> None:
     with pytest.raises(BridgeRefused) as refused:
         await bridge.request("node", name="nobody", namespace="/", settle_s=0.0, timeout_s=PATIENCE_S)
     assert refused.value.kind == "not_found"
 
 
+@pytest.mark.promise("README", "every answer says what is missing and how to get it")
 async def test_without_ros_every_request_says_what_is_missing_and_it_is_looked_for_again(settings: Settings) -> None:
     there = False
 
@@ -251,6 +284,8 @@ def _write_setup(distro: Path, prefix: Path) -> None:
     (distro / "setup.bash").write_text("\n".join([*lines, "echo this must not reach the stream"]) + "\n")
 
 
+@pytest.mark.promise("README", "The server runs under any Python")
+@pytest.mark.promise("README", "only its bridge, a small process beside it, runs under the Python of ROS 2")
 @pytest.mark.timeout(360)
 async def test_the_bridge_runs_under_the_python_of_an_unsourced_ros_whatever_ours_is(
     other_ros: tuple[Path, str], domain_id: int
@@ -272,7 +307,7 @@ import asyncio
 import signal
 import sys
 from ros2_mcp.link.carriers import start_carrier
-from ros2_mcp.link.client import Bridge
+from ros2_mcp.link.client import Bridge, Reply
 from ros2_mcp.settings import Settings
 
 async def main():

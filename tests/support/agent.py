@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
@@ -18,6 +18,7 @@ from mcp.types import CallToolResult
 
 FULL = bool(os.environ.get("ROS2_MCP_FULL"))
 """Whether the long versions of the tests run."""
+SERVER = (sys.executable, "-m", "ros2_mcp")
 CALL_S = 60.0
 DISCOVERY_S = 30.0
 """Two participants that have just started may need several seconds to know all of each other."""
@@ -81,6 +82,10 @@ class Agent:
         call = partial(self.client.call_tool, tool, arguments, progress_callback=progress)
         return self._portal.call(call)
 
+    def ask(self, method: str, *arguments: Any) -> Any:
+        """Another request of the client, by the name of its method."""
+        return self._portal.call(getattr(self.client, method), *arguments)
+
     def tools(self) -> dict[str, Any]:
         """Every tool by name."""
         return {tool.name: tool for tool in self._portal.call(self.client.list_tools).tools}
@@ -99,9 +104,11 @@ class Agent:
 
 
 @contextmanager
-def agent_for(environment: dict[str, str], *options: str, mode: Any = "auto") -> Iterator[Agent]:
+def agent_for(
+    environment: dict[str, str], *options: str, mode: Any = "auto", command: Sequence[str] = SERVER
+) -> Iterator[Agent]:
     """A client of a newly started server; both end with the block."""
-    server = StdioServerParameters(command=sys.executable, args=["-m", "ros2_mcp", *options], env=environment)
+    server = StdioServerParameters(command=command[0], args=[*command[1:], *options], env=environment)
     with (
         start_blocking_portal() as portal,
         portal.wrap_async_context_manager(Client(server, mode=mode, read_timeout_seconds=CALL_S)) as client,

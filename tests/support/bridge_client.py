@@ -7,6 +7,7 @@ import struct
 import subprocess
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from ros2_mcp_bridge.packets import Packet, PacketReader, pack
@@ -27,8 +28,12 @@ def cdr_string(text: str) -> bytes:
 class Client:
     """Sends requests and sorts what comes back; single-threaded."""
 
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+    def __init__(
+        self, process: subprocess.Popen[bytes], stream_of: Callable[[bytes], bytes] = lambda piece: piece
+    ) -> None:
+        """`stream_of` gives what of a piece belongs to the stream, where something else comes before it."""
         self.process = process
+        self._stream_of = stream_of
         self.samples: list[tuple[dict[str, Any], bytes]] = []
         self._answers: dict[int, tuple[dict[str, Any], bytes]] = {}
         self._last_id = 0
@@ -43,7 +48,7 @@ class Client:
             piece = os.read(self.process.stdout.fileno(), 1024 * 1024)
             if not piece:
                 raise EOFError
-            self._arrived += self._reader.feed(piece)
+            self._arrived += self._reader.feed(self._stream_of(piece))
         return self._arrived.popleft()
 
     def send(self, op: str, body: bytes = b"", **arguments: Any) -> int:

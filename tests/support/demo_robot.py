@@ -8,6 +8,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+from ros2_mcp.commands.robots import LATER, ROBOTS
 from support.processes import SOURCES, python_path
 
 PATIENCE_S = 40.0
@@ -19,14 +20,20 @@ def interface(name):
     return getattr(importlib.import_module(f"{package}.{kind}"), short)
 
 
-def build_interfaces():
-    """The prefixes of tf2_msgs and ros2_mcp_demo_interfaces; takes a while the first time, then they are cached."""
-    command = [sys.executable, "-m", "ros2_mcp_interfaces", str(SOURCES / "ros2_mcp_demo" / "interfaces")]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=300, env=_environment([]), check=True)
+def build_interfaces(robot="rover", *, later=False):
+    """The prefixes of the interface packages of a robot; takes a while the first time, then they are cached.
+
+    `later`: with those that are built while the robot runs, too.
+    """
+    packages = [*ROBOTS[robot], *(LATER.get(robot, ()) if later else ())]
+    sources = [str(SOURCES / "ros2_mcp_demo" / "interfaces" / package) for package in packages]
+    command = [sys.executable, "-m", "ros2_mcp_interfaces", *sources]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300, env=robot_environment([]), check=True)
     return [Path(line) for line in run.stdout.split()]
 
 
-def _environment(prefixes, **more):
+def robot_environment(prefixes, **more):
+    """The environment of a process that knows the interfaces in these prefixes, on this machine alone."""
     prefix_path = [*map(str, prefixes), sys.prefix]
     return {
         **os.environ,
@@ -41,7 +48,7 @@ def _environment(prefixes, **more):
 def running_robot(prefixes, domain_id, *options):
     """The robot's process, once it has said that it is ready; killed if it does not end by itself."""
     command = [sys.executable, "-m", "ros2_mcp_demo", *options]
-    environment = _environment(prefixes, ROS_DOMAIN_ID=str(domain_id))
+    environment = robot_environment(prefixes, ROS_DOMAIN_ID=str(domain_id))
     pipe = subprocess.PIPE
     with subprocess.Popen(command, env=environment, stdin=pipe, stdout=pipe, text=True) as process:
         try:

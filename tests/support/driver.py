@@ -44,6 +44,12 @@ class Driver(RawServer):
             self._listen(left)
         return self.answers.pop(request)
 
+    def answered(self, request: int) -> bool:
+        """Whether the answer to a request is there."""
+        while self._listen(0.0):
+            pass
+        return request in self.answers
+
     def result(self, request: int, within_s: float = ANSWER_S) -> dict[str, Any]:
         """The structured content of an answer; raises `Refusal` with the text of an error."""
         answer = self.answer(request, within_s)
@@ -87,6 +93,10 @@ class Driver(RawServer):
                 return 0
 
         return until(pid)
+
+    def hear(self) -> None:
+        """Take in what it has said by now."""
+        self._listen(0.0)
 
     def _listen(self, seconds: float) -> bool:
         heard = super()._listen(seconds)
@@ -152,14 +162,22 @@ def playback(server: Driver, observer: Observer, topic: str) -> int:
     return server.tool("ros2_bag_play", bag=BAG, remaps={"/cmd_vel": topic}, loop=True, force=True, wait_sec=0)
 
 
+def drive(server: Driver, observer: Observer, topic: str) -> int:
+    """A motion, closed by an odometry that shows a robot on its way."""
+    observer.travel(topic=f"{topic}_odom", hz=25.0, speed=MOVING)
+    far = {"distance_m": 100, "speed": MOVING}  # further than any test lets a motion go on
+    return server.tool("ros2_drive", topic_name=topic, odometry=f"{topic}_odom", **far)
+
+
 WAYS: dict[str, Callable[[Driver, Observer, str], int]] = {
     "repeat": repeat,
     "once": once,
     "relay": relay,
     "feed": feed,
     "playback": playback,
+    "drive": drive,
 }
-"""The ways in which this server moves a robot; what a relay is fed with goes on until `calm`."""
+"""The ways in which this server moves a robot; what a relay is fed with, or a motion goes by, goes on until `calm`."""
 _numbers = itertools.count(1)
 
 
@@ -169,5 +187,6 @@ def fresh(name: str) -> str:
 
 
 def calm(observer: Observer, topic: str) -> None:
-    """End the source of a relay onto the topic, if there is one."""
-    observer.hush(topic=f"{topic}_source")
+    """End the source of a relay onto the topic, or the odometry of a motion, if there is one."""
+    for source in (f"{topic}_source", f"{topic}_odom"):
+        observer.hush(topic=source)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from time import monotonic
 from typing import Any, NoReturn
 
@@ -13,17 +13,22 @@ from ros2_mcp.model.errors import BridgeLost, BridgeRefused, RosNotFound
 from ros2_mcp.robot import Robot
 
 NUMBER = "std_msgs/msg/Int32"
+_QOS: dict[str, Any] = {"reliability": "reliable", "durability": "volatile", "history": "keep_last", "depth": 1}
+_QOS |= {"liveliness": "automatic", "deadline_ns": None, "lifespan_ns": None, "liveliness_lease_ns": None}
+_ENDPOINT = {"node": "talker", "namespace": "/", "hash": "", "gid": "", "qos": _QOS}
 
 
 class MadeBridge(Bridge):
-    """Its relays open as soon as it `is_ready`; `heard` has the topics and times of what was published.
+    """Its relays open as soon as it `is_ready`, and end with so many messages `limited`; `heard` has the topics and
+    times of what was published.
 
-    `topics` answers who wants to know which there are.
+    `topics` answers who wants to know which there are, `sent` are the types that are published on each of them.
     """
 
     def __init__(self) -> None:
         super().__init__(_no_carrier)
         self.is_ready = True
+        self.limited = 0
         self._is_lost = False
         self._ended: dict[str, asyncio.Event] = {}
         self.relays: dict[str, str] = {}
@@ -31,15 +36,22 @@ class MadeBridge(Bridge):
         self.passed: Counter[str] = Counter()
         self.trouble: Exception | None = None
         self.topics: Callable[[], Any] = list
+        self.sent: Sequence[str] = ()
 
     async def request(self, op: str, body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
         del body, timeout_s
         return Reply(await getattr(self, f"_{op}")(**arguments), b"")
 
+    async def subscribe(self, *_: Any, **__: Any) -> NoReturn:
+        raise BridgeRefused("bad_request", "This bridge sends no samples.")
+
     async def _relay(self, name: str, topic: str, **_: Any) -> Any:
         self.relays[name], self._ended[name] = topic, asyncio.Event()
         try:
             await self._ended[name].wait()
+        except asyncio.CancelledError:
+            self.relays_ended[name] = {"passed": 12, "elapsed_s": 1.5, "ended_by": "cancel", "limited": self.limited}
+            raise
         finally:
             del self.relays[name]
         if self._is_lost:
@@ -69,7 +81,8 @@ class MadeBridge(Bridge):
         return {"relays": {name: {"running": True, "matched": 1} for name in self.relays}}
 
     async def _endpoints(self, **_: Any) -> Any:
-        return {"publishers": [], "subscribers": [], "settled": True}
+        publishers = [{**_ENDPOINT, "type": sent} for sent in self.sent]
+        return {"publishers": publishers, "subscribers": [], "settled": True}
 
     async def _definitions(self, **_: Any) -> Any:
         return {"missing": [], "definitions": {NUMBER: {"format": "msg", "text": "int32 data\n"}}}

@@ -26,6 +26,8 @@ def _definitions() -> Definitions:
     names = [name for name in store.fielddefs if "/msg/" in name]
     result = Definitions()
     result.add({name: DefinitionText("msg", store.gendefhash(name, {}, ros_version=2)[0]) for name in names})
+    angles = "float64 roll\nfloat64 torque_rad\nfloat64 yaw_rad\nfloat64 yaw_deg\n"
+    result.add({"odd_msgs/msg/Angles": DefinitionText("msg", angles)})
     result.add({"odd_msgs/msg/State": DefinitionText("msg", "uint8 IDLE=0\nuint8 BUSY=3\nuint8 state\nbool on\n")})
     return result
 

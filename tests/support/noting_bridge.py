@@ -6,7 +6,8 @@ import asyncio
 from collections.abc import Mapping
 from typing import Any
 
-from ros2_mcp.link.client import Reply
+from ros2_mcp.link.client import Reply, Subscription
+from ros2_mcp.link.clock import RobotClock
 from ros2_mcp.model.commands import (
     LOCAL,
     CancelGoals,
@@ -34,9 +35,12 @@ DEFINITIONS = {
     STAMPED: ("msg", "std_msgs/Header header\nTwist twist\n"),
     "std_msgs/msg/Header": ("msg", "builtin_interfaces/Time stamp\nstring frame_id\n"),
     "std_msgs/msg/Int32": ("msg", "int32 data\n"),
+    "made/msg/Speed": ("msg", "float32 speed\n"),
     "unique_identifier_msgs/msg/UUID": ("msg", "uint8[16] uuid\n"),
     "action_msgs/msg/GoalInfo": ("msg", "unique_identifier_msgs/UUID goal_id\nbuiltin_interfaces/Time stamp\n"),
     "builtin_interfaces/msg/Time": ("msg", "int32 sec\nuint32 nanosec\n"),
+    "action_msgs/msg/GoalStatus": ("msg", "GoalInfo goal_info\nint8 status\n"),
+    "action_msgs/msg/GoalStatusArray": ("msg", "GoalStatus[] status_list\n"),
     "action_msgs/srv/CancelGoal": ("srv", "GoalInfo goal_info\n---\nint8 return_code\nGoalInfo[] goals_canceling\n"),
     "made/action/Go": ("action", "int32 order\n---\nint32 done\n---\nint32 left\n"),
     "std_srvs/srv/SetBool": ("srv", "bool data\n---\nbool success\nstring message\n"),
@@ -53,27 +57,43 @@ class Noting:
     """`sent` has the operations in their order, `arguments` those of the last of each; a fail-safe stays in force.
 
     `answer` is the body of every answer. `may_answer` holds back the answers to what acts, and `refuse` has the kind
-    of error with which an operation is answered. `zeros` is what became of them, `subscribers` who is in the graph.
+    of error with which an operation is answered. `zeros` is what became of them, `subscribers` and `publishers` who is
+    in the graph. `listening` has the open subscriptions by topic. `ended_by` is what ends a repeat.
     """
 
     hello = None
     is_closed = False
+    is_remote = False
+    silent_s = unheard_s = 0.0
 
     def __init__(self) -> None:
+        self.clock = RobotClock()
         self.sent: list[str] = []
         self.arguments: dict[str, Mapping[str, Any]] = {}
         self.answer = b""
         self.nodes: set[str] = set()
         self.stop_epoch = 0
         self.frame_ids: dict[str, str] = {}
+        self.lapsed_at = 0.0
+        self.repeats_begun: dict[str, float] = {}
         self.may_answer = asyncio.Event()
         self.may_answer.set()
         self.may_define = asyncio.Event()
         self.may_define.set()
         self.refuse: dict[str, str] = {}
         self.zeros: list[dict[str, Any]] = []
+        self.ended_by = ""
         self.failsafes: list[Mapping[str, Any]] = []
         self.subscribers: list[dict[str, Any]] = []
+        self.publishers: list[dict[str, Any]] = []
+        self.listening: dict[str, Subscription] = {}
+
+    async def subscribe(self, topic: str, *_: Any, **__: Any) -> Subscription:
+        async def unsubscribe(_: Subscription) -> None:
+            del self.listening[topic]
+
+        self.listening[topic] = Subscription("all", 10, 1000, unsubscribe)
+        return self.listening[topic]
 
     async def request(self, op: str, _body: bytes = b"", *, timeout_s: float, **arguments: Any) -> Reply:
         del timeout_s
@@ -91,12 +111,16 @@ class Noting:
             raise BridgeRefused(self.refuse[op], "It is refused.")
         if op in ("zero", "stop"):
             return Reply({"repeats": 0, "relays": 0, "dropped": [], "topics": self.zeros}, b"")
+        if op == "topics":
+            return Reply({"topics": [], "settled": True}, b"")
         if op == "endpoints":
-            return Reply({"publishers": [], "subscribers": self.subscribers, "settled": True}, b"")
+            return Reply({"publishers": self.publishers, "subscribers": self.subscribers, "settled": True}, b"")
         if op == "relay":
             return Reply({"passed": 1, "final_sent": True}, b"")
         told = {"passed": 0, "matched": 1, "acked": True, "waited_s": 0.0, "sent": 1, "elapsed_s": 0.1, "late": 0}
-        return Reply({**told, "final_sent": True, "ended_by": "", **arguments}, self.answer)
+        told |= {"limited": 0, "hold_s": 0.0}
+        told |= {"stopper_s": 0.0, "unguarded": ""}
+        return Reply({**told, "final_sent": True, "ended_by": self.ended_by, **arguments}, self.answer)
 
 
 CHOICE = Choice(QoS(), "as chosen")

@@ -25,7 +25,7 @@ class RawServer:
     def __init__(self, environment: dict[str, str], *options: str, command: list[str] | None = None) -> None:
         self.said = b""
         self.version = ""
-        self._last_id = 0
+        self.last_id = 0
         self._read = 0
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
         self.process = subprocess.Popen(
@@ -52,13 +52,17 @@ class RawServer:
 
     def send(self, method: str, **params: Any) -> int:
         """A request; returns its id."""
-        self._last_id += 1
         if self.version == MODERN:
             prefix = "io.modelcontextprotocol/"
             stamp = {"protocolVersion": MODERN, "clientInfo": CLIENT, "clientCapabilities": {}}
             params["_meta"] = {prefix + name: value for name, value in stamp.items()}
-        self._write({"jsonrpc": "2.0", "id": self._last_id, "method": method, "params": params})
-        return self._last_id
+        return self.send_params(method, params)
+
+    def send_params(self, method: str, params: Any) -> int:
+        """A request with these parameters, whatever they are; returns its id."""
+        self.last_id += 1
+        self._write({"jsonrpc": "2.0", "id": self.last_id, "method": method, "params": params})
+        return self.last_id
 
     def tell(self, method: str, **params: Any) -> None:
         """A notification."""
@@ -77,6 +81,28 @@ class RawServer:
     def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
         """The result of a tool, error or not."""
         return self.ask("tools/call", name=tool, arguments=arguments)["result"]
+
+    def write(self, data: bytes) -> None:
+        """Bytes, as they are."""
+        assert self.process.stdin
+        self.process.stdin.write(data)
+        self.process.stdin.flush()
+
+    def wait_for_answers(self, number: int, within_s: float = ANSWER_S) -> None:
+        """Wait until so many answers are there, or for so long."""
+        deadline = time.monotonic() + within_s
+        while (left := deadline - time.monotonic()) > 0:
+            if self.said.count(b"\n") >= number and len(self.answers()) >= number:
+                return
+            self._listen(left)
+
+    def answers(self) -> list[dict[str, Any]]:
+        """Every answer so far."""
+        return [line for line in self.lines() if "method" not in line]
+
+    def forget(self) -> None:
+        """Forget what it has said: whole lines, since nothing is on its way."""
+        self.said = b""
 
     def lines(self) -> list[dict[str, Any]]:
         """Every whole line of stdout as JSON."""
@@ -109,9 +135,7 @@ class RawServer:
         return bool(data)
 
     def _write(self, message: dict[str, Any]) -> None:
-        assert self.process.stdin
-        self.process.stdin.write(json.dumps(message).encode() + b"\n")
-        self.process.stdin.flush()
+        self.write(json.dumps(message).encode() + b"\n")
 
 
 def children(pid: int) -> list[int]:

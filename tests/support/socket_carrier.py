@@ -5,21 +5,25 @@ from __future__ import annotations
 import asyncio
 import socket
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from ros2_mcp.link.carrier import Vitality
 from ros2_mcp.link.installation import RosInstallation
+from ros2_mcp.model.errors import LinkError
 
 
 class FarBridge:
-    """A bridge process whose stdin and stdout are one socket. Only a test knows the process."""
+    """A bridge process whose stdin and stdout are one socket. Only a test knows the process.
 
-    def __init__(self, installation: RosInstallation) -> None:
+    `through` is a command that runs the bridge's command and carries its stdin and stdout.
+    """
+
+    def __init__(self, installation: RosInstallation, through: Sequence[str] = ()) -> None:
         self.near, far = socket.socketpair()
         command = installation.command("ros2_mcp_bridge")
         with far:
             self.process = subprocess.Popen(
-                command.argv,
+                [*through, *command.argv],
                 env=command.env,
                 stdin=far.fileno(),
                 stdout=far.fileno(),
@@ -32,6 +36,7 @@ class SocketCarrier(asyncio.Protocol):
     """Carries the stream over a connected socket."""
 
     origin = "behind a socket"
+    is_remote = True
     start_s = 20.0
     lease_s = 2.0
 
@@ -63,6 +68,9 @@ class SocketCarrier(asyncio.Protocol):
 
     async def ending(self) -> str:
         return "closed its stream"
+
+    async def failure(self) -> LinkError | None:
+        return None
 
     def log_tail(self) -> list[str]:
         return []

@@ -2,31 +2,48 @@
 
 from __future__ import annotations
 
+import asyncio
+import os
 import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TypeVar
+
+from support.turns import alone
 
 STOOD_STILL_S = 0.1
 TIMES = 5
-_LOOK_S = 0.02
+LOOKS_S = 0.25
+"""How often the processes under test are looked at: each time costs some milliseconds."""
+STARVED_S = 0.15
+"""Of that time; a process that begins waits for a shorter part of it on any machine with few processors."""
 
 Measured = TypeVar("Measured")
 
 
 @contextmanager
-def standstills() -> Iterator[list[tuple[float, float]]]:
-    """From when to when, as Unix times, this process was not run although it wanted to, while the block runs."""
+def standstills(shortest_s: float = STOOD_STILL_S, *, starved: bool = False) -> Iterator[list[tuple[float, float]]]:
+    """From when to when, as Unix times, this process was not run although it wanted to, while the block runs.
+
+    With `starved` also when a thread of the processes that it has begun waited for a processor most of the time.
+    """
     found: list[tuple[float, float]] = []
     done = threading.Event()
 
     def look() -> None:
-        before = time.time()
-        while not done.wait(_LOOK_S):
+        before = looked_at = time.time()
+        waited = _waited_ns() if starved else {}
+        while not done.wait(shortest_s / 5):
             now = time.time()
-            if now - before > STOOD_STILL_S:
+            if now - before > shortest_s:
                 found.append((before, now))
+            if starved and now - looked_at > LOOKS_S:
+                waited_until_now = _waited_ns()
+                if any(ns - waited.get(each, ns) > STARVED_S * 1e9 for each, ns in waited_until_now.items()):
+                    found.append((looked_at, now))
+                waited, looked_at = waited_until_now, now
             before = now
 
     looking = threading.Thread(target=look, daemon=True)
@@ -38,24 +55,62 @@ def standstills() -> Iterator[list[tuple[float, float]]]:
         looking.join()
 
 
-def undisturbed(measure: Callable[[], Measured]) -> Measured:
+def undisturbed(measure: Callable[[], Measured], shortest_s: float = STOOD_STILL_S) -> Measured:
     """What is measured while the machine does not stand still, of at most five measurements; else the last.
 
-    Whether it is measured again depends on this witness alone, never on what was measured.
+    Whether it is measured again depends on this witness alone, never on what was measured. After the first time no
+    other test runs beside it: who is starved then is so by the test itself. `shortest_s` is the shortest standstill
+    that would make a difference.
     """
-    for _ in range(TIMES - 1):
-        with standstills() as found:
-            measured = measure()
-        if not found:
-            return measured
-    return measure()
+    with standstills(shortest_s, starved=True) as found:
+        measured = measure()
+    if not found:
+        return measured
+    with alone():
+        for _ in range(TIMES - 1):
+            with standstills(shortest_s) as found:
+                measured = measure()
+            if not found:
+                break
+    return measured
 
 
 async def undisturbed_async(measure: Callable[[], Awaitable[Measured]]) -> Measured:
     """As `undisturbed`."""
-    for _ in range(TIMES - 1):
-        with standstills() as found:
-            measured = await measure()
-        if not found:
-            return measured
-    return await measure()
+    with standstills(starved=True) as found:
+        measured = await measure()
+    if not found:
+        return measured
+    turn = alone()
+    await asyncio.to_thread(turn.__enter__)  # what this loop keeps alive goes on meanwhile
+    try:
+        for _ in range(TIMES - 1):
+            with standstills() as found:
+                measured = await measure()
+            if not found:
+                break
+    finally:
+        turn.__exit__(None, None, None)
+    return measured
+
+
+def _waited_ns() -> dict[str, int]:
+    """How long each thread of the processes that this one has begun has waited for a processor.
+
+    From /proc/PID/task/TID/schedstat; see the kernel's Documentation/scheduler/sched-stats.rst.
+    """
+    waited: dict[str, int] = {}
+    processes = list(_children(os.getpid()))
+    while processes:
+        process = processes.pop()
+        for task in Path(f"/proc/{process}/task").glob("*"):
+            with suppress(OSError, IndexError):  # it has ended, or this kernel does not count
+                waited[f"{process}/{task.name}"] = int((task / "schedstat").read_text().split()[1])
+        processes += _children(process)
+    return waited
+
+
+def _children(process: int) -> Iterator[int]:
+    for task in Path(f"/proc/{process}/task").glob("*"):
+        with suppress(OSError):  # it has ended
+            yield from map(int, (task / "children").read_text().split())

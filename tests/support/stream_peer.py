@@ -7,11 +7,12 @@ from typing import Any
 
 from ros2_mcp.link.carrier import Vitality
 from ros2_mcp.link.connection import Connection
+from ros2_mcp.model.errors import LinkError
 from ros2_mcp_bridge.packets import Packet, PacketReader, pack
 
 HELLO = {
     "event": "hello",
-    "protocol": 3,
+    "protocol": 5,
     "python": "3.12.3",
     "distro": "jazzy",
     "rmw": "rmw_fastrtps_cpp",
@@ -29,9 +30,11 @@ class Peer:
     start_s = 20.0
     lease_s = 1.0
 
-    def __init__(self, vitality: Vitality = "unknown") -> None:
+    def __init__(self, vitality: Vitality = "unknown", *, is_remote: bool = False) -> None:
+        self.is_remote = is_remote
         self.log: list[str] = []
         self.heard: list[Packet] = []
+        self.pings: list[dict[str, Any]] = []
         self._vitality: Vitality = vitality
         self._how = "closed its stream"
         self._reader = PacketReader()
@@ -44,7 +47,11 @@ class Peer:
         self._received, self._ended = received, ended
 
     def write(self, data: bytes) -> None:
-        self.heard += [packet for packet in self._reader.feed(data) if packet.header["op"] != "ping"]
+        for packet in self._reader.feed(data):
+            if packet.header["op"] == "ping":
+                self.pings.append(packet.header)
+            else:
+                self.heard.append(packet)
 
     async def writable(self) -> None:
         return
@@ -54,6 +61,9 @@ class Peer:
 
     async def ending(self) -> str:
         return self._how
+
+    async def failure(self) -> LinkError | None:
+        return None
 
     def log_tail(self) -> list[str]:
         return self.log
@@ -94,10 +104,10 @@ class Peer:
         raise AssertionError(f"no {op} came")
 
 
-async def connected(vitality: Vitality = "unknown") -> tuple[Connection, Peer]:
+async def connected(vitality: Vitality = "unknown", *, is_remote: bool = False, **told: Any) -> tuple[Connection, Peer]:
     """A connection whose peer has said hello."""
-    peer = Peer(vitality)
-    connection = Connection(peer)
+    peer = Peer(vitality, is_remote=is_remote)
+    connection = Connection(peer, **told)
     greeting = asyncio.ensure_future(connection.greet())
     await asyncio.sleep(0)
     peer.say(HELLO)

@@ -12,7 +12,8 @@ PATIENCE_S = 20.0
 
 def running_tasks() -> set[asyncio.Task[object]]:
     """The tasks of this loop that have not ended, without those of anyio's plugin, which carry fixtures and test."""
-    return {task for task in asyncio.all_tasks() if not task.get_coro().__qualname__.startswith("TestRunner.")}
+    names = {task: getattr(task.get_coro(), "__qualname__", "") for task in asyncio.all_tasks()}
+    return {task for task, name in names.items() if not name.startswith("TestRunner.")}
 
 
 async def soon(condition: Callable[[], bool]) -> None:

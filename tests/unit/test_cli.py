@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from ros2_mcp.cli import CLIENTS, parser, run, settings_from
-from ros2_mcp.commands.call import parse_assignments
-from ros2_mcp.commands.doctor import what_is_set
+from ros2_mcp.cli import CLIENTS, _options_first, parser, run, settings_from
+from ros2_mcp.commands.doctor import policy_in_force, what_is_set
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.settings import OPTIONS, Settings
 
@@ -25,6 +24,14 @@ def test_without_a_command_it_serves() -> None:
     assert parser().parse_args([]).verb is None
 
 
+@pytest.mark.promise("README", "ros2-mcp --help lists all options")
+def test_the_help_lists_every_option(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        parser().parse_args(["--help"])
+    told = capsys.readouterr().out
+    assert [option.flag for option in OPTIONS.values() if option.flag not in told] == []
+
+
 def test_options_become_settings() -> None:
     made = settings("--read-only", "--domain-id", "7", "--workspace", "/a", "--workspace", "/b", "--tools", "core,x")
     assert (made.read_only, made.domain_id) == (True, 7)
@@ -33,12 +40,33 @@ def test_options_become_settings() -> None:
 
 
 def test_every_setting_has_an_option_that_sets_it() -> None:
-    texts = {"transport": "sse", "log_level": "info", "bag": "/", "result_bytes": "1000", "black_box_bytes": "1000000"}
+    texts = {"transport": "sse", "log_level": "info", "result_bytes": "1000", "black_box_bytes": "1000000"}
+    texts |= {"bag": "/", "tls_cert": "/", "tls_key": "/", "public_url": "https://robot.example"}
+    texts |= {"robots": "ssh://me@robot", "robot_env": "A=b"}
     for name, option in OPTIONS.items():
         text = texts.get(name, "true" if option.default is False else "1")
         made = settings(option.flag, *([text] if option.takes_value else []))
         assert getattr(made, name) == option.parse(text)
         assert made.origins == {name: option.flag}
+
+
+def test_what_is_about_the_robot_may_stand_behind_the_command() -> None:
+    assert settings("doctor", "--robot", "ssh://me@robot").robot.host == "robot"
+    assert settings("--robot", "ssh://a", "config", "zed", "--domain-id", "3").domain_id == 3
+    assert settings("--domain-id", "3", "doctor").domain_id == 3
+
+
+def test_options_for_ssh_are_handed_on_word_by_word() -> None:
+    made = settings("--ssh-option=-F", "--ssh-option=/a b/config", "--ssh-option=-oProxyJump=gate")
+    assert made.ssh_options == ("-F", "/a b/config", "-oProxyJump=gate")
+
+
+def test_variables_for_the_robot_are_names_and_values() -> None:
+    made = settings("--robot-env", "A=b c", "--robot-env", "CYCLONEDDS_URI=file:///x=y")
+    assert made.robot_env == ("A=b c", "CYCLONEDDS_URI=file:///x=y")
+    for wrong in ("A", "=b", "1A=b", "A B=c"):
+        with pytest.raises(BadInput, match="variables as NAME=VALUE"):
+            settings("--robot-env", wrong)
 
 
 def test_options_that_may_stand_alone_say_what_they_mean() -> None:
@@ -74,6 +102,22 @@ def test_the_doctor_says_what_is_set_and_by_what_and_names_misspelt_variables() 
     ]
 
 
+def test_the_doctor_says_which_policy_is_in_force_and_what_is_wrong_with_it(tmp_path: Path) -> None:
+    tmp_path.chmod(0o700)
+    assert policy_in_force(Settings()).ok is None
+    path, other = tmp_path / "hall.yaml", tmp_path / "wrong.yaml"
+    path.write_text("policy: 1\nmode: confirm\n")
+    other.write_text("policy: 1\nmode: confrim\n")
+    path.chmod(0o600)
+    other.chmod(0o600)
+    found = policy_in_force(Settings(policy=(str(path),)))
+    assert found.ok is True
+    assert f"hall ({path}), mode confirm" in found.detail
+    wrong = policy_in_force(Settings(policy=(str(other),)))
+    assert (wrong.ok, wrong.fix) == (False, "Did you mean confirm?")
+    assert wrong.detail == f"{other}, line 2: mode cannot be 'confrim'."
+
+
 def test_an_option_wins_over_a_variable(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "5")
     monkeypatch.setenv("ROS2_MCP_PORT", "9000")
@@ -97,7 +141,6 @@ def test_every_log_level_that_is_offered_is_accepted(level: str) -> None:
     [
         (["--domain-id", "233", "doctor"], "--domain-id (ROS_DOMAIN_ID) is 233"),
         (["--port", "0", "serve"], "--port (ROS2_MCP_PORT) is 0"),
-        (["call", "ros2_topic_list", "scan"], "'scan' is not an assignment. Write key=value"),
     ],
 )
 def test_a_wrong_argument_ends_with_one_line_on_stderr(
@@ -109,6 +152,20 @@ def test_a_wrong_argument_ends_with_one_line_on_stderr(
     assert err.startswith(f"ros2-mcp: {told}") and err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("argv", "told"),
+    [
+        (["cal"], "There is no command 'cal'. Did you mean call?"),
+        (["config", "claude"], "There is no client 'claude'. Did you mean claude-code or claude-desktop?"),
+    ],
+)
+def test_a_misspelt_word_gets_the_nearest_names(argv: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run(argv)
+    assert ended.value.code == 2
+    assert told in capsys.readouterr().err
+
+
 def test_an_unknown_client_is_refused_with_those_that_are_known(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         run(["config", "emacs"])
@@ -117,28 +174,32 @@ def test_an_unknown_client_is_refused_with_those_that_are_known(capsys: pytest.C
     assert all(client in told for client in CLIENTS)
 
 
+@pytest.mark.parametrize("robot", [["--robot", "ssh://me@robot"], ["--robot=ssh://me@robot"]])
+def test_call_takes_what_is_about_the_robot_wherever_it_stands(robot: list[str]) -> None:
+    for words in (
+        ["call", *robot, "a_tool", "x=1"],
+        ["call", "a_tool", *robot, "x=1"],
+        ["call", "a_tool", "x=1", *robot],
+    ):
+        arguments = parser().parse_args(_options_first(words))
+        assert settings_from(arguments).robot.host == "robot"
+        assert (arguments.tool, arguments.arguments) == ("a_tool", ["x=1"])
+
+
 @pytest.mark.parametrize(
-    ("word", "value"),
+    ("argv", "told"),
     [
-        ("limit=3", 3),
-        ("duration=0.5", 0.5),
-        ("include_hidden=true", True),
-        ('fields=["pose", "twist"]', ["pose", "twist"]),
-        ('data={"linear": {"x": 0.1}}', {"linear": {"x": 0.1}}),
-        ("topic_name=/scan", "/scan"),
-        ('topic_name="/scan"', "/scan"),
-        ("pattern=a=b", "a=b"),
-        ("pattern=", ""),
+        (
+            ["call", "a_tool", "--policy", "nav", "x=1"],
+            "--policy has to stand before the command: ros2-mcp --policy … call …",
+        ),
+        (["doctor", "--port=9000"], "--port has to stand before the command: ros2-mcp --port … doctor …"),
+        (["doctor", "--nonsense"], "--nonsense is not taken here: ros2-mcp doctor --help lists what is."),
     ],
 )
-def test_a_value_that_is_json_is_taken_as_json_and_any_other_as_text(word: str, value: object) -> None:
-    assert list(parse_assignments([word]).values()) == [value]
-
-
-def test_assignments_keep_their_names() -> None:
-    assert parse_assignments(["a=1", "b=x"]) == {"a": 1, "b": "x"}
-
-
-def test_a_word_that_assigns_nothing_is_refused() -> None:
-    with pytest.raises(BadInput, match="key=value"):
-        parse_assignments(["a=1", "scan"])
+def test_an_option_in_the_wrong_place_is_named_in_one_line(
+    argv: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run(argv)
+    assert (ended.value.code, capsys.readouterr().err) == (2, f"ros2-mcp: {told}\n")

@@ -29,6 +29,7 @@ def printed(client: str, variables: dict[str, str] = VARIABLES) -> str:
     return CLIENTS[client].text(Entry(COMMAND, ARGS, variables))
 
 
+@pytest.mark.promise("README", "config prints the exact configuration for your client")
 @pytest.mark.parametrize(
     "client",
     [
@@ -86,10 +87,12 @@ def test_codex_reads_it_as_toml(variables: dict[str, str]) -> None:
     assert {"env": {}, **read["mcp_servers"]["ros2"]} == {**ENTRY, "env": variables}
 
 
+@pytest.mark.promise("README", "the clients are claude-desktop")
 def test_the_command_line_offers_every_client() -> None:
     assert list(cli.CLIENTS) == list(CLIENTS)
 
 
+@pytest.mark.promise("README", "and says where it goes")
 @pytest.mark.parametrize("client", CLIENTS)
 def test_stdout_is_the_configuration_and_stderr_says_where_it_goes(
     client: str, capsys: pytest.CaptureFixture[str]
@@ -106,6 +109,7 @@ def carried(*argv: str) -> list[str]:
     return options({name: word for name, word in words.items() if name in OPTIONS and word is not None})
 
 
+@pytest.mark.promise("README", "it needs the absolute path of the command, as ros2-mcp config prints it")
 def test_paths_become_absolute_each_of_several_too_and_links_stay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -163,6 +167,7 @@ def test_options_with_an_optional_value_and_those_given_again_are_kept_as_they_w
     assert carried("--custom-prompts", "false", "--read-only") == ["--read-only", "--custom-prompts", "false"]
 
 
+@pytest.mark.promise("README", "Options before the word config are carried over into it")
 @pytest.mark.parametrize(
     "argv",
     [
@@ -174,6 +179,7 @@ def test_the_server_that_the_client_starts_has_the_settings_that_were_given(argv
     assert settings_from(parser().parse_args(carried(*argv))) == settings_from(parser().parse_args(argv))
 
 
+@pytest.mark.promise("README", "so is what your shell says of ROS: domain, middleware, discovery, security")
 def test_only_variables_that_decide_which_robot_is_seen_and_how_are_passed_on() -> None:
     shell = {"ROS_DOMAIN_ID": "7", "HOME": "/somewhere", "RMW_IMPLEMENTATION": "", "SECRET": "x", "PATH": "/bin"}
     assert environment(shell) == {"ROS_DOMAIN_ID": "7"}
@@ -211,6 +217,7 @@ def test_a_variable_that_an_option_overrides_is_not_passed_on() -> None:
     assert environment({"ROS_DOMAIN_ID": "7", "ROS2_MCP_TOOLS": "all"}, {"domain_id": "9"}) == {"ROS2_MCP_TOOLS": "all"}
 
 
+@pytest.mark.promise("README", "sourced workspaces")
 def test_what_is_sourced_in_the_shell_is_sourced_for_the_client(tmp_path: Path) -> None:
     for folder in ("ros/humble", "ros/jazzy", "under/install", "over/install"):
         (tmp_path / folder).mkdir(parents=True)
@@ -242,3 +249,26 @@ def test_a_path_in_a_cache_is_never_printed_and_why_is_said(
     assert entry["args"][:2] == ["tool", "run"] and entry["args"][-1] == "ros2-mcp"
     assert ".cache" not in out
     assert "cache (uvx)" in err
+
+
+def test_a_workspace_that_is_not_there_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gone = tmp_path / "gone"
+    assert run(["--workspace", str(tmp_path), "--workspace", str(gone), "config", "cursor"]) == 0
+    out, err = capsys.readouterr()
+    assert str(gone) in out and err.count("warning") == 1
+    assert f"# warning: --workspace {gone} is not there" in err
+
+
+def test_for_a_robot_elsewhere_its_paths_stay_as_they_are_and_variables_of_this_ros_stay_here(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "5")
+    monkeypatch.setenv("ROS_STATIC_PEERS", "a")
+    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    monkeypatch.setenv("ROS2_MCP_BRIDGE_PYTHON", "venv/bin/python")
+    assert run(["config", "cursor", "--robot", "ssh://me@robot", "--workspace", "ws"]) == 0
+    printed = capsys.readouterr()
+    entry = json.loads(printed.out)["mcpServers"]["ros2"]
+    assert entry["args"][-4:] == ["--robot", "ssh://me@robot", "--workspace", "ws"]
+    assert entry["env"] == {"ROS2_MCP_BRIDGE_PYTHON": "venv/bin/python"}
+    assert "warning" not in printed.err

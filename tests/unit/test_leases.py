@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator
 from dataclasses import replace
+from pathlib import Path
 from time import monotonic
 from types import SimpleNamespace
 from typing import Any, cast
@@ -14,12 +15,12 @@ import pytest
 from anyio.lowlevel import checkpoint, checkpoint_if_cancelled
 
 from ros2_mcp import leases as subject
-from ros2_mcp.http import security
+from ros2_mcp.guard.entrance import entrance_of
 from ros2_mcp.leases import CLIENT_LEASE_S, RESPONSE, Leases, principal_of
-from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.commands import LOCAL, Principal, Publish, Repeat
 from ros2_mcp.model.errors import Stopped
 from ros2_mcp.robot import Robot
+from ros2_mcp.settings import Settings
 from support.noting_bridge import CHOICE, GOAL_ID, TWIST, Noting, call, goal, on
 from support.tasks import soon
 
@@ -33,7 +34,7 @@ class Response:
 
     def __init__(self, *, listens: bool = False) -> None:
         self.listens, self.is_open, self.was_closed = listens, True, False
-        self.heard = 0.0
+        self.heard = 1.0
 
     def heard_at(self) -> float:
         return self.heard
@@ -43,19 +44,6 @@ class Response:
     def close(self, leases: Leases) -> None:
         self.is_open, self.was_closed = False, True
         leases.closed(self)
-
-
-@pytest.fixture
-def bridge() -> Noting:
-    return Noting()
-
-
-@pytest.fixture
-async def robot(bridge: Noting) -> AsyncGenerator[Robot, None]:
-    robot = Robot(cast(Bridge, bridge))
-    yield robot
-    await robot.jobs.close()
-    robot.failsafes.close()
 
 
 @pytest.fixture
@@ -93,7 +81,6 @@ async def test_a_departure_is_ended_once_also_where_nobody_acknowledges_or_sees_
 ) -> None:
     bridge.zeros = [{"topic": "/cmd_vel", "type": TWIST, "matched": 1, "acked": None}]
     view = robot.acting_for(CLIENT)
-    leases.asked(CLIENT)
     await view.do(publish(CLIENT))
     await robot.values.learn("made/action/Go", "action_msgs/srv/CancelGoal")
     accepted = robot.values.encode_known("made/action/Go_SendGoal_Response", {"accepted": True})
@@ -101,6 +88,7 @@ async def test_a_departure_is_ended_once_also_where_nobody_acknowledges_or_sees_
     bridge.answer = accepted
     await view.do(replace(goal(), principal=CLIENT))
     bridge.answer = cancelling
+    leases.asked(CLIENT)
     await soon(lambda: "zero" in bridge.sent)
     await asyncio.sleep(AT_REST_S)
     assert (bridge.sent.count("zero"), bridge.sent.count("call")) == (1, 2)
@@ -120,6 +108,20 @@ async def test_a_goal_that_its_server_says_it_does_not_run_any_more_is_no_motion
     bridge.answer = robot.values.encode_known("action_msgs/srv/CancelGoal_Response", {"return_code": code})
     assert await robot.stop_owned(CLIENT) == [f"goal {GOAL_ID}"]
     assert not robot.moves_for(CLIENT)
+
+
+async def test_a_look_between_the_end_of_a_connection_and_the_close_it_brings_names_the_end_of_the_client(
+    robot: Robot, bridge: Noting, leases: Leases, caplog: pytest.LogCaptureFixture
+) -> None:
+    response = Response(listens=True)
+    response.heard = monotonic() + 60
+    leases.asked(CLIENT, response)
+    await robot.acting_for(CLIENT).do(publish(CLIENT))
+    await soon(lambda: leases._clients[CLIENT].is_moving)
+    with caplog.at_level("INFO"):
+        leases._clients[CLIENT].asked_at = leases._clients[CLIENT].granted_at = response.heard = 0.0
+        await soon(lambda: "ended by" in caplog.text)
+    assert "the end of its client" in caplog.text and subject._UNHEARD not in caplog.text
 
 
 async def test_the_end_of_one_client_leaves_what_another_moves_on_the_same_topic(robot: Robot, bridge: Noting) -> None:
@@ -170,6 +172,16 @@ async def test_a_call_whose_response_was_closed_before_its_handler_began_does_no
     else:
         await asyncio.sleep(0.2)
         assert "zero" not in bridge.sent
+
+
+async def test_calls_about_one_robot_leave_room_for_those_about_another(leases: Leases) -> None:
+    def under_way() -> list[int]:
+        return [leases.calls_under_way(about) for about in ("lab", "yard", "")]
+
+    with leases.attended(request(Response()), acts=False, about="lab"):
+        with leases.attended(request(Response()), acts=True, about="lab"), leases.attended(request(), acts=True):
+            assert under_way() == [2, 0, 1]
+        assert under_way() == [1, 0, 0]
 
 
 async def test_a_request_whose_response_was_closed_is_no_sign_of_life(robot: Robot, leases: Leases) -> None:
@@ -295,7 +307,9 @@ async def test_the_clients_whose_ends_are_remembered_are_bounded(robot: Robot) -
     ],
 )
 async def test_the_address_that_is_listened_on_is_accepted_as_clients_write_it(
-    host: str, port: int, accepted: str
+    host: str, port: int, accepted: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    guard = security(host, port)
-    assert accepted in guard.allowed_hosts and f"http://{accepted}" in guard.allowed_origins
+    settings = Settings(transport="streamable-http", host=host, port=port, behind_proxy=True)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    entrance = entrance_of(settings)
+    assert accepted in entrance.hosts and f"http://{accepted}" in entrance.origins

@@ -10,6 +10,7 @@ import pytest
 from ros2_mcp.commands.simulation import Graph, reach_of_this_machine
 
 
+@pytest.mark.promise("README", "It uses a ROS domain of its own")
 def test_a_domain_in_which_somebody_on_this_machine_is_is_not_chosen() -> None:
     chosen = Graph.private().domain_id
     assert 1 <= chosen <= 100
@@ -19,6 +20,7 @@ def test_a_domain_in_which_somebody_on_this_machine_is_is_not_chosen() -> None:
         assert Graph.private().domain_id != chosen
 
 
+@pytest.mark.promise("README", "on this machine only")
 @pytest.mark.parametrize(
     ("distro", "env", "reach"),
     [

@@ -97,7 +97,7 @@ class DataBlackBox:
         Raises:
             RobotError: with the box's own words, where it says that it failed.
         """
-        end_ns = question.end_ns or time.time_ns()
+        end_ns = question.end_ns or self.robot.now_ns()
         for reach_ns in _REACHES_NS if number else ():
             start_ns = end_ns - reach_ns
             if question.start_ns is not None and start_ns <= question.start_ns:
@@ -165,7 +165,7 @@ class DataBlackBoxSource(Source):
         self.title = f"the WiseVision Data Black Box (generation {box.generation}, {box.service})"
         self.words = f"{self.title}, from {iso_time(start_ns) if start_ns else 'the beginning'} on"
         # Without a start it goes back as far as the box does, which it does not tell: 0 is not known.
-        self.duration_s = 0.0 if start_ns is None else ((end_ns or time.time_ns()) - start_ns) / 1e9
+        self.duration_s = 0.0 if start_ns is None else ((end_ns or box.robot.now_ns()) - start_ns) / 1e9
         self._box = box
         self._start_ns = start_ns
         self._end_ns = end_ns
@@ -176,7 +176,7 @@ class DataBlackBoxSource(Source):
         if recorded_s is None:
             return self
         length_ns = max(round(recorded_s * 1e9), 1)
-        end_ns = time.time_ns() if self._end_ns is None else self._end_ns
+        end_ns = self._box.robot.now_ns() if self._end_ns is None else self._end_ns
         if self._start_ns is None:
             return DataBlackBoxSource(self._box, end_ns - length_ns, end_ns, self._bucket)
         return DataBlackBoxSource(self._box, self._start_ns, min(end_ns, self._start_ns + length_ns), self._bucket)
@@ -203,6 +203,7 @@ class DataBlackBoxSource(Source):
         limit: int | None = None,
         every_n: int = 1,
         latched: bool = True,  # noqa: ARG002 - the box does not keep QoS
+        times_only: bool = False,  # noqa: ARG002 - it gives whole messages only
     ) -> AsyncGenerator[Stream, None]:
         """The messages that it has, the last ones with a limit.
 
@@ -230,7 +231,7 @@ class DataBlackBoxSource(Source):
             codec=self.codec,
             publishers=(),
             start_ns=self._start_ns or min((sample.received_ns for sample in answered.samples), default=0),
-            until_ns=self._end_ns or time.time_ns(),
+            until_ns=self._end_ns or self._box.robot.now_ns(),
             from_end=bool(limit),
             received=len(answered.samples),
             note=" ".join(filter(None, (answered.problem, unconfirmed if answered.samples else ""))),
@@ -276,11 +277,12 @@ class DataBlackBoxes(SourceKind):
         box = None if robot.policy.recorded else await find_box(robot)
         if box is None:
             return None
-        now_ns = time.time_ns()
-        start_ns = parsed_ns("time_start", request.start, None, now_ns) if request.start else None
-        end_ns = parsed_ns("time_end", request.end, None, now_ns) if request.end else None
+        now_ns = robot.now_ns()
+        start_name, end_name = request.names
+        start_ns = parsed_ns(start_name, request.start, None, now_ns) if request.start else None
+        end_ns = parsed_ns(end_name, request.end, None, now_ns) if request.end else None
         if start_ns is not None and end_ns is not None and end_ns < start_ns:
-            raise BadValue("time_end", f"{request.end!r} is before {request.start!r}.")
+            raise BadValue(end_name, f"{request.end!r} is before {request.start!r}.")
         end_ns = None if end_ns is None else last_ns_of(request.end, end_ns)
         return DataBlackBoxSource(box, start_ns, end_ns, request.bucket)
 

@@ -25,8 +25,8 @@ from mcp.server.mcpserver.prompts import Prompt as SdkPrompt
 from mcp.types import GetPromptResult, PromptArgument, PromptMessage, TextContent
 from mcp.types import Prompt as ListedPrompt
 
+from ros2_mcp.model.arguments import Argument, shown
 from ros2_mcp.model.errors import BadInput, RobotError
-from ros2_mcp.prompts.arguments import Argument, shown
 from ros2_mcp.prompts.mistakes import Mistake, Tell
 from ros2_mcp.prompts.prompt import Message, Prompt
 from ros2_mcp.settings import Settings

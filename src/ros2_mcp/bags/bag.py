@@ -16,7 +16,7 @@ from ros2_mcp.bags.rosbag2 import METADATA, NOT_CLOSED, read_metadata
 from ros2_mcp.bags.schema import bare
 from ros2_mcp.bags.sqlite_file import SqliteFile
 from ros2_mcp.bags.stored import FOREVER, Hole, Span, StoredTopic
-from ros2_mcp.model.errors import BadData, NotFound
+from ros2_mcp.model.errors import BadData, Locked, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 
@@ -37,6 +37,7 @@ class Bag:
     Raises:
         NotFound: if there is no bag at that path.
         BadData: if nothing of it can be read.
+        Locked: if another program is writing to it just now.
     """
 
     def __init__(self, path: Path, former: Bag | None = None) -> None:
@@ -146,6 +147,11 @@ class Bag:
                 opened.append(same if same and same.is_current else _open_file(path, compression))
             except (BadData, OSError) as error:
                 self._problems.append(f"{path.name}: {error}" if isinstance(error, OSError) else str(error))
+            except Locked:
+                for file in opened:
+                    if file.path not in former_files:
+                        file.close()
+                raise
         if not opened:
             raise BadData(f"{self.path.name} cannot be read: {' '.join(self._problems)}")
         readable = {file.path for file in opened}

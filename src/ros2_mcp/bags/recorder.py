@@ -40,8 +40,9 @@ class Recorder:
     """Writes in a thread of its own. `ended` says in words why it ended, and is empty while it runs.
 
     `failed` is true if that was an error of the disk. `dropped` counts, by topic, samples that the disk was too slow
-    for. All methods may be called from any thread. The disk is asked to keep what the system has (`fsync`) in a second
-    thread, so that a slow disk never holds back what the system could already have.
+    for; what comes after the end is none of the recording's. All methods may be called from any thread. The disk is
+    asked to keep what the system has (`fsync`) in a second thread, so that a slow disk never holds back what the system
+    could already have.
     """
 
     def __init__(self, sink: BagWriter, folder: str | os.PathLike[str], limits: Limits | None = None) -> None:
@@ -74,13 +75,15 @@ class Recorder:
             self._topics.append((topic, type_hash))
 
     def put(self, topic_name: str, samples: Sequence[Sample]) -> None:
-        """Hands over samples; they are dropped and counted where the disk has fallen behind, or it has ended."""
+        """Hands over samples; they are dropped and counted where the disk has fallen behind."""
         if not samples:
             return
         size = sum(len(sample.data) for sample in samples)
         with self._news:
-            if self.ended or self._waiting_bytes + size > QUEUE_BYTES:
-                self._drop(topic_name, len(samples))
+            if self.ended:
+                return
+            if self._waiting_bytes + size > QUEUE_BYTES:
+                self.dropped[topic_name] = self.dropped.get(topic_name, 0) + len(samples)
                 return
             self._waiting.append((topic_name, samples))
             self._waiting_bytes += size
@@ -138,14 +141,10 @@ class Recorder:
         for topic, type_hash in topics:
             self.sink.add_topic(topic, type_hash)
         for topic_name, samples in batches:
-            for index, sample in enumerate(samples):
+            for sample in samples:
                 if self._is_full():
-                    self._drop(topic_name, len(samples) - index)
-                    break
+                    return  # what comes after the limit is not part of it
                 self.sink.write(topic_name, sample)
-
-    def _drop(self, topic_name: str, count: int) -> None:
-        self.dropped[topic_name] = self.dropped.get(topic_name, 0) + count
 
     def _is_full(self) -> bool:
         return bool(self._limits.max_bytes) and self.sink.size >= self._limits.max_bytes

@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import tempfile
-from collections.abc import Collection, Generator, Mapping
-from contextlib import closing
+from collections.abc import Collection, Generator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import zstandard
 
 from ros2_mcp.bags.chunks import Damaged, unzstd
 from ros2_mcp.bags.stored import FOREVER, MOST_PROBLEMS, Hole, Span, StoredTopic
-from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.errors import BadData, Locked
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.model.times import iso_time
 
 _BUSY_S = 1.0
 """How long to wait for a recorder that writes to the file; its transactions take milliseconds."""
+_PAGE_ROWS = (16, 1024)
+"""Rows that are read in one query, the first and the longest: a query that ends lets others write to the file, and who
+asks for the last message needs not a thousand."""
+_PAGE_BYTES = 8_000_000
+"""Messages that one query holds in memory."""
+_UNINDEXED_BYTES = 64_000_000
+"""The same where there is no index of the times (`ros2 bag` makes one): each query reads and sorts the whole file."""
 _Row: TypeAlias = "tuple[tuple[int, int], tuple[str, Sample] | None]"
 """The place of a row (its time and number), and its message; None if it is not asked for or cannot be unpacked."""
 _NOWHERE = (-1, 0)
@@ -34,6 +42,8 @@ class SqliteFile:
     `compression` is `""`, `message` or `file` (zstd, the only one rosbag2 has). The `topics` have no counts, for which
     everything would have to be read.
 
+    Whatever reads it raises `Locked` while somebody else writes to it for longer than a second.
+
     Raises:
         BadData: if it is no rosbag2 database that can be read.
     """
@@ -44,17 +54,23 @@ class SqliteFile:
         self.unfinished: list[str] = []
         self._holes: dict[Hole, None] = {}  # in the order they were found, each once however often it is read
         self._compressed = compression == "message"
-        self._whole = _decompressed(path) if compression == "file" else None
-        try:
-            self._database = _connect(Path(self._whole.name) if self._whole else path)
-            self._names, self.topics = self._read_topics()
-            ends = "ASC", "DESC"  # one after the other: each is found by the index, without reading what is between
-            order = "SELECT timestamp FROM messages ORDER BY timestamp {} LIMIT 1"
-            rows = [self._database.execute(order.format(end)).fetchone() for end in ends]
-        except sqlite3.Error as error:
-            raise BadData(f"{path.name} cannot be read: {error}.") from error
-        self.times: tuple[int, int] | None = (int(rows[0][0]), int(rows[1][0])) if rows[0] and rows[1] else None
         self._checked_ns = 0
+        self._opened = ExitStack()
+        with ExitStack() as opened:  # closed again if the rest fails
+            whole = opened.enter_context(_decompressed(path)) if compression == "file" else path
+            try:
+                database = _connect(whole)
+                self._database = opened.enter_context(closing(database))
+                self._names, self.topics = self._read_topics()
+                ends = "ASC", "DESC"  # one after the other: each is found by the index, without reading what is between
+                order = "SELECT timestamp FROM messages ORDER BY timestamp {} LIMIT 1"
+                rows = [self._database.execute(order.format(end)).fetchone() for end in ends]
+                self._has_index = self._database.execute("PRAGMA index_list(messages)").fetchone() is not None
+            except sqlite3.Error as error:
+                _raise_if_locked(path, error)
+                raise BadData(f"{path.name} cannot be read: {error}.") from error
+            self.times: tuple[int, int] | None = (int(rows[0][0]), int(rows[1][0])) if rows[0] and rows[1] else None
+            self._opened = opened.pop_all()
 
     @property
     def holes(self) -> list[Hole]:
@@ -67,6 +83,7 @@ class SqliteFile:
         try:
             return int(self._database.execute("SELECT count(*) FROM messages").fetchone()[0])
         except sqlite3.Error as error:
+            _raise_if_locked(self.path, error)
             self._note(f"its messages cannot be counted: {error}")
             return None
 
@@ -75,6 +92,7 @@ class SqliteFile:
         try:
             rows = self._database.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall()
         except sqlite3.Error as error:
+            _raise_if_locked(self.path, error)
             self._note(f"its messages cannot be counted: {error}")
             return {}
         return {self._names[number]: int(count) for number, count in rows if number in self._names}
@@ -87,33 +105,60 @@ class SqliteFile:
         """
         numbers = {number for number, name in self._names.items() if span.topics is None or name in span.topics}
         start_ns, end_ns, past = span.start_ns, min(span.end_ns, FOREVER), _NOWHERE
+        most, longest = _PAGE_ROWS
         while numbers:
-            try:
-                for place, message in self._rows(numbers, start_ns, end_ns, newest_first, past):
-                    past = place
-                    start_ns, end_ns = (start_ns, past[0] + 1) if newest_first else (past[0], end_ns)
-                    if message:
-                        yield message
+            page, is_last, damage = self._page(numbers, start_ns, end_ns, newest_first, past, most)
+            most = min(4 * most, longest)
+            for place, message in page:
+                past = place
+                if message:
+                    yield message
+            start_ns, end_ns = _beyond_place(past, start_ns, end_ns, newest_first)
+            if is_last:
                 return
-            except sqlite3.Error as error:
-                # `sqlite3` reads a row ahead and drops the one before the damage: that one is asked for by itself.
-                if before := self._next_row(numbers, start_ns, end_ns, newest_first, past):
-                    past, message = before
-                    start_ns, end_ns = (start_ns, past[0] + 1) if newest_first else (past[0], end_ns)
-                    if message:
-                        yield message
-                    continue
-                following_ns = self._beyond(numbers, start_ns, end_ns, newest_first)
-                if newest_first:
-                    hole_ns = start_ns if following_ns is None else following_ns, end_ns - (past != _NOWHERE)
-                    end_ns = hole_ns[0] + 1
-                else:
-                    hole_ns = start_ns, end_ns if following_ns is None else following_ns
-                    start_ns = hole_ns[1]
-                past = _NOWHERE
-                self._note_hole(Hole(*self._within(*hole_ns)), str(error))
-                if following_ns is None:
-                    return
+            if not damage:
+                continue
+            following_ns = self._beyond(numbers, start_ns, end_ns, newest_first)
+            if newest_first:
+                hole_ns = start_ns if following_ns is None else following_ns, end_ns - (past != _NOWHERE)
+                end_ns = hole_ns[0] + 1
+            else:
+                hole_ns = start_ns, end_ns if following_ns is None else following_ns
+                start_ns = hole_ns[1]
+            past = _NOWHERE
+            self._note_hole(Hole(*self._within(*hole_ns)), damage)
+            if following_ns is None:
+                return
+
+    def _page(
+        self,
+        numbers: Collection[int],
+        start_ns: int,
+        end_ns: int,
+        newest_first: bool,
+        past: tuple[int, int],
+        most: int,
+    ) -> tuple[list[_Row], bool, str]:
+        """The next rows, as many as are held at once; whether they are the last; and what damage comes after them.
+
+        When it returns no query is open: as long as one is, nobody else can write to the file.
+        """
+        found: list[_Row] = []
+        size, room = 0, _PAGE_BYTES if self._has_index else _UNINDEXED_BYTES
+        try:
+            with closing(self._rows(numbers, start_ns, end_ns, newest_first, past)) as rows:
+                for row in rows:
+                    found.append(row)
+                    size += len(row[1][1].data) if row[1] else 0
+                    if size >= room or (self._has_index and len(found) >= most):
+                        return found, False, ""
+        except sqlite3.Error as error:
+            # `sqlite3` reads a row ahead and drops the one before the damage: that one is asked for by itself.
+            past = found[-1][0] if found else past
+            start_ns, end_ns = _beyond_place(past, start_ns, end_ns, newest_first)
+            before = self._next_row(numbers, start_ns, end_ns, newest_first, past)
+            return ([*found, before], False, "") if before else (found, False, str(error))
+        return found, True, ""
 
     def _rows(
         self,
@@ -126,13 +171,27 @@ class SqliteFile:
     ) -> Generator[_Row, None, None]:
         """Each row of the file in that time and beyond the place `past`; only the data of those topics is read."""
         order, beyond = ("DESC", "<") if newest_first else ("ASC", ">")
-        statement = (
-            f"SELECT id, topic_id, timestamp, CASE WHEN topic_id IN ({','.join('?' * len(numbers))}) THEN data END "
-            f"FROM messages WHERE timestamp >= ? AND timestamp < ? AND (timestamp != ? OR id {beyond} ?) "
-            f"ORDER BY timestamp {order}, id {order} LIMIT ?"
-        )
+        spans = [("timestamp >= ? AND timestamp < ? AND (timestamp != ? OR id {beyond} ?)", (start_ns, end_ns, *past))]
+        if past != _NOWHERE and self._has_index:
+            # Two questions: with one, SQLite would pass by all rows of the time of `past` anew with each page.
+            rest = (start_ns, past[0]) if newest_first else (past[0] + 1, end_ns)
+            spans = [("timestamp = ? AND id {beyond} ?", past), ("timestamp >= ? AND timestamp < ?", rest)]
+        for condition, bounds in spans:
+            statement = (
+                f"SELECT id, topic_id, timestamp, CASE WHEN topic_id IN ({','.join('?' * len(numbers))}) THEN data END "
+                f"FROM messages WHERE {condition.format(beyond=beyond)} "
+                f"ORDER BY timestamp {order}, id {order} LIMIT ?"
+            )
+            yield from self._queried(numbers, statement, (*numbers, *bounds, most))
+
+    def _queried(self, numbers: Collection[int], statement: str, values: Sequence[int]) -> Generator[_Row, None, None]:
         with closing(self._database.cursor()) as cursor:
-            for row, number, at_ns, data in cursor.execute(statement, (*numbers, start_ns, end_ns, *past, most)):
+            try:
+                rows = cursor.execute(statement, values)
+            except sqlite3.Error as error:
+                _raise_if_locked(self.path, error)
+                raise
+            for row, number, at_ns, data in rows:
                 place = int(at_ns), row
                 if number not in numbers:
                     yield place, None
@@ -207,9 +266,11 @@ class SqliteFile:
 
     def close(self) -> None:
         """Closes the file."""
-        self._database.close()
-        if self._whole:
-            self._whole.close()
+        self._opened.close()
+
+    def __del__(self) -> None:
+        """Closes it with its last reader: a bag that has changed is opened anew while others may still read it."""
+        self.close()
 
     def _read_topics(self) -> tuple[dict[int, str], Mapping[str, StoredTopic]]:
         """Names by the file's numbers, and topics by name.
@@ -255,23 +316,44 @@ class SqliteFile:
 def _connect(path: Path) -> sqlite3.Connection:
     """A connection that writes nothing, also where the folder is read-only."""
     uri = path.resolve().as_uri()
+    database = sqlite3.connect(f"{uri}?mode=ro", timeout=_BUSY_S, uri=True, check_same_thread=False)
     try:
-        database = sqlite3.connect(f"{uri}?mode=ro", _BUSY_S, uri=True, check_same_thread=False)
         database.execute("SELECT 1 FROM topics LIMIT 1").fetchone()
-    except sqlite3.OperationalError:
+    except sqlite3.Error as error:
+        database.close()
+        if not isinstance(error, sqlite3.OperationalError):
+            raise
+        _raise_if_locked(path, error)
         # SQLite wants to write to a journal (WAL) beside the file even to read it; `immutable` does without.
-        database = sqlite3.connect(f"{uri}?immutable=1", _BUSY_S, uri=True, check_same_thread=False)
+        database = sqlite3.connect(f"{uri}?immutable=1", timeout=_BUSY_S, uri=True, check_same_thread=False)
     database.text_factory = partial(str, encoding="utf-8", errors="replace")
     return database
 
 
-def _decompressed(path: Path) -> Any:
-    whole = tempfile.NamedTemporaryFile(prefix="ros2-mcp-", suffix=".db3")  # noqa: SIM115
+def _raise_if_locked(path: Path, error: sqlite3.Error) -> None:
+    """Raises `Locked` if that is what the error says: it is no damage."""
+    if "locked" in str(error):
+        hint = "It is not damaged: ask again when the other one has finished, or has paused."
+        raise Locked(f"{path.name} is locked: another program writes to it.", hint) from error
+
+
+def _beyond_place(past: tuple[int, int], start_ns: int, end_ns: int, newest_first: bool) -> tuple[int, int]:
+    """What of a span is beyond a place (or at its time)."""
+    if past == _NOWHERE:
+        return start_ns, end_ns
+    return (start_ns, past[0] + 1) if newest_first else (past[0], end_ns)
+
+
+@contextmanager
+def _decompressed(path: Path) -> Generator[Path, None, None]:
+    """A file with the contents of a compressed one, as long as it is entered."""
+    descriptor, name = tempfile.mkstemp(prefix="ros2-mcp-", suffix=".db3")
     try:
-        with path.open("rb") as packed:
-            zstandard.ZstdDecompressor().copy_stream(packed, whole)
-        whole.flush()
-    except zstandard.ZstdError as error:
-        whole.close()
-        raise BadData(f"{path.name} cannot be decompressed: {error}.") from error
-    return whole
+        with os.fdopen(descriptor, "wb") as whole, path.open("rb") as packed:  # closed again: else Windows keeps it
+            try:
+                zstandard.ZstdDecompressor().copy_stream(packed, whole)
+            except zstandard.ZstdError as error:
+                raise BadData(f"{path.name} cannot be decompressed: {error}.") from error
+        yield Path(name)
+    finally:
+        Path(name).unlink()

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.interfaces import FLOATS, INTEGERS, OCTETS, TEXTS, Field, FieldType, Structure
-from ros2_mcp.model.names import nearest
+from ros2_mcp.model.names import nearest, type_in_words
 from ros2_mcp.model.text import excerpt, is_unicode
-from ros2_mcp.model.values import EXACT_INTEGER, NOT_FINITE, SUMMARY
+from ros2_mcp.model.values import DIAGONAL, EXACT_INTEGER, SUMMARY, is_covariance, not_finite_number
 
 _FLOAT32 = Struct("<f")
 _DECIMAL = re.compile(r"-?\d{1,20}", re.ASCII)
@@ -34,8 +34,9 @@ def check(definitions: Definitions, type_name: str, value: object, *, partial: b
     """The message that a JSON value describes.
 
     Fields that are missing take the default of the definition, else zero; with `partial=False` none may be missing.
-    Accepted beside the plain JSON kinds: `"nan"`, `"inf"`, `"-inf"` for floating-point numbers; decimal strings for
-    64-bit integers; base64 or a list for bytes; integers for floats and integral floats for integers where exact.
+    Accepted beside the plain JSON kinds: `"nan"`, `"inf"`, `"-inf"` (in any case, `"-Infinity"` too) for floating-point
+    numbers; decimal strings for 64-bit integers; base64 or a list for bytes; `{"$diagonal": [...]}` for a square
+    matrix; integers for floats and integral floats for integers where exact.
 
     Raises:
         BadValue: for anything else.
@@ -101,6 +102,8 @@ class _Check:
                 raise BadValue(path, f"{excerpt(value)} is not base64.", _BYTES_HINT) from error
             _check_length(field_type, len(data), path)
             return data
+        if (diagonal := _diagonal_in(value)) is not None:
+            return _matrix(field_type, diagonal, path)
         values = _list(field_type, value, path)
         _check_length(field_type, len(values), path)
         if field_type.is_message or field_type.base in TEXTS:
@@ -111,7 +114,7 @@ class _Check:
 def _object(structure: Structure, value: object, path: str) -> Mapping[str, object]:
     _refuse_summary(value, path)
     if not isinstance(value, Mapping):
-        raise _wrong(path, value, f"an object with the fields of {structure.type}")
+        raise _wrong(path, value, f"an object with the fields of {type_in_words(structure.type)}")
     fields = cast("Mapping[str, object]", value)
     names = [field.name for field in structure.fields]
     for name in fields:
@@ -119,7 +122,7 @@ def _object(structure: Structure, value: object, path: str) -> Mapping[str, obje
             near = nearest(str(name), names)
             hint = f"Did you mean {near}? " if near else ""
             hint += f"Its fields are {', '.join(names)}." if names else "It has no fields."
-            raise BadValue(_below(path, str(name)[:80]), f"{structure.type} has no such field.", hint)
+            raise BadValue(_below(path, str(name)[:80]), f"{type_in_words(structure.type)} has no such field.", hint)
     return fields
 
 
@@ -175,7 +178,7 @@ def _numbers(field_type: FieldType, values: Sequence[Any], path: str) -> NDArray
     Lists of one kind are converted at once: images and clouds have millions of values.
     """
     kinds, base = set(map(type, values)), field_type.base
-    if base in FLOATS and kinds <= {float}:
+    if base in FLOATS and kinds <= {float, int} and (int not in kinds or _are_exact(values)):
         exact = np.array(values, np.float64)
         with np.errstate(over="ignore"):
             rounded = exact.astype(_DTYPES[base])
@@ -185,6 +188,33 @@ def _numbers(field_type: FieldType, values: Sequence[Any], path: str) -> NDArray
         return np.array(values, _DTYPES[base])
     scalars = [_scalar(field_type.element, value, f"{path}[{index}]") for index, value in enumerate(values)]
     return np.array(scalars, _DTYPES[base])
+
+
+def _are_exact(values: Sequence[int | float]) -> bool:
+    """Whether no number is beyond the integers that a float64 has: those are looked at one by one."""
+    return max(map(abs, values)) <= EXACT_INTEGER
+
+
+def _diagonal_in(value: object) -> object:
+    """What an object with nothing but a diagonal holds; None for all else."""
+    if not isinstance(value, Mapping):
+        return None
+    fields = cast("Mapping[str, object]", value)
+    return fields[DIAGONAL] if list(fields) == [DIAGONAL] else None
+
+
+def _matrix(field_type: FieldType, diagonal: object, path: str) -> NDArray[Any]:
+    """The square matrix, row by row, with this diagonal and 0 elsewhere; raises `BadValue` as `_numbers` does."""
+    is_matrix = is_covariance(path) and field_type.arity == "array" and field_type.is_number
+    rows = math.isqrt(field_type.size) if is_matrix else 0
+    if rows < 2 or rows * rows != field_type.size:
+        raise BadValue(path, f"{DIAGONAL} is of a square matrix of covariances, {field_type} expected.", "Give a list.")
+    values = _list(FieldType(field_type.base, "array", rows), diagonal, path)
+    if len(values) != rows:
+        raise BadValue(path, f"{len(values)} elements in {DIAGONAL} given, {field_type} has {rows} there.")
+    matrix = _zeros(field_type.base, field_type.size)
+    matrix[:: rows + 1] = _numbers(field_type, values, path)
+    return matrix
 
 
 def _refuse_summary(value: object, path: str) -> None:
@@ -224,12 +254,13 @@ def _integer(base: str, value: object, path: str) -> int:
 
 
 def _float(base: str, value: object, path: str) -> float:
-    if isinstance(value, str) and value not in NOT_FINITE:
+    named = not_finite_number(value) if isinstance(value, str) else None
+    if isinstance(value, str) and named is None:
         raise _wrong(path, value, base, 'Write the number without quotes; only "nan", "inf" and "-inf" are strings.')
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         raise _wrong(path, value, base)
     try:
-        number = NOT_FINITE[value] if isinstance(value, str) else float(value)
+        number = float(value) if named is None else named
     except OverflowError:
         number = math.inf
     if isinstance(value, int) and number != value:

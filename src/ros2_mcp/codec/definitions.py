@@ -160,7 +160,7 @@ class _DefinitionSet:
         owner = self.owners.get(type_name)
         if owner is None:
             raise UnknownInterface(
-                f"No definition of {named(type_name)} is known.", did_you_mean(type_name, list(self.owners))
+                f"No definition of {named(type_name)} is known.", did_you_mean(type_name, list(self.texts))
             )
         if type_name not in self.structures:
             self.structures.update(_structures_of(owner, self.texts[owner]))

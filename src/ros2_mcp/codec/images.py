@@ -53,6 +53,29 @@ def image_raster(message: Any, _: Bounds) -> Raster:
     return layout.show(_rows(message, layout.dtype, layout.channels), encoding)
 
 
+def depth_of(message: Any) -> NDArray[np.float64] | None:
+    """The distances of a depth image along its optical axis in metres, height × width; what is none is NaN.
+
+    It may be compressed. None for an image that is no depth image: another encoding, or 16 bits that are labels.
+
+    Raises:
+        BadData: if its data does not fit width, height and step, or is no whole picture.
+    """
+    if hasattr(message, "format"):
+        if "compressedDepth" not in message.format:
+            return None
+        metres = _compressed_metres(message.format, message.data.tobytes())
+        return np.where(np.isfinite(metres) & (metres > 0), metres, np.nan)
+    if message.encoding not in _DEPTHS:
+        return None
+    dtype, metres_each = _DEPTHS[message.encoding]
+    values = _rows(message, dtype, 1)[:, :, 0]
+    if dtype == "u2" and label_raster(values, message.encoding) is not None:
+        return None
+    metres = values.astype(np.float64) * metres_each
+    return np.where(np.isfinite(metres) & (metres > 0), metres, np.nan)
+
+
 def _depth_raster(metres: NDArray[Any], encoding: str) -> Raster:
     """Distances as grey: the nearest 2 % white, the farthest 2 % dark, everything that is no distance black.
 
@@ -219,22 +242,28 @@ def _opened(data: bytes, described: str) -> Image.Image:
 
 
 def _compressed_depth(described: str, data: bytes) -> Raster:
-    """What image_transport's compressed_depth sends: twelve bytes of header, then a PNG of 16 bits."""
-    encoding = described.partition(";")[0].strip()
+    """What image_transport's compressed_depth sends."""
+    return _depth_raster(_compressed_metres(described, data), described.partition(";")[0].strip())
+
+
+def _compressed_metres(described: str, data: bytes) -> NDArray[np.float64]:
+    """Distances in metres, height × width: of twelve bytes of header, then a PNG of 16 bits."""
     if "rvl" in described.lower():
         raise BadData("Depth pictures compressed with RVL cannot be shown.", "Set the publisher's format to png.")
     if len(data) <= _DEPTH_HEADER.size:
         raise BadData(f"{len(data)} bytes are too few for a compressed depth picture.")
     _, scale, offset = _DEPTH_HEADER.unpack_from(data)
     values = np.asarray(_opened(data[_DEPTH_HEADER.size :], described)).astype(np.float64)
-    if encoding != "32FC1":
-        return _depth_raster(values / 1000, encoding)
+    if described.partition(";")[0].strip() != "32FC1":
+        return values / 1000
     with np.errstate(divide="ignore", invalid="ignore"):
-        return _depth_raster(np.where(values > 0, scale / (values - offset), np.nan), encoding)
+        return np.where(values > 0, scale / (values - offset), np.nan)
 
 
 # ── encodings of images ──────────────────────────────────────────────────────────────────────────────────────────
 
+_DEPTHS = {"32FC1": ("f4", 1.0), "16UC1": ("u2", 0.001)}
+"""Encodings of depth images by REP 118, with their kind of number and the metres of one."""
 _BAYER = {"rggb": (0, 3), "bggr": (3, 0), "gbrg": (2, 1), "grbg": (1, 2)}
 _NV = {"nv12": (0, 1), "nv21": (1, 0)}
 _LAYOUTS: Mapping[str, _Layout] = {

@@ -376,9 +376,9 @@ def width_of(text: str) -> float:
     return letters().getlength(text)
 
 
-def letters() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """The letters of labels."""
-    return _font(_SMALL)
+def letters(size: int = _SMALL) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """The letters of labels, or larger and smaller ones."""
+    return _font(size)
 
 
 @cache

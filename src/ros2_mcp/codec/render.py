@@ -1,7 +1,8 @@
 """Message objects → JSON, bounded: what is too long is summarised, never cut in the middle.
 
-Numbers are shown exactly. NaN and the infinities are the strings `"nan"`, `"inf"`, `"-inf"` (see `_json_number`; the
-texts stand in `NOT_FINITE` of `model/values.py`).
+Numbers are shown exactly, and short: `0` for 0.0, a diagonal matrix as its diagonal (`$diagonal`). NaN and the
+infinities are the strings `"nan"`, `"inf"`, `"-inf"` (see `_json_number`; the texts stand in `NOT_FINITE` of
+`model/values.py`).
 """
 
 from __future__ import annotations
@@ -18,14 +19,23 @@ from numpy.typing import NDArray
 
 from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.select import FieldPath, Step, element_at, parse_fields
+from ros2_mcp.codec.select import FieldPath, Step, element_at, parse_fields, several_of
 from ros2_mcp.codec.store import attribute
 from ros2_mcp.model.interfaces import FLOATS, OCTETS, TEXTS, FieldType
 from ros2_mcp.model.text import escaped_bytes, is_unicode, visible_json
-from ros2_mcp.model.values import EXACT_INTEGER, SUMMARY, not_finite_text
+from ros2_mcp.model.values import DIAGONAL, EXACT_INTEGER, SUMMARY, is_covariance, not_finite_text
 
 _BYTES_AS_LIST = 64
 """Bytes up to this many are shown as a list, which can be read (a UUID); more as base64, a third as long."""
+_MOST_FIRST = 16
+"""Values that a summary begins with: what kind of numbers they are. What is more is asked for by fields, a slice."""
+_SQUARES = {9: 3, 36: 6}
+"""Length of an array → rows of the square matrix that it is: the covariances of ROS."""
+
+_SCAN = "sensor_msgs/msg/LaserScan"
+"""Its reader asks where the nearest thing is: the summary of its ranges says at which angle, in radians."""
+_ANGLE_DIGITS = 4
+"""0.006°: no scanner is as exact."""
 
 _FLOAT32 = Struct("<f")
 # What is tried, one after the other, where a message is longer than it may be: first shorter arrays and texts, each
@@ -43,7 +53,9 @@ class RenderOptions:
     Longer arrays than `max_array` and longer texts than `max_string` (characters) become summaries. If the JSON text
     is longer than `max_bytes` all the same, both are lowered step by step, then deep messages are left out.
     `fields` selects paths; a slice or a text that it names is given in full as long as it fits. `exact` shows
-    everything whole, whatever the size.
+    everything whole, whatever the size, and in its plainest form: floating-point numbers as such, arrays as lists.
+    `native` gives a program the numbers themselves, and not what JSON makes of them: infinities and large integers as
+    numbers, many bytes as `bytes`.
     """
 
     max_array: int = 64
@@ -51,6 +63,7 @@ class RenderOptions:
     max_bytes: int = 32_768
     fields: Sequence[str] | None = None
     exact: bool = False
+    native: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,17 +78,6 @@ class Rendered:
     truncated: list[str]
     bytes: int
 
-    @property
-    def hint(self) -> str:
-        """How to get what is not shown; empty where everything is."""
-        if not self.truncated:
-            return ""
-        paths = ", ".join(path or "the whole message" for path in self.truncated[:8])
-        return (
-            f"Summarised: {paths}. For more, select parts with fields (such as poses[3].position, or a slice such as "
-            "ranges[0:100]), or raise max_array."
-        )
-
 
 class _Limits(NamedTuple):
     array: int
@@ -88,7 +90,8 @@ def render(definitions: Definitions, type_name: str, message: object, *, options
     """The message as JSON within the bounds.
 
     NaN and the infinities are the strings `"nan"`, `"inf"`, `"-inf"`; integers beyond 2^53 are decimal strings; bytes
-    are a list up to 64, else base64. All of that, `check` takes back and gives the same message.
+    are a list up to 64, else base64; diagonal matrices are objects with `$diagonal`. All of that, `check` takes back
+    and gives the same message.
 
     Raises:
         BadValue: for a path in `fields` that does not exist, or an index beyond the list.
@@ -96,8 +99,8 @@ def render(definitions: Definitions, type_name: str, message: object, *, options
     selections = parse_fields(definitions, type_name, options.fields) if options.fields else None
     result = Rendered({}, [], 2)
     for limits in _attempts(options):
-        result = _Render(definitions, limits).whole(type_name, message, selections)
-        if options.exact or result.bytes <= options.max_bytes:
+        result = _Render(definitions, limits, options).whole(type_name, message, selections)
+        if options.exact or options.native or result.bytes <= options.max_bytes:
             break
     return result
 
@@ -109,7 +112,7 @@ def example_of(definitions: Definitions, type_name: str) -> dict[str, Any]:
 
 def _attempts(options: RenderOptions) -> Iterator[_Limits]:
     """Limits to try, each tighter than the one before."""
-    if options.exact:
+    if options.exact or options.native:
         yield _Limits(_UNLIMITED, _UNLIMITED, _UNLIMITED, _UNLIMITED)
         return
     most = max(options.max_bytes // 2, 1)  # an element takes two characters at least
@@ -123,8 +126,10 @@ def _attempts(options: RenderOptions) -> Iterator[_Limits]:
 
 
 class _Render:
-    def __init__(self, definitions: Definitions, limits: _Limits) -> None:
+    def __init__(self, definitions: Definitions, limits: _Limits, options: RenderOptions) -> None:
         self._definitions = definitions
+        self._exact = options.exact
+        self._native = options.native
         self._limits = limits
         self._truncated: dict[str, None] = {}
 
@@ -133,6 +138,8 @@ class _Render:
             value = self._message(type_name, message, "", self._limits.depth)
         else:
             value = {chosen.path: self._follow(chosen.path, chosen.steps, message) for chosen in selections}
+        if self._native:  # it does not become JSON
+            return Rendered(value, [], 0)
         _, text = visible_json(value)
         return Rendered(value, list(self._truncated), len(text.encode()))
 
@@ -144,6 +151,8 @@ class _Render:
         for field in self._definitions.structure(type_name).fields:
             below = f"{path}.{field.name}" if path else field.name
             result[field.name] = self._value(field.type, getattr(message, attribute(field.name)), below, depth - 1)
+        if type_name == _SCAN:
+            _add_angle(result)
         return result
 
     def _value(self, field_type: FieldType, value: Any, path: str, depth: int) -> Any:
@@ -153,15 +162,22 @@ class _Render:
             return self._message(field_type.base, value, path, depth)
         if field_type.base in TEXTS:
             return self._text(value, path, self._limits.string)
-        return _json_number(field_type.base, value)
+        if self._native:
+            return _short(value) if field_type.base == "float32" and math.isfinite(value) else value
+        return _json_number(field_type.base, value, exact=self._exact)
 
     def _several(self, field_type: FieldType, values: Any, path: str, depth: int, most: int) -> Any:
         if field_type.is_message or field_type.base in TEXTS:
             return self._list(field_type, values, path, depth, most)
+        if self._native:
+            return _native_numbers(field_type, values)
         if len(values) <= most:
-            return _json_numbers(field_type, values)
+            diagonal = None if self._exact or not is_covariance(path) else _diagonal(field_type, values)
+            if diagonal is not None:
+                return {DIAGONAL: _json_numbers(field_type, diagonal)}
+            return _json_numbers(field_type, values, exact=self._exact)
         self._cut(path)
-        return _numbers_summary(field_type, values, most)
+        return _numbers_summary(field_type, values, min(most, _MOST_FIRST))
 
     def _list(self, field_type: FieldType, values: list[Any], path: str, depth: int, most: int) -> Any:
         element = field_type.element
@@ -187,7 +203,7 @@ class _Render:
         if isinstance(step.pick, int):
             field_type, value = field_type.element, element_at(value, step.pick, path)
         elif step.pick is not None:
-            value = value[step.pick]
+            value = several_of(value, step.pick)
             if rest:
                 first = [self._follow(path, rest, element) for element in value[: self._limits.slice]]
                 if len(first) == len(value):
@@ -209,23 +225,45 @@ class _Render:
 # ── numbers and texts, exactly or as a summary ────────────────────────────────────────────────────────────────────
 
 
-def _json_number(base: str, value: Any) -> Any:
-    """One boolean or number: not finite as text, a float32 with as few digits as tell it from all others."""
+def _json_number(base: str, value: Any, *, exact: bool = False) -> Any:
+    """One boolean or number: not finite as text, a float32 with as few digits as tell it from all others.
+
+    Unless `exact`, a floating-point number without a fraction is an integer, 0 for 0.0: JSON knows one kind of number.
+    """
     if base in FLOATS:
         if not math.isfinite(value):
             return not_finite_text(value)
-        return _short(value) if base == "float32" else value
+        short = _short(value) if base == "float32" else value
+        is_whole = short.is_integer() and abs(short) <= EXACT_INTEGER and (short or math.copysign(1, short) > 0)
+        return int(short) if is_whole and not exact else short
     return str(value) if base in ("int64", "uint64") and abs(value) > EXACT_INTEGER else value
 
 
-def _json_numbers(field_type: FieldType, values: NDArray[Any]) -> list[Any] | str:
+def _json_numbers(field_type: FieldType, values: NDArray[Any], *, exact: bool = False) -> list[Any] | str:
     """A whole array, exactly."""
     if field_type.base in OCTETS and len(values) > _BYTES_AS_LIST:
         return base64.b64encode(values.tobytes()).decode()
     plain: list[Any] = values.tolist()
     if field_type.base == "float32" or field_type.base.endswith("64"):
-        return [_json_number(field_type.base, value) for value in plain]
+        return [_json_number(field_type.base, value, exact=exact) for value in plain]
     return plain
+
+
+def _native_numbers(field_type: FieldType, values: NDArray[Any]) -> list[Any] | bytes:
+    """A whole array of numbers of Python; seven digits tell what a float32 was made of, and cost a third of all."""
+    if field_type.base in OCTETS and len(values) > _BYTES_AS_LIST:
+        return values.tobytes()
+    plain: list[Any] = values.tolist()
+    return [float(f"{value:.7g}") for value in plain] if field_type.base == "float32" else plain
+
+
+def _diagonal(field_type: FieldType, values: NDArray[Any]) -> NDArray[Any] | None:
+    """The diagonal of a fixed array that is a square matrix with nothing but 0.0 beside it; None for any other."""
+    rows = _SQUARES.get(len(values)) if field_type.arity == "array" and field_type.base in FLOATS else None
+    if not rows:
+        return None
+    beside = values[np.arange(len(values)) % (rows + 1) != 0]
+    return None if beside.any() or np.signbit(beside).any() else values[:: rows + 1]
 
 
 def _numbers_summary(field_type: FieldType, values: NDArray[Any], first: int) -> dict[str, Any]:
@@ -245,13 +283,24 @@ def _list_summary(field_type: FieldType, length: int, first: Sequence[Any]) -> d
     return {SUMMARY: str(field_type), "length": length, "first": first, "omitted": length - len(first)}
 
 
+def _add_angle(scan: dict[str, Any]) -> None:
+    """Writes the angle of the smallest range into the summary of a scan's ranges; a strange definition may lack all."""
+    ranges: Any = scan.get("ranges") or ()
+    start, step = scan.get("angle_min"), scan.get("angle_increment")
+    if isinstance(start, (int, float)) and isinstance(step, (int, float)) and "min_at" in ranges:
+        ranges["min_at_angle"] = _json_number("float64", round(float(start + ranges["min_at"] * step), _ANGLE_DIGITS))
+
+
 def _statistics(base: str, values: NDArray[Any]) -> dict[str, Any]:
-    finite = values[np.isfinite(values)] if base in FLOATS else values
+    """Of the finite values; `min_at` is the index of the smallest one in the whole array."""
+    indices = np.flatnonzero(np.isfinite(values)) if base in FLOATS else np.arange(len(values))
+    finite = values[indices]
     result: dict[str, Any] = {"min": None, "max": None, "mean": None}
     if len(finite):
         with np.errstate(over="ignore"):
             mean = float(f"{finite.mean(dtype=np.float64):.6g}")
-        result["min"] = _json_number(base, finite.min().item())
+        least = int(finite.argmin())
+        result["min"], result["min_at"] = _json_number(base, finite[least].item()), int(indices[least])
         result["max"] = _json_number(base, finite.max().item())
         result["mean"] = mean if math.isfinite(mean) else not_finite_text(mean)
     if len(finite) < len(values):

@@ -1,59 +1,30 @@
-"""Paths to fields: `pose.pose.position`, `ranges[0:10]`, `name[-1]`, `transforms[*].header.frame_id`."""
+"""Paths to fields: `pose.pose.position`, `ranges[0:10]`, `name[-1]`, `transforms[*].header.frame_id`.
+
+`transforms[child_frame_id == "base_link"]` are the elements of which that is so.
+"""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from operator import attrgetter
-from typing import Any, TypeAlias, cast
-
-import numpy as np
+from typing import Any
 
 from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.store import attribute
 from ros2_mcp.model.errors import BadValue
-from ros2_mcp.model.interfaces import OCTETS, TIME, Field, FieldType
-from ros2_mcp.model.names import nearest
+from ros2_mcp.model.interfaces import OCTETS, TIME, Field
+from ros2_mcp_bridge import paths
+from ros2_mcp_bridge.field_types import Single, Types
+from ros2_mcp_bridge.paths import PathError, Step, several_of, value_at
 
-_PART = re.compile(r"(?P<name>[A-Za-z]\w*)(?P<brackets>(?:\[[^\[\]]*\])?)", re.ASCII)
-_INDEX = re.compile(r"-?\d+", re.ASCII)
-_SLICE = re.compile(r"(-?\d+)?:(-?\d+)?(?::([1-9]\d*))?", re.ASCII)
-_NOT_AN_INDEX = "Write [3], [-1], [0:10], [::5] or [*]."
-
-Pick: TypeAlias = "int | slice | None"
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One field on the way, and what of it is picked: one element, a slice, or (None) the field as it is."""
-
-    field: Field
-    pick: Pick = None
-
-    @property
-    def type(self) -> FieldType:
-        """The type of the field, or of one element where some are picked."""
-        return self.field.type if self.pick is None else self.field.type.element
+__all__ = [
+    "FieldPath", "Step", "element_at", "known_to", "measurable", "numeric_fields", "parse_field", "parse_fields",
+    "several_of", "value_at",
+]  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class FieldPath:
+@dataclass(frozen=True)
+class FieldPath(paths.FieldPath):
     """A path that fits the definition; made with `parse_field`."""
-
-    path: str
-    steps: tuple[Step, ...]
-
-    @property
-    def type(self) -> FieldType:
-        """The type at the end of the path; of one element where several are picked."""
-        return self.steps[-1].type
-
-    @property
-    def is_list(self) -> bool:
-        """Whether it stands for several values."""
-        return self.type.arity != "single" or any(isinstance(step.pick, slice) for step in self.steps)
 
     def value_in(self, message: object) -> Any:
         """The value in a message; beyond a slice, a flat list of all that the path leads to.
@@ -61,9 +32,32 @@ class FieldPath:
         Raises:
             BadValue: where a list has no such element.
         """
-        if all(step.pick is None for step in self.steps):
-            return value_at(message, self.path)
-        return _follow(self.path, self.steps, message)
+        try:
+            return super().value_in(message)
+        except PathError as error:
+            raise _bad(error) from error
+
+
+class _Known:
+    """What definitions say of types."""
+
+    def __init__(self, definitions: Definitions) -> None:
+        self._definitions = definitions
+
+    def fields(self, type_name: str) -> Mapping[str, Field]:
+        return {field.name: field for field in self._definitions.structure(type_name).fields}
+
+    def constants(self, type_name: str) -> Mapping[str, Single]:
+        return {constant.name: constant.value for constant in self._definitions.structure(type_name).constants}
+
+
+def known_to(definitions: Definitions) -> Types:
+    """The types of these definitions, for what server and bridge share; raises `UnknownInterface` for others."""
+    return _Known(definitions)
+
+
+def _bad(error: PathError) -> BadValue:
+    return BadValue(error.path, error.message, error.hint)
 
 
 def parse_field(definitions: Definitions, type_name: str, path: str) -> FieldPath:
@@ -72,17 +66,19 @@ def parse_field(definitions: Definitions, type_name: str, path: str) -> FieldPat
     Raises:
         BadValue: for a path that does not exist, with the nearest that does.
     """
-    steps: list[Step] = []
-    inside = FieldType(type_name)
-    for part in path.strip().split("."):
-        match = _PART.fullmatch(part)
-        if match is None:
-            raise BadValue(
-                path, f"{part!r} is not a field.", f"A path is like pose.position or ranges[0:10]. {_NOT_AN_INDEX}"
-            )
-        steps.append(_step(definitions, path, inside, match["name"], match["brackets"]))
-        inside = steps[-1].type
-    return FieldPath(path.strip(), tuple(steps))
+    try:
+        found = paths.parse(known_to(definitions), type_name, path)
+    except PathError as error:
+        raise _bad(error) from error
+    return FieldPath(found.path, found.steps)
+
+
+def element_at(values: Any, index: int, path: str) -> Any:
+    """One element of a list or array; raises `BadValue` where it is shorter."""
+    try:
+        return paths.element_at(values, index, path)
+    except PathError as error:
+        raise _bad(error) from error
 
 
 def parse_fields(definitions: Definitions, type_name: str, paths: Sequence[str]) -> list[FieldPath]:
@@ -93,65 +89,6 @@ def parse_fields(definitions: Definitions, type_name: str, paths: Sequence[str])
 def numeric_fields(definitions: Definitions, type_name: str) -> list[str]:
     """The paths of all single numbers, nested ones included: `twist.linear.x`; none inside arrays, no booleans."""
     return list(_numbers(definitions, type_name, only_single=True))
-
-
-def value_at(message: object, path: str) -> Any:
-    """The value at one of the paths that `numeric_fields` gives, or any other made of names and dots."""
-    return _getter(path)(message)
-
-
-@lru_cache(maxsize=4096)
-def _getter(path: str) -> attrgetter[Any]:
-    return attrgetter(".".join(map(attribute, path.split("."))))
-
-
-def _step(definitions: Definitions, path: str, inside: FieldType, name: str, brackets: str) -> Step:
-    if inside.arity != "single":
-        raise BadValue(path, f"{inside} is a list; {name!r} is a field of its elements.", _NOT_AN_INDEX)
-    if not inside.is_message:
-        raise BadValue(path, f"{inside} has no fields, so {name!r} cannot be one.")
-    fields = {field.name: field for field in definitions.structure(inside.base).fields}
-    if name not in fields:
-        near = nearest(name, list(fields))
-        hint = f"Did you mean {near}? " if near else ""
-        raise BadValue(path, f"{inside.base} has no field {name!r}.", f"{hint}Its fields are {', '.join(fields)}.")
-    field, index = fields[name], brackets[1:-1]
-    if not brackets:
-        return Step(field)
-    if field.type.arity == "single":
-        raise BadValue(path, f"{name} is a single {field.type}, not a list.")
-    if index == "*":
-        return Step(field, slice(None))
-    if _INDEX.fullmatch(index):
-        return Step(field, int(index))
-    match = _SLICE.fullmatch(index)
-    if match is None:
-        raise BadValue(path, f"[{index}] is not an index.", _NOT_AN_INDEX)
-    return Step(field, slice(*(int(bound) if bound else None for bound in match.groups())))
-
-
-def element_at(values: Any, index: int, path: str) -> Any:
-    """One element of a list or array; raises `BadValue` where it is shorter."""
-    if not -len(values) <= index < len(values):
-        raise BadValue(path, f"there is no element {index}, it has {len(values)}.")
-    element = values[index]
-    return cast("Any", element).item() if isinstance(element, np.generic) else element
-
-
-def _follow(path: str, steps: Sequence[Step], value: Any) -> Any:
-    for index, step in enumerate(steps, 1):
-        value = getattr(value, attribute(step.field.name))
-        if isinstance(step.pick, int):
-            value = element_at(value, step.pick, path)
-        elif step.pick is not None:
-            value = value[step.pick]
-            if index < len(steps):
-                return [leaf for element in value for leaf in _leaves(_follow(path, steps[index:], element))]
-    return value
-
-
-def _leaves(value: Any) -> Sequence[Any]:
-    return cast("Sequence[Any]", value) if hasattr(value, "__len__") and not isinstance(value, str) else [value]
 
 
 # ── what can be measured ─────────────────────────────────────────────────────────────────────────────────────────

@@ -1,73 +1,551 @@
-"""The tree of coordinate frames that tf2_msgs/msg/TFMessage tells: where one frame is in another, seen from above."""
+"""The tree of coordinate frames that tf2_msgs/msg/TFMessage tells, over time, as tf2 keeps it.
+
+What tf2 does is from its documented behaviour (ROS 2 "tf2" concepts; REP 105 for names of frames): each frame has one
+parent; transforms are kept by their stamps and interpolated between two of them; of a static one the last told holds
+for all times; "latest" is the newest time that all edges between two frames have; before the first and after the last
+stamp of an edge there is nothing.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import Any
+from bisect import bisect_left, bisect_right
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, islice
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
+from ros2_mcp.codec.writers import Writers
+from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.poses import Pose, angle_between_rad, between, normalised
 
-from ros2_mcp.model.pictures import Place
+if TYPE_CHECKING:
+    from ros2_mcp.codec.cdr import Codec
+    from ros2_mcp.model.samples import Sample
 
 BASES = ("base_link", "base_footprint")
 """What the frame of a robot's body is called, by REP 105; with a prefix where there are several robots."""
-_DEEPEST = 100
+KEPT_NS = 30_000_000_000
+"""How far a live tree reaches back. tf2 keeps 10 s; an agent asks some seconds after it saw something."""
+MOST_KEPT = 6_000
+"""Of one edge: 30 s at 200 Hz, the fastest that is usual."""
+MOST_TOLD = 300_000
+"""Of all edges together: some 100 MB, and 30 s of 100 joints at 100 Hz."""
+MOST_FRAMES = 2_000
+"""The largest robots have some hundreds; a publisher that invents names without end is bounded by it."""
+_TF_TYPE = "tf2_msgs/msg/TFMessage"
+_DEEPEST = 1_000
 """Frames from a leaf to the root; deeper trees go in circles."""
+_JUMP_NS = 2_000_000_000
+"""A stamp that goes back so far is no late message: localisations stamp up to 1 s ahead, and networks delay less."""
+OTHER_CLOCK_NS = 60_000_000_000
+"""Between stamp and receipt: no delay, and no badly set clock of a second computer, is usually as long."""
+_FASTEST = 10.0
+"""Simulated time runs at most so many times as fast; a stamp that goes forward faster than that has jumped."""
+_MOST_JUMPS = 50
+_UNIT = 0.01
+"""How far the squared length of a quaternion may be from 1; tf2 refuses what is further off."""
+_LOOKED_BACK = 60
+"""Transforms of an edge that are looked at for two parents or two publishers: some seconds."""
 
-Matrix = NDArray[np.float64]
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """One transform of a frame, as a message told it: its parent, and where it is in it. Times in ns of Unix time.
+
+    `writer` tells publishers of one topic apart (`writers.py`); 0 where that is not known.
+    """
+
+    parent: str
+    pose: Pose
+    stamp_ns: int
+    received_ns: int
+    writer: int = 0
 
 
-class Frames:
-    """Each frame with its parent and where it is in it; a later message replaces an earlier one."""
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """The stamps of a frame's transforms went from one time to another that does not follow it. Times in ns."""
 
-    def __init__(self, messages: Iterable[Any]) -> None:
-        self._parents: dict[str, tuple[str, Matrix]] = {}
-        for message in messages:
-            for one in message.transforms:
-                child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
-                self._parents[child] = parent, _matrix(one.transform.translation, one.transform.rotation)
+    child: str
+    from_ns: int
+    to_ns: int
+    received_ns: int
 
-    def robot_in(self, frame: str) -> Place | None:
-        """Where the robot's body is in a frame; None if that is not told, or of which robot is not clear."""
-        known = {*self._parents, *(parent for parent, _ in self._parents.values())}
+
+class Edge:
+    """All that was told of one frame and its parent: `moving` by stamps, and `static` by parents.
+
+    `received` counts the moving ones, `repeated` those of them with a stamp that was there already, which tf2 ignores,
+    too, and `unstamped` those whose stamp is 0: nobody has set it, and the last of them holds for all times, as of a
+    static one. `last_received_ns` is the time of receipt of the newest message. `refused` says in words why the last
+    transform of it was not taken, `refused_parent` and `refused_writer` of which parent, and by whom. `jumps` are those
+    of its stamps. `on_static` is whether the last came on /tf_static. `slashed` is how it was told, where that was with
+    a leading slash; `frozen` how many of the last messages in a row had a stamp that did not change.
+    """
+
+    def __init__(self, child: str) -> None:
+        self.child = child
+        self.static: dict[str, Told] = {}
+        self.moving: list[Told] = []
+        self.stamps: list[int] = []
+        self.received = 0
+        self.repeated = 0
+        self.unstamped = 0
+        self.last_received_ns = 0
+        self.refused = ""
+        self.refused_parent = ""
+        self.refused_writer = 0
+        self.jumps: list[Jump] = []
+        self.on_static = False
+        self.slashed = ""
+        self.frozen = 0
+        self._last_stamp_ns: int | None = None
+        self._told_by: deque[int] = deque(maxlen=_LOOKED_BACK)
+        self._first_received_ns = 0
+        self._static_by: dict[int, Told] = {}
+        self._same_time: tuple[Told, Told] | None = None
+
+    @property
+    def is_static(self) -> bool:
+        """Whether it holds for all times."""
+        return not self.moving and not self.unstamped and bool(self.static)
+
+    @property
+    def newest(self) -> Told | None:
+        """What it was last."""
+        if self.moving:
+            return self.moving[-1]
+        return next(reversed(self.static.values())) if self.static else None
+
+    @property
+    def parents(self) -> list[str]:
+        """Every parent that was told of it and is still kept, the newest last."""
+        moving = dict.fromkeys(told.parent for told in self.moving[-_LOOKED_BACK:])
+        return list({**dict.fromkeys(self.static), **moving})
+
+    @property
+    def two_parents(self) -> bool:
+        """Whether two are told at the same time; a frame that was once given another parent has one."""
+        if len(self.static) > 1 or (self.static and {told.parent for told in self.moving} - set(self.static)):
+            return True
+        return _turns([told.parent for told in self.moving[-_LOOKED_BACK:]]) > 1
+
+    @property
+    def writers(self) -> list[int]:
+        """The publishers that tell it at the same time, where they can be told apart."""
+        recent = list(self._told_by)
+        if _turns(recent) > 1:
+            return sorted(set(recent))
+        return recent[-1:] or sorted({told.writer for told in self.static.values()}) or [self.refused_writer]
+
+    def writers_of(self, parent: str) -> list[int]:
+        """The publishers that tell it with that parent, of the last messages."""
+        told = [one for one in self.moving[-_LOOKED_BACK:] if one.parent == parent]
+        found = {one.writer for one in told or self.static.values() if one.parent == parent}
+        return sorted(found) or [self.refused_writer]
+
+    @property
+    def apart(self) -> tuple[float, float] | None:
+        """How far what several publishers tell of it, with one parent and for one time, is apart: m and degrees."""
+        by_writer: dict[int, list[Told]] = {}
+        for told in self.moving[-_LOOKED_BACK:] if len(self.writers) > 1 else ():
+            by_writer.setdefault(told.writer, []).append(told)
+        pairs: list[tuple[Told, Told]] = [self._same_time] if self._same_time else []
+        for one, other in combinations(by_writer.values(), 2):
+            pairs += _at_one_time(one, other)[-1:]
+        if self.on_static:
+            pairs += combinations(self._static_by.values(), 2)
+        found = [_apart(*pair) for pair in pairs if pair[0].parent == pair[1].parent]
+        return max(found, default=None)
+
+    @property
+    def rate_hz(self) -> float | None:
+        """How often it is told, by the times of receipt; None for what is static, or was told once."""
+        count = self.received + self.unstamped
+        if len(self.moving) < 2 and count > 1 and not self.on_static:  # without stamps, or just after a jump of them
+            span_ns = self.last_received_ns - self._first_received_ns
+            return (count - 1) / span_ns * 1e9 if span_ns > 0 else None
+        if len(self.moving) < 2:
+            return None
+        span_ns = max(told.received_ns for told in self.moving[-2:]) - self.moving[0].received_ns
+        return (len(self.moving) - 1) / span_ns * 1e9 if span_ns > 0 else None
+
+    def gap_ns(self, at_ns: int) -> int:
+        """How far the two transforms are apart between which that time lies; 0 where it is that of one, or outside."""
+        after = bisect_left(self.stamps, at_ns)
+        if after in (0, len(self.stamps)) or self.stamps[after] == at_ns:
+            return 0
+        return self.stamps[after] - self.stamps[after - 1]
+
+    def at(self, at_ns: int) -> Told | None:
+        """What it is at that time; None where that is before the first or after the last that was told."""
+        if not self.moving:
+            return self.newest
+        after = bisect_left(self.stamps, at_ns)
+        if after < len(self.stamps) and self.stamps[after] == at_ns:
+            return self.moving[after]
+        if after in (0, len(self.stamps)):
+            return None
+        first, second = self.moving[after - 1], self.moving[after]
+        if first.parent != second.parent:  # as tf2 does: until it has the other parent
+            return Told(first.parent, first.pose, at_ns, first.received_ns, first.writer)
+        share = (at_ns - first.stamp_ns) / (second.stamp_ns - first.stamp_ns)
+        pose = between(first.pose, second.pose, share)
+        return Told(first.parent, pose, at_ns, second.received_ns, second.writer)
+
+    def add_static(self, told: Told) -> None:
+        """Takes in what holds for all times; another one with the same publisher replaces its last."""
+        for parent, former in list(self.static.items()):
+            if parent != told.parent and told.writer and former.writer == told.writer:
+                del self.static[parent]
+        self.static.pop(told.parent, None)
+        self.static[told.parent] = told
+        if told.writer:
+            self._static_by[told.writer] = told
+        self.last_received_ns = max(self.last_received_ns, told.received_ns)
+
+    def add_moving(self, told: Told) -> Jump | None:
+        """Takes in one with a stamp; after a jump of the stamps what was told before does not count any more."""
+        self._first_received_ns = self._first_received_ns or told.received_ns
+        if not told.stamp_ns:
+            self.unstamped += 1
+            self.add_static(told)
+            return None
+        jump = self._jump_to(told)
+        if jump:
+            self.moving.clear()
+            self.stamps.clear()
+            self.jumps = [*self.jumps, jump][-_MOST_JUMPS:]
+        self.received += 1
+        self._told_by.append(told.writer)
+        self.last_received_ns = max(self.last_received_ns, told.received_ns)
+        self._last_stamp_ns = told.stamp_ns
+        self._same_time = None if jump else self._same_time
+        place = bisect_right(self.stamps, told.stamp_ns)
+        if place and self.stamps[place - 1] == told.stamp_ns:
+            self.repeated += 1
+            there = self.moving[place - 1]
+            self.frozen += 1
+            if there.writer != told.writer:
+                self._same_time = there, told
+            if there.parent == told.parent:
+                return jump
+        else:
+            self.frozen = 0
+        self.stamps.insert(place, told.stamp_ns)
+        self.moving.insert(place, told)
+        return jump
+
+    def _jump_to(self, told: Told) -> Jump | None:
+        last_ns = self._last_stamp_ns
+        if last_ns is None:
+            return None
+        step_ns, waited_ns = told.stamp_ns - last_ns, told.received_ns - self.last_received_ns
+        if -_JUMP_NS <= step_ns <= _JUMP_NS + max(waited_ns, 0) * _FASTEST:
+            return None
+        return Jump(self.child, last_ns, told.stamp_ns, told.received_ns)
+
+    def forget(self, keep: int, around_ns: int | None, kept_ns: int = KEPT_NS) -> None:
+        """Gives up the oldest, or where there is a time that counts, those that are farthest from it."""
+        if around_ns is None:
+            gone = max(len(self.moving) - keep, bisect_left(self.stamps, self.stamps[-1] - kept_ns), 0)
+            del self.moving[:gone], self.stamps[:gone]
+            return
+        while len(self.moving) > keep:
+            gone = 0 if around_ns - self.stamps[0] > self.stamps[-1] - around_ns else len(self.moving) - 1
+            del self.moving[gone], self.stamps[gone]
+
+
+@dataclass(frozen=True, slots=True)
+class Located:
+    """Where a frame is in another one: `pose`, at `stamp_ns` (None: all between them is static, so at any time).
+
+    `chain` are the frames from the one that is located to the target; `edges` those between them, in this order.
+    """
+
+    target: str
+    frame: str
+    pose: Pose
+    stamp_ns: int | None
+    chain: Sequence[str]
+    edges: Sequence[Edge]
+
+
+class FrameTree:
+    """All frames, each with what was told of its parent, bounded.
+
+    With `around_ns` those transforms are kept that are nearest to that time, else the newest. `frames` are all names,
+    those of roots too. `messages` counts those of each topic, `left_out` transforms of more frames than are kept,
+    `nameless` those whose frame has no name (child_frame_id is empty).
+    """
+
+    def __init__(self, around_ns: int | None = None) -> None:
+        self.edges: dict[str, Edge] = {}
+        self.frames: dict[str, None] = {}
+        self.messages = {"/tf": 0, "/tf_static": 0}
+        self.left_out = 0
+        self.nameless = 0
+        self.damaged = 0
+        self.trouble = ""
+        self._around_ns = around_ns
+        self._writers = {True: Writers(by_frames=True), False: Writers()}
+
+    def decoded(self, codec: Codec, samples: Iterable[Sample]) -> list[tuple[Any, Sample]]:
+        """TFMessages with their samples; those that cannot be decoded are counted as `damaged`, with their `trouble`.
+
+        It may run in another thread while the tree is asked; `add` must not.
+        """
+        found: list[tuple[Any, Sample]] = []
+        for sample in samples:
+            try:
+                found.append((codec.decode(_TF_TYPE, sample.data), sample))
+            except BadData as error:
+                self.damaged, self.trouble = self.damaged + 1, str(error)
+        return found
+
+    def take_in(self, messages: Iterable[tuple[Any, Sample]], *, is_static: bool) -> None:
+        """Takes in what `decoded` gives."""
+        for message, sample in messages:
+            self.add(message, sample.received_ns, is_static=is_static, sequence=sample.sequence)
+
+    def add(self, message: Any, received_ns: int, *, is_static: bool, sequence: int | None = None) -> None:
+        """Takes in a TFMessage; `sequence` is its publisher's number, which tells several publishers apart."""
+        self.messages["/tf_static" if is_static else "/tf"] += 1
+        children = [one.child_frame_id for one in message.transforms]
+        writer = self._writers[is_static].of(sequence, children)
+        for one in message.transforms:
+            child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
+            edge = self._edge(child)
+            if edge is None:
+                continue
+            edge.on_static = is_static
+            is_slashed = "/" in (one.child_frame_id[:1], one.header.frame_id[:1])
+            edge.slashed = f"{one.header.frame_id} → {one.child_frame_id}" if is_slashed else ""
+            at, turned = one.transform.translation, one.transform.rotation
+            pose, why = _pose_of((at.x, at.y, at.z), (turned.x, turned.y, turned.z, turned.w), child, parent)
+            if why or parent == edge.refused_parent:  # with another parent it is told by somebody else
+                edge.refused = why
+            if parent:
+                self.frames.setdefault(parent)
+            if pose is None:
+                edge.refused_parent, edge.refused_writer = parent, writer
+                continue
+            stamp_ns = one.header.stamp.sec * 1_000_000_000 + one.header.stamp.nanosec
+            told = Told(parent, pose, stamp_ns, received_ns, writer)
+            if is_static:
+                edge.add_static(told)
+                continue
+            edge.add_moving(told)
+            if not edge.moving:
+                continue
+            most = max(2, min(MOST_KEPT, MOST_TOLD // max(len(self.edges), 1)))
+            if len(edge.moving) > most or (self._around_ns is None and edge.stamps[0] < edge.stamps[-1] - 2 * KEPT_NS):
+                # In larger steps, so that a list is not moved with each message.
+                edge.forget(most - most // 8, self._around_ns)
+
+    def _edge(self, child: str) -> Edge | None:
+        if child in self.edges:
+            return self.edges[child]
+        if not child or len(self.edges) >= MOST_FRAMES:
+            self.nameless += not child
+            self.left_out += 1
+            return None
+        self.frames.setdefault(child)
+        self.edges[child] = Edge(child)
+        return self.edges[child]
+
+    def writers(self, *, is_static: bool) -> Mapping[int, frozenset[str]]:
+        """The publishers that were heard on one of both topics, and the frames that each has told."""
+        return self._writers[is_static].frames
+
+    # ── asking ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def find(self, target: str, frame: str, at_ns: int | None = None) -> Located | None:
+        """Where a frame is in the target, at a time, or as late as all edges between them allow.
+
+        None where that is not known, or cannot be trusted; `no_transform.why_none` says why.
+        """
+        if target not in self.frames or frame not in self.frames:
+            return None
+        if target == frame:
+            return Located(target, frame, Pose(), None, [frame], [])
+        time_ns = self.common_ns(target, frame) if at_ns is None else at_ns
+        chain = self._chain(target, frame, lambda edge: edge.newest if time_ns is None else edge.at(time_ns))
+        if chain is None or self.circle_of(frame) or any(edge.two_parents for edge in chain.edges):
+            return None
+        return chain.located(target, frame, time_ns if any(edge.moving for edge in chain.edges) else None)
+
+    def common_ns(self, target: str, frame: str) -> int | None:
+        """The newest time that all edges between two frames have; None where none of them moves."""
+        return min((edge.stamps[-1] for edge in self.connected(target, frame) or () if edge.moving), default=None)
+
+    def newest(self, target: str, frame: str) -> Located | None:
+        """The same out of the newest of each edge, which need not be of one time: for pictures, not for motion."""
+        chain = self._chain(target, frame, lambda edge: edge.newest)
+        return chain.located(target, frame, self.common_ns(target, frame)) if chain else None
+
+    def connected(self, target: str, frame: str) -> Sequence[Edge] | None:
+        """The edges between two frames as they were last told, whenever that was; None where there is no way."""
+        chain = self._chain(target, frame, lambda edge: edge.newest)
+        return chain.edges if chain else None
+
+    def way_up(self, frame: str) -> Sequence[Edge]:
+        """The edges from a frame to its root as they were last told; where they go in a circle, once around."""
+        return [edge for edge, _ in self._up(frame, lambda edge: edge.newest)]
+
+    def circle_of(self, frame: str) -> list[str]:
+        """The frames of the circle to which the way up from a frame leads, each below the next; empty where it has a
+        root.
+        """
+        up = self._up(frame, lambda edge: edge.newest)
+        children = [edge.child for edge, _ in up]
+        last = up[-1][1].parent if up else frame
+        return children[children.index(last) :] if last in children else []
+
+    def root_of(self, frame: str) -> str:
+        """The root of a frame's tree, as it was last told; of frames that go in a circle the first by name."""
+        if circle := self.circle_of(frame):
+            return min(circle)
+        up = self._up(frame, lambda edge: edge.newest)
+        return up[-1][1].parent if up else frame
+
+    def children_of(self, parent: str) -> list[str]:
+        """The frames right below one, as they were last told, sorted."""
+        return sorted(edge.child for edge in self.edges.values() if edge.newest and edge.newest.parent == parent)
+
+    @property
+    def roots(self) -> list[str]:
+        """Every root, that of the largest tree first; frames of which nothing valid was told are roots, too."""
+        sizes: dict[str, int] = {}
+        for frame in self.frames:
+            root = self.root_of(frame)
+            sizes[root] = sizes.get(root, 0) + 1
+        return sorted(sizes, key=lambda root: (-sizes[root], root))
+
+    @property
+    def clock_ns(self) -> int:
+        """How far the stamps are behind the clock of the receiver, where they are of another one; else 0.
+
+        So it is on simulated time, and where a bag is played.
+        """
+        lags = sorted(edge.last_received_ns - edge.stamps[-1] for edge in self.edges.values() if edge.moving)
+        # Of as many of both, those by the receiver's clock count.
+        middle = min(lags[(len(lags) - 1) // 2], lags[len(lags) // 2], key=abs) if lags else 0
+        return middle if abs(middle) > OTHER_CLOCK_NS else 0
+
+    def reaches(self, at_ns: int) -> bool:
+        """Whether that time lies among the stamps."""
+        moving = [edge for edge in self.edges.values() if edge.moving]
+        return any(edge.stamps[0] <= at_ns <= edge.stamps[-1] for edge in moving)
+
+    @property
+    def base(self) -> str:
+        """The frame of the robot's body; empty where there is none, or of which robot is not clear."""
         for base in BASES:
-            found = [base] if base in known else [name for name in known if name.rpartition("/")[2] == base]
+            found = [base] if base in self.frames else [name for name in self.frames if name.rpartition("/")[2] == base]
             if len(found) == 1:
-                return self._place(found[0], frame.lstrip("/"))
+                return found[0]
+        return ""
+
+    def _up(self, frame: str, at: Callable[[Edge], Told | None]) -> list[tuple[Edge, Told]]:
+        steps: list[tuple[Edge, Told]] = []
+        seen = {frame}
+        while (edge := self.edges.get(frame)) and (told := at(edge)) and len(steps) < _DEEPEST:
+            steps.append((edge, told))
+            frame = told.parent
+            if frame in seen:
+                break
+            seen.add(frame)
+        return steps
+
+    def _chain(self, target: str, frame: str, at: Callable[[Edge], Told | None]) -> _Chain | None:
+        """The way from a frame up to the first one that the target is below, too, and down from there."""
+        up, down = self._up(frame, at), self._up(target, at)
+        below_target = {target: 0, **{told.parent: place for place, (_, told) in reversed(list(enumerate(down, 1)))}}
+        if frame in below_target:
+            return _Chain([], down[: below_target[frame]])
+        for count, (_, told) in enumerate(up, 1):
+            if told.parent in below_target:
+                return _Chain(up[:count], down[: below_target[told.parent]])
         return None
 
-    def _place(self, frame: str, within: str) -> Place | None:
-        root, to_root = self._to_root(frame)
-        other_root, other_to_root = self._to_root(within)
-        if root != other_root:
-            return None
-        matrix = np.linalg.inv(other_to_root) @ to_root
-        return Place(float(matrix[0, 3]), float(matrix[1, 3]), math.atan2(matrix[1, 0], matrix[0, 0]))
 
-    def _to_root(self, frame: str) -> tuple[str, Matrix]:
-        matrix = np.eye(4)
-        for _ in range(_DEEPEST):
-            if frame not in self._parents:
-                break
-            frame, step = self._parents[frame]
-            matrix = step @ matrix
-        return frame, matrix
+@dataclass(frozen=True, slots=True)
+class _Chain:
+    """The steps up from a frame to the common one, and those up from the target to it."""
 
+    up: Sequence[tuple[Edge, Told]]
+    down: Sequence[tuple[Edge, Told]]
 
-def place_of(pose: Any) -> Place:
-    """A geometry_msgs/msg/Pose seen from above."""
-    matrix = _matrix(pose.position, pose.orientation)
-    return Place(pose.position.x, pose.position.y, math.atan2(matrix[1, 0], matrix[0, 0]))
+    @property
+    def edges(self) -> Sequence[Edge]:
+        return [edge for edge, _ in (*self.up, *reversed(self.down))]
+
+    def located(self, target: str, frame: str, stamp_ns: int | None) -> Located:
+        frame_in_common, target_in_common = _composed(self.up), _composed(self.down)
+        names = [frame, *(told.parent for _, told in self.up), *(edge.child for edge, _ in reversed(self.down))]
+        pose = target_in_common.inverse @ frame_in_common
+        return Located(target, frame, pose, stamp_ns, names, self.edges)
 
 
-def _matrix(at: Any, q: Any) -> Matrix:
-    matrix = np.eye(4)
-    matrix[:3, 3] = at.x, at.y, at.z
-    matrix[:3, :3] = (
-        (1 - 2 * (q.y**2 + q.z**2), 2 * (q.x * q.y - q.z * q.w), 2 * (q.x * q.z + q.y * q.w)),
-        (2 * (q.x * q.y + q.z * q.w), 1 - 2 * (q.x**2 + q.z**2), 2 * (q.y * q.z - q.x * q.w)),
-        (2 * (q.x * q.z - q.y * q.w), 2 * (q.y * q.z + q.x * q.w), 1 - 2 * (q.x**2 + q.y**2)),
-    )
-    return matrix
+def _turns(values: Sequence[object]) -> int:
+    """How often one is followed by another."""
+    return sum(one != other for one, other in zip(values, islice(values, 1, None), strict=False))
+
+
+def _at_one_time(one: Sequence[Told], other: Sequence[Told]) -> list[tuple[Told, Told]]:
+    """What two publishers told for one time: of each message of the one between two of the other's, that in between."""
+    ordered = sorted(other, key=lambda told: told.stamp_ns)
+    stamps = [told.stamp_ns for told in ordered]
+    found: list[tuple[Told, Told]] = []
+    for told in one:
+        place = bisect_right(stamps, told.stamp_ns)
+        if 0 < place < len(stamps) and ordered[place - 1].parent == ordered[place].parent:
+            first, second = ordered[place - 1], ordered[place]
+            share = (told.stamp_ns - first.stamp_ns) / (second.stamp_ns - first.stamp_ns)
+            there = Told(first.parent, between(first.pose, second.pose, share), told.stamp_ns, second.received_ns)
+            found.append((told, there))
+    return found
+
+
+def _apart(one: Told, other: Told) -> tuple[float, float]:
+    turned = math.degrees(angle_between_rad(one.pose.rotation, other.pose.rotation))
+    return math.dist(one.pose.translation, other.pose.translation), turned
+
+
+def _composed(steps: Iterable[tuple[Edge, Told]]) -> Pose:
+    pose = Pose()
+    for _, told in steps:
+        pose = told.pose @ pose
+    return pose
+
+
+def _pose_of(
+    at: tuple[float, float, float], turned: tuple[float, float, float, float], child: str, parent: str
+) -> tuple[Pose | None, str]:
+    """The pose, or why it is none, for the same reasons as tf2 refuses it."""
+    if not parent:
+        return None, "its parent has no name (header.frame_id is empty)"
+    if parent == child:
+        return None, "it is told to be its own parent"
+    if not all(map(math.isfinite, (*at, *turned))):
+        return None, "it has numbers that are not finite"
+    squared = sum(part * part for part in turned)
+    if abs(squared - 1) > _UNIT:
+        return None, f"its rotation is no unit quaternion: {', '.join(f'{part:.4g}' for part in turned)}"
+    return Pose(at, normalised(turned)), ""
+
+
+def pose_of(pose: Any) -> Pose:
+    """A geometry_msgs/msg/Pose; a rotation of all zeros, which nobody has filled in, is none.
+
+    Raises:
+        ValueError: if it has numbers that are not finite.
+    """
+    at, q = pose.position, pose.orientation
+    turned = (q.x, q.y, q.z, q.w)
+    if not all(map(math.isfinite, (at.x, at.y, at.z))):
+        raise ValueError("no place")
+    return Pose((at.x, at.y, at.z), normalised(turned) if any(turned) else (0.0, 0.0, 0.0, 1.0))

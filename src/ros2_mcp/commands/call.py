@@ -7,104 +7,286 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
-import signal
+import math
+import shutil
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ros2_mcp.commands.serve import launch
-from ros2_mcp.model.errors import BadInput
-from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.commands.assignments import read_assignments
+from ros2_mcp.commands.endings import when_told_to_end
+from ros2_mcp.commands.serve import launch, show_log
+from ros2_mcp.commands.terminal import readable
+from ros2_mcp.commands.tool_help import found, of_call
+from ros2_mcp.model.errors import ApprovalNeeded, RobotError
+from ros2_mcp.model.text import visible
 from ros2_mcp.settings import Settings
 
 if TYPE_CHECKING:
+    from mcp.types import CallToolResult
+
     from ros2_mcp.binding import BoundTool
+    from ros2_mcp.robot import Robot
+    from ros2_mcp.robot.goals import Goal
+    from ros2_mcp.robot.jobs import Job
+
+_PIPED_COLUMNS = 160
+"""Of what does not go to a terminal: wide enough for nearly every table, and still to be read."""
 
 
-def call(settings: Settings, tool: str | None, assignments: Sequence[str], *, as_json: bool) -> int:
-    """Calls the tool and prints its answer; pictures are saved beside and named. Without a tool, lists the tools."""
-    arguments = parse_assignments(assignments)
-    # Who calls by hand knows what is wanted: nothing is left out to keep a list short.
-    settings = replace(settings, tools=settings.tools or ("all",))
+_FEEDBACK_S = 1.0
+"""Between two lines of a goal's feedback: often enough to see it go on, seldom enough to read them."""
+_ON_THEIR_WAY = ("ACCEPTED", "EXECUTING", "SUCCEEDED")
+"""States of a goal that has not gone wrong; with any other the call has not done what was asked."""
+_ANSWERED_POLL_S = 0.2
+"""Whether a person has answered: nobody notices so much."""
+_FAILED, _INTERRUPTED = 1, 130
+"""Exit codes: the call did not do what was asked; Ctrl+C ended it, as a shell has it (128 + SIGINT)."""
+_STOPS_ITS_OWN = """\
+A call from a shell stops only what it has begun itself, and this one began nothing: what other programs, a server or
+another call, have set in motion goes on. Ctrl+C ends another call; a server is told by its own client;
+ros2_cancel_action_goal cancels goals, whoever sent them."""
+
+
+def call(settings: Settings, tool: str, assignments: Sequence[str], *, as_json: bool, output: Path | None) -> int:
+    """Calls the tool and prints its answer; pictures are saved to `output` (else where temporary files are), and named.
+
+    What the call has begun, such as a recording or a goal, goes on until it ends or Ctrl+C ends it. What it drives
+    gets its zero when the call ends, and that is said.
+
+    Returns:
+        The exit code: 0, or 1 if it did not do what was asked (also for a goal that did not succeed), or 130 if Ctrl+C
+        ended it before it was done.
+    """
+    settings = of_call(settings)
     bridge = launch(settings)
+    show_log(settings)
     from ros2_mcp.assembly import assemble
 
     async def once() -> int:
         # Python 3.10 would cancel the bridge's supervisor together with this task: the bridge would be killed, and not
         # stop the robot.
-        this_call = asyncio.current_task()
-        assert this_call
-        asyncio.get_running_loop().add_signal_handler(signal.SIGINT, this_call.cancel)
+        interrupt = _Interrupt()
         assembly = assemble(settings, bridge)
         async with assembly.running():
-            tools = assembly.toolset.by_name
-            if tool is None:
-                return _print_tools(tools)
-            if tool not in tools:
-                raise BadInput(f"There is no tool {tool}.", did_you_mean(tool, list(tools), "See: ros2-mcp call"))
-            return await _print_answer(tools[tool], arguments, as_json)
+            bound = found(assembly.toolset.by_name, tool)
+            arguments = read_assignments(assignments, bound.listed.input_schema, bound.declaration.aliases)
+            try:
+                code = await _print_answer(settings, bound, arguments, as_json, output)
+            except asyncio.CancelledError:
+                await _stop(assembly.robot)
+                raise
+            return code or await _until_over(assembly.robot, interrupt)
 
     try:
         return asyncio.run(once())
     except asyncio.CancelledError:  # Ctrl-C
-        return 130
+        return _INTERRUPTED
 
 
-def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
-    """`key=value` pairs as arguments: a value that is JSON is taken as JSON, any other as text.
+class _Interrupt:
+    """Ctrl+C, or being told to end: cancels the call, or once there is an `event`, sets that."""
 
-    Raises:
-        BadInput: for a word without `=`.
+    def __init__(self) -> None:
+        this_call = asyncio.current_task()
+        assert this_call
+        self._call = this_call
+        self._event: asyncio.Event | None = None
+        when_told_to_end(self._come)
+
+    def _come(self) -> None:
+        if self._event:
+            self._event.set()
+        else:
+            self._call.cancel()
+
+    def event(self) -> asyncio.Event:
+        """What it sets from now on; it cancels nothing any more."""
+        self._event = asyncio.Event()
+        return self._event
+
+
+async def _until_over(robot: Robot, interrupt: _Interrupt) -> int:
+    """Waits for the end of what the call has begun, or ends it in good order; says what became of it: the exit code."""
+    from ros2_mcp.robot.goals import Goal
+    from ros2_mcp.robot.jobs import Job
+
+    jobs = robot.jobs.running(Job)
+    if not jobs:
+        await _stop(robot)
+        return 0
+    ending = interrupt.event()  # before anybody reads that Ctrl+C ends it
+    for job in jobs:
+        print(f"{_named(job)} {_until_when(job)}.", file=sys.stderr, flush=True)
+    goals = [asyncio.create_task(_follow(robot, job)) for job in jobs if isinstance(job, Goal)]
+    others = [job for job in jobs if not isinstance(job, Goal)]
+    all_over = [*goals, *(asyncio.create_task(job.wait()) for job in others)]
+    waiting = [asyncio.create_task(asyncio.wait(all_over)), asyncio.create_task(ending.wait())]
+    await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+    for task in (*waiting, *all_over):
+        task.cancel()
+    await asyncio.wait((*waiting, *all_over))
+    await asyncio.gather(*(_end(robot, job) for job in others))
+    await _stop(robot)
+    if any(goal.cancelled() for goal in goals):
+        return _INTERRUPTED
+    return 0 if all(goal.result() for goal in goals) else _FAILED
+
+
+def _until_when(job: Job) -> str:
+    from ros2_mcp.robot.goals import Goal
+
+    if isinstance(job, Goal):
+        return "is followed until it ends; Ctrl+C cancels it"
+    if job.at_most_s < math.inf:
+        return f"runs for at most {job.at_most_s:g} s; Ctrl+C ends it before"
+    return "runs until Ctrl+C ends it"
+
+
+async def _follow(robot: Robot, goal: Goal) -> bool:
+    """Shows the feedback of a goal until it has ended, and then its result; whether it succeeded."""
+    from ros2_mcp.ops.actions.send_goal import follow
+    from ros2_mcp.ops.results import as_json, at_most_every
+
+    async def show(done: float, _: float, line: str) -> None:
+        print(visible(f"{done:.0f} s  {line}"), file=sys.stderr, flush=True)
+
+    try:
+        outcome = await follow(robot, goal, at_most_every(_FEEDBACK_S, show))
+    except RobotError as error:
+        print(visible(f"{_named(goal)} could not be followed to its end: {error}"), file=sys.stderr, flush=True)
+        return False
+    shown = {"result": as_json(outcome)["result"]}
+    lines = readable([outcome.summary()], shown, _columns())
+    print(visible("\n".join(lines), keep="\n"), file=sys.stderr, flush=True)
+    return outcome.status == "SUCCEEDED"
+
+
+async def _stop(robot: Robot) -> None:
+    """Sends the zeros of what this call drives and cancels its goals, where there are some, and says what became of
+    each. It is the end of a call and no stop: it latches nothing.
+
+    The bridge would do it by itself when this program ends, but nobody would be there to say so.
     """
-    arguments: dict[str, Any] = {}
-    for word in assignments:
-        key, equals, value = word.partition("=")
-        if not equals:
-            raise BadInput(f"{word!r} is not an assignment.", "Write key=value, such as topic_name=/scan.")
+    from ros2_mcp.ops.stop import cancel_goals
+
+    zeros, goals = await asyncio.gather(_zeros(robot, robot.failsafes.moving), cancel_goals(robot))
+    cancelled = [
+        f"goal {goal.goal_id} of {goal.action_name}: "
+        + (goal.error or f"{goal.status}{'' if goal.confirmed else ', and has not ended yet'}.")
+        for goal in goals
+    ]
+    for line in (*zeros, *cancelled):
+        print(visible(line), file=sys.stderr, flush=True)
+
+
+async def _zeros(robot: Robot, topics: Sequence[str]) -> list[str]:
+    """A sentence for each topic that is to get its zero."""
+    if not topics:
+        return []
+    try:
+        sent = await robot.zero(topics)
+    except RobotError as error:
+        return [f"NOT confirmed: whether {', '.join(topics)} got a zero command is not known: {error}"]
+    return [
+        f"{zero['topic']}: the call has ended, and a zero command was sent to {zero['matched']} subscriber(s)."
+        f"{' NOT confirmed: not every one has acknowledged it.' if zero['matched'] and not zero['acked'] else ''}"
+        for zero in sent
+    ]
+
+
+def _named(job: Job) -> str:
+    return job.id if job.id.startswith(job.kind) else f"{job.kind} {job.id}"
+
+
+async def _end(robot: Robot, job: Job) -> None:
+    problem = ""
+    try:
+        await job.stop()
+    except Exception as error:  # noqa: BLE001 - it has ended all the same, and the others are ended, too
+        problem = f" It did not end in good order: {error}"
+    report = getattr(job, "report", None)
+    state = report() if report else None
+    lines = [state.summary()] if state else [f"{_named(job)} {job.state}."]
+    if path := getattr(state, "path", ""):
+        lines.append(f"The bag is {path}")
+    lines += [
+        f"{driven.topic}: a zero command was sent."
+        for driven in robot.failsafes.driven
+        if driven.has_ended and driven.topic in job.moves
+    ]
+    print(visible("\n".join(lines) + problem, keep="\n"), file=sys.stderr, flush=True)
+
+
+async def approved(settings: Settings, tool: BoundTool, arguments: Mapping[str, Any]) -> CallToolResult:
+    """The answer of the tool; what a person has to approve first waits for that. Raises `CallFailed`."""
+    from ros2_mcp.binding import CallFailed
+    from ros2_mcp.guard.consent import Consent
+    from ros2_mcp.library import operated
+
+    while True:
         try:
-            arguments[key] = json.loads(value)
-        except ValueError:
-            arguments[key] = value
-    return arguments
+            return await tool.call(arguments, _print_progress)
+        except CallFailed as error:
+            needed, consent = error.__cause__, tool.robot.guard.approvals
+            if not (isinstance(needed, ApprovalNeeded) and isinstance(consent, Consent)):
+                raise
+        waits = f"{needed.request_id} waits for a person: ros2-mcp operate, in another terminal. Ctrl+C gives it up."
+        print(waits, file=sys.stderr, flush=True)
+        async with operated(tool.robot, settings):
+            while any(request.id == needed.request_id for request in consent.approvals.waiting()):
+                await asyncio.sleep(_ANSWERED_POLL_S)
 
 
-def first_sentence(text: str) -> str:
-    """The first sentence of a description, on one line."""
-    return " ".join(text.split()).partition(". ")[0].rstrip(".") + "."
-
-
-def _print_tools(tools: Mapping[str, BoundTool]) -> int:
-    for tool in tools.values():
-        print(f"{tool.name:36} {first_sentence(tool.declaration.description)}")
-    return 0
-
-
-async def _print_answer(tool: BoundTool, arguments: dict[str, Any], as_json: bool) -> int:
+async def _print_answer(
+    settings: Settings, tool: BoundTool, arguments: dict[str, Any], as_json: bool, output: Path | None
+) -> int:
     from ros2_mcp.binding import CallFailed
 
     try:
-        result = await tool.call(arguments, _print_progress)
+        result = await approved(settings, tool, arguments)
     except CallFailed as error:
         print(error, file=sys.stderr)
-        return 1
-    summary = getattr(result.content[0], "text", "").partition("\n{")[0]
-    if not as_json:
-        print(summary)
-    print(json.dumps(result.structured_content, indent=None if as_json else 2, ensure_ascii=False))
-    for block in result.content[1:]:
-        if block.type == "image":
-            print(f"picture saved: {_save(block.data, block.mime_type)}", file=sys.stderr)
-    return 0
+        return _FAILED
+    value: dict[str, Any] = result.structured_content or {}
+    beside = [f"picture saved: {path}" for path in _saved_pictures(result, output)]
+    stops = tool.declaration.risk == "stop"
+    if stops:  # who reads only this, or the exit code, must not believe that the robot stands still
+        beside.append(_STOPS_ITS_OWN)
+        value["confirmed"] = False
+    if as_json:
+        print(json.dumps(value, ensure_ascii=False), flush=True)
+        print("\n".join(beside), end="\n" if beside else "", file=sys.stderr, flush=True)
+    else:
+        summary = getattr(result.content[0], "text", "").partition("\n{")[0].split("\n")
+        lines = readable([*summary, *beside], value, _columns())
+        print("\n".join(lines), flush=True)
+    return _FAILED if stops or _has_gone_wrong(value) else 0
+
+
+def _has_gone_wrong(result: Mapping[str, Any]) -> bool:
+    """Whether it is about a goal that was not accepted, or ended without success, or was not seen to end in time."""
+    return "goal_id" in result and result.get("status", _ON_THEIR_WAY[0]) not in _ON_THEIR_WAY
+
+
+def _columns() -> int:
+    return shutil.get_terminal_size((_PIPED_COLUMNS, 0)).columns
 
 
 async def _print_progress(done: float, whole: float, line: str) -> None:
     print(f"{done:.0f}/{whole:.0f} s  {line}", file=sys.stderr)
 
 
-def _save(data: str, mime: str) -> Path:
-    with tempfile.NamedTemporaryFile(prefix="ros2-mcp-", suffix=f".{mime.split('/')[1]}", delete=False) as file:
-        file.write(base64.b64decode(data))
-    return Path(file.name)
+def _saved_pictures(result: CallToolResult, folder: Path | None) -> list[Path]:
+    saved: list[Path] = []
+    if folder:
+        folder.mkdir(parents=True, exist_ok=True)
+    for block in result.content:
+        if block.type == "image":
+            ending = f".{block.mime_type.split('/')[1]}"
+            with tempfile.NamedTemporaryFile(prefix="ros2-mcp-", suffix=ending, dir=folder, delete=False) as file:
+                file.write(base64.b64decode(block.data))
+            saved.append(Path(file.name))
+    return saved

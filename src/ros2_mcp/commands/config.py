@@ -7,22 +7,43 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shlex
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ros2_mcp.link.environment import path_entries, wheel_distro
+from ros2_mcp.guard.entrance import entrance_of
+from ros2_mcp.guard.state import state_home
+from ros2_mcp.guard.tokens import own_token
+from ros2_mcp.link.environment import wheel_distro
 from ros2_mcp.link.provenance import launch_command, own_provenance
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.shell import typed
 from ros2_mcp.settings import OPTIONS, Option, Settings
+from ros2_mcp_bridge.finding import path_entries
 
 NAME = "ros2"
 # Goose's own default for a call, written since it has no other place.
 _GOOSE_TIMEOUT_S = 300
 
 # A client that starts the server itself speaks stdio with it; carried over, these would keep it waiting for ever.
-_OF_HTTP = ("transport", "host", "port")
+_OF_HTTP = frozenset(
+    [
+        "transport",
+        "host",
+        "port",
+        "token_file",
+        "no_login",
+        "tls_cert",
+        "tls_key",
+        "behind_proxy",
+        "public_url",
+        "socket",
+    ]
+)
+
+# Paths that are the robot's.
+_OF_THE_ROBOT = frozenset(["workspaces", "bridge_python", "ros_root", "interface_prefixes"])
 
 # What decides, beside our own settings, which robot is seen and how. A client would not pass it on.
 _OF_ROS = (
@@ -69,11 +90,20 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
+class Address:
+    """What a client must know of a server that runs already, over HTTP."""
+
+    url: str
+    headers: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
 class Client:
-    """Where the configuration of a client goes, and its text for an entry."""
+    """Where the configuration of a client goes, and its texts: for a server that it starts, and for one over HTTP."""
 
     place: str
     text: Callable[[Entry], str]
+    http: Callable[[Address], str]
 
 
 def print_config(client: str, arguments: argparse.Namespace, settings: Settings) -> int:
@@ -81,15 +111,25 @@ def print_config(client: str, arguments: argparse.Namespace, settings: Settings)
 
     The options and settings are those of this very command line and environment.
     """
+    if arguments.http:
+        return _print_http(client, settings)
     words = {name: word for name, word in vars(arguments).items() if name in CARRIED and word is not None}
     provenance = own_provenance()
     command, *args = launch_command(provenance, wheel_distro() or "")
-    variables = {**of_sourced_shell(settings, os.environ), **environment(os.environ, words)}
-    entry = Entry(command, [*args, *options(words)], variables)
+    variables = environment(os.environ, words, is_here=settings.is_here)
+    if settings.is_here:
+        variables = {**of_sourced_shell(settings, os.environ), **variables}
+    if settings.socket:  # a server runs there; what it was told is its own
+        entry = Entry(command, [*args, "connect", str(settings.socket.expanduser().absolute())], {})
+    else:
+        entry = Entry(command, [*args, *options(words, is_here=settings.is_here)], variables)
     print(f"# {CLIENTS[client].place}", file=sys.stderr)
+    local = settings.workspaces if settings.is_here else ()
+    for missing in (folder for folder in local if not folder.expanduser().is_dir()):
+        print(f"# warning: --workspace {missing} is not there: the server will not find its packages.", file=sys.stderr)
     if settings.transport != "stdio":
         print(
-            "# The client starts the server and speaks stdio with it; what was set for HTTP is left out.",
+            "# The client starts the server and speaks stdio with it; what was set for HTTP is left out (see --http).",
             file=sys.stderr,
         )
     if not provenance.lasts:
@@ -99,6 +139,31 @@ def print_config(client: str, arguments: argparse.Namespace, settings: Settings)
             file=sys.stderr,
         )
     print(CLIENTS[client].text(entry))
+    return 0
+
+
+def _print_http(client: str, settings: Settings) -> int:
+    """Prints how a client reaches a server over HTTP with these settings.
+
+    Raises:
+        BadInput: for settings with which no server would start.
+    """
+    settings = replace(settings, transport="streamable-http") if not settings.is_http else settings
+    if settings.transport == "sse":
+        raise BadInput("--http is for streamable HTTP, which nearly all clients speak.", "Leave --transport sse out.")
+    entrance = entrance_of(settings)
+    if not entrance.tokens:
+        headers: dict[str, str] = {}
+    elif settings.token_file:
+        headers = {"Authorization": "Bearer TOKEN"}
+        print(
+            f"# Put a token of {settings.token_file} where TOKEN stands: the file has none in the open.",
+            file=sys.stderr,
+        )
+    else:
+        headers = {"Authorization": f"Bearer {own_token(state_home())[0]}"}
+    print(f"# {CLIENTS[client].place}", file=sys.stderr)
+    print(CLIENTS[client].http(Address(entrance.url.replace("//0.0.0.0", "//127.0.0.1"), headers)))
     return 0
 
 
@@ -121,7 +186,7 @@ def _zed(entry: Entry) -> str:
 def _claude_code(entry: Entry) -> str:
     # An option must stand between the last --env, which takes as many words as it finds, and the name.
     variables = [word for name, value in entry.env.items() for word in ("--env", f"{name}={value}")]
-    return shlex.join(["claude", "mcp", "add", *variables, "--scope", "user", NAME, "--", entry.command, *entry.args])
+    return typed(["claude", "mcp", "add", *variables, "--scope", "user", NAME, "--", entry.command, *entry.args])
 
 
 def _codex(entry: Entry) -> str:
@@ -145,9 +210,54 @@ def _goose(entry: Entry) -> str:
         "env_keys": [],
         "timeout": _GOOSE_TIMEOUT_S,
     }
+    return _extensions(settings)
+
+
+def _extensions(settings: Mapping[str, object]) -> str:
     return "\n".join(
         ["extensions:", f"  {NAME}:", *(f"    {key}: {_scalar(value)}" for key, value in settings.items())]
     )
+
+
+def _http_servers(url: str = "url", kind: str = "", within: str = "mcpServers") -> Callable[[Address], str]:
+    """As nearly all clients write it; they differ in what they call the address, and whether they name its kind."""
+
+    def text(at: Address) -> str:
+        named = {"type": kind} if kind else {}
+        return _json({within: {NAME: {**named, url: at.url, **({"headers": at.headers} if at.headers else {})}}})
+
+    return text
+
+
+def _http_through_npx(at: Address) -> str:
+    """For a client that speaks stdio alone: `mcp-remote` carries it. Windows would lose a blank in an argument."""
+    headers = [word for name in at.headers for word in ("--header", f"{name}:${{{name.upper()}}}")]
+    values = {name.upper(): value for name, value in at.headers.items()}
+    return _mcp_servers(Entry("npx", ["-y", "mcp-remote", at.url, "--allow-http", *headers], values))
+
+
+def _http_claude_code(at: Address) -> str:
+    headers = [word for name, value in at.headers.items() for word in ("--header", f"{name}: {value}")]
+    return typed(["claude", "mcp", "add", "--transport", "http", "--scope", "user", NAME, at.url, *headers])
+
+
+def _http_codex(at: Address) -> str:
+    headers = ", ".join(f"{_scalar(name)} = {_scalar(value)}" for name, value in at.headers.items())
+    lines = [f"[mcp_servers.{NAME}]", f"url = {_scalar(at.url)}", f"http_headers = {{ {headers} }}"]
+    return "\n".join(lines[: 3 if at.headers else 2])
+
+
+def _http_goose(at: Address) -> str:
+    settings: dict[str, object] = {
+        "name": NAME,
+        "description": "Eyes and hands on a ROS 2 robot",
+        "type": "streamable_http",
+        "enabled": True,
+        "uri": at.url,
+        "headers": dict(at.headers),
+        "timeout": _GOOSE_TIMEOUT_S,
+    }
+    return _extensions(settings)
 
 
 def _json(value: object) -> str:
@@ -160,31 +270,45 @@ def _scalar(value: object) -> str:
 
 
 CLIENTS: Mapping[str, Client] = {
-    "claude-desktop": Client("claude_desktop_config.json (Settings > Developer > Edit Config)", _mcp_servers),
+    "claude-desktop": Client(
+        "claude_desktop_config.json (Settings > Developer > Edit Config)", _mcp_servers, _http_through_npx
+    ),
     "claude-code": Client(
         "Run this command. It holds for all your projects; with --scope local instead of user only for the project in\n"
         "# this folder, with --scope project for all who share it (.mcp.json)",
         _claude_code,
+        _http_claude_code,
     ),
     "vscode": Client(
-        ".vscode/mcp.json in the project, or for all: Ctrl+Shift+P > MCP: Open User Configuration", _vscode
+        ".vscode/mcp.json in the project, or for all: Ctrl+Shift+P > MCP: Open User Configuration",
+        _vscode,
+        _http_servers(kind="http", within="servers"),
     ),
-    "cursor": Client("~/.cursor/mcp.json, or .cursor/mcp.json in the project", _mcp_servers),
-    "codex": Client("~/.codex/config.toml", _codex),
-    "gemini": Client("~/.gemini/settings.json", _mcp_servers),
+    "cursor": Client("~/.cursor/mcp.json, or .cursor/mcp.json in the project", _mcp_servers, _http_servers()),
+    "codex": Client("~/.codex/config.toml", _codex, _http_codex),
+    "gemini": Client("~/.gemini/settings.json", _mcp_servers, _http_servers("httpUrl")),
     "antigravity": Client(
         "mcp_config.json (... of the agent's panel > MCP Servers > Manage MCP Servers > View raw config);\n"
         "# ~/.gemini/config/mcp_config.json, in older versions ~/.gemini/antigravity/mcp_config.json",
         _mcp_servers,
+        _http_servers("serverUrl"),
     ),
-    "warp": Client("Paste it at Settings > Agents > MCP servers > + Add, or into ~/.warp/.mcp.json", _mcp_servers),
-    "windsurf": Client("~/.codeium/windsurf/mcp_config.json", _mcp_servers),
-    "cline": Client("cline_mcp_settings.json (MCP Servers > Configure > Configure MCP Servers)", _mcp_servers),
-    "zed": Client("settings.json (Ctrl+Shift+P > zed: open settings)", _zed),
-    "goose": Client("~/.config/goose/config.yaml, below the extensions that are there", _goose),
-    "lm-studio": Client("mcp.json (tab Program at the right > Install > Edit mcp.json)", _mcp_servers),
+    "warp": Client(
+        "Paste it at Settings > Agents > MCP servers > + Add, or into ~/.warp/.mcp.json", _mcp_servers, _http_servers()
+    ),
+    "windsurf": Client("~/.codeium/windsurf/mcp_config.json", _mcp_servers, _http_servers("serverUrl")),
+    "cline": Client(
+        "cline_mcp_settings.json (MCP Servers > Configure > Configure MCP Servers)",
+        _mcp_servers,
+        _http_servers(kind="streamableHttp"),
+    ),
+    "zed": Client("settings.json (Ctrl+Shift+P > zed: open settings)", _zed, _http_servers(within="context_servers")),
+    "goose": Client("~/.config/goose/config.yaml, below the extensions that are there", _goose, _http_goose),
+    "lm-studio": Client("mcp.json (tab Program at the right > Install > Edit mcp.json)", _mcp_servers, _http_servers()),
     "jetbrains": Client(
-        "Paste it at Settings > Tools > AI Assistant > Model Context Protocol (MCP) > Add, as JSON", _mcp_servers
+        "Paste it at Settings > Tools > AI Assistant > Model Context Protocol (MCP) > Add, as JSON",
+        _mcp_servers,
+        _http_servers(),
     ),
 }
 """Every client that is known, by its name on the command line."""
@@ -197,14 +321,17 @@ CARRIED: Mapping[str, Option] = {name: option for name, option in OPTIONS.items(
 """The settings that a configuration takes over."""
 
 
-def options(words: Mapping[str, str | Sequence[str]]) -> list[str]:
-    """The options that were given, as they are written; with absolute paths: a client starts in its own folder."""
-    return [word for name, given in words.items() for word in _written(OPTIONS[name], given)]
+def options(words: Mapping[str, str | Sequence[str]], *, is_here: bool = True) -> list[str]:
+    """The options that were given, as they are written; with absolute paths: a client starts in its own folder.
+
+    Where the robot is not on this machine (`is_here` false), the paths that are the robot's stay as they are.
+    """
+    return [word for name, given in words.items() for word in _written(OPTIONS[name], given, is_here)]
 
 
-def _written(option: Option, given: str | Sequence[str]) -> Iterator[str]:
+def _written(option: Option, given: str | Sequence[str], is_here: bool) -> Iterator[str]:
     for text in [given] if isinstance(given, str) else given:
-        value = _absolute(option, text)
+        value = text if not is_here and option.name in _OF_THE_ROBOT else _absolute(option, text)
         if not option.takes_value or value == option.alone:
             yield option.flag
         elif value.startswith("-"):
@@ -221,13 +348,21 @@ def _absolute(option: Option, text: str) -> str:
     return os.pathsep.join(str(Path(path).expanduser().absolute()) for path in paths if path)
 
 
-def environment(variables: Mapping[str, str], words: Mapping[str, object] = {}) -> dict[str, str]:
-    """The variables of this shell that set something here or decide which robot is seen; not where an option does."""
-    ours = {
-        option.variable: _absolute(option, variables[option.variable])
-        for name, option in CARRIED.items()
-        if name not in words and variables.get(option.variable)
-    }
+def environment(
+    variables: Mapping[str, str], words: Mapping[str, object] = {}, *, is_here: bool = True
+) -> dict[str, str]:
+    """The variables of this shell that set something here or decide which robot is seen; not where an option does.
+
+    Of a robot that is elsewhere (`is_here` false) the variables of this machine's ROS decide nothing.
+    """
+    taken = {name: option for name, option in CARRIED.items() if name not in words and variables.get(option.variable)}
+    if not is_here:
+        return {
+            option.variable: value if name in _OF_THE_ROBOT else _absolute(option, value)
+            for name, option in taken.items()
+            if option.variable.startswith(("ROS2_MCP_", "MCP_")) and (value := variables[option.variable])
+        }
+    ours = {option.variable: _absolute(option, variables[option.variable]) for option in taken.values()}
     of_ros = {name: variables[name] for name in _OF_ROS if variables.get(name)}
     files = {name: _absolute_files(variables[name]) for name in _FILES_OF_ROS if variables.get(name)}
     return {**ours, **of_ros, **files}

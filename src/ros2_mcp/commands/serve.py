@@ -6,15 +6,28 @@ import asyncio
 import gc
 import logging
 import os
-import signal
+import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from ros2_mcp.commands.endings import when_told_to_end
+from ros2_mcp.guard.entrance import Entrance, check_tls, entrance_of
 from ros2_mcp.model.text import LAYOUT, visible
 from ros2_mcp.settings import Settings
 
 if TYPE_CHECKING:
+    from ros2_mcp.fleet import Member
     from ros2_mcp.link.client import Bridge
+
+
+_TO_A_PERSON = """\
+ros2-mcp waits for an MCP client, which starts it by itself and speaks to it over stdin and stdout; nothing that is
+typed here is understood. Ctrl+C ends it.
+  ros2-mcp config claude-code     prints what configures a client (config --help names the others)
+  ros2-mcp call ros2_topic_list   calls a tool without one
+  ros2-mcp --help                 shows everything else
+"""
+"""What somebody reads who starts it in a terminal, without a client."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,25 +61,57 @@ class LogFormatter(logging.Formatter):
 
 def serve(settings: Settings) -> int:
     """Serves until the client goes away or the process is told to end."""
+    if settings.is_stdio and sys.stdin and sys.stdin.isatty():
+        _say(_TO_A_PERSON)
+    entrance = entrance_of(settings) if settings.is_http else None
+    check_tls(settings)
     gc.disable()  # looking for garbage among what is imported, where there is none, is a fifth of the start
-    wire = claim_wire() if settings.transport == "stdio" else None
-    asyncio.run(_serve(launch(settings), settings, wire))
+    wire = claim_wire() if settings.is_stdio else None
+    asyncio.run(_serve(launch(settings), settings, wire, entrance))
     return 0
 
 
 def launch(settings: Settings) -> Bridge | None:
-    """Starts the bridge, if there is a robot; it comes up while the rest is imported."""
+    """Starts the bridge, if there is one robot; it comes up while the rest is imported. Several wait to be used."""
+    from ros2_mcp.entries import entries_of
+    from ros2_mcp.guard.policy_file import policy_for
+    from ros2_mcp.guard.state import state_of
     from ros2_mcp.link.carriers import start_carrier
     from ros2_mcp.link.client import Bridge
 
-    if settings.bag:
+    entries = entries_of(settings)
+    if settings.bag or len(entries) > 1:
         return None
-    bridge = Bridge(lambda: start_carrier(settings))
+    settings = entries[0].settings
+    policy = policy_for(settings)
+    state = state_of(settings, policy).path
+    bridge = Bridge(lambda: start_carrier(settings, state=state, under_policy=policy.in_force))
     bridge.launch()
     return bridge
 
 
-async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None) -> None:
+def _say(text: str) -> None:
+    print(text, end="", file=sys.stderr, flush=True)  # noqa: T201 - for a person, whatever the level of the log is
+
+
+def show_log(settings: Settings) -> None:
+    """Shows the log on stderr from the level that was set on."""
+    # One line for each message, without time and place: it is read in a client's log, which adds its own.
+    shown = logging.StreamHandler()
+    shown.setFormatter(LogFormatter("%(message)s"))
+    shown.setLevel(settings.log_level.upper())  # a client that follows the log may want more (`following.py`)
+    logging.basicConfig(level=settings.log_level.upper(), handlers=[shown])
+
+
+async def _operated_until(ending: asyncio.Event, member: Member) -> None:
+    """Operators of a robot can reach the server until it ends."""
+    from ros2_mcp.library import operated  # imported by now
+
+    async with operated(member.robot, member.settings):
+        await ending.wait()
+
+
+async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None, entrance: Entrance | None) -> None:
     """Serves in one task group. The robot is left in peace before the process ends, whatever ends it."""
     # Imported here because the bridge has been launched now, and comes up meanwhile.
     import anyio
@@ -75,42 +120,54 @@ async def _serve(bridge: Bridge | None, settings: Settings, wire: Wire | None) -
     from ros2_mcp.ops.memory.record import keep_black_box
 
     assembly = assemble(settings, bridge)
-    # One line for each message, without time and place: it is read in a client's log, which adds its own.
-    shown = logging.StreamHandler()
-    shown.setFormatter(LogFormatter("%(message)s"))
-    logging.basicConfig(level=settings.log_level.upper(), handlers=[shown])
+    show_log(settings)
     if wire:
-        from ros2_mcp.server import serve_stdio
+        from ros2_mcp.stdio import serve_stdio
 
         serving = serve_stdio(assembly.server, wire.read_fd, wire.write_fd)
+    elif settings.socket:
+        from ros2_mcp.sockets import serve_socket
+
+        path = settings.socket.expanduser()
+        told = f"ros2-mcp serves MCP at the socket {path}\nWhat a client starts:  ros2-mcp connect {path}\n"
+        serving = serve_socket(assembly.server, assembly.leases, path, lambda: _say(told))
     else:
         from ros2_mcp.http import serve_http  # brings uvicorn, which stdio does not need
 
-        serving = serve_http(assembly.server, assembly.leases, settings)
+        assert entrance
+        serving = serve_http(
+            assembly.server,
+            assembly.leases,
+            assembly.scopes,
+            settings=settings,
+            entrance=entrance,
+            announce=lambda url: _say(f"ros2-mcp serves MCP at {url}\n{entrance.told}\n"),
+        )
     gc.freeze()
     gc.enable()
 
-    ending, failures = asyncio.Event(), list[BaseException]()
+    ending, failures = asyncio.Event(), list[Exception]()
 
     async def serve_until_the_client_leaves() -> None:
         try:
             await serving
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - raised below: here it would cancel what stops the robot
-            failures.append(error)  # uvicorn exits where it cannot listen
+        except Exception as error:  # noqa: BLE001 - raised below: here it would cancel what stops the robot
+            failures.append(error)
         finally:
             ending.set()
 
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        asyncio.get_running_loop().add_signal_handler(number, ending.set)
+    when_told_to_end(ending.set)
     async with anyio.create_task_group() as tasks:
         async with assembly.running():
-            if not assembly.store.subject:
+            if not (assembly.store.subject or assembly.fleet.has_several):  # of several, that waits for the first use
                 assembly.robot.log.start()
-                tasks.start_soon(keep_black_box, assembly.robot, assembly.store, settings)
+            for member in assembly.fleet.members.values() if not assembly.store.subject else ():
+                tasks.start_soon(keep_black_box, member.robot, member.store, member.settings)
+                tasks.start_soon(_operated_until, ending, member)
             tasks.start_soon(serve_until_the_client_leaves)
             await ending.wait()
         if not failures:
-            # The thread that reads stdin cannot be interrupted, and leaving the group would wait for it.
+            # A thread that writes to a client which does not read cannot be interrupted: the group would wait for it.
             logging.shutdown()
             os._exit(0)
         tasks.cancel_scope.cancel()

@@ -14,20 +14,24 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ros2_mcp.commands.robots import DEFAULT, LATER, ROBOTS
 from ros2_mcp.link.environment import find_ros
-from ros2_mcp.link.interfaces import InterfaceCache, build
-from ros2_mcp.model.errors import LinkError, TimedOut
+from ros2_mcp.link.installation import RosInstallation
+from ros2_mcp.link.interfaces import SHIPPED, InterfaceCache, build, package_name
+from ros2_mcp.model.errors import LinkError, RosNotFound, TimedOut
 from ros2_mcp.settings import Settings
 
 # Chosen, with much room: the robot says that it is ready after some seconds, on a loaded machine later.
 READY_S = 60.0
-INTERFACES = Path(__file__).resolve().parents[2] / "ros2_mcp_demo" / "interfaces"
 
 
 # DDS counts its UDP ports from here, by domain; so the ports that are bound tell which domains are in use.
 _FIRST_PORT, _PORTS_OF_A_DOMAIN = 7400, 250
 # The last domain all of whose ports Linux leaves to those who ask for them: from 32768 on it gives them to anybody.
 _LAST_OWN_DOMAIN = 100
+_BUILD = ("interfaces", "build")
+# The niceness of what may take longer: the robot and those who look at it come first.
+_GIVES_WAY = 10
 # These know no ROS_AUTOMATIC_DISCOVERY_RANGE.
 _BEFORE_DISCOVERY_RANGES = ("foxy", "galactic", "humble")
 
@@ -66,31 +70,73 @@ def reach_of_this_machine(distro: str, env: Mapping[str, str]) -> Mapping[str, s
     return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
-def with_interfaces(settings: Settings) -> Settings:
-    """The settings with the robot's own interface packages, built if need be; without what cannot be built."""
+def with_interfaces(settings: Settings, robot: str = DEFAULT) -> Settings:
+    """The settings with the interface packages of that robot, built if need be; without what cannot be built.
+
+    Those that are built later (`build_later`) are named already: who needs one looks again until it is there.
+    """
     installation = find_ros(settings)
     if installation.kind != "wheels":
         return settings
     try:
-        built = build(installation, [INTERFACES], InterfaceCache(settings.interface_folder))
+        sources = [SHIPPED / package for package in ROBOTS[robot]]
+        built = build(installation, sources, InterfaceCache(settings.interface_folder))
     except LinkError as error:
         print(f"note: {error}", file=sys.stderr)
         return settings
-    return replace(settings, interface_prefixes=tuple(dict.fromkeys((*settings.interface_prefixes, *built))))
+    prefixes = (*settings.interface_prefixes, *built, *_later(settings, installation, robot))
+    return replace(settings, interface_prefixes=tuple(dict.fromkeys(prefixes)))
+
+
+def build_later(settings: Settings, robot: str) -> None:
+    """Begins to build what that robot does without at its start, in another process, which ends by itself.
+
+    That gives way to all others and says nothing: where it fails the robot goes without. It also notes the packages as
+    in use, so that servers that are started afterwards know them.
+    """
+    installation = find_ros(settings)
+    missing = [package_name(prefix) for prefix in _later(settings, installation, robot) if not prefix.is_dir()]
+    if not missing:
+        return
+    sources = [str(SHIPPED / package) for package in LATER[robot]]  # with what the missing ones may need
+    builder = subprocess.Popen(
+        [sys.executable, "-m", "ros2_mcp", "--cache-dir", str(settings.cache_dir), *_BUILD, *sources],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    if sys.platform != "win32":
+        os.setpriority(os.PRIO_PROCESS, builder.pid, _GIVES_WAY)
+
+
+def _later(settings: Settings, installation: RosInstallation, robot: str) -> list[Path]:
+    """The prefixes of the packages that are built later, without those that somebody has built otherwise and uses."""
+    if installation.kind != "wheels" or installation.python != sys.executable:
+        return []
+    cache = InterfaceCache(settings.interface_folder)
+    planned = cache.planned(LATER.get(robot, ()))
+    others = {package_name(built) for built in cache.in_use(installation.prefix) if built not in planned}
+    return [prefix for prefix in planned if package_name(prefix) not in others]
 
 
 @contextmanager
-def simulated_robot(settings: Settings, graph: Graph) -> Generator[str, None, None]:
+def simulated_robot(settings: Settings, graph: Graph, robot: str = DEFAULT) -> Generator[str, None, None]:
     """A running robot in a graph; yields the line with which it says that it is ready.
 
     Raises:
         TimedOut: if it was not ready within a minute.
         LinkError: if it ended before.
+        RosNotFound: under another system than Linux, where the simulated robot does not run.
     """
-    command = find_ros(with_interfaces(replace(settings, domain_id=graph.domain_id))).command(
-        "ros2_mcp_demo", ["--until-stdin-closes"]
+    if sys.platform == "win32":
+        raise RosNotFound(
+            "The simulated robot runs under Linux alone.", "In WSL it runs as it is; or name a robot with --robot."
+        )
+    command = find_ros(with_interfaces(replace(settings, domain_id=graph.domain_id), robot)).command(
+        "ros2_mcp_demo", ["--robot", robot, "--until-stdin-closes"]
     )
-    robot = subprocess.Popen(
+    process = subprocess.Popen(
         command.argv,
         env={**command.env, **graph.variables()},
         stdin=subprocess.PIPE,
@@ -99,9 +145,9 @@ def simulated_robot(settings: Settings, graph: Graph) -> Generator[str, None, No
         start_new_session=True,
     )
     try:
-        yield asyncio.run(_greeting(robot))
+        yield asyncio.run(_greeting(process))
     finally:
-        _stop(robot)
+        _stop(process)
 
 
 async def _greeting(robot: subprocess.Popen[str]) -> str:
@@ -117,6 +163,7 @@ async def _greeting(robot: subprocess.Popen[str]) -> str:
 
 
 def _stop(robot: subprocess.Popen[str]) -> None:
+    assert sys.platform != "win32"
     assert robot.stdin is not None
     assert robot.stdout is not None
     with suppress(OSError):

@@ -1,109 +1,70 @@
 """The one-minute tour: an MCP client over real stdio does what an agent would do, and shows what it gets."""
 
-# ruff: noqa: T201 - printing is this module's job
-
 from __future__ import annotations
 
 import asyncio
-import base64
 import json
 import math
+import os
 import sys
-import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from mcp import Client, StdioServerParameters
-from mcp.types import ImageContent
 
+from ros2_mcp.commands.prompted import PROMPTS
+from ros2_mcp.commands.robots import DEFAULT
 from ros2_mcp.commands.simulation import Graph, with_interfaces
+from ros2_mcp.commands.tour_arm import ARM
+from ros2_mcp.commands.tour_drone import DRONE
+from ros2_mcp.commands.tour_policy import PROFILE, SIGN, be_fooled
+from ros2_mcp.commands.transcript import Tour
 from ros2_mcp.settings import Settings
 
-_BOLD, _DIM, _GREEN, _RED, _END = "\033[1m", "\033[2m", "\033[32m", "\033[31m", "\033[0m"
+CHAPTERS: Mapping[str, Sequence[Callable[[Tour], Awaitable[None]]]] = {"drone": DRONE, "arm": ARM}
+"""What is shown of each robot but the rover, which has this module."""
 
 
-class StepFailed(Exception):
-    """A tool answered with an error that the tour cannot go on from."""
-
-
-class Tour:
-    """One client with a transcript; each step prints what was asked and what came back."""
-
-    def __init__(self, client: Client, folder: Path) -> None:
-        self._client = client
-        self._folder = folder
-        self._started = time.monotonic()
-        self._pictures = 0
-        self.transcript: list[dict[str, Any]] = []
-        self.failures: list[str] = []
-
-    def say(self, text: str) -> None:
-        """A line of the story."""
-        self.transcript.append({"say": text})
-        print(f"\n{_paint(_BOLD, text)}", flush=True)
-
-    def show(self, text: str) -> None:
-        """A line of result."""
-        self.transcript.append({"show": text})
-        print(f"  {text}", flush=True)
-
-    def verify(self, claim: str, holds: bool) -> None:
-        """A claim that the tour proves, or fails with."""
-        if not holds:
-            self.failures.append(claim)
-        self.show(_paint(_GREEN if holds else _RED, f"{'verified' if holds else 'NOT TRUE'}: {claim}"))
-
-    async def call(self, tool: str, **arguments: Any) -> Any:
-        """One tool call; returns its structured content and saves its pictures."""
-        print(_paint(_DIM, f"  > {tool} {json.dumps(arguments)}"), flush=True)
-        started = time.monotonic()
-
-        async def on_progress(progress: float, total: float | None, message: str | None) -> None:
-            print(_paint(_DIM, f"    … {progress:.0f}/{total or 0:.0f} s  {message or ''}"), flush=True)
-
-        result = await self._client.call_tool(tool, arguments, progress_callback=on_progress)
-        elapsed_s = time.monotonic() - started
-        text = "".join(getattr(block, "text", "") for block in result.content)
-        self.transcript.append({"tool": tool, "arguments": arguments, "seconds": round(elapsed_s, 3), "text": text})
-        for image in result.content:
-            if isinstance(image, ImageContent):
-                self.show(f"picture saved: {self._save(image)}")
-        if result.is_error:
-            raise StepFailed(f"{tool}: {text}")
-        return result.structured_content
-
-    def _save(self, image: ImageContent) -> Path:
-        self._pictures += 1
-        path = self._folder / f"picture-{self._pictures}.{image.mime_type.split('/')[1]}"
-        path.write_bytes(base64.b64decode(image.data))
-        return path
-
-    def finish(self) -> int:
-        """Writes the transcript; returns the exit code."""
-        path = self._folder / "transcript.json"
-        path.write_text(json.dumps(self.transcript, indent=1, ensure_ascii=False))
-        seconds = time.monotonic() - self._started
-        print(f"\nThe tour took {seconds:.0f} s. Pictures and transcript: {self._folder.resolve()}")
-        for failure in self.failures:
-            print(_paint(_RED, f"failed: {failure}"), file=sys.stderr)
-        return 1 if self.failures else 0
-
-
-async def take_tour(settings: Settings, graph: Graph, folder: Path) -> int:
+async def take_tour(settings: Settings, graph: Graph, folder: Path, robot: str = DEFAULT) -> int:
     """Starts the server as a client would, over stdio, and walks through what it can do; saves into the folder."""
-    prefixes = with_interfaces(settings).interface_prefixes
-    variables = {**graph.variables(), "ROS2_MCP_INTERFACES": ":".join(map(str, prefixes))}
-    server = StdioServerParameters(
-        command=sys.executable, args=["-m", "ros2_mcp", *_options(settings, folder)], env=variables
-    )
-    async with Client(server) as client:
-        tour = Tour(client, folder)
-        try:
-            for chapter in (look_around, drive_one_metre, use_services, navigate, remember):
-                await chapter(tour)
-        except StepFailed as error:
-            tour.failures.append(str(error))
+    prefixes = with_interfaces(settings, robot).interface_prefixes
+    variables = {
+        **graph.variables(),
+        "ROS2_MCP_INTERFACES": ":".join(map(str, prefixes)),
+        # A latch that is left set here must not hold a real robot.
+        "XDG_STATE_HOME": str(folder / "state"),
+    }
+    tour, is_over = Tour(folder), asyncio.Event()
+    async with Client(_server(settings, folder, variables)) as tour.client:
+        if robot in CHAPTERS:
+            await tour.play(*CHAPTERS[robot])
+            return tour.finish()
+        await tour.play(look_around, drive_one_metre, use_services, navigate)
+        # The second server comes up while the first one records.
+        guarded = asyncio.create_task(_under_policy(tour, settings, folder, variables, is_over))
+        await tour.play(remember, _put_up_a_sign)
+    is_over.set()
+    await guarded
     return tour.finish()
+
+
+async def _put_up_a_sign(tour: Tour) -> None:
+    await tour.call("ros2_parameter_set", node_name="/camera", values={"sign": SIGN})
+
+
+async def _under_policy(
+    tour: Tour, settings: Settings, folder: Path, variables: Mapping[str, str], is_over: asyncio.Event
+) -> None:
+    """The last chapter, with a second server: only one may act under a policy, so it waits for the end of the first."""
+    async with Client(_server(settings, folder, variables, "--policy", PROFILE)) as client:
+        await is_over.wait()
+        tour.client = client
+        await tour.play(lambda tour: be_fooled(tour, {**os.environ, **variables}))
+
+
+def _server(settings: Settings, folder: Path, variables: Mapping[str, str], *more: str) -> StdioServerParameters:
+    words = ["-m", "ros2_mcp", *_options(settings, folder), *more]
+    return StdioServerParameters(command=sys.executable, args=words, env=dict(variables))
 
 
 async def look_around(tour: Tour) -> None:
@@ -154,27 +115,39 @@ async def use_services(tour: Tour) -> None:
 
 
 async def navigate(tour: Tour) -> None:
-    """Send a goal that drives around walls, and cancel another."""
-    actions = await tour.call("ros2_list_actions")
-    if not actions["actions"]:
+    """Send a goal that drives around walls, ask why one fails, and cancel another."""
+    actions = {entry["name"] for entry in (await tour.call("ros2_list_actions"))["actions"]}
+    if "/navigate_to" not in actions:
         tour.say("5. Navigation is left out: its interfaces could not be built here.")
         return
     tour.say("5. Navigate around walls, then cancel a second goal.")
-    outcome = await tour.call(
-        "ros2_send_action_goal",
-        action_name="/navigate_to",
-        goal_fields={"x": 2.0, "y": 1.0},
-        wait_for_result=True,
-        timeout_sec=40.0,
-    )
-    tour.show(f"{outcome['status']}: {json.dumps(outcome['result'])}")
-    tour.verify("the goal was reached", outcome["status"] == "SUCCEEDED")
+    if "/navigate_to_pose" in actions:
+        await _navigate_with_nav2(tour)
+    else:  # its interfaces are still being built, which nobody waits for
+        outcome = await tour.call(
+            "ros2_send_action_goal",
+            action_name="/navigate_to",
+            goal_fields={"x": 2.0, "y": 1.0},
+            wait_for_result=True,
+            timeout_sec=40.0,
+        )
+        tour.show(f"{outcome['status']}: {json.dumps(outcome['result'])}")
+        tour.verify("the goal was reached", outcome["status"] == "SUCCEEDED")
     goal = await tour.call("ros2_send_action_goal", action_name="/navigate_to", goal_fields={"x": 0.0, "y": 0.0})
     await tour.call("ros2_cancel_action_goal", action_name="/navigate_to", goal_id_hex=goal["goal_id"])
     ended = await tour.call(
         "ros2_action_request_result", action_name="/navigate_to", goal_id_hex=goal["goal_id"], timeout_sec=10.0
     )
     tour.verify(f"the second goal is {ended['status']}", ended["status"] == "CANCELED")
+
+
+async def _navigate_with_nav2(tour: Tour) -> None:
+    done = await tour.call("ros2_navigate", to=[{"x": 2.0, "y": 1.0}])
+    (leg,) = done["legs"]
+    tour.verify(f"the goal was reached in {leg['duration_s']} s, to {leg['away_m']} m", done["outcome"] == "reached")
+    why = (await tour.call("ros2_navigate", to=[{"x": 2.5, "y": -1.0}]))["explanation"]
+    tour.show(f"a goal in a wall: {why['cause']} {' '.join(why['helps'])}")
+    tour.verify("the failure is explained", "is occupied" in why["cause"])
 
 
 async def remember(tour: Tour) -> None:
@@ -193,7 +166,7 @@ async def remember(tour: Tour) -> None:
     silent = [row["topic_name"] for row in health["topics"] if row["state"] == "SILENT"]
     tour.verify(f"the recording tells what is silent: {', '.join(silent)}", silent == ["/scan"])
     last = await tour.call("ros2_bag_read", bag="incident", topic_name="/scan", limit=1, fields=["range_max"])
-    tour.show(f"the last scan came at {last['received_at'][-1]}")
+    tour.show(f"the last scan came {last['times_s'][-1]:.3f} s after {last['start']}")
     await tour.call("ros2_plot", series=["/scan:ranges[180]", "/odom:twist.twist.linear.x"], bag="incident")
     for line in (await tour.call("ros2_log_read", bag="incident", level="warn"))["lines"]:
         tour.show(f"{line['time']} {line['level']} {line['node']}: {line['text']}")
@@ -210,10 +183,7 @@ async def _position(tour: Tour) -> tuple[float, float]:
 
 
 def _options(settings: Settings, folder: Path) -> list[str]:
-    options = ["--tools", "default,memory,measure,pictures", "--record-dir", str(folder / "recordings")]
+    options = ["--tools", "default,memory,measure,pictures,motion", "--record-dir", str(folder / "recordings")]
+    options += ["--prompts", str(PROMPTS)]
     options += ["--distro", settings.distro] if settings.distro else []
     return options + [word for workspace in settings.workspaces for word in ("--workspace", str(workspace))]
-
-
-def _paint(style: str, text: str) -> str:
-    return f"{style}{text}{_END}" if sys.stdout.isatty() else text

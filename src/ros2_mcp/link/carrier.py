@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Literal, Protocol
 
+from ros2_mcp.model.errors import LinkError
+
 Vitality = Literal["running", "stopped", "starved", "unknown"]
 """What a carrier can see of the far end without asking it: `stopped` from outside (by a debugger), `starved` of
 processor time (it wants to run and does not get round), `running`, or `unknown` where it cannot look there."""
@@ -24,6 +26,11 @@ class Carrier(Protocol):
     @property
     def origin(self) -> str:
         """For people: which ROS installation the bridge runs in, and why that one; empty where it is not known."""
+        ...
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether a network lies between: the stream may be slow, or be cut without anybody being told."""
         ...
 
     @property
@@ -56,6 +63,12 @@ class Carrier(Protocol):
         """How it ended, in words that follow "The bridge": `died with signal SIGKILL`, `closed its stream`.
 
         Asked after its end was reported; may wait for a moment to learn it.
+        """
+        ...
+
+    async def failure(self) -> LinkError | None:
+        """Why the far end was not reached, with the way out, for a bridge that never said hello; None where `ending`
+        says it. Asked after its end was reported.
         """
         ...
 

@@ -6,18 +6,29 @@ import asyncio
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 from ros2_mcp.link.carrier import Carrier
+from ros2_mcp.link.clock import RobotClock
 from ros2_mcp.link.heartbeat import Heartbeat
-from ros2_mcp.link.subscription import Subscription
+from ros2_mcp.link.outflow import Outflow
 from ros2_mcp.model.errors import BadInput, BridgeLost, BridgeRefused, LinkError, TimedOut
+from ros2_mcp_bridge.limits import WINDOW_BYTES
 from ros2_mcp_bridge.packets import Packet, PacketError, PacketReader, pack
-from ros2_mcp_bridge.protocol import PROTOCOL, Counts, Failure, FrameIdChanged, Hello, Lapsed, Samples
+from ros2_mcp_bridge.pieces import Lanes
+from ros2_mcp_bridge.protocol import (
+    PROTOCOL,
+    Counts,
+    Failure,
+    Hello,
+    Samples,
+    Told,
+)
 
 # Beyond the time that the bridge was given for an answer: for the way to it and back, and for its late rounds. Chosen.
 MARGIN_S = 2.0
 _PING = 0
+_POLICY = -1
 _SHOWN_LINES = 5
 _BOUNDED_BY_THE_BRIDGE = ("call", "wait_endpoints")
 _NEVER_CANCELLED = ("unsubscribe", "stop", "zero")
@@ -34,38 +45,75 @@ class Reply:
     body: bytes
 
 
+class Receiver(Protocol):
+    """What is told of the samples of one subscription in the bridge, which has this number there."""
+
+    number: int | None
+
+    def arrived(self, header: Samples, body: bytes) -> None:
+        """A packet of samples."""
+        ...
+
+    def count(self, totals: Counts) -> None:
+        """The bridge's totals up to now."""
+        ...
+
+    def lose(self, error: LinkError) -> None:
+        """The bridge is gone: nothing more will come."""
+        ...
+
+
 @dataclass(slots=True)
 class _Open:
     """A request that is not answered yet. It stays here when its caller gives up: a late answer may need an undoing."""
 
     answer: asyncio.Future[Packet]
-    subscription: Subscription | None = None
+    subscription: Receiver | None = None
+    relay: str = ""
+    has_left: bool = False
+    at_answer: Callable[[Mapping[str, Any]], None] | None = None
 
 
 class Connection:
     """Talks with one bridge; `run` returns why it ended.
 
-    Each ping tells the bridge the link lease and what `stop_epoch` gives; `hear` is told of its events.
+    Each ping tells the bridge the link lease and what `stop_epoch` gives; `hear` is told of its events, and
+    `relay_ended` of the name and the last counts of a relay whose caller was cancelled. `rules` are those of
+    the policy, compiled, which the bridge is told before anything else; none without a policy. `clock` learns from
+    every answer to a ping. `latch` gives what each ping tells a bridge elsewhere of the latch, which it does not see.
     """
 
     def __init__(
         self,
         carrier: Carrier,
         stop_epoch: Callable[[], int] = lambda: 0,
-        hear: Callable[[FrameIdChanged | Lapsed], None] = lambda _: None,
+        hear: Callable[[Told], None] = lambda _: None,
+        relay_ended: Callable[[str, Mapping[str, Any]], None] = lambda _name, _counts: None,
+        *,
+        rules: bytes = b"",
+        clock: RobotClock | None = None,
+        latch: Callable[[], Mapping[str, Any]] = dict,
     ) -> None:
         loop = asyncio.get_running_loop()
         self.carrier = carrier
         self._stop_epoch = stop_epoch
         self._hear = hear
+        self._relay_ended = relay_ended
+        self._rules = rules
+        self._clock = clock or RobotClock()
+        self._latch = latch
         self.hello: Hello | None = None
         self._greeted: asyncio.Future[None] = loop.create_future()
         self._ended: asyncio.Future[LinkError | None] = loop.create_future()
         self._reader = PacketReader()
+        self._lanes = Lanes()
+        self._window_bytes = WINDOW_BYTES if carrier.is_remote else 0
+        self._outflow = Outflow(carrier.write, self._window_bytes)
         self._heartbeat = Heartbeat(carrier, self._ping)
+        self._heard_s = 0.0  # by the bridge's own steady clock
         self._numbers = itertools.count(1)
         self._open: dict[int, _Open] = {}
-        self._subscriptions: dict[int, Subscription] = {}
+        self._subscriptions: dict[int, Receiver] = {}
         self._writing = asyncio.Lock()
 
     # ── its life ───────────────────────────────────────────────────────────────────────────────────────────────
@@ -73,6 +121,8 @@ class Connection:
     async def greet(self) -> LinkError | None:
         """Opens the carrier and waits for its hello; returns what went wrong instead, if something did."""
         await self.carrier.open(self._received, lambda: self._end(None))
+        if self._rules:
+            self._send({"id": _POLICY, "op": "policy"}, self._rules)
         start_s = self.carrier.start_s
         await asyncio.wait({self._greeted, self._ended}, timeout=start_s, return_when=asyncio.FIRST_COMPLETED)
         if self._greeted.done():
@@ -80,6 +130,11 @@ class Connection:
         if not self._ended.done():
             self._end(LinkError(f"{self._name} was not ready after {start_s:.0f} s.{self._last_words()}"))
         return await self._reason()
+
+    @property
+    def heard_at(self) -> float:
+        """When the bridge was last heard of (monotonic, in s)."""
+        return self._heartbeat.heard_at
 
     async def run(self) -> LinkError:
         """Watches over a bridge that has said hello; returns why it was lost, after all who wait got that error."""
@@ -107,16 +162,20 @@ class Connection:
 
     async def _reason(self) -> LinkError:
         reason = await self._ended
+        if not reason and not self.hello:
+            reason = await self.carrier.failure()
         return reason or self._lost(await self.carrier.ending(), has_ended=True)
 
     def _lost(self, what: str, *, has_ended: bool = False) -> LinkError:
         if not self.hello:
             return LinkError(f"{self._name} {what} before it was ready.{self._last_words()}", "Run: ros2-mcp doctor")
         last_words = self._last_words() if has_ended else ""
+        stop = "what this server drove is being stopped"
+        if self.carrier.is_remote:  # nobody here knows when it heard the last word
+            stop = f"the bridge stops what this server drove {self.carrier.lease_s:g} s after the last word it heard"
         return BridgeLost(
             f"{self._name} {what} and is started again.{last_words}",
-            "What was under way may or may not have happened, and what this server drove is being stopped: look at the "
-            "robot's state, then call again.",
+            f"What was under way may or may not have happened, and {stop}: look at the robot's state, then call again.",
         )
 
     @property
@@ -132,7 +191,12 @@ class Connection:
             self._ended.set_result(reason)
 
     def _ping(self) -> None:
-        self._send({"id": _PING, "op": "ping", "lease_s": self.carrier.lease_s, "epoch": self._stop_epoch()})
+        told: dict[str, Any] = {"lease_s": self.carrier.lease_s, "epoch": self._stop_epoch()}
+        told["sent_ns"] = self._clock.sending_ns()
+        if self.carrier.is_remote:
+            # By what we have heard the bridge can tell how long this was under way; see LATE_S there.
+            told |= {"heard_s": self._heard_s, **self._latch()}
+        self._send({"id": _PING, "op": "ping", "window_bytes": self._window_bytes, **told})
 
     # ── requests ───────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -142,25 +206,28 @@ class Connection:
         body: bytes,
         timeout_s: float,
         arguments: Mapping[str, object],
-        subscription: Subscription | None = None,
+        subscription: Receiver | None = None,
+        at_answer: Callable[[Mapping[str, Any]], None] | None = None,
     ) -> Reply:
-        """Sends one request and waits for its answer; a caller that is cancelled or gives up cancels it."""
+        """Sends one request and waits for its answer; a caller that is cancelled or gives up cancels it.
+
+        `at_answer` is told the answer before what follows it is taken in.
+        """
         number = next(self._numbers)
         header = {**arguments, "id": number, "op": op}
         if op in _BOUNDED_BY_THE_BRIDGE:
             header["timeout_s"] = timeout_s
         wait_s = arguments.get("wait_s")  # for the server of a service, before its answer is waited for
         limit_s = timeout_s + MARGIN_S + (wait_s if op == "call" and isinstance(wait_s, (int, float)) else 0.0)
-        request = _Open(asyncio.get_running_loop().create_future(), subscription)
+        relay = str(arguments["name"]) if op == "relay" else ""
+        request = _Open(asyncio.get_running_loop().create_future(), subscription, relay, at_answer=at_answer)
         self._open[number] = request
         try:
             if len(body) > _SMALL_BODY:
-                # One after the other, each when the carrier has room: what waits to be written stays bounded.
-                async with self._writing:
-                    await self.carrier.writable()
-                    self._send(header, body)
+                await self._send_large(header, body, request)
             else:
                 self._send(header, body)
+                request.has_left = True
             await asyncio.wait({request.answer}, timeout=limit_s)
             if not request.answer.done():
                 raise TimedOut(f"The bridge gave no answer to {op} within {limit_s:.1f} s.")
@@ -172,28 +239,45 @@ class Connection:
         finally:
             if not request.answer.done():
                 request.answer.cancel()
-                if op not in _NEVER_CANCELLED:
+                if not request.has_left:
+                    self._open.pop(number, None)
+                elif op not in _NEVER_CANCELLED:
                     self._send({"id": next(self._numbers), "op": "cancel", "request": number})
 
-    def _send(self, header: Mapping[str, object], body: bytes = b"") -> None:
+    async def _send_large(self, header: Mapping[str, object], body: bytes, request: _Open) -> None:
+        """Sends it after those before it, each when there is room: what waits to be written stays bounded.
+
+        Over a slow link it takes its time, in which others pass; one that is cancelled meanwhile was never sent.
+        """
+        if not self._window_bytes:
+            async with self._writing:
+                await self.carrier.writable()
+                self._send(header, body)
+                request.has_left = True
+            return
         if self._ended.done():
             return
+        sent = self._outflow.send(_packed(header, body))
         try:
-            self.carrier.write(pack(header, body))
-        except PacketError as error:
-            raise BadInput(f"This is too large for the stream: {error}.") from error
+            await asyncio.wait({sent, request.answer}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            request.has_left = not sent.cancel()
+
+    def _send(self, header: Mapping[str, object], body: bytes = b"") -> None:
+        if not self._ended.done():
+            self.carrier.write(_packed(header, body))
 
     # ── subscriptions ──────────────────────────────────────────────────────────────────────────────────────────
 
-    async def subscribe(self, subscription: Subscription, timeout_s: float, arguments: Mapping[str, object]) -> None:
+    async def subscribe(self, subscription: Receiver, timeout_s: float, arguments: Mapping[str, object]) -> None:
         """Lets the samples of a new subscription flow; if the caller is cancelled meanwhile, none is left behind."""
         try:
             await self.request("subscribe", b"", timeout_s, arguments, subscription)
         except BaseException:
-            self._dismiss(subscription)
+            self.dismiss(subscription)
             raise
 
-    async def unsubscribe(self, subscription: Subscription) -> None:
+    async def unsubscribe(self, subscription: Receiver) -> None:
         """Ends a subscription; takes in the samples still under way and the final counts."""
         number = subscription.number
         if number is None or number not in self._subscriptions:
@@ -205,8 +289,10 @@ class Connection:
             return  # the bridge is gone, and the subscription with it
         finally:
             self._subscriptions.pop(number, None)
+            self._lanes.close(number)
 
-    def _dismiss(self, subscription: Subscription) -> None:
+    def dismiss(self, subscription: Receiver) -> None:
+        """Ends a subscription without waiting for the end."""
         if self._subscriptions.pop(subscription.number or 0, None):
             self._send({"id": next(self._numbers), "op": "unsubscribe", "sub": subscription.number})
 
@@ -227,6 +313,12 @@ class Connection:
         event = header.get("event")
         if event is None:
             self._answered(packet)
+        elif event == "piece":
+            for whole in self._lanes.feed(header, packet.body):
+                self._take_in(whole)
+            self._send({"op": "ack", "bytes": self._lanes.taken_bytes})
+        elif event == "ack":
+            self._outflow.acknowledged(header["bytes"])
         elif event == "samples":
             subscription = self._subscriptions.get(header["sub"])
             if subscription:
@@ -238,8 +330,8 @@ class Connection:
             self._ping()  # before any request: a new bridge learns which of them a stop has overtaken
             if not self._greeted.done():
                 self._greeted.set_result(None)
-        elif event in ("frame", "lapsed"):
-            self._hear(cast("FrameIdChanged | Lapsed", header))
+        elif event in ("begun", "frame", "lapsed", "latched", "motion", "stopper"):
+            self._hear(cast("Told", header))
         elif event == "failed":
             no_rclpy = header.get("kind") == "no_rclpy"
             what = "The Python of ROS cannot import rclpy" if no_rclpy else "ROS 2 did not start"
@@ -248,7 +340,14 @@ class Connection:
     def _answered(self, packet: Packet) -> None:
         number = packet.header["id"]
         if number == _PING:
-            self._heartbeat.ponged(float(packet.header["ok"]["ros_idle_s"]))
+            ok = packet.header["ok"]
+            self._clock.answered(int(ok["sent_ns"]), int(ok["now_ns"]))
+            self._heard_s = max(self._heard_s, float(ok.get("steady_s", 0.0)))
+            self._heartbeat.ponged(float(ok["ros_idle_s"]))
+            return
+        if number == _POLICY:
+            if error := packet.header.get("error"):
+                self._end(LinkError(f"The bridge does not take the policy: {error['message']}", "Run: ros2-mcp doctor"))
             return
         request = self._open.pop(number, None)
         if not request:
@@ -258,6 +357,17 @@ class Connection:
             number = request.subscription.number = packet.header["ok"]["sub"]
             self._subscriptions[number] = request.subscription
             if request.answer.done():
-                self._dismiss(request.subscription)
+                self.dismiss(request.subscription)
         if not request.answer.done():
+            if request.at_answer and "ok" in packet.header:
+                request.at_answer(packet.header["ok"])
             request.answer.set_result(packet)
+        elif request.relay and "ok" in packet.header:
+            self._relay_ended(request.relay, packet.header["ok"])
+
+
+def _packed(header: Mapping[str, object], body: bytes) -> bytes:
+    try:
+        return pack(header, body)
+    except PacketError as error:
+        raise BadInput(f"This is too large for the stream: {error}.") from error

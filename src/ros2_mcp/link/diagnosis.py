@@ -5,18 +5,18 @@ from __future__ import annotations
 import asyncio
 import os
 import platform
+import shlex
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from ros2_mcp.link.carrier import Carrier
 from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.link.environment import (
     find_ros,
-    installed_distros,
-    path_entries,
     sourced,
     wheel_distro,
     wheels,
@@ -25,26 +25,40 @@ from ros2_mcp.link.environment import (
     workspace_setup,
 )
 from ros2_mcp.link.installation import RosInstallation
+from ros2_mcp.link.interfaces import InterfaceCache, package_name
 from ros2_mcp.link.provenance import own_provenance
-from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.link.remote import RemoteBridge, way_to
+from ros2_mcp.model.errors import BadInput, RobotError, Unreachable
+from ros2_mcp.model.text import quoted
 from ros2_mcp.settings import MAX_DOMAIN_ID, Settings
+from ros2_mcp_bridge.finding import installed_distros, path_entries
 
 # Somebody waits at a terminal: less than a carrier's `start_s`. Chosen.
 PROBE_S = 15.0
+# The same, of a robot elsewhere: 12 s for the way there, and the start of ROS on a small machine.
+PROBE_FAR_S = 30.0
+WAY_IN = "Way in"
+_BRIDGE = "Bridge"
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing looked at: fine (True), wrong (False) or just so (None); `fix` mends what is wrong."""
+    """One thing looked at: fine (True), wrong (False) or just so (None); `fix` mends what is wrong.
+
+    `needs_a_person`: ssh would ask one something, such as whether a host key is right.
+    """
 
     ok: bool | None
     title: str
     detail: str
     fix: str = ""
+    needs_a_person: bool = False
 
 
 def diagnose(settings: Settings, env: Mapping[str, str] = os.environ) -> list[Finding]:
     """Everything that can be said without starting anything, in the order in which it matters."""
+    if settings.robot.is_remote:
+        return list(_way_in(settings, env))
     chosen: RosInstallation | None = None
     try:
         chosen = find_ros(settings, env)
@@ -63,20 +77,70 @@ def diagnose(settings: Settings, env: Mapping[str, str] = os.environ) -> list[Fi
     ]
 
 
-async def probe(settings: Settings) -> Finding:
-    """Starts the bridge for real and says how it introduced itself, or why it did not; at most 15 s."""
-    title = "Bridge"
-    bridge = Bridge(lambda: start_carrier(settings))
+async def probe(settings: Settings, look: Callable[[Bridge], Awaitable[Finding]]) -> list[Finding]:
+    """Starts the bridge for real and says how it introduced itself, or why it did not, within a bounded time; then
+    `look` says what it sees. Of a robot elsewhere each stage on the way to it is told.
+    """
+    started: list[Carrier] = []
+
+    def start() -> Carrier:
+        started.append(start_carrier(settings))
+        return started[-1]
+
+    bridge = Bridge(start)
+    limit_s = PROBE_FAR_S if settings.robot.is_remote else PROBE_S
+    found: list[Finding] = []
     try:
-        hello = await asyncio.wait_for(bridge.ready(), PROBE_S)
+        hello = await asyncio.wait_for(bridge.ready(), limit_s)
+        detail = f"{hello.distro} under Python {hello.python}, {hello.rmw}, domain {hello.domain_id}, {hello.executor}"
+        found = [Finding(True, _BRIDGE, f"It starts: {detail}."), await look(bridge)]
+    except Unreachable as error:
+        found = [Finding(False, WAY_IN, error.message, error.hint, needs_a_person=error.is_lasting)]
     except RobotError as error:
-        return Finding(False, title, error.message, "" if "doctor" in error.hint else error.hint)
+        found = [Finding(False, _BRIDGE, error.message, "" if "doctor" in error.hint else error.hint)]
     except asyncio.TimeoutError:
-        return Finding(False, title, f"It was not ready after {PROBE_S:.0f} s. {' | '.join(bridge.log_tail[-5:])}")
+        found = [Finding(False, _BRIDGE, f"It was not ready after {limit_s:.0f} s. {' | '.join(bridge.log_tail[-5:])}")]
     finally:
         await bridge.close()
-    detail = f"{hello.distro} under Python {hello.python}, {hello.rmw}, domain {hello.domain_id}, {hello.executor}"
-    return Finding(True, title, f"It starts: {detail}.")
+    return [*(_stages(started[0]) if started else ()), *found]
+
+
+def _way_in(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
+    """The program that reaches a robot elsewhere."""
+    robot = settings.robot
+    words = way_to(settings)
+    program = shutil.which(words[0], path=env.get("PATH"))
+    fix = "" if program else f"Install it: {robot.place} is reached with it."
+    yield Finding(bool(program), "Program", program or f"{words[0]} is not on PATH", fix)
+    yield Finding(None, "Command", shlex.join(words))
+
+
+def _stages(carrier: Carrier) -> Iterator[Finding]:
+    """What was reached on the way to a robot elsewhere, in words of the far side."""
+    if not isinstance(carrier, RemoteBridge):
+        return
+    arrival = carrier.arrival
+    if arrival.noise.strip():
+        fix = "It does no harm; programs that speak over ssh are quicker without."
+        yield Finding(None, "Login", f"it prints {quoted(arrival.heard)}", fix)
+    for report in arrival.reports:
+        told = {name: quoted(value) for name, value in report.details.items()}
+        if report.stage == "reached":
+            place = carrier.address.place
+            # Of a container on a host, stage 1 speaks on the host first.
+            if carrier.address.kind == "ssh" and carrier.address.container and report is arrival.reports[0]:
+                place = f"{place.partition('?')[0]} (the host, not yet the container)"
+            detail = f"{place}, {told.get('machine')}, python3 is {told.get('python')}"
+            yield Finding(True, "Reached", f"{detail} ({told.get('executable')})")
+        elif report.stage == "container":
+            yield Finding(True, "Container", f"{told.get('name')} of {told.get('engine')}")
+        elif report.stage == "found":
+            yield Finding(True, "ROS 2", f"{told.get('distro')} ({told.get('kind')}). {report.details.get('why', '')}")
+        elif report.stage == "others":
+            users = (
+                f"nodes of {told.get('users')} run there too: what they send by shared memory this login cannot read"
+            )
+            yield Finding(None, "Other users", users, "Log in as that user: ssh://USER@… (or by sudo -n -u USER).")
 
 
 def _candidates(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
@@ -137,6 +201,19 @@ def _inside(chosen: RosInstallation, settings: Settings, env: Mapping[str, str])
         if chosen.kind == "wheels":
             fix = "Unset RMW_IMPLEMENTATION: the wheels have Fast DDS only."
         yield Finding(False, title, f"{requested} is asked for and not installed; installed: {listed}", fix)
+    yield _built_interfaces(chosen, settings)
+
+
+def _built_interfaces(chosen: RosInstallation, settings: Settings) -> Finding:
+    """Which packages this installation uses of those that were built without colcon, and which are there for others."""
+    used = sorted({package_name(prefix) for prefix in chosen.interface_prefixes})
+    others = sorted(InterfaceCache(settings.interface_folder).names() - set(used))
+    detail = f"in use here: {', '.join(used) or 'none'}"
+    if not others:
+        return Finding(None, "Built interfaces", detail)
+    detail += f"; built for other installations and not used here: {', '.join(others)}"
+    fix = "ros2-mcp interfaces build DIR, with the folder of its sources, makes this one use a package."
+    return Finding(None, "Built interfaces", detail, fix if chosen.kind == "wheels" else "")
 
 
 def _network(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
@@ -157,8 +234,6 @@ def _places(settings: Settings, env: Mapping[str, str]) -> Iterator[Finding]:
     logs = env.get("ROS_LOG_DIR") or (str(Path(home) / "log") if home else "")
     if logs:
         yield _writable("ROS log", Path(logs), "Set ROS_LOG_DIR to a folder that can be written.")
-    built = sorted(entry.name for entry in (settings.cache_dir.expanduser() / "interfaces").glob("[!.]*"))
-    yield Finding(None, "Built interfaces", ", ".join(built) or "none (ros2-mcp interfaces build)")
 
 
 def _writable(title: str, folder: Path, fix: str) -> Finding:

@@ -1,6 +1,7 @@
 """Finding ROS 2: a sourced shell, an installation to source, or wheels in this Python's own environment.
 
-Nothing is imported or started to decide: `rclpy` is looked for as files.
+Nothing is imported or started to decide: `rclpy` is looked for as files. The first two ways are those of `finding.py`,
+which the far side of a remote robot has, too.
 """
 
 from __future__ import annotations
@@ -8,22 +9,18 @@ from __future__ import annotations
 import importlib.util
 import os
 import platform
-import re
-import shutil
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from ros2_mcp.link.installation import RosInstallation, clean_environment, wheel_environment
-from ros2_mcp.link.interfaces import InterfaceCache
+from ros2_mcp.link.installation import Kind, RosInstallation, clean_environment, without_ours
+from ros2_mcp.link.interfaces import SHIPPED, InterfaceCache, package_name
 from ros2_mcp.link.provenance import own_provenance
 from ros2_mcp.model.errors import BadInput, RosNotFound
 from ros2_mcp.settings import Settings
-
-_RELEASES = ("foxy", "galactic", "humble", "iron", "jazzy", "kilted", "lyrical")
-_PYTHON_FOLDERS = ("lib/python3*/site-packages", "lib/python3*/dist-packages", "local/lib/python3*/dist-packages")
-_WHEEL_NAME = re.compile(r"ros[-_]([a-z]+)[-_]rclpy", re.IGNORECASE)
+from ros2_mcp_bridge import finding
+from ros2_mcp_bridge.finding import installed_distros, release_order, wheel_environment
 
 
 def find_ros(settings: Settings, env: Mapping[str, str] = os.environ) -> RosInstallation:
@@ -37,8 +34,7 @@ def find_ros(settings: Settings, env: Mapping[str, str] = os.environ) -> RosInst
     if not installation:
         raise _not_found(settings)
     overlays = (workspace_setup(workspace) for workspace in settings.workspaces)
-    is_of_wheels = installation.kind == "wheels"
-    built = InterfaceCache(settings.interface_folder).in_use(installation.prefix) if is_of_wheels else ()
+    built = _built_for(installation, settings) if installation.kind == "wheels" else ()
     return replace(
         installation,
         scripts=(*installation.scripts, *overlays),
@@ -46,93 +42,47 @@ def find_ros(settings: Settings, env: Mapping[str, str] = os.environ) -> RosInst
     )
 
 
-# ── a shell that was sourced ───────────────────────────────────────────────────────────────────────────────────
+# ── what the far side finds, too ───────────────────────────────────────────────────────────────────────────────
 
 
 def sourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | None:
     """The installation of an already sourced shell, unless another distribution was asked for."""
-    distro = env.get("ROS_DISTRO", "")
-    prefixes = path_entries(env, "AMENT_PREFIX_PATH")
-    if not distro or not prefixes or settings.distro not in (None, distro):
-        return None
-    on_path = (entry / "rclpy" for entry in path_entries(env, "PYTHONPATH"))
-    below_prefixes = (package for prefix in prefixes for package in rclpy_below(prefix))
-    package = next((package for package in (*on_path, *below_prefixes) if package.is_dir()), None)
-    if not package:
-        return None
-    clean = clean_environment(settings, env, keep_sourced=True)
-    python = _override(settings) or _interpreter(package, prefixes, clean)
-    if not python:
-        return None
-    return RosInstallation(
-        kind="sourced",
-        distro=distro,
-        prefix=next((entry for entry in prefixes if package.is_relative_to(entry)), prefixes[-1]),
-        why=f"This shell is sourced: ROS_DISTRO={distro}, rclpy is in {package.parent}.",
-        python=python,
-        environment=clean,
-    )
-
-
-def rclpy_below(prefix: Path) -> Iterator[Path]:
-    """The folders `rclpy` of a prefix, one for each Python that it was installed for."""
-    folders = (folder / "rclpy" for pattern in _PYTHON_FOLDERS for folder in sorted(prefix.glob(pattern)))
-    return (folder for folder in folders if folder.is_dir())
-
-
-def _interpreter(package: Path, prefixes: Iterable[Path], env: Mapping[str, str]) -> str | None:
-    """The Python that this rclpy was compiled for, or None if it is not on this machine.
-
-    `python3.12` follows from the extension module in rclpy, or from the folder that it is in; else it is `python3`.
-    """
-    extensions = (extension.name for extension in package.glob("_rclpy_pybind11.cpython-3*"))
-    versions = (re.match(r"_rclpy_pybind11\.cpython-3(\d+)", extension) for extension in extensions)
-    minor = next((version[1] for version in versions if version), "")
-    folder = package.parent.parent.name
-    name = f"python3.{minor}" if minor else folder if re.fullmatch(r"python3(\.\d+)?", folder) else "python3"
-    path = env.get("PATH", os.defpath).split(os.pathsep)
-    own = [str(prefix / "bin") for prefix in prefixes]
-    # Shims of version switchers are there for every version, and fail for those that are not switched on.
-    real = [entry for entry in path if Path(entry).name != "shims"]
-    return shutil.which(name, path=os.pathsep.join([*own, *real, "/usr/bin"]))
-
-
-# ── an installation that nobody sourced ────────────────────────────────────────────────────────────────────────
+    found = finding.sourced(search_of(settings), without_ours(env)) if env.get("ROS_DISTRO") else None
+    return _installation(found, "sourced", settings)
 
 
 def unsourced(settings: Settings, env: Mapping[str, str]) -> RosInstallation | None:
     """The newest installation below the ROS root, or the one that was asked for."""
-    installed = installed_distros(settings.ros_root)
-    distro = settings.distro or (installed[-1] if installed else "")
-    if distro not in installed:
+    return _installation(finding.unsourced(search_of(settings), without_ours(env)), "unsourced", settings)
+
+
+def _installation(found: finding.Found | None, kind: Kind, settings: Settings) -> RosInstallation | None:
+    if not found:
         return None
-    prefix = settings.ros_root / distro
-    clean = clean_environment(settings, env, keep_sourced=False)
-    package = next(rclpy_below(prefix), None)
-    # The system's own Python first: another one of that version would lack what rclpy needs, such as NumPy.
-    python = _override(settings) or (package and _interpreter(package, [prefix, Path("/usr")], clean)) or "python3"
-    reason = "asked for" if settings.distro else "the newest of " + ", ".join(installed)
     return RosInstallation(
-        kind="unsourced",
-        distro=distro,
-        prefix=prefix,
-        why=f"{prefix}/setup.bash is sourced for the bridge ({reason}).",
-        python=python,
-        scripts=(prefix / "setup.bash",),
-        environment=clean,
+        kind=kind,
+        distro=found.distro,
+        prefix=found.prefix,
+        why=found.why,
+        python=found.python,
+        scripts=found.scripts,
+        environment=clean_environment(settings, found.environment, keep_sourced=True),
     )
 
 
-def installed_distros(root: Path) -> list[str]:
-    """The distributions below the ROS root, oldest first; unknown names stand between the known ones and rolling."""
-    names = (setup.parent.name for setup in root.glob("*/setup.bash"))
-    return sorted(names, key=_release_order)
+def search_of(settings: Settings) -> finding.Search:
+    """What is looked for on this machine.
 
-
-def _release_order(distro: str) -> tuple[int, str]:
-    if distro == "rolling":
-        return len(_RELEASES) + 1, distro
-    return (_RELEASES.index(distro) if distro in _RELEASES else len(_RELEASES)), distro
+    Raises:
+        BadInput: if `--bridge-python` is not there.
+    """
+    return finding.Search(
+        distro=settings.distro or "",
+        python=_override(settings) or "",
+        ros_root=str(settings.ros_root),
+        domain_id=settings.domain_id,
+        rmw=settings.rmw or "",
+    )
 
 
 def workspace_setup(workspace: Path) -> Path:
@@ -141,15 +91,10 @@ def workspace_setup(workspace: Path) -> Path:
     Raises:
         BadInput: if there is none.
     """
-    path = workspace.expanduser()
-    places = (path, path / "install" / "setup.bash", path / "setup.bash")
-    found = next((place for place in places if place.is_file()), None)
-    if not found:
-        raise BadInput(
-            f"The workspace {path} has no install/setup.bash.",
-            "Build it (colcon build), or give its root, its install folder or a setup.bash.",
-        )
-    return found.absolute()
+    try:
+        return finding.workspace_setup(str(workspace))
+    except finding.NotFound as error:
+        raise BadInput(error.message, error.hint) from error
 
 
 # ── wheels ─────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -175,13 +120,7 @@ def wheels(settings: Settings, env: Mapping[str, str]) -> RosInstallation | None
 
 def wheel_distro() -> str | None:
     """The distribution of the installed wheels, from the name `ros-<distro>-rclpy`; None without wheels."""
-    # The folders are listed rather than read one by one: importlib.metadata would open a hundred files.
-    for entry in sys.path:
-        for folder in Path(entry or ".").glob("ros_*_rclpy-*.dist-info"):
-            name = _WHEEL_NAME.fullmatch(folder.name.split("-")[0])
-            if name:
-                return name[1].lower()
-    return None
+    return finding.wheel_distro(Path(entry or ".") for entry in sys.path) or None
 
 
 def wheels_without_rclpy() -> str | None:
@@ -190,6 +129,18 @@ def wheels_without_rclpy() -> str | None:
     `uv sync` leaves that behind when it is run twice: the wheels bring `.egg-info` folders that it takes for strangers.
     """
     return wheel_distro() if importlib.util.find_spec("rclpy") is None else None
+
+
+def _built_for(installation: RosInstallation, settings: Settings) -> tuple[Path, ...]:
+    """The interface packages that were built for these wheels, and ours that were built for others just like them."""
+    cache = InterfaceCache(settings.interface_folder)
+    own = cache.in_use(installation.prefix)
+    if installation.python != sys.executable:  # another one may need other extensions
+        return own
+    known = {package_name(built) for built in own}
+    if known >= cache.names() & {sources.name for sources in SHIPPED.iterdir()}:
+        return own  # without looking: each start would pay for it
+    return (*own, *(built for built in cache.shipped() if package_name(built) not in known))
 
 
 # ── nothing ────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -218,21 +169,26 @@ def _not_found(settings: Settings) -> RosNotFound:
 def available(settings: Settings) -> list[str]:
     """The distributions that could be used without a sourced shell."""
     of_wheels = None if wheels_without_rclpy() else wheel_distro()
-    return sorted({*installed_distros(settings.ros_root), *filter(None, [of_wheels])}, key=_release_order)
+    return sorted({*installed_distros(settings.ros_root), *filter(None, [of_wheels])}, key=release_order)
+
+
+_ELSEWHERE = "A robot elsewhere needs no ROS here: --robot ssh://me@robot."
 
 
 def way_out(distro: str) -> str:
-    """The one command that gives this machine a ROS 2, if there is one."""
+    """The one command that gives this machine a ROS 2, if there is one; and that a robot elsewhere needs none here."""
+    if sys.platform == "win32":
+        return "Name the robot: --robot ssh://user@host. In WSL, ros2-mcp finds the ROS 2 that is installed there."
     if not wheels_exist_here():
         return (
             "Source an installation before starting ros2-mcp (source /opt/ros/<distro>/setup.bash); "
             f"there are no ROS 2 wheels for {platform.system()} {platform.machine()}, "
-            f"Python {platform.python_version()}."
+            f"Python {platform.python_version()}. {_ELSEWHERE}"
         )
     extra = distro if distro in ("jazzy", "kilted") else "jazzy"
     return (
         f"Run: {own_provenance().installing(extra)}; "
-        "or source an installation first (source /opt/ros/<distro>/setup.bash)."
+        f"or source an installation first (source /opt/ros/<distro>/setup.bash). {_ELSEWHERE}"
     )
 
 
@@ -245,14 +201,10 @@ def wheels_exist_here() -> bool:
 
 
 def _override(settings: Settings) -> str | None:
-    if settings.bridge_python and not settings.bridge_python.is_file():
+    python = settings.bridge_python.expanduser() if settings.bridge_python else None
+    if python and not python.is_file():
         raise BadInput(
-            f"The Python for the bridge, {settings.bridge_python}, is not there.",
+            f"The Python for the bridge, {python}, is not there.",
             "Correct or leave out --bridge-python (ROS2_MCP_BRIDGE_PYTHON).",
         )
-    return str(settings.bridge_python) if settings.bridge_python else None
-
-
-def path_entries(env: Mapping[str, str], variable: str) -> list[Path]:
-    """The entries of a variable such as PATH."""
-    return [Path(entry) for entry in env.get(variable, "").split(os.pathsep) if entry]
+    return str(python) if python else None

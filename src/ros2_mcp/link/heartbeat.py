@@ -38,6 +38,11 @@ class Heartbeat:
         """Any bytes of the bridge are a sign of life."""
         self._received_at = time.monotonic()
 
+    @property
+    def heard_at(self) -> float:
+        """When the last bytes came (monotonic, in s); where this process was late, as much later."""
+        return self._received_at
+
     def ponged(self, ros_idle_s: float) -> None:
         """The bridge's answer to a ping: how long ago its ROS thread went round its loop."""
         self._ros_idle_s = ros_idle_s

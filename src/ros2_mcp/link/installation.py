@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -12,10 +11,9 @@ from pathlib import Path
 from typing import Literal
 
 from ros2_mcp.settings import Settings
+from ros2_mcp_bridge.finding import WHEEL_GUARD, Search, environment_for, in_environment
 
 Kind = Literal["sourced", "unsourced", "wheels"]
-
-WHEEL_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 # Loads one package by its folder, so that nothing else of our environment gets on the path of ROS's Python.
 _BOOTSTRAP = """\
@@ -32,15 +30,6 @@ sys.exit(import_module(name + ".__main__").main())
 """
 
 _OF_OUR_PYTHON = ("PYTHONHOME", "PYTHONSTARTUP", "PYTHONSAFEPATH", "__PYVENV_LAUNCHER__", WHEEL_GUARD)
-_OF_A_SOURCED_SHELL = (
-    "AMENT_PREFIX_PATH",
-    "CMAKE_PREFIX_PATH",
-    "COLCON_PREFIX_PATH",
-    "PYTHONPATH",
-    "ROS_DISTRO",
-    "ROS_VERSION",
-    "ROS_PYTHON_VERSION",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,27 +61,16 @@ class RosInstallation:
         folder = Path(__file__).resolve().parents[2] / package
         argv = [self.python, "-c", _BOOTSTRAP, str(folder), package, *args]
         # What puts our interface packages in front of those of the installation.
-        added = {
+        in_front = {
             "AMENT_PREFIX_PATH": os.pathsep.join(str(prefix) for prefix in self.interface_prefixes),
             "PYTHONPATH": os.pathsep.join(str(prefix / "site-packages") for prefix in self.interface_prefixes),
         }
-        if not self.interface_prefixes:
-            added = {}
-        if not self.scripts:
-            old = self.environment
-            in_front = {name: os.pathsep.join(filter(None, [paths, old.get(name)])) for name, paths in added.items()}
-            return Command(argv, {**old, **in_front})
-        # Sources every setup file, with the stream kept out of its reach, then becomes the Python process.
-        lines = [
-            *(f"source {shlex.quote(str(script))} </dev/null >&2" for script in self.scripts),
-            *(f'export {name}={shlex.quote(paths)}"${{{name}:+:${name}}}"' for name, paths in added.items()),
-            f"exec {shlex.join(argv)}",
-        ]
-        return Command(["bash", "-c", "\n".join(lines)], self.environment)
+        added = in_front if self.interface_prefixes else {}
+        return Command(*in_environment(argv, self.scripts, self.environment, added))
 
 
-def clean_environment(settings: Settings, env: Mapping[str, str], *, keep_sourced: bool) -> dict[str, str]:
-    """A copy of an environment for ROS's Python: without what belongs to ours, with what the settings ask for."""
+def without_ours(env: Mapping[str, str]) -> dict[str, str]:
+    """A copy of an environment for ROS's Python: without what belongs to ours."""
     clean = {name: value for name, value in env.items() if name not in _OF_OUR_PYTHON}
     if WHEEL_GUARD in env:
         _remove_entries(clean, "LD_LIBRARY_PATH", Path(sys.prefix))
@@ -100,28 +78,21 @@ def clean_environment(settings: Settings, env: Mapping[str, str], *, keep_source
         _remove_entries(clean, "PATH", Path(sys.prefix))
         if clean.get("VIRTUAL_ENV") == sys.prefix:
             del clean["VIRTUAL_ENV"]
-    if not keep_sourced:
-        for name in _OF_A_SOURCED_SHELL:
-            clean.pop(name, None)
-    if settings.domain_id is not None:
-        clean["ROS_DOMAIN_ID"] = str(settings.domain_id)
-    if settings.rmw:
-        clean["RMW_IMPLEMENTATION"] = settings.rmw
-    if not clean.get("HOME") and not clean.get("ROS_HOME"):
-        clean.setdefault("ROS_LOG_DIR", str(Path(tempfile.gettempdir()) / "ros2-mcp-log"))
     return clean
 
 
-def wheel_environment(env: Mapping[str, str], prefix: Path, site_packages: Path) -> dict[str, str]:
-    """What the wheels' own start-up hook would set, so that it need not start Python a second time."""
-    libraries = [str(prefix / "lib"), *sorted(str(folder) for folder in site_packages.glob("ros_*.libs"))]
-    inherited = [entry for entry in env.get("LD_LIBRARY_PATH", "").split(os.pathsep) if entry]
-    return {
-        **env,
-        "LD_LIBRARY_PATH": os.pathsep.join([*libraries, *inherited]),
-        "AMENT_PREFIX_PATH": str(prefix),
-        WHEEL_GUARD: "1",
-    }
+def variables_of(settings: Settings) -> dict[str, str]:
+    """What was asked for of the environment where the robot is (`--robot-env`)."""
+    return dict(variable.split("=", 1) for variable in settings.robot_env)
+
+
+def clean_environment(settings: Settings, env: Mapping[str, str], *, keep_sourced: bool) -> dict[str, str]:
+    """A copy of an environment for ROS's Python: without what belongs to ours, with what the settings ask for."""
+    search = Search(domain_id=settings.domain_id, rmw=settings.rmw or "", env=variables_of(settings))
+    clean = environment_for(search, without_ours(env), keep_sourced=keep_sourced)
+    if not clean.get("HOME") and not clean.get("ROS_HOME"):
+        clean.setdefault("ROS_LOG_DIR", str(Path(tempfile.gettempdir()) / "ros2-mcp-log"))
+    return clean
 
 
 def _remove_entries(env: dict[str, str], variable: str, below: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -13,8 +14,11 @@ from typing import Any
 from ros2_mcp.link.installation import RosInstallation
 from ros2_mcp.model.errors import LinkError
 
+SHIPPED = Path(__file__).resolve().parents[2] / "ros2_mcp_demo" / "interfaces"
+"""The sources of the packages that come with this one: what the simulated robot needs and no wheel has."""
 # A package of many interfaces compiles for minutes on a small machine. Chosen: what takes longer hangs.
 BUILD_S = 600.0
+_DIGEST = re.compile(r"-[0-9a-f]{16}$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +32,42 @@ class InterfaceCache:
         recorded = self._record().get(str(prefix), {})
         return tuple(built for path in recorded.values() if (built := Path(path)).is_dir())
 
+    def shipped(self) -> tuple[Path, ...]:
+        """The packages that come with this one, as far as they were built for an installation just like this Python's.
+
+        The simulated robot of another environment may have built them: what it publishes is then known here, too.
+        """
+        if self.names().isdisjoint(sources.name for sources in SHIPPED.iterdir()):
+            return ()  # without looking closer, for which each start would pay
+
+        from ros2_mcp_interfaces import BuildError, finished
+
+        try:
+            return tuple(finished([SHIPPED], self.folder))
+        except BuildError:
+            return ()
+
+    def planned(self, packages: Sequence[str]) -> tuple[Path, ...]:
+        """The prefixes that packages of `SHIPPED` have, or will have once they are built for this Python.
+
+        Empty where nothing can be built for it.
+        """
+        from ros2_mcp_interfaces import BuildError, planned
+
+        try:
+            return tuple(planned([SHIPPED / package for package in packages], self.folder))
+        except BuildError:
+            return ()
+
+    def names(self) -> set[str]:
+        """The names of all packages that are there, for whichever installation."""
+        return {package_name(built) for built in self.folder.glob("[!.]*-*") if built.is_dir()}
+
     def use(self, prefix: Path, packages: Sequence[Path]) -> None:
         """Remembers packages for an installation; one of the same name is replaced."""
         record = self._record()
         mine = record.setdefault(str(prefix), {})
-        mine.update({package.name.rpartition("-")[0]: str(package) for package in packages})
+        mine.update({package_name(package): str(package) for package in packages})
         text = json.dumps(record, indent=1)
         draft = self._file.with_suffix(".draft")
         draft.write_text(text)
@@ -48,6 +83,21 @@ class InterfaceCache:
         except (OSError, ValueError):
             return {}
         return found if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType]
+
+
+def package_name(prefix: Path) -> str:
+    """The package in a prefix of the cache, whose name ends with a digest, or in one that was built elsewhere."""
+    return _DIGEST.sub("", prefix.name)
+
+
+def curing(package: str) -> str:
+    """What to do about a package of interfaces that the bridge does not know, with each kind of installation."""
+    sources = SHIPPED / package
+    folder = str(sources) if sources.is_dir() else "DIR (the folder with its .msg files)"
+    return (
+        f"The package {package} is not there. With ROS 2 from wheels run: ros2-mcp interfaces build {folder}; with any "
+        "other, install it or source its workspace (--workspace DIR). Then start this server again."
+    )
 
 
 def build(

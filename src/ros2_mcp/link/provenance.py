@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shlex
 import shutil
 import sys
 import sysconfig
@@ -18,6 +17,8 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import unquote, urlsplit
+
+from ros2_mcp.model.shell import typed
 
 PROJECT = "ros2-mcp"
 # Folders of uv's and pipx's caches: what is in them may be gone tomorrow.
@@ -46,16 +47,16 @@ class Provenance:
         extras = f"[{extra}]" if extra else ""
         if not self.source:
             return PROJECT + extras
-        return self.source + extras if self.source.startswith("/") else f"{PROJECT}{extras} @ {self.source}"
+        return self.source + extras if Path(self.source).is_absolute() else f"{PROJECT}{extras} @ {self.source}"
 
     def installing(self, extra: str) -> str:
         """The command that gives this installation the extra, as one types it in a shell."""
-        requirement = shlex.quote(self.requirement(extra))
-        python = shlex.quote(self.python)
+        requirement = typed([self.requirement(extra)])
+        python = typed([self.python])
         editable = "--editable " if self.editable else ""
         own = "~/.ros2-mcp"
         return {
-            "uv run": f"uv run --project {shlex.quote(self.source)} --extra {extra} ros2-mcp doctor",
+            "uv run": f"uv run --project {typed([self.source])} --extra {extra} ros2-mcp doctor",
             "uvx": f"uvx --from {requirement} ros2-mcp doctor",
             "uv tool": f"uv tool install --force {editable}{requirement}",
             "uv pip": f"uv pip install --python {python} {editable}{requirement}",
@@ -69,7 +70,7 @@ class Provenance:
     def reinstalling(self, extra: str) -> str:
         """The command that puts back what is missing of the extra's packages."""
         if self.way == "uv run":
-            return f"uv sync --project {shlex.quote(self.source)} --extra {extra} --inexact --reinstall"
+            return f"uv sync --project {typed([self.source])} --extra {extra} --inexact --reinstall"
         if self.way == "uv pip":
             return f"{self.installing(extra)} --reinstall"
         return f"{self.installing(extra)} --force-reinstall" if self.way == "pip" else self.installing(extra)
@@ -79,7 +80,7 @@ def own_provenance(env: Mapping[str, str] = os.environ) -> Provenance:
     """How the running program was installed, as far as its environment tells."""
     prefix = Path(sys.prefix)
     source, editable = _origin()
-    way = _way(prefix, Path(source) if source.startswith("/") and editable else None, env)
+    way = _way(prefix, Path(source) if editable and Path(source).is_absolute() else None, env)
     return Provenance(way=way, prefix=prefix, python=sys.executable, source=source, editable=editable)
 
 
@@ -94,7 +95,8 @@ def _origin() -> tuple[str, bool]:
     told: dict[str, Any] = json.loads(text)
     url = str(told["url"])
     if url.startswith("file:"):
-        return unquote(urlsplit(url).path), bool(told.get("dir_info", {}).get("editable"))
+        folder = unquote(urlsplit(url).path)
+        return folder.lstrip("/") if sys.platform == "win32" else folder, bool(told.get("dir_info", {}).get("editable"))
     version_control: dict[str, str] = told.get("vcs_info", {})
     return (f"{version_control['vcs']}+{url}" if version_control else url), False
 
@@ -128,5 +130,5 @@ def launch_command(provenance: Provenance, extra: str, env: Mapping[str, str] = 
         return [uv, "tool", "run", "--python", python, "--from", requirement, PROJECT]
     if provenance.way == "pipx run":
         return [shutil.which("pipx") or "pipx", "run", "--spec", requirement, PROJECT]
-    beside = Path(provenance.python).with_name(PROJECT)
+    beside = Path(provenance.python).with_name(f"{PROJECT}.exe" if sys.platform == "win32" else PROJECT)
     return [str(beside)] if beside.is_file() else [provenance.python, "-m", "ros2_mcp"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from types import TracebackType
 
 from ros2_mcp.model.errors import LinkError
@@ -13,6 +13,16 @@ from ros2_mcp_bridge.protocol import Counts as BridgeCounts
 from ros2_mcp_bridge.protocol import Keep, Samples
 
 Unsubscribe = Callable[["Subscription"], Awaitable[None]]
+
+
+def samples_of(header: Samples, body: bytes) -> list[Sample]:
+    """The samples of a packet: their times and sizes are in the header, their bytes one after the other in the body."""
+    samples: list[Sample] = []
+    offset = 0
+    for received_ns, source_ns, sequence, size, whole_bytes in header["samples"]:
+        samples.append(Sample(received_ns, source_ns, sequence, body[offset : offset + size], whole_bytes))
+        offset += size
+    return samples
 
 
 class Subscription:
@@ -79,12 +89,14 @@ class Subscription:
     def arrived(self, header: Samples, body: bytes) -> None:
         """Takes in a packet of samples: their times and sizes, the totals, and their bytes one after the other."""
         self.count(header)
-        offset = 0
-        for received_ns, source_ns, sequence, size in header["samples"]:
-            data = body[offset : offset + size]
-            offset += size
-            self._waiting.append(Sample(received_ns, source_ns, sequence, data))
-            self._waiting_bytes += size
+        self.take_in(samples_of(header, body))
+
+    def take_in(self, samples: Sequence[Sample]) -> None:
+        """Lets samples wait until they are taken."""
+        if not samples:
+            return
+        self._waiting.extend(samples)
+        self._waiting_bytes += sum(len(sample.data) for sample in samples)
         self._drop_oldest()
         self._wake()
 

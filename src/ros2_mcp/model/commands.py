@@ -22,13 +22,22 @@ Risk = Literal["write", "actuate"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Principal:
-    """Who asks: one for stdio, one for each session or token over HTTP, and the server itself.
+    """Who asks: one for stdio, one for each session or program over HTTP, and the server itself.
 
-    `transport` is that of MCP by which it came: `stdio` or `http`; `server` for what the server does of its own.
+    `transport` is that of MCP by which it came: `stdio`, `http` or `socket`; `server` for what the server does of its
+    own. `login` is the name of the token over HTTP, and of the user at a Unix socket; several principals may share it.
+    `program` is the id of the program through which it asks: what one program does ends with it, and nothing else does.
     """
 
     name: str
     transport: str
+    login: str = ""
+    program: str = ""
+
+    @property
+    def counted_as(self) -> str:
+        """Whom limits count it for: its login, since a client over HTTP can give itself as many names as it likes."""
+        return f"{self.transport} {self.login or self.name}"
 
 
 SERVER = Principal(name="server", transport="server")
@@ -43,7 +52,9 @@ class Sent:
 
     `acked` is None where it is not known: best effort and repetitions have no acknowledgement. `late` counts missed
     periods of a repetition, which ends with a zero command (`stopped_with_zero`) where its type is a velocity command;
-    `ended_by` is what ended it before its time.
+    `ended_by` is what ended it before its time. Under a policy, `limited` messages left slower than was asked for, as a
+    ramp lets them, and after `hold_s` without another one the bridge sends the zero (0: it does not). `stopper_s` is
+    how long it waited for the stopper, `unguarded` why it went on without one, in words.
     """
 
     topic: str
@@ -56,6 +67,10 @@ class Sent:
     late: int = 0
     stopped_with_zero: bool = False
     ended_by: EndedBy = ""
+    limited: int = 0
+    hold_s: float = 0.0
+    stopper_s: float = 0.0
+    unguarded: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,10 +139,49 @@ class Repeat(Command[Sent]):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Moved:
+    """What became of a motion.
+
+    `sent` is as of a repetition. `outcome` is a word for what ended it and `why` a sentence, both empty where
+    `sent.ended_by` says it; `report` is what its controller told of it at the end.
+    """
+
+    sent: Sent
+    outcome: str
+    why: str
+    report: Mapping[str, Any]
+
+    @property
+    def ended_by(self) -> EndedBy:
+        """What ended it before its time."""
+        return self.sent.ended_by
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Move(Command[Moved]):
+    """Velocity commands that follow from what is heard: a controller in the bridge decides them, `rate_hz` a second.
+
+    `controller` is what it is made of, with its `kind`; `hears` are the types of the topics that it hears. `value` is
+    the fastest command that it may send, by which a policy decides; the bridge judges each that leaves. `duration_s` is
+    its time limit, `motion_id` its name in the bridge. The result comes at its end.
+    """
+
+    ACT = "Driving by {0.name}"
+
+    motion_id: str = ""
+    choice: Choice
+    controller: Mapping[str, Any]
+    hears: Sequence[str] = ()
+    rate_hz: float = 20.0
+    duration_s: float = 60.0
+    wait_match_s: float
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Relay(Command[RelayCounts]):
     """What comes on `source` is published on `name`. The result comes when it ends, after `duration_s` or before.
 
-    Without a source it is fed (`Feed`), and has neither rate nor end of its own. `relay_id` is its name in the bridge.
+    Where it `is_fed` (`Feed`), the bridge knows neither its source, its rate nor its end. `relay_id` is its name there.
     """
 
     ACT = "Relaying to {0.name}"
@@ -135,6 +189,7 @@ class Relay(Command[RelayCounts]):
     relay_id: str
     qos: QoS
     source: str = ""
+    is_fed: bool = False
     wait_match_s: float
 
 
@@ -142,7 +197,9 @@ class Relay(Command[RelayCounts]):
 class Play(Command[RelayCounts]):
     """One recorded topic is published again on `name`, fed (`Feed`) in its rhythm; the result comes at its end.
 
-    `relay_id` is its name in the bridge, `bag` the recording and `topic` what the topic is called there.
+    `relay_id` is its name in the bridge, `bag` the recording, `part` the times of it that are played, in words, and
+    `topic` what the topic is called there. With `force`
+    it is played though somebody publishes there, or is moved by it; `speed` is 1 for that of the recording.
     """
 
     ACT = "Playing {0.bag} on {0.name}"
@@ -151,6 +208,9 @@ class Play(Command[RelayCounts]):
     qos: QoS
     bag: str
     topic: str
+    part: str = ""
+    force: bool = False
+    speed: float = 1.0
     wait_match_s: float
 
 
@@ -169,11 +229,15 @@ class Feed(Command[int]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Record(Command[None]):
-    """Topics are written to the bag `name`; empty `topics` are all. Nothing is sent: it is decided, no more."""
+    """Topics are written to the bag `name`: those of `topics`, and those that fit one of `patterns`; without both, all.
+
+    Nothing is sent: it is decided, no more.
+    """
 
     ACT = "Recording"
 
     topics: Sequence[str]
+    patterns: Sequence[str] = ()
     risk: Risk = "write"
 
 

@@ -8,19 +8,38 @@ Every error carries a message that says what was wrong and a hint that says what
     │   ├── BadValue          a value that does not fit its definition (names the path)
     │   └── UnknownInterface  no definition of that type is known
     ├── NotFound              nothing of that name is in the graph
+    ├── NoTransform           where one frame is in another is not known
     ├── TypeConflict          several types, or another type than the one asked for
     ├── TimedOut              a bounded wait ended
     ├── Refused               the policy of this server forbids it, or one of its limits
+    │   └── ApprovalNeeded    a person has to approve it first
     ├── Stopped               a stop came first
+    │   ├── Lapsed            or the end of the link lease did
+    │   └── Latched           or the latch is set, which only an operator resets
+    ├── Rehearsed             it would be done, and is not: this is a rehearsal
     ├── AllFailed             everything that one call asked for failed
     ├── BadData               bytes from the robot that do not fit their definition
+    ├── Locked                a file that another program is writing to
     └── LinkError             between this server and the robot
         ├── RosNotFound       no ROS 2 installation to run the bridge with
+        ├── Unreachable       the machine of the robot was not reached, or lets nobody in
         ├── BridgeLost        the bridge died or hung; it is being started again
         └── BridgeRefused     the bridge answered with an error
 """
 
 from __future__ import annotations
+
+LEASE = "the bridge, which had not heard from this server for longer than the link lease"
+"""What has ended something where a link lease lapsed; it completes "It was ended by …"."""
+
+
+LATCH = "the latch of the robot, which only an operator resets"
+"""The same, where the latch was set."""
+
+
+def latch_set_by(by: str) -> str:
+    """The same, with who has set it and why, where that is known."""
+    return f"{LATCH}; it was set by {by}" if by else LATCH
 
 
 class RobotError(Exception):
@@ -33,6 +52,10 @@ class RobotError(Exception):
 
     def __str__(self) -> str:
         return f"{self.message} {self.hint}".rstrip()
+
+    def again(self) -> RobotError:
+        """The same error for one more who is to be told."""
+        return type(self)(self.message, self.hint)
 
 
 class BadInput(RobotError):
@@ -59,6 +82,18 @@ class NotFound(RobotError):
     """Nothing of that name is in the graph."""
 
 
+class NoTransform(RobotError):
+    """Where one frame is in another is not known; `reason` says why in a word or two, such as `two trees`."""
+
+    def __init__(self, reason: str, message: str, hint: str = "") -> None:
+        super().__init__(message, hint)
+        self.reason = reason
+
+    def again(self) -> NoTransform:
+        """The same error for one more who is to be told."""
+        return NoTransform(self.reason, self.message, self.hint)
+
+
 class TypeConflict(RobotError):
     """Several types under one name, or another type than the one asked for."""
 
@@ -71,12 +106,47 @@ class Refused(RobotError):
     """The policy of this server forbids it, or one of its limits."""
 
 
-class Stopped(RobotError):
-    """It was accepted before a stop came, and is not sent after it; `may_have_left` where that is not known."""
+class ApprovalNeeded(Refused):
+    """A person has to approve it first: the same call again is carried out once it is approved.
 
-    def __init__(self, message: str, hint: str = "", *, may_have_left: bool = False) -> None:
+    `request_id` is what the person sees it under.
+    """
+
+    def __init__(self, message: str, hint: str = "", *, request_id: str = "") -> None:
         super().__init__(message, hint)
+        self.request_id = request_id
+
+
+class Stopped(RobotError):
+    """It was accepted before a stop came, and is not sent after it; `may_have_left` where that is not known.
+
+    `reason` is what stopped it: it completes "It was ended by …".
+    """
+
+    def __init__(self, message: str, hint: str = "", *, reason: str = "ros2_stop", may_have_left: bool = False) -> None:
+        super().__init__(message, hint)
+        self.reason = reason
         self.may_have_left = may_have_left
+
+
+class Lapsed(Stopped):
+    """The link lease lapsed after it was accepted."""
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message, hint, reason=LEASE)
+
+
+class Latched(Stopped):
+    """The latch of the robot is set, or was since it was accepted; only an operator resets it. `by` says who has set it
+    and why, if that is known.
+    """
+
+    def __init__(self, message: str, hint: str = "", *, by: str = "") -> None:
+        super().__init__(message, hint, reason=latch_set_by(by))
+
+
+class Rehearsed(RobotError):
+    """It would be done now, and is not: this is a rehearsal."""
 
 
 class AllFailed(RobotError):
@@ -87,12 +157,28 @@ class BadData(RobotError):
     """Bytes from the robot that do not fit their definition."""
 
 
+class Locked(RobotError):
+    """A file that cannot be read just now, because another program is writing to it."""
+
+
 class LinkError(RobotError):
     """Something between this server and the robot."""
 
 
 class RosNotFound(LinkError):
     """There is no ROS 2 installation to run the bridge with."""
+
+
+class Unreachable(LinkError):
+    """The machine of the robot was not reached, or lets nobody in; `is_lasting` where only a person changes that."""
+
+    def __init__(self, message: str, hint: str = "", *, is_lasting: bool = False) -> None:
+        super().__init__(message, hint)
+        self.is_lasting = is_lasting
+
+    def again(self) -> Unreachable:
+        """The same error for one more who is to be told."""
+        return Unreachable(self.message, self.hint, is_lasting=self.is_lasting)
 
 
 class BridgeLost(LinkError):

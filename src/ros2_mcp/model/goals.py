@@ -31,6 +31,8 @@ CANCEL_CODES: Mapping[int, str] = {
 """Codes of action_msgs/srv/CancelGoal."""
 
 CANCEL_TYPE = "action_msgs/srv/CancelGoal"
+STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
+"""Of the latched topic `<action>/_action/status`, on which a server publishes the states of its goals."""
 
 
 def new_goal_id() -> str:

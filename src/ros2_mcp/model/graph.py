@@ -94,19 +94,35 @@ class RelayCounts:
 
     `lost` is None where the middleware cannot know. `matched` subscribers and `publishers` are the present ones. Of a
     relay that has ended: `final_sent`, whether its zero command was sent; `ended_by`, what ended it before its
-    time. `refused` are velocities that are not finite or cannot be decoded.
+    time. `refused` are what the policy holds back, and velocities that are not finite or cannot be decoded; of
+    `limited` less was sent than came. `stopper_s` is how long the first one waited for the stopper, `unguarded` why it
+    went on without one, in words.
     """
 
     running: bool = False
     passed: int = 0
     dropped: int = 0
     refused: int = 0
+    limited: int = 0
     lost: int | None = 0
     publishers: int = 0
     matched: int = 0
     elapsed_s: float = 0.0
     final_sent: bool = False
     ended_by: EndedBy = ""
+    stopper_s: float = 0.0
+    unguarded: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """What a bridge says of itself when it is there, and what was measured of the way to it; see `BridgeStatus`."""
+
+    distro: str
+    rmw: str
+    domain_id: int
+    clock_offset_s: float | None
+    link_rtt_s: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,7 +130,8 @@ class BridgeStatus:
     """The running bridge: how it introduced itself, and what it holds now.
 
     `starts` counts the bridges of this server, `restarts` are the reasons why former ones were lost, `found` says why
-    this ROS installation was chosen.
+    this ROS installation was chosen. `clock_offset_s` is how far the robot's clock is ahead of this machine's,
+    `link_rtt_s` the shortest way to the bridge and back of the last minute; None before they are known.
     """
 
     python: str
@@ -132,3 +149,5 @@ class BridgeStatus:
     subscriptions: int
     publishers: int
     clients: int
+    clock_offset_s: float | None = None
+    link_rtt_s: float | None = None

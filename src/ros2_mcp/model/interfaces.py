@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
-INTEGERS: Mapping[str, tuple[int, int]] = {
-    "byte": (0, 2**8 - 1),
-    "char": (0, 2**8 - 1),
-    **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
-    **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
-}
-"""The integer types with the smallest and the largest value; `byte` and `char` are unsigned in ROS 2."""
-FLOATS = frozenset({"float32", "float64"})
-TEXTS = frozenset({"string", "wstring"})
-OCTETS = frozenset({"uint8", "byte", "char"})
+from ros2_mcp_bridge.field_types import FLOATS, INTEGERS, OCTETS, TEXTS, Arity, FieldType
+
+__all__ = [
+    "FLOATS", "HEADER", "INTEGERS", "OCTETS", "PRIMITIVES", "TEXTS", "TIME", "Arity", "Constant", "DefinitionText",
+    "Field", "FieldType", "Interface", "Literals", "Structure",
+]  # fmt: skip
+
 PRIMITIVES = frozenset({"bool", *INTEGERS, *FLOATS, *TEXTS})
 
 HEADER = "std_msgs/msg/Header"
 TIME = "builtin_interfaces/msg/Time"
 
 Literals: TypeAlias = "bool | int | float | str | Sequence[bool | int | float | str]"
-Arity: TypeAlias = Literal["single", "array", "sequence"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,43 +27,6 @@ class DefinitionText:
 
     format: str
     text: str
-
-
-@dataclass(frozen=True, slots=True)
-class FieldType:
-    """The type of a field.
-
-    `base` is a primitive such as `float64` or the full name of a message. `size` is the length of an array, or the
-    bound of a sequence (0: unbounded); `text_bound` the bound of each string in characters (0: unbounded).
-    """
-
-    base: str
-    arity: Arity = "single"
-    size: int = 0
-    text_bound: int = 0
-
-    @property
-    def is_message(self) -> bool:
-        """Whether it is made of messages."""
-        return "/" in self.base
-
-    @property
-    def is_number(self) -> bool:
-        """Whether it is made of integers or floating-point numbers."""
-        return self.base in INTEGERS or self.base in FLOATS
-
-    @property
-    def element(self) -> FieldType:
-        """The type of one element of an array or sequence."""
-        return FieldType(self.base, text_bound=self.text_bound)
-
-    def __str__(self) -> str:
-        text = f"{self.base}<={self.text_bound}" if self.text_bound else self.base
-        if self.arity == "single":
-            return text
-        if self.arity == "array":
-            return f"{text}[{self.size}]"
-        return f"{text}[<={self.size}]" if self.size else f"{text}[]"
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,15 +5,23 @@ from __future__ import annotations
 import difflib
 import fnmatch
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from ros2_mcp.model.errors import BadName
 from ros2_mcp.model.text import named, quoted
 
 _NAME = re.compile(r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")
+KINDS = ("msg", "srv", "action")
+"""Of interfaces."""
+_SHORT_TYPE = re.compile(r"^[A-Za-z][A-Za-z0-9_]*$")
 _TYPE = re.compile(r"^(?P<package>[a-z][a-z0-9_]*)/(?:(?P<kind>msg|srv|action)/)?(?P<name>[A-Za-z][A-Za-z0-9_]*)$")
 
-_NAMELESS = {"_NODE_NAME_UNKNOWN_": "(unknown node)", "_CREATED_BY_BARE_DDS_APP_": "(not a ROS node)"}
+_LONGEST = 247
+"""Of a name: the middleware's 255 without the prefix and suffix that ROS gives it (`rmw_validate_full_topic_name`)."""
+
+UNKNOWN_NODE = "(unknown node)"
+"""Instead of a name that the middleware does not know yet: it comes a little after the node's endpoints."""
+_NAMELESS = {"_NODE_NAME_UNKNOWN_": UNKNOWN_NODE, "_CREATED_BY_BARE_DDS_APP_": "(not a ROS node)"}
 
 
 def absolute(name: str, what: str = "topic") -> str:
@@ -34,6 +42,8 @@ def absolute(name: str, what: str = "topic") -> str:
             f"{quoted(name)} is not a valid {what} name.",
             "A name is made of parts like /robot1/scan: letters, digits and underscores, not starting with a digit.",
         )
+    if len(full) > _LONGEST:
+        raise BadName(f"{quoted(name)} has {len(full)} characters.", f"A {what} name has at most {_LONGEST}.")
     return full
 
 
@@ -66,9 +76,25 @@ def interface_type(name: str, kind: str) -> str:
     return f"{match['package']}/{kind}/{match['name']}"
 
 
+def is_short(type_name: str) -> bool:
+    """Whether it is the name of a type alone, such as `Twist`, without its package."""
+    return bool(_SHORT_TYPE.match(type_name.strip()))
+
+
+def is_type(requested: str, full: str, kind: str = "msg") -> bool:
+    """Whether somebody who asks for `Twist`, `geometry_msgs/Twist` or its full name means that type.
+
+    Raises:
+        BadName: if it is not a type's name, or of another kind.
+    """
+    if is_short(requested):
+        return requested.strip() == full.rpartition("/")[2]
+    return interface_type(requested, kind) == full
+
+
 _DERIVED = re.compile(
     r"(?<=/)(?P<base>\w+?)_(SendGoal|GetResult|SendGoal_Request|SendGoal_Response|GetResult_Request|GetResult_Response"
-    r"|FeedbackMessage|Feedback|Goal|Result|Request|Response)$"
+    r"|FeedbackMessage|Feedback|Goal|Result|Request|Response|Event)$"
 )
 
 
@@ -84,16 +110,30 @@ def is_derived(name: str) -> bool:
     return name.count("/") == 2 and defining_type(name) != name
 
 
+def type_in_words(name: str) -> str:
+    """A type as people know it: `std_srvs/srv/SetBool_Request` is the request of std_srvs/srv/SetBool."""
+    if not is_derived(name):
+        return name
+    whole = defining_type(name)
+    part = name.removeprefix(f"{whole}_").removesuffix("Message").rpartition("_")[2].lower()
+    return f"the {part} of {whole}"
+
+
 def is_hidden(name: str) -> bool:
     """Whether ROS hides the name by convention: a part that starts with an underscore."""
     return "/_" in name
 
 
-def matching(names: Iterable[str], pattern: str) -> list[str]:
-    """The names that a pattern selects: a glob if it has `*`, `?` or `[`, else any part of the name; empty is all."""
+def matching(names: Iterable[str], pattern: str, types_of: Callable[[str], Sequence[str]] = lambda _: ()) -> list[str]:
+    """The names that a pattern selects, by themselves or by a type: a glob if it has `*`, `?` or `[`, else any part of
+    the name or type; empty is all.
+    """
+    if not pattern:
+        return list(names)
     if any(sign in pattern for sign in "*?["):
-        return [name for name in names if fnmatch.fnmatchcase(name, pattern)]
-    return [name for name in names if pattern.lower() in name.lower()]
+        return [name for name in names if any(fnmatch.fnmatchcase(text, pattern) for text in (name, *types_of(name)))]
+    part = pattern.lower()
+    return [name for name in names if any(part in text.lower() for text in (name, *types_of(name)))]
 
 
 def nearest(name: str, known: Sequence[str]) -> str:

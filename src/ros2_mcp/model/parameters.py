@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from ros2_mcp.model.errors import BadValue
-from ros2_mcp.model.values import EXACT_INTEGER, NOT_FINITE
+from ros2_mcp.model.text import excerpt
+from ros2_mcp.model.values import EXACT_INTEGER, not_finite_number
 
 TYPES = (
     "not_set",
@@ -69,7 +70,7 @@ def _kind(path: str, value: Any, declared: str) -> str:
     kinds_by_type = {bool: "bool", int: "integer", float: "double", str: "string"}
     if type(value) not in kinds_by_type:
         raise BadValue(
-            path, f"{value!r} cannot be a parameter.", "Give a bool, number, text, or an array of one of them."
+            path, f"{excerpt(value)} cannot be a parameter.", "Give a bool, number, text, or an array of one of them."
         )
     return kinds_by_type[type(value)]
 
@@ -81,13 +82,13 @@ def _converted(path: str, value: Any, kind: str) -> Any:
         return value
     if kind.endswith("_array"):
         if not isinstance(value, list):
-            raise BadValue(path, f"{value!r} is not an array.", f"The parameter is declared as {kind}.")
+            raise BadValue(path, f"{excerpt(value)} is not an array.", f"The parameter is declared as {kind}.")
         element = {"byte_array": "integer"}.get(kind, kind.removesuffix("_array"))
         items = cast("list[Any]", value)
         converted = [_converted(f"{path}[{index}]", item, element) for index, item in enumerate(items)]
         for index, item in enumerate(converted if kind == "byte_array" else ()):
             if not 0 <= item <= 255:
-                raise BadValue(f"{path}[{index}]", f"{item} is no byte.", "Give 0 to 255.")
+                raise BadValue(f"{path}[{index}]", f"{excerpt(item)} is no byte.", "Give 0 to 255.")
         return converted
     return _scalar(path, value, kind)
 
@@ -98,13 +99,13 @@ def _scalar(path: str, value: Any, kind: str) -> Any:
         return value
     if kind == "string" and isinstance(value, str):
         return value
-    if kind == "double" and (is_number or (isinstance(value, str) and value in NOT_FINITE)):
+    if kind == "double" and (is_number or (isinstance(value, str) and not_finite_number(value) is not None)):
         return value
     whole = _whole(value) if kind == "integer" else None
     if whole is None:
-        raise BadValue(path, f"{value!r} is not of type {kind}.", f"The parameter is declared as {kind}.")
+        raise BadValue(path, f"{excerpt(value)} is not of type {kind}.", f"The parameter is declared as {kind}.")
     if not -(2**63) <= whole < 2**63:
-        raise BadValue(path, f"{value!r} does not fit an integer of 64 bits.")
+        raise BadValue(path, f"{excerpt(value)} does not fit an integer of 64 bits.")
     return whole
 
 

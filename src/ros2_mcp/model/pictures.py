@@ -7,6 +7,7 @@ from dataclasses import dataclass
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 OCCUPANCY_GRID = "nav_msgs/msg/OccupancyGrid"
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 
 MAX_SIDE = 1568

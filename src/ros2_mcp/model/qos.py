@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -42,22 +42,29 @@ class QoS:
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """A publisher or subscriber of a topic, as discovery has found it."""
+    """A publisher or subscriber of a topic, as discovery has found it; `ours` if it is this server's own."""
 
     node: str
     type: str
     hash: str
     gid: str
     qos: QoS
+    ours: bool = False
+
+    @property
+    def who(self) -> str:
+        """The name of its node, for people; it says so if that is this server."""
+        return f"{self.node} (this server)" if self.ours else self.node
 
     @classmethod
-    def parse(cls, raw: protocol.Endpoint) -> Endpoint:
+    def parse(cls, raw: protocol.Endpoint, own_nodes: Collection[str] = ()) -> Endpoint:
         """From the bridge's `endpoints` reply."""
         qos: dict[str, Any] = {**raw["qos"]}
         if qos["depth"] == "unknown":
             qos["depth"] = None
         name = full_node_name(raw["node"], raw["namespace"])
-        return cls(node=name, type=raw["type"], hash=raw["hash"], gid=raw["gid"], qos=QoS(**qos))
+        ours = name in own_nodes
+        return cls(node=name, type=raw["type"], hash=raw["hash"], gid=raw["gid"], qos=QoS(**qos), ours=ours)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,15 +79,15 @@ def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100) -> Choice:
     """What a subscription needs so that it matches every publisher and loses as little as possible."""
     if not publishers:
         return Choice(QoS("best_effort", "volatile", depth=depth), "no publisher is known; this matches any")
-    reliable = all(publisher.qos.reliability == "reliable" for publisher in publishers)
-    latched = all(publisher.qos.durability == "transient_local" for publisher in publishers)
+    reliable = sum(publisher.qos.reliability == "reliable" for publisher in publishers)
+    latched = sum(publisher.qos.durability == "transient_local" for publisher in publishers)
     return Choice(
         QoS(
-            "reliable" if reliable else "best_effort",
-            "transient_local" if latched else "volatile",
+            "reliable" if reliable == len(publishers) else "best_effort",
+            "transient_local" if latched == len(publishers) else "volatile",
             depth=depth,
         ),
-        f"{_offer(publishers, 'reliability', 'reliable')}; {_offer(publishers, 'durability', 'transient_local')}",
+        f"of {len(publishers)} publisher(s) {reliable} offer reliable, {latched} transient_local",
     )
 
 
@@ -121,20 +128,20 @@ def mismatch(publisher: QoS, subscriber: QoS) -> str:
     if publisher.durability == "volatile" and subscriber.durability == "transient_local":
         reasons.append("the publisher offers volatile, the subscriber asks for transient_local")
     if _is_longer(publisher.deadline_ns, subscriber.deadline_ns):
-        reasons.append("the publisher's deadline is longer than the subscriber asks for")
+        reasons.append(_too_long("deadline", publisher.deadline_ns, subscriber.deadline_ns))
     if _LIVELINESS_RANK.get(publisher.liveliness, 0) < _LIVELINESS_RANK.get(subscriber.liveliness, 0):
-        reasons.append("the publisher's liveliness is weaker than the subscriber asks for")
+        offered, asked = publisher.liveliness, subscriber.liveliness
+        reasons.append(f"the publisher offers {offered} liveliness, the subscriber asks for {asked}")
     if _is_longer(publisher.liveliness_lease_ns, subscriber.liveliness_lease_ns):
-        reasons.append("the publisher's liveliness lease is longer than the subscriber asks for")
+        leases = publisher.liveliness_lease_ns, subscriber.liveliness_lease_ns
+        reasons.append(_too_long("liveliness lease", *leases))
     return "; ".join(reasons)
 
 
-def _offer(publishers: Sequence[Endpoint], policy: str, value: str) -> str:
-    offering = sum(getattr(publisher.qos, policy) == value for publisher in publishers)
-    if offering == len(publishers):
-        return f"every publisher offers {value}"
-    verb = "offers" if offering < 2 else "offer"
-    return f"{offering or 'none'} of {len(publishers)} publisher(s) {verb} {value}"
+def _too_long(what: str, offered_ns: int | None, asked_ns: int | None) -> str:
+    """What the publisher offers and the subscriber asks for, in seconds; None is infinite."""
+    offered, asked = ("infinite" if ns is None else f"{ns / 1e9:g} s" for ns in (offered_ns, asked_ns))
+    return f"the publisher's {what} ({offered}) is longer than the subscriber asks for ({asked})"
 
 
 def _is_longer(offered_ns: int | None, asked_ns: int | None) -> bool:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+STAMP_END = 12
+"""Bytes up to the end of a header's stamp: 4 of the CDR encapsulation, 4 of seconds, 4 of nanoseconds."""
+
 
 @dataclass(frozen=True, slots=True)
 class Sample:
@@ -12,13 +15,20 @@ class Sample:
 
     `received_ns` and `source_ns` are Unix times in nanoseconds (receiver's and publisher's clock; `source_ns` is 0
     where the middleware gives none). `sequence` counts the publisher's messages, or is None where unknown.
-    `data` is CDR with its four-byte encapsulation header.
+    `data` is CDR with its four-byte encapsulation header; where only its head was asked for, `whole_bytes` is the size
+    of all of it, else 0.
     """
 
     received_ns: int
     source_ns: int
     sequence: int | None
     data: bytes
+    whole_bytes: int = 0
+
+    @property
+    def size(self) -> int:
+        """Of the message in bytes, whether all of it is here or not."""
+        return self.whole_bytes or len(self.data)
 
 
 @dataclass(frozen=True, slots=True)

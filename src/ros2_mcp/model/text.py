@@ -11,6 +11,7 @@ import re
 import sys
 import unicodedata
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any, cast
 
 _HIDDEN_CLASSES = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp", "Zs"})
@@ -104,6 +105,12 @@ def named(name: str) -> str:
     return name if is_name(name) else quoted(name)
 
 
+def listed(found: Sequence[str], most: int) -> str:
+    """Names of the robot within a sentence, each `named`: the first ones, and how many more there are."""
+    more = f" and {len(found) - most} more" if len(found) > most else ""
+    return ", ".join(map(named, found[:most])) + more
+
+
 def is_name(text: str) -> bool:
     """Whether it has only the characters that ROS allows in names, types, paths of fields and names of files."""
     return bool(_NAME.fullmatch(text))
@@ -139,6 +146,7 @@ def escaped_bytes(text: str) -> str:
     return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
+@lru_cache(maxsize=4096)  # more than the alphabets of one robot
 def _is_hidden(character: str) -> bool:
     if character.isascii():
         return not character.isprintable()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from datetime import datetime, timezone
 
 
@@ -9,3 +10,36 @@ def iso_time(unix_ns: int) -> str:
     """A Unix time in nanoseconds as ISO 8601 in UTC with microseconds."""
     date = datetime.fromtimestamp(unix_ns // 1000 / 1e6, tz=timezone.utc)
     return date.isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+def seconds_in(unix_ns: int, began_ns: int | None) -> float | None:
+    """How many seconds after the beginning of a recording; None without a beginning, as of what is live.
+
+    Whole milliseconds, rounded down: as `start` it still includes the message of that time.
+    """
+    return (unix_ns - began_ns) // 1_000_000 / 1000 if began_ns is not None else None
+
+
+def recorded_time(unix_ns: int, began_ns: int | None = None) -> str:
+    """A time as `iso_time`; of a recording also in seconds after its beginning, as `start` takes it: `… (12.3 s in)`.
+
+    `began_ns` is None for what is live.
+    """
+    seconds = seconds_in(unix_ns, began_ns)
+    if seconds is None:
+        return iso_time(unix_ns)
+    written = f"{seconds:.3f}".rstrip("0").rstrip(".")
+    return f"{iso_time(unix_ns)} ({written} s in)"
+
+
+def both_times(unix_ns: int, zero_ns: int) -> str:
+    """A time in milliseconds, as people read it: in seconds from another one, and absolute."""
+    return f"{(unix_ns - zero_ns) / 1e9:.3f} s ({iso_time(unix_ns)[:-4]}Z)"
+
+
+@dataclass(frozen=True, slots=True)
+class Outage:
+    """A time in which a robot elsewhere was out of reach, from when it was last heard of (monotonic, in s)."""
+
+    began_at: float
+    lasted_s: float

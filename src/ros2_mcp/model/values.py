@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 NOT_FINITE: Mapping[str, float] = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
-"""The texts that stand for floating-point numbers that JSON cannot write, in both directions."""
+"""The texts that stand for floating-point numbers that JSON cannot write, as they are shown."""
 
 EXACT_INTEGER = 2**53
 """Integers beyond this are decimal strings: JSON readers that keep numbers as float64 would lose their last digits."""
@@ -16,6 +16,36 @@ SUMMARY = "$summary"
 
 No field can have this name, so a summary is never mistaken for a value.
 """
+
+DIAGONAL = "$diagonal"
+"""The key of an object that stands for a square matrix, row by row, of which only the diagonal is not 0.
+
+It holds the diagonal: what most covariances are. Unlike a summary it is the whole value, and accepted as such.
+"""
+
+
+DIAGONAL_EXPLAINED = (
+    f'{{"{DIAGONAL}": […]}} is a square matrix, row by row, with 0 beside its diagonal; accepted as such.'
+)
+"""What is said where there is one."""
+
+
+def is_covariance(path: str) -> bool:
+    """Whether the field at a path may be written as its diagonal: by its name it is a covariance."""
+    return "covariance" in path.rpartition(".")[2]
+
+
+def summarised(paths: Sequence[str]) -> str:
+    """What is said of paths whose values are summaries, and how to get the values; empty where there are none."""
+    if not paths:
+        return ""
+    named = ", ".join(path or "the whole message" for path in paths[:8])
+    return f'Summarised: {named}. For more: fields, with slices such as "ranges[0:100]", or a larger max_array.'
+
+
+def not_finite_number(text: str) -> float | None:
+    """The number that a text of `NOT_FINITE` stands for, in any case, `infinity` written out too; None for others."""
+    return NOT_FINITE.get(text.lower().replace("infinity", "inf").removeprefix("+"))
 
 
 def not_finite_text(value: float) -> str:

@@ -18,11 +18,12 @@ import anyio
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import commands, names
+from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, BadInput, BadValue, LinkError, NotFound, Stopped, TypeConflict
 from ros2_mcp.model.graph import RelayCounts, TopicEndpoints
 from ros2_mcp.model.qos import QoS, for_subscribing
 from ros2_mcp.model.samples import Counts, Sample
-from ros2_mcp.ops.endings import REASONS, ended_by, held_back
+from ros2_mcp.ops.endings import ended_by, guarded, held_back, limited, reason_of
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp_bridge.limits import MAX_RATE_HZ, MIN_RATE_HZ
@@ -146,6 +147,7 @@ class Relay(Job):
         self.source, self.destination = source.topic, destination.topic
         self._robot = robot
         self._request = request
+        self.at_most_s = request.duration_s or math.inf
         self._types = source_type, destination_type
         self._transform = TRANSFORMS[request.transform]
         self._rate_hz = request.target_rate_hz if self._transform == "rate_limit" else None
@@ -175,16 +177,16 @@ class Relay(Job):
 
     async def run(self) -> None:
         """Keeps the bridge's part open until that ends, and feeds it where values count."""
-        # Where the server feeds the bridge, the bridge's part has neither source, rate nor end.
         relay = commands.Relay(
             principal=self.owner,
             name=self.destination,
             type=self._types[1],
             relay_id=self.id,
             qos=self._qos,
-            source="" if self._in_server else self.source,
-            rate_hz=None if self._in_server else self._rate_hz,
-            duration_s=None if self._in_server else self._request.duration_s,
+            source=self.source,
+            is_fed=self._in_server,
+            rate_hz=self._rate_hz,
+            duration_s=self._request.duration_s,
             wait_match_s=self._wait_match_s,
         )
         async with anyio.create_task_group() as group:
@@ -193,7 +195,7 @@ class Relay(Job):
             group.cancel_scope.cancel()
         is_early = self.counts.ended_by and not self._time_is_over
         self.outcome = "stopped" if is_early else "ended"
-        self.stop_reason = self.stop_reason or REASONS.get(self.counts.ended_by, "")
+        self.stop_reason = self.stop_reason or reason_of(self._robot, self.counts.ended_by)
 
     async def wind_down(self) -> None:
         """Lets the bridge send the zero, if there is one, and answer with its last counts."""
@@ -201,15 +203,19 @@ class Relay(Job):
 
     def report(self) -> RelayState:
         """How it stands."""
-        counts = self.counts
+        counts = self.counts = self.counts if self.is_running else self._robot.graph.relay_ended(self.id) or self.counts
         late, unseen = self._listened.dropped, self._listened.lost
         lost = None if counts.lost is None or unseen is None else counts.lost + unseen + late
         publishers = None if self._in_server else counts.publishers
-        notes: list[str] = [str(self.failure)] if self.failure else []
+        is_told = isinstance(self.failure, Stopped) and self.stop_reason  # `ended_by` says it
+        notes: list[str] = [str(self.failure)] if self.failure and not is_told else []
         if self._failed:
             notes.append(f"{self._failed} message(s) could not be passed on, the last because: {self._last_error}")
+        notes.append(guarded(counts.stopper_s, counts.unguarded))
         if counts.refused:
             notes.append(held_back(counts.refused))
+        if counts.limited:
+            notes.append(limited(counts.limited))
         if self.stop_reason and not self.is_running:
             notes.append(ended_by(self.stop_reason))
         if late:
@@ -238,7 +244,7 @@ class Relay(Job):
             stopped_with_zero=counts.final_sent,
             runs_in="server" if self._in_server else "bridge",
             qos=self._qos_words,
-            note=" ".join(notes),
+            note=" ".join(filter(None, notes)),
         )
 
     # ── the bridge's part ──────────────────────────────────────────────────────────────────────────────────────
@@ -300,9 +306,9 @@ class Relay(Job):
         batch: list[bytes] = []
         size = 0
         for sample in samples:
-            await asyncio.sleep(0)  # a large message takes 30 ms, and the link lease is renewed by this event loop
+            await asyncio.sleep(0)  # a hundred messages take 100 ms, and the link lease is renewed by this event loop
             try:
-                message = self._pass(sample)
+                message = await aside(len(sample.data), self._pass, sample)
             except (BadValue, BadData) as error:
                 self._failed += 1
                 self._last_error = str(error)
@@ -329,7 +335,7 @@ class Relay(Job):
 
     def _make_transform(self) -> Transform:
         """What becomes of a message; raises `BadInput` if an option does not fit the types."""
-        # Imported with the first relay: numpy, which these need, would double the time until tools/list is answered.
+        # Loaded with the first relay: numpy, which these need, would double the time until tools/list is answered.
         from ros2_mcp.codec.change import ChangeDetector
         from ros2_mcp.codec.mapping import FieldMapping
 
@@ -371,6 +377,7 @@ async def start(robot: Robot, request: RelayRequest) -> RelayState:
     source_type = await robot.types.topic(sending, request.message_type)
     destination_type = await _destination_type(robot, request, source_type, receiving)
     await robot.values.learn(source_type, destination_type)
+    await load("ros2_mcp.codec.change", "ros2_mcp.codec.mapping")
     relay = Relay(
         robot,
         request,

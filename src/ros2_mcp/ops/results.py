@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from time import monotonic
 from typing import Any, Protocol, TypeVar, cast
 
+from ros2_mcp.model.brief import brief
 from ros2_mcp.model.errors import AllFailed, RobotError
 from ros2_mcp.model.pictures import Picture
 from ros2_mcp.model.text import in_quotes, named
@@ -20,12 +21,30 @@ OneOfSeveral = TypeVar("OneOfSeveral", bound="Outcome")
 
 # Values of an object in one line: it is there to be read; all of them stand in the JSON beside it.
 _MAX_IN_WORDS = 12
+_SCALARS = frozenset({str, int, float, bool, type(None)})
+_TICK_S = 1.0
+"""Between two lines of progress: as often as a person reads a new one."""
+_TIME = {"sec", "nanosec"}
+"""The fields of a time or a duration."""
 
 Report = Callable[[float, float, str], Awaitable[None]]
 """Is called with progress: done so far, the whole, and a readable line."""
 
 HIDDEN = {"hidden": True}
 """Metadata of a result's field that is not part of its JSON, such as a picture."""
+
+ON_REQUEST = {"on_request": True}
+"""Metadata of a result's field that is part of its JSON only where it was asked for; else it is None."""
+
+
+def four_digits(measured: float | None) -> float | None:
+    """A measured figure, such as a rate, to four significant digits: the others are chance. None stays None."""
+    return None if measured is None else float(f"{measured:.4g}")
+
+
+def microseconds(measured: float | None) -> float | None:
+    """A measured time in seconds, to a microsecond, which no receipt is more exact than. None stays None."""
+    return None if measured is None else round(measured, 6)
 
 
 def at_most_every(seconds: float, report: Report) -> Report:
@@ -82,9 +101,9 @@ def lines_of(summary: str | list[str]) -> list[str]:
     return [summary] if isinstance(summary, str) else summary
 
 
-def list_note(matching: int, limit: int, settled: bool = True) -> str:
-    """What a shortened or early list says of itself; empty if it is complete."""
-    notes: list[str] = []
+def list_note(matching: int, limit: int, settled: bool = True, absence: str = "") -> str:
+    """What a shortened or early list says of itself, after the `absence` of a robot; empty if it is complete."""
+    notes = [absence] if absence else []
     if matching > limit:
         notes.append(f"{matching} match, the first {limit} are shown: narrow the pattern or raise the limit.")
     if not settled:
@@ -99,11 +118,15 @@ async def reporting(report: Report, whole_s: float, line: str | Callable[[], str
 
     async def tick() -> None:
         while True:
-            await asyncio.sleep(1.0)  # as often as a person reads a new line
             elapsed = monotonic() - started
             await report(elapsed, max(whole_s, elapsed), line if isinstance(line, str) else line())
+            await asyncio.sleep(_TICK_S)
 
-    ticking = asyncio.create_task(tick())
+    def begin() -> None:  # most of what is awaited takes milliseconds, and no task
+        nonlocal ticking
+        ticking = asyncio.ensure_future(tick())
+
+    ticking: asyncio.TimerHandle | asyncio.Task[None] = asyncio.get_running_loop().call_later(_TICK_S, begin)
     try:
         yield
     finally:
@@ -135,16 +158,57 @@ def facts(pictures: Sequence[Picture]) -> list[PictureFacts]:
 
 def as_json(value: Any) -> Any:
     """A result as JSON values, field by field, without what is hidden."""
+    if type(value) in _SCALARS:  # as nearly all are
+        return value
     if isinstance(value, (list, tuple)):
         return [as_json(item) for item in cast("Sequence[Any]", value)]
-    if is_dataclass(value):
-        return {name: as_json(getattr(value, name)) for name in _shown_fields(type(value))}
-    return value
+    if not is_dataclass(value):
+        return value
+    shown = ((name, getattr(value, name), on_request) for name, on_request in _shown_fields(type(value)))
+    return {name: as_json(inner) for name, inner, on_request in shown if not (on_request and inner is None)}
+
+
+def in_brief(result: Any, value: Any, said: str) -> tuple[Any, bool]:
+    """A result and its `value` as JSON for a reader of text, and whether a list in it is shortened.
+
+    It is without what is empty and sentences that are `said` already, and lists of objects that are much alike are in
+    short (`brief`). The objects of a list keep their sentences: their reader must not look for whose line it was.
+    """
+    is_shortened = False
+
+    def shown(one: Any, value: Any, is_row: bool = False) -> Any:
+        nonlocal is_shortened
+        if type(one) in _SCALARS:
+            return one
+        if isinstance(one, (list, tuple)):
+            items = cast("Sequence[Any]", one)
+            if any(hasattr(item, "summary") for item in items) or not (short := brief(value)):
+                return [shown(*both, is_row=True) for both in zip(items, value, strict=True)]
+            is_shortened = True
+            return short
+        if not is_dataclass(one):
+            return value
+        names = [name for name, _ in _shown_fields(type(one)) if name in value]
+        parts = {name: shown(getattr(one, name), value[name]) for name in names}
+        if not hasattr(one, "summary"):  # a row: what is empty there may be a value
+            return parts
+        return {name: part for name, part in parts.items() if not _is_needless(part, "" if is_row else said)}
+
+    return shown(result, value), is_shortened
+
+
+def _is_needless(part: Any, said: str) -> bool:
+    """Whether it is an empty text or list, or a sentence that has been said; a key, id, name or time is none."""
+    if not isinstance(part, (str, list)) or not part:
+        return isinstance(part, (str, list))
+    return isinstance(part, str) and " " in part and part.endswith(".") and part in said
 
 
 @cache
-def _shown_fields(kind: type[Any]) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(kind) if not field.metadata.get("hidden"))
+def _shown_fields(kind: type[Any]) -> tuple[tuple[str, bool], ...]:
+    """Names, and whether they are there only on request."""
+    shown = (field for field in fields(kind) if not field.metadata.get("hidden"))
+    return tuple((field.name, "on_request" in field.metadata) for field in shown)
 
 
 def exact_time(unix_ns: int) -> str:
@@ -153,11 +217,30 @@ def exact_time(unix_ns: int) -> str:
 
 
 def in_words(values: Mapping[str, Any]) -> str:
-    """The values of an object of the robot as one readable line; texts are quoted, and long ones cut."""
-    first = list(values.items())[:_MAX_IN_WORDS]
-    more = f" and {len(values) - len(first)} more" if len(values) > len(first) else ""
-    return ", ".join(f"{named(name)} {_brief(value)}" for name, value in first) + more
+    """The values of an object of the robot as one readable line: those within others by their paths, stamps and
+    durations in seconds; texts are quoted, and long ones cut.
+    """
+    leaves = [f"{named(path)} {text}" for path, text in _leaves(values)]
+    more = f" and {len(leaves) - _MAX_IN_WORDS} more" if len(leaves) > _MAX_IN_WORDS else ""
+    return ", ".join(leaves[:_MAX_IN_WORDS]) + more
 
 
-def _brief(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else in_quotes(value)
+def told_values(values: Mapping[str, Any]) -> str:
+    """What a condition looked at, as a readable line: `nearest(-20, 20) = 0.5853`; numbers to four digits."""
+    shown = (
+        f"{path} = {value:.4g}" if isinstance(value, float) else f"{path} = {in_quotes(value)}"
+        for path, value in values.items()
+    )
+    return ", ".join(shown) or "no message"
+
+
+def _leaves(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
+    """Path and text of each value. What is shortened (`$summary`) is one value."""
+    for name, value in values.items():
+        path = f"{above}{name}"
+        if not isinstance(value, dict) or not value or any(key.startswith("$") for key in cast("Iterable[str]", value)):
+            yield path, f"{value:.3g}" if isinstance(value, float) else in_quotes(cast("object", value))
+        elif value.keys() == _TIME:
+            yield path, f"{value['sec'] + value['nanosec'] / 1e9:.3f} s"
+        else:
+            yield from _leaves(cast("dict[str, Any]", value), f"{path}.")

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from time import monotonic
 
 import anyio
 
+from ros2_mcp.guard.state import RESET_HINT
 from ros2_mcp.model.errors import BridgeLost, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, TERMINAL
 from ros2_mcp.ops.actions.result import result_of
+from ros2_mcp.ops.flights import StoppedFlight, brake_flights
+from ros2_mcp.ops.observed import Observed, observe_still
+from ros2_mcp.ops.results import HIDDEN
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
 from ros2_mcp.robot.jobs import Job
@@ -23,8 +29,19 @@ _BRIDGE_S = 5.0
 """For a bridge that is starting, once more after one that is lost: the answer must come soon, confirmed or not."""
 _OTHERS_S = 1.0
 """For looking up who else publishes: the bridge knows it at once, unless discovery is still under way."""
+_OUT_OF_REACH_S = 2.3
+"""Who was not heard of for so long: the link lease of a robot elsewhere (2 s) has lapsed there, and what this server
+drove stands (bar: 0.3 s later). More waiting would change nothing for the robot."""
+LATCHED_S = 0.5
+"""A stop lasts that long at least before its answer waits no more: its latch is written by then. Chosen."""
+_LOOK_S = 0.05
+"""Between two looks at whether a robot is out of reach. Chosen."""
+_LATCH_S = 0.2
+"""A bridge that is alive has ended what moves, and sent its zeros, within a tenth of that."""
 _MOST_NAMED = 20
 """Of each kind: enough to see what it was. All else is counted."""
+_going_on: set[asyncio.Task[Stopped]] = set()
+"""Stops that go on behind their answer; a task that nobody holds may vanish."""
 _NOTHING: StopReply = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
 
 
@@ -65,76 +82,196 @@ class Stopped:
 
     `dropped` was accepted before the stop, had not been sent yet, and is not sent any more. `unknown_services` were
     called and `unknown_topics` published on by this server since it was started, the last ones first; it does not know
-    how what they set in motion is stopped. `confirmed` is true if every zero command was acknowledged, or nobody
-    listens; nobody else publishes on those topics; every goal has ended; and there are no such services and topics.
+    how what they set in motion is stopped (parameters and lifecycle transitions are configuration, and not among them).
+    `observed` says whether odometry told afterwards that the robot stands; `latched` whether it has to be reset by an
+    operator before anything acts again.
+    `confirmed` is true if every zero command was acknowledged, or nobody listens; nobody else publishes on those
+    topics; every goal has ended; every vehicle says that it is in a mode in which it stands; and there are no such
+    services and topics.
     """
 
     repeats_stopped: int
     relays_stopped: int
     topics: Sequence[StoppedTopic]
     goals: Sequence[StoppedGoal]
+    flights: Sequence[StoppedFlight] = ()
     dropped: Sequence[str] = ()
     unknown_services: Sequence[str] = ()
     unknown_topics: Sequence[str] = ()
     confirmed: bool
+    observed: Observed = "not observed"
+    latched: bool = False
     note: str
+    is_doubted: bool = field(default=False, metadata=HIDDEN)
 
     def summary(self) -> str:
-        """One line."""
-        verdict = "Stopped" if self.confirmed else "NOT confirmed"
-        if not (self.repeats_stopped or self.relays_stopped or self.topics or self.goals or self.dropped):
-            return f"{'Nothing was stopped.' if self.confirmed else 'NOT confirmed:'} {self.note}"
+        """One line: what is confirmed of what it knows how to stop, and then what it cannot judge."""
+        verdict = "NOT confirmed" if self.is_doubted else "Stopped" if self.confirmed else "Stopped, partly confirmed"
+        ended = (self.repeats_stopped, self.relays_stopped, self.topics, self.goals, self.flights, self.dropped)
+        if not any(ended):
+            return f"{'NOT confirmed:' if self.is_doubted else 'Nothing was stopped.'} {self.note}"
         cancelled = sum(goal.cancelled for goal in self.goals)
-        ended = sum(goal.confirmed and not goal.cancelled for goal in self.goals)
+        over = sum(goal.confirmed and not goal.cancelled for goal in self.goals)
+        flights = f", {len(self.flights)} flight(s) made to stand" if self.flights else ""
         return (
             f"{verdict}: {self.repeats_stopped} repeated publication(s) and "
             f"{self.relays_stopped} relay(s) ended, zero on {len(self.topics)} topic(s), {cancelled} goal(s) "
-            f"cancelled, {ended} had ended already. {self.note}"
+            f"cancelled, {over} had ended already{flights}. {self.note}"
         ).rstrip()
 
 
-async def stop(robot: Robot) -> Stopped:
+async def stop(robot: Robot, by: str = "") -> Stopped:
     """Ends what this server has set in motion: from the beginning of this call on, nothing leaves that was accepted
     before it; repeated publishing, relays and playbacks end, every velocity topic that was driven gets its zero, every
     goal is cancelled. Says what of it was confirmed, and never raises a `RobotError`.
+
+    A stop by a person, who is named by `by`, sets the latch; that of an agent does so under a policy.
     """
-    robot.raise_stop_epoch()  # before anything is awaited
+    _begin(robot, by)
+    return await _carry_out(robot, by)
+
+
+async def stop_in_reach(robot: Robot) -> Stopped:
+    """As `stop`; but the answer waits no longer for a robot elsewhere once that is out of reach: it says so, and the
+    stop goes on behind it.
+    """
+    _begin(robot, "")
+    task, begun_at = asyncio.ensure_future(_carry_out(robot, "")), monotonic()
+    _going_on.add(task)
+    task.add_done_callback(_going_on.discard)
+    while not task.done() and (monotonic() - begun_at < LATCHED_S or not is_out_of_reach(robot)):
+        await asyncio.wait({task}, timeout=_LOOK_S)
+    return task.result() if task.done() else not_stopped(unreached(robot), is_latched=robot.guard.latch.look().is_set)
+
+
+def is_out_of_reach(robot: Robot) -> bool:
+    """Whether a robot elsewhere that was reached is silent for so long that it stands by itself."""
+    return robot.is_remote and robot.graph.was_reached and robot.graph.unheard_s > _OUT_OF_REACH_S
+
+
+def unreached(robot: Robot) -> str:
+    """What is to be said of a robot whose stop goes on behind the answer."""
+    silent_s = robot.graph.unheard_s
+    since = f"nothing has come from it for {silent_s:.1f} s" if math.isfinite(silent_s) else "its link is lost"
+    return (
+        f"It is not reached ({since}). What this server drives there stops when the link lease lapses. "
+        "The stop goes on behind this answer: call ros2_stop again to see what is confirmed."
+    )
+
+
+async def _carry_out(robot: Robot, by: str) -> Stopped:
     with anyio.CancelScope(shield=True):  # it is finished also where its own call is cancelled
-        return await _stop(robot)
+        stopped = await _stop(robot)
+        if robot.guard.audit:
+            robot.guard.audit.note(
+                "stopped",
+                by=by or robot.principal.name,
+                topics=[topic.topic_name for topic in stopped.topics],
+                flights=[flight.vehicle for flight in stopped.flights],
+                confirmed=stopped.confirmed,
+                observed=stopped.observed,
+            )
+        return stopped
     raise AssertionError("a shield is not cancelled")
 
 
+async def stop_unreached(robot: Robot, note: str) -> Stopped:
+    """The same for a robot that this server has never reached: nobody is looked for."""
+    _begin(robot, "")
+    unwritten = await asyncio.to_thread(robot.guard.latch.write)
+    notes = [f"The latch could not be written ({unwritten}): it ends with this server."] if unwritten else []
+    is_latched = robot.guard.latch.look().is_set
+    notes += [note, *([f"The latch is set: nothing acts any more. {RESET_HINT}"] if is_latched else [])]
+    return Stopped(
+        repeats_stopped=0,
+        relays_stopped=0,
+        topics=(),
+        goals=(),
+        confirmed=not unwritten,
+        latched=is_latched,
+        note=" ".join(notes),
+        is_doubted=bool(unwritten),
+    )
+
+
+def not_stopped(note: str, *, is_latched: bool = False) -> Stopped:
+    """What is to be said where a stop did not come to its end."""
+    return Stopped(
+        repeats_stopped=0,
+        relays_stopped=0,
+        topics=(),
+        goals=(),
+        confirmed=False,
+        latched=is_latched,
+        note=note,
+        is_doubted=True,
+    )
+
+
+def _begin(robot: Robot, by: str) -> None:
+    """From now on nothing is sent that was accepted before; to be called before anything is awaited."""
+    robot.raise_stop_epoch()
+    if by or robot.policy.in_force:
+        robot.guard.latch.hold(
+            by=by or "ros2_stop", reason="a person stopped the robot" if by else "an agent stopped it"
+        )
+
+
 async def _stop(robot: Robot) -> Stopped:
-    (ended, problem), jobs, found = await asyncio.gather(
-        _stop_bridge(robot),  # it writes first
+    has_asked = anyio.Event()
+    (ended, problem), jobs, goals, flights, unwritten = await asyncio.gather(
+        _stop_bridge(robot, has_asked),  # it writes first
         robot.jobs.stop_moving("ros2_stop"),
-        asyncio.gather(*(_cancel(robot, goal) for goal in robot.jobs.running(Goal))),
+        cancel_goals(robot),
+        brake_flights(robot),
+        _write_latch(robot, has_asked),
     )
     zeros = {(zero["topic"], zero["type"]): zero for zero in ended["topics"]}
     missing = problem or "the bridge has sent no zero on it"
-    topics = await asyncio.gather(
-        *(_judged(robot, topic, zeros.get((topic, kind)), missing) for topic, kind in _topics(robot, zeros))
-    )
-    goals = [goal for goal in found if goal]
+    judging = [_judged(robot, topic, zeros.get((topic, kind)), missing) for topic, kind in _topics(robot, zeros)]
+    hovers = any(flight.armed for flight in flights)
+    observation, topics = await asyncio.gather(observe_still(robot, hovers=hovers), asyncio.gather(*judging))
     services, others = robot.no_known_stop.names("service"), robot.no_known_stop.names("topic")
     notes = [f"{problem}."] if problem else []
+    notes += [f"The latch could not be written ({unwritten}): it ends with this server."] if unwritten else []
     notes += [f"{job.kind} {job.id} did not end in good order: {error}" for job, error in jobs.items() if error]
-    doubts = [*notes, *_doubts(topics, goals), *_unknown(services, others)]
+    doubts, unknown = [*notes, *_doubts(topics, goals)], _unknown(services, others)
+    doubts += [flight.sentence for flight in flights if not flight.confirmed]
+    if observation.is_moving:
+        doubts.append(observation.sentence)
+    facts = [flight.sentence for flight in flights if flight.confirmed]
+    facts += _facts(ended, topics, [*goals, *flights], jobs)
+    facts += [] if observation.is_moving else [observation.sentence]
+    is_latched = robot.guard.latch.look().is_set
+    facts += [f"The latch is set: nothing acts any more. {RESET_HINT}"] if is_latched else []
     dropped = _dropped(ended)
     return Stopped(
         repeats_stopped=ended["repeats"],
         relays_stopped=ended["relays"],
         topics=topics,
         goals=goals,
+        flights=flights,
         dropped=_first(dropped),
         unknown_services=_first(services),
         unknown_topics=_first(others),
-        confirmed=not doubts,
-        note=" ".join([*doubts, *_facts(ended, topics, goals, jobs)]),
+        confirmed=not (doubts or unknown),
+        observed=observation.verdict,
+        latched=is_latched,
+        note=" ".join([*doubts, *facts, *unknown]),
+        is_doubted=bool(doubts),
     )
 
 
-async def _stop_bridge(robot: Robot) -> tuple[StopReply, str]:
+async def _write_latch(robot: Robot, has_asked: anyio.Event) -> str:
+    """Makes a latch that is held last, once the bridge has had its time to send the zeros: it looks at the file, too,
+    and would end in its name what the stop is to tell of. What kept it from being written; "" if nothing did.
+    """
+    with anyio.move_on_after(_LATCH_S):
+        await has_asked.wait()
+    return await asyncio.to_thread(robot.guard.latch.write)
+
+
+async def _stop_bridge(robot: Robot, has_asked: anyio.Event) -> tuple[StopReply, str]:
     """What the bridge says it has ended; and what is to be said if it has not been asked, or not the one that moved it.
 
     A bridge that is lost meanwhile has a successor that sends the zeros by itself; it is asked once more, for its
@@ -148,6 +285,8 @@ async def _stop_bridge(robot: Robot) -> tuple[StopReply, str]:
     except (RobotError, TimeoutError) as error:
         reason = str(error) or f"it has not answered within {_BRIDGE_S:g} s"
         return _NOTHING, f"The bridge could not be asked to stop ({reason.rstrip('.')}): what it publishes may go on"
+    finally:
+        has_asked.set()
     try:
         with anyio.fail_after(_BRIDGE_S):
             return await robot.stop_bridge(), problem
@@ -164,6 +303,8 @@ async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> 
     """What became of the zero on a topic, and who else publishes there."""
     if zero is None:
         return StoppedTopic(topic, 0, False, error=f"{topic} got no zero: {missing[0].lower()}{missing[1:]}.")
+    if problem := zero.get("problem"):
+        return StoppedTopic(topic, zero["matched"], False, error=problem)
     try:
         present = await robot.graph.endpoints(topic, _OTHERS_S)
     except RobotError as error:
@@ -173,6 +314,12 @@ async def _judged(robot: Robot, topic: str, zero: Zero | None, missing: str) -> 
     unseen = "" if present.settled else f"Discovery is under way: more may listen to {topic}, or publish on it."
     unreached = max(0, present.subscribers_of(zero["type"]) - zero["matched"])
     return StoppedTopic(topic, zero["matched"], zero["acked"], others, unseen, unreached)
+
+
+async def cancel_goals(robot: Robot) -> list[StoppedGoal]:
+    """Cancels all goals that this server sent, and waits a little for their end; what became of each."""
+    found = await asyncio.gather(*(_cancel(robot, goal) for goal in robot.jobs.running(Goal)))
+    return [goal for goal in found if goal]
 
 
 async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
@@ -191,6 +338,7 @@ async def _cancel(robot: Robot, goal: Goal) -> StoppedGoal | None:
         if not goal.was_sent:
             return None
         return StoppedGoal(goal.action, goal.id, "UNKNOWN", False, error=str(error))
+    cancelled = cancelled or result.status == "CANCELED"  # by the bridge, which has seen the latch first
     confirmed = (is_unknown and result.status == STATUS[0]) or result.status_code in TERMINAL
     return StoppedGoal(goal.action, goal.id, result.status, confirmed, cancelled)
 
@@ -226,26 +374,29 @@ def _unknown(services: Sequence[str], topics: Sequence[str]) -> list[str]:
         return []
     named = _first([*services[: _MOST_NAMED // 2], *topics[: _MOST_NAMED // 2]])
     return [
-        f"Since its start this server has {' and '.join(sent)}, of which it does not know how they are stopped "
-        f"({', '.join(named)}): if one of them has set something in motion, it may go on."
+        f"NOT judged: since its start this server has {' and '.join(sent)}, of which it does not know how they are "
+        f"stopped ({', '.join(named)}): if one of them has set something in motion, it may go on."
     ]
 
 
 def _facts(
-    ended: StopReply, topics: Sequence[StoppedTopic], goals: Sequence[StoppedGoal], jobs: Mapping[Job, str]
+    ended: StopReply,
+    topics: Sequence[StoppedTopic],
+    others: Sequence[StoppedGoal | StoppedFlight],
+    jobs: Mapping[Job, str],
 ) -> list[str]:
     """What else is to be said."""
     facts: list[str] = []
     if dropped := _dropped(ended):
         facts.append(f"{len(dropped)} request(s) that had not been sent yet will not be sent.")
-    if others := [job for job in jobs if job.kind not in ("repeat", "relay")]:
-        facts.append(f"Ended: {', '.join(f'{job.kind} {job.id}' for job in others)}.")
+    if ended_jobs := [job for job in jobs if job.kind not in ("repeat", "relay")]:
+        facts.append(f"Ended: {', '.join(f'{job.kind} {job.id}' for job in ended_jobs)}.")
     facts += [
         f"Nobody subscribes to {topic.topic_name} now."
         for topic in topics
         if not (topic.subscribers or topic.unreached or topic.error)
     ]
-    if not (ended["repeats"] or ended["relays"] or ended["dropped"] or topics or goals or jobs):
+    if not (ended["repeats"] or ended["relays"] or ended["dropped"] or topics or others or jobs):
         facts.append(
             "This server had nothing in motion that it knows how to stop; what others have set in motion goes on."
         )

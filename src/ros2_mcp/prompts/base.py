@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ros2_mcp.model.arguments import Argument, shown
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.graph.known_names import is_of_every_node, live_names
-from ros2_mcp.prompts.arguments import Argument, shown
 from ros2_mcp.prompts.prompt import Message, Prompt, step
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.limits import MAX_RATE_HZ, MIN_RATE_HZ
 
-MAX_WINDOW_S = 45.0
-"""A call stays below the time that clients wait for one."""
+_MEASURE_S = 600.0
+_LISTEN_S = 60.0
+"""The most that the tools take: to measure or compare topics, and to listen to a whole robot."""
+_PATIENCE_S = 45.0
+"""Some clients wait 60 s for a call, whatever is reported meanwhile; discovery and the answer take some of it."""
 _MOST_TOPICS = 20
 """Named and measured where none was chosen; a prompt with all topics of a large robot would be unreadable."""
 _DISCOVERY_S = 4.0
@@ -26,8 +29,14 @@ def base_prompts(robot: Robot) -> list[Prompt]:
     return [_echo_and_analyze(robot), _RELAY, _HEALTH, _COMPARE]
 
 
-def _window(name: str, default: float, what: str, minimum: float = 0.1) -> Argument:
-    return Argument(name, f"Seconds to {what}", "number", default=default, minimum=minimum, maximum=MAX_WINDOW_S)
+def _window(name: str, default: float, what: str, minimum: float = 0.1, maximum: float = _MEASURE_S) -> Argument:
+    return Argument(name, f"Seconds to {what}", "number", default=default, minimum=minimum, maximum=maximum)
+
+
+def _patience(duration_s: float) -> Sequence[str]:
+    """A line for a call that may take longer than a client waits."""
+    long = f"Each call takes {shown(duration_s)} s; if it is given up before, take at most {shown(_PATIENCE_S)} s."
+    return [long] if duration_s > _PATIENCE_S else []
 
 
 def _ask(*lines: str) -> Sequence[Message]:
@@ -89,6 +98,7 @@ def _analyze(topic: str, duration_s: float, analysis: str) -> Sequence[Message]:
     return _ask(
         f"Analyze the topic {named(topic)} ({analysis}).",
         *steps,
+        *_patience(duration_s),
         f"Then report: {_ECHO_REPORTS[analysis]}. If no message came, say so and look at who publishes it with "
         "ros2_topic_info.",
         _TRUTH,
@@ -101,6 +111,7 @@ def _choose_topic(topics: Sequence[str], duration_s: float) -> Sequence[Message]
     return _ask(
         f"Analyze a topic. None was named, and there are {len(topics)}: {', '.join(map(named, shown_topics))}{more}.",
         step(1, "ros2_topic_stats", topic_names=shown_topics, duration=duration_s),
+        *_patience(duration_s),
         "Then report a table of their rates, say which look unhealthy, and ask which one to analyze with "
         "ros2_topic_statistics.",
         _TRUTH,
@@ -139,7 +150,8 @@ async def _write_relay(values: Mapping[str, Any]) -> Sequence[Message]:
         step(2, "ros2_topic_stats", topic_names=[source, destination], duration=_check_s(duration_s)),
         step(3, "ros2_relay_list"),
         "Then report: both rates, how many messages were passed and dropped, and any error. "
-        f"{sooner} with ros2_relay_stop; stop it only if asked to.",
+        f"{sooner} with ros2_relay_stop; stop it only if asked to. If it is refused, say why: ros2_policy has what is "
+        "allowed.",
         _TRUTH,
     )
 
@@ -190,6 +202,7 @@ async def _write_health(values: Mapping[str, Any]) -> Sequence[Message]:
     return _ask(
         "Check the health of the robot's ROS 2 system.",
         step(1, "ros2_health_check", **values),
+        *_patience(values["rate_check_duration_sec"]),
         "Then report: the verdict (HEALTHY, DEGRADED or CRITICAL) first; a table of what was checked with its state; "
         "a recommendation for each problem, the worst first.",
         _TRUTH,
@@ -204,7 +217,7 @@ _HEALTH = Prompt(
         Argument("expected_topics", "Topics that must be there, such as /scan, /odom", "topics", default=[]),
         Argument("expected_services", "Services that must be there", "services", default=[]),
         Argument("check_rates", "Also measure rates", "boolean", default=True),
-        _window("rate_check_duration_sec", 3.0, "measure rates", 0.5),
+        _window("rate_check_duration_sec", 3.0, "measure rates", 0.5, _LISTEN_S),
         Argument(
             "min_expected_rate_hz", "A slower topic is a problem", "number", default=1.0, minimum=0, maximum=MAX_RATE_HZ
         ),
@@ -220,6 +233,7 @@ async def _write_compare(values: Mapping[str, Any]) -> Sequence[Message]:
     return _ask(
         f"Compare the topics {values['topic1_name']} and {values['topic2_name']}.",
         step(1, "ros2_topic_compare", **values),
+        *_patience(values["duration_sec"]),
         "Then report: the verdict (IDENTICAL, SIMILAR, DIFFERENT or VERY DIFFERENT) first; how many pairs it stands "
         "on; a table of the differences of each field; the delay between the topics; what the difference means.",
         _TRUTH,

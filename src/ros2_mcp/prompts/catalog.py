@@ -1,14 +1,19 @@
-"""Every prompt of one server: the base prompts, the ones in the user's folder, and the ones in the user's code."""
+"""Every prompt of one server: the base prompts, the ones in the user's folder, kept programs, and the user's code.
+
+Where a prompt names a tool that the server does not offer, it says so. A base prompt is then nothing but that, without
+the tool's name: models call what they read of.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.prompts import kept
 from ros2_mcp.prompts.base import base_prompts
 from ros2_mcp.prompts.folder import PromptFolder
 from ros2_mcp.prompts.mistakes import Mistake, Tell, tell_on_stderr
@@ -17,6 +22,7 @@ from ros2_mcp.robot import Robot
 
 _TOOL = re.compile(r"\bros2_\w+")
 Load = Callable[[Tell], Sequence[Prompt]]
+WhyMissing = Callable[[Collection[str]], str]
 
 
 class Catalog:
@@ -25,8 +31,10 @@ class Catalog:
     Args:
         robot: for prompts that name what is there.
         folder: where the user's Markdown files are.
+        programs: where kept programs are, which are prompts where this server runs programs.
         load_code: finds the prompts of the user's code; called once, when the prompts are first asked for.
-        missing: for tools that this server does not offer, what would offer them.
+        missing: the tools that this server does not offer, each with the reason.
+        why_missing: the reason in words why it does not offer these.
         tools: every tool there is.
         tell: is called with each mistake of a user.
     """
@@ -36,18 +44,22 @@ class Catalog:
         robot: Robot,
         *,
         folder: Path | None = None,
+        programs: Path | None = None,
         load_code: Load | None = None,
         missing: Mapping[str, str] | None = None,
+        why_missing: WhyMissing = lambda _: "its tools are not offered",
         tools: Sequence[str] = (),
         tell: Tell = tell_on_stderr,
     ) -> None:
         self._base = base_prompts(robot)
         taken = frozenset(prompt.name for prompt in self._base)
         self._folder = PromptFolder(folder, tell, taken=taken, tools=frozenset(tools)) if folder else None
+        self._programs = _kept_in(programs, tell) if programs and kept.RUNS not in (missing or {}) else None
         self._load_code = load_code
         self._of_code: Sequence[Prompt] | None = None if load_code else ()
         self._loading = asyncio.Lock()
         self._missing = missing or {}
+        self._why_missing = why_missing
         self._tell = tell
 
     async def prompts(self) -> Mapping[str, Prompt]:
@@ -55,6 +67,8 @@ class Catalog:
         prompts = {prompt.name: prompt for prompt in self._base}
         for prompt in self._folder.prompts() if self._folder else ():
             prompts[prompt.name] = prompt
+        for prompt in self._programs.prompts() if self._programs else ():
+            prompts.setdefault(prompt.name, prompt)
         for prompt in await self._code():
             prompts.setdefault(prompt.name, prompt)
         return prompts
@@ -72,23 +86,36 @@ class Catalog:
         return prompts[name]
 
     async def messages(self, name: str, given: Mapping[str, str]) -> Sequence[Message]:
-        """The messages of a prompt, and a last one where a tool that they name is not offered.
+        """The messages of a prompt; where a tool that they name is not offered, they say so, and why.
 
         Raises:
             NotFound: if there is no such prompt.
             BadInput: naming the argument, what was given and what is allowed.
         """
-        messages = await (await self.prompt(name)).messages(given)
+        return await self.messages_of(await self.prompt(name), given)
+
+    def base(self, name: str) -> Prompt | None:
+        """The base prompt of that name, if it is one."""
+        return next((prompt for prompt in self._base if prompt.name == name), None)
+
+    async def messages_of(self, prompt: Prompt, given: Mapping[str, str]) -> Sequence[Message]:
+        """The messages of one of its prompts, as `messages`."""
+        messages = await prompt.messages(given)
         named = {tool for message in messages for tool in _TOOL.findall(message.text)} & self._missing.keys()
         if not named:
             return messages
+        if prompt in self._base:
+            return [
+                Message(f"{prompt.title}: not possible here, because {self._why_missing(named)}. Tell the user so.")
+            ]
         absent = ", ".join(f"{tool} ({self._missing[tool]})" for tool in sorted(named))
         note = f"Not offered by this server: {absent}. Tell the user if it cannot be done without."
         return [*messages, Message(note)]
 
     def has_news(self) -> bool:
-        """Whether the user's folder has changed since the prompts were asked for; each change is news once."""
-        return self._folder is not None and self._folder.has_news()
+        """Whether a folder has changed since the prompts were asked for; each change is news once."""
+        news = [folder.has_news() for folder in (self._folder, self._programs) if folder]
+        return any(news)
 
     async def _code(self) -> Sequence[Prompt]:
         """The prompts of the user's code, each name once; whatever takes another's name is reported and left out."""
@@ -102,3 +129,7 @@ class Catalog:
                         found[prompt.name] = prompt
                 self._of_code = list(found.values())
         return self._of_code or ()
+
+
+def _kept_in(folder: Path, tell: Tell) -> PromptFolder:
+    return PromptFolder(folder.expanduser(), tell, parse=kept.parse, may_lack=True)

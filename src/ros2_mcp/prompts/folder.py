@@ -2,25 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
-from ros2_mcp.prompts.markdown import MAX_CHARACTERS, Parsed, parse
+from ros2_mcp.prompts import markdown
+from ros2_mcp.prompts.markdown import MAX_CHARACTERS, Parsed
 from ros2_mcp.prompts.mistakes import Mistake, Tell
 from ros2_mcp.prompts.prompt import Prompt
 
+Parse = Callable[[str, str, str], Parsed]
 _NOT_READ_YET = (("", -1, -1),)
 
 
 class PromptFolder:
-    """The prompts of one folder. `README.md` is not one of them; names in `taken` are not given away."""
+    """The prompts of one folder. `README.md` is not one of them; names in `taken` are not given away.
 
-    def __init__(self, path: Path, tell: Tell, *, taken: Set[str] = frozenset(), tools: Set[str] = frozenset()) -> None:
+    `parse` makes a prompt of a file's path, name and text; without it, files are prompts that may call `tools`. That
+    there is no such folder is a mistake unless it `may_lack`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        tell: Tell,
+        *,
+        taken: Set[str] = frozenset(),
+        tools: Set[str] = frozenset(),
+        parse: Parse | None = None,
+        may_lack: bool = False,
+    ) -> None:
         self.path = path
         self._tell = tell
         self._taken = taken
-        self._tools = tools
+        self._parse = parse or partial(markdown.parse, known_tools=tools)
+        self._may_lack = may_lack
         self._seen: Sequence[tuple[str, int, int]] = _NOT_READ_YET
         self._announced = self._seen
         self._reported: Set[Mistake] = frozenset()
@@ -56,7 +73,7 @@ class PromptFolder:
         prompts: dict[str, Prompt] = {}
         mistakes: list[Mistake] = []
         for path in self._files():
-            parsed = _parse_file(path, self._tools)
+            parsed = _parse_file(path, self._parse)
             mistakes += parsed.mistakes
             if parsed.prompt is None:
                 continue
@@ -64,7 +81,7 @@ class PromptFolder:
                 mistakes.append(Mistake(str(path), parsed.line, f"The name {parsed.prompt.name} is already taken."))
             else:
                 prompts[parsed.prompt.name] = parsed.prompt
-        if not self.path.is_dir():
+        if not self.path.is_dir() and not self._may_lack:
             mistakes = [Mistake(str(self.path), 0, "There is no such folder of prompts.")]
         for mistake in mistakes:
             if mistake not in self._reported:
@@ -72,11 +89,11 @@ class PromptFolder:
         self._prompts, self._reported = list(prompts.values()), frozenset(mistakes)
 
 
-def _parse_file(path: Path, tools: Set[str]) -> Parsed:
+def _parse_file(path: Path, parse: Parse) -> Parsed:
     try:
         text = path.read_text(encoding="utf-8-sig")
         if len(text) <= MAX_CHARACTERS:
-            return parse(str(path), path.stem, text, tools)
+            return parse(str(path), path.stem, text)
         problem = f"It is longer than {MAX_CHARACTERS} characters."
     except UnicodeDecodeError:
         problem = "It is not text in UTF-8."

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from ros2_mcp.prompts.arguments import Argument, values_of
+from ros2_mcp.model.arguments import Argument, values_of
 
 Role = Literal["user", "assistant"]
 

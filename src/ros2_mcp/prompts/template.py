@@ -12,8 +12,8 @@ import re
 from collections.abc import Iterator, Mapping, Set
 from typing import Any
 
+from ros2_mcp.model.arguments import shown
 from ros2_mcp.model.names import did_you_mean
-from ros2_mcp.prompts.arguments import shown
 
 _PLACEHOLDER = re.compile(r"\{\{[ \t]*(?P<name>[A-Za-z_]\w*)[ \t]*(?:\|[ \t]*(?P<json>json)[ \t]*)?\}\}")
 _IF = re.compile(r"^\s*\{\{#if (?P<no>not )?\s*(?P<name>[A-Za-z_]\w*)\s*\}\}\s*$")

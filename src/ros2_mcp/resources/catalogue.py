@@ -25,6 +25,8 @@ from ros2_mcp.ops.nodes.info import node_info
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.results import as_json, iso_time
 from ros2_mcp.ops.services.list import list_services
+from ros2_mcp.ops.sources.live import Live
+from ros2_mcp.ops.space.robot import in_brief
 from ros2_mcp.ops.topics.info import topic_info
 from ros2_mcp.ops.topics.list import list_topics
 from ros2_mcp.ops.watch.changes import (
@@ -146,8 +148,15 @@ async def graph(robot: Robot, _: Watcher) -> Content:
         "nodes": [found for found in infos if found],
         "topics": [{"topic_name": row.topic_name, "topic_type": row.topic_type} for row in all_topics.topics],
         "settled": listed.settled and all_topics.settled,
-        "note": f"{listed.note} {all_topics.note}".strip(),
+        "note": " ".join(filter(None, dict.fromkeys((listed.note, all_topics.note)))),
     }
+
+
+@resource("ros2://robot", "The robot in brief", lambda: GraphParts(("topics",)))
+async def robot_in_brief(robot: Robot, _: Watcher) -> Content:
+    """What the robot is: kind, size, command inputs, sensors, joints, where it is, what is unhealthy. Changes when a
+    topic comes or goes."""
+    return as_json(await in_brief(robot, Live(robot)))
 
 
 @resource("ros2://topics", "Topics", lambda: GraphParts(("topics",)))
@@ -172,7 +181,11 @@ async def services(robot: Robot, _: Watcher) -> Content:
 async def actions(robot: Robot, _: Watcher) -> Content:
     """Every action with its goals and their states. Changes when a goal has ended, or an action came or went."""
     listed, goals = await asyncio.gather(list_actions(robot), all_goals(robot))
-    return {"actions": as_json(listed.actions), "goals": as_json(goals.goals), "note": goals.note}
+    return {
+        "actions": as_json(listed.actions),
+        "goals": as_json(goals.goals),
+        "note": f"{listed.note} {goals.note}".strip(),
+    }
 
 
 # ── what is reported ─────────────────────────────────────────────────────────────────────────────────────────────────
@@ -236,7 +249,7 @@ async def _shown(robot: Robot, seen: Seen | None) -> Content | None:
 
     options = RenderOptions(max_bytes=robot.result_bytes // 2)
     await robot.values.learn(seen.type)
-    rendered = await asyncio.to_thread(robot.values.render, seen.type, seen.sample.data, options)
+    rendered = await robot.values.render(seen.type, seen.sample.data, options)
     return {
         "type": seen.type,
         "received_at": iso_time(seen.sample.received_ns),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mcp.server.subscriptions import SubscriptionBus
@@ -22,7 +23,7 @@ from mcp.types import (
 
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
 from ros2_mcp.model.text import visible
-from ros2_mcp.ops.watch.watchers import Watcher
+from ros2_mcp.resources.by_robot import ROBOT, ByRobot
 from ros2_mcp.resources.catalogue import RESOURCES, matching
 from ros2_mcp.resources.fitting import fitting
 from ros2_mcp.resources.push import Push
@@ -35,18 +36,18 @@ _logger = logging.getLogger(__name__)
 class Resources:
     """Answers what clients ask of resources; `push` answers their subscriptions."""
 
-    def __init__(self, robot: Robot, bus: SubscriptionBus) -> None:
-        self._robot = robot
-        self._watcher = Watcher(robot)
-        self.push = Push(self._watcher, bus)
+    def __init__(self, robots: Mapping[str, Robot], bus: SubscriptionBus) -> None:
+        self._by_robot = ByRobot(robots)
+        self.push = Push(self._by_robot.watched, bus)
 
     async def list(self, _: Any, __: PaginatedRequestParams | None) -> ListResourcesResult:
         """The resources without variables."""
         return ListResourcesResult(
             resources=[
-                Resource(uri=row.uri, name=row.name, title=row.title, description=row.description, mime_type=_MIME_TYPE)
+                Resource(uri=uri, name=name, title=title, description=row.description, mime_type=_MIME_TYPE)
                 for row in RESOURCES
                 if not row.template.variable_names
+                for uri, name, title in self._by_robot.listed(row)
             ]
         )
 
@@ -55,7 +56,7 @@ class Resources:
         return ListResourceTemplatesResult(
             resource_templates=[
                 ResourceTemplate(
-                    uri_template=row.uri,
+                    uri_template=self._by_robot.template(row.uri),
                     name=row.name,
                     title=row.title,
                     description=row.description,
@@ -74,9 +75,10 @@ class Resources:
         """
         uri = str(params.uri)
         try:
-            resource, variables = matching(uri)
+            robot, watcher, plain, lead = self._by_robot.found(uri)
+            resource, variables = matching(plain)
             chosen = {**dict.fromkeys(resource.template.query_variable_names, ""), **variables}
-            text = fitting(await resource.read(self._robot, self._watcher, **chosen), self._robot.result_bytes)
+            text = fitting({**lead, **await resource.read(robot, watcher, **chosen)}, robot.result_bytes)
         except (NotFound, BadInput) as error:
             raise MCPError(INVALID_PARAMS, visible(str(error)), {"uri": visible(uri)}) from error
         except RobotError as error:
@@ -87,3 +89,14 @@ class Resources:
             _logger.exception("reading %s failed", uri)
             raise MCPError(INTERNAL_ERROR, visible(f"Error reading resource {uri}"), {"uri": visible(uri)}) from error
         return ReadResourceResult(contents=[TextResourceContents(uri=uri, text=text, mime_type=_MIME_TYPE)])
+
+    def completed_by(self, template: str, variable: str) -> tuple[Sequence[str], str]:
+        """What a variable of a template can be: choices, or else a kind of live names; neither where nobody knows."""
+        if variable == ROBOT:
+            return self._by_robot.names, ""
+        kinds = [
+            row.completes[variable]
+            for row in RESOURCES
+            if self._by_robot.template(row.uri) == template and variable in row.completes
+        ]
+        return (), kinds[0] if kinds else ""

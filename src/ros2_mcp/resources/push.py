@@ -32,7 +32,6 @@ from mcp.types import (
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.text import visible
 from ros2_mcp.ops.watch.watchers import Subject, Watcher
-from ros2_mcp.resources.catalogue import subject_of
 
 # Watched by one client: several times what any was seen to watch; each may be a subscription on the robot.
 MAX_URIS = 200
@@ -88,8 +87,9 @@ class Subscriber:
 class Push:
     """Answers the subscription methods of both eras."""
 
-    def __init__(self, watcher: Watcher, bus: SubscriptionBus) -> None:
-        self._watcher = watcher
+    def __init__(self, watched: Callable[[str], tuple[Watcher, Subject]], bus: SubscriptionBus) -> None:
+        """`watched` tells what is watched for a URI, and by whom; it raises a `RobotError` where it is none of ours."""
+        self._watched = watched
         self._bus = bus
         self._subscribers: dict[int, Subscriber] = {}
         self._listening = 0
@@ -119,14 +119,14 @@ class Push:
         """
         uri, subscriber = str(params.uri), self._subscriber(request)
         try:
-            subject = subject_of(uri)
+            watcher, subject = self._watched(uri)
         except RobotError as error:
             raise MCPError(INVALID_PARAMS, visible(str(error)), data={"uri": visible(uri)}) from error
         if len(subscriber.watched) >= MAX_URIS:
             raise MCPError(INVALID_PARAMS, f"You are subscribed to {MAX_URIS} resources: unsubscribe from some first.")
         if uri not in subscriber.watched:
-            subscriber.watched[uri] = self._watch(uri, subject, subscriber.mailbox)
-            await self._watcher.begun(subject)
+            subscriber.watched[uri] = _watch(uri, watcher, subject, subscriber.mailbox)
+            await watcher.begun(subject)
         return EmptyResult()
 
     async def unsubscribe(self, request: Request, params: UnsubscribeRequestParams) -> EmptyResult:
@@ -144,7 +144,7 @@ class Push:
         uris = list(dict.fromkeys(asked.resource_subscriptions or ()))
         if len(uris) > MAX_URIS:
             raise MCPError(INVALID_PARAMS, f"{len(uris)} resources are too many: at most {MAX_URIS}.")
-        subjects = {uri: subject for uri in uris if (subject := _subject_or_none(uri)) is not None}
+        subjects = {uri: found for uri in uris if (found := self._watched_or_none(uri)) is not None}
         honored = SubscriptionFilter(
             tools_list_changed=asked.tools_list_changed or None,
             prompts_list_changed=asked.prompts_list_changed or None,
@@ -161,9 +161,10 @@ class Push:
         try:
             with ExitStack() as until_the_end:
                 until_the_end.callback(self._bus.subscribe(deliver))
-                for uri, subject in subjects.items():
-                    until_the_end.callback(self._watch(uri, subject, mailbox))
-                await self._watcher.begun(*subjects.values())
+                for uri, (watcher, subject) in subjects.items():
+                    until_the_end.callback(_watch(uri, watcher, subject, mailbox))
+                # One robot that is away holds up this answer for as long as one, whatever else is listened to.
+                await asyncio.gather(*(watcher.begun(subject) for watcher, subject in subjects.values()))
                 await _notify_listener(request, honored, mailbox)
         finally:
             self._listening -= 1
@@ -175,8 +176,15 @@ class Push:
             raise MCPError(INVALID_REQUEST, "Send notifications/initialized before you subscribe to resources.")
         return subscriber
 
-    def _watch(self, uri: str, subject: Subject, mailbox: Mailbox) -> Callable[[], None]:
-        return self._watcher.watch(subject, lambda: mailbox.put(ResourceUpdated(uri)))
+    def _watched_or_none(self, uri: str) -> tuple[Watcher, Subject] | None:
+        try:
+            return self._watched(uri)
+        except RobotError:
+            return None
+
+
+def _watch(uri: str, watcher: Watcher, subject: Subject, mailbox: Mailbox) -> Callable[[], None]:
+    return watcher.watch(subject, lambda: mailbox.put(ResourceUpdated(uri)))
 
 
 async def _notify_listener(request: Request, honored: SubscriptionFilter, mailbox: Mailbox) -> None:
@@ -190,10 +198,3 @@ async def _notify_listener(request: Request, honored: SubscriptionFilter, mailbo
         await request.session.send_notification(
             event_to_notification(event, stamp), related_request_id=request.request_id
         )
-
-
-def _subject_or_none(uri: str) -> Subject | None:
-    try:
-        return subject_of(uri)
-    except RobotError:
-        return None

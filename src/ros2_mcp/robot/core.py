@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.commands import LOCAL
+from ros2_mcp.model.times import Outage
 from ros2_mcp.robot.failsafes import Failsafes
 from ros2_mcp.robot.graph import Graph
 from ros2_mcp.robot.jobs import Jobs
@@ -20,8 +22,9 @@ if TYPE_CHECKING:
 class Core:
     """One robot without the ways to act on it. A recording in the place of a robot has its own `graph` and `values`.
 
-    `principal` is who asks through it, `accepted` when the call was accepted that acts through it: a view of the robot
-    for one call has both (`Robot.acting_for`), and shares all else.
+    `principal` is who asks through it, `accepted` when the call was accepted that acts through it, `notes` sentences
+    for its result: a view of the robot for one call has these of its own (`Robot.acting_for`), and shares all else.
+    With a list `rehearsed` nothing is done through it: what would be is written there, with what the policy says of it.
 
     A class of its own, so that the modules that carry commands out do not import `Robot`, which imports them.
     """
@@ -37,6 +40,22 @@ class Core:
         self.no_known_stop = NoKnownStop()
         self.principal = LOCAL
         self.accepted: Accepted | None = None
+        self.notes: list[str] = []
+        self.rehearsed: list[str] | None = None
+
+    def now_ns(self) -> int:
+        """The time of the robot's clock, by which what it sends is stamped, in ns of Unix time."""
+        return self.bridge.clock.now_ns()
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether a network lies between this server and the robot, so that large messages take their time."""
+        return self.bridge.is_remote
+
+    @property
+    def outages(self) -> Sequence[Outage]:
+        """The times in which a robot elsewhere was out of reach."""
+        return self.bridge.outages
 
     def check_stop(self) -> Accepted:
         """When the call was accepted that acts through this; to be asked after every await and before anything is sent.

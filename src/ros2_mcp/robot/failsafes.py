@@ -23,9 +23,10 @@ from ros2_mcp.model.errors import BridgeLost, Refused, RobotError
 from ros2_mcp.model.goals import CANCEL_TYPE, cancel_request
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.robot.graph import NO_END_S, was_refused
+from ros2_mcp_bridge.flight import BRAKE_MODES, SET_MODE
 from ros2_mcp_bridge.limits import MAX_FAILSAFES
 from ros2_mcp_bridge.protocol import StoppedTopic, ZeroReply
-from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+from ros2_mcp_bridge.velocity import MOTION_TYPES
 
 if TYPE_CHECKING:
     from ros2_mcp.robot.graph import Graph
@@ -60,7 +61,8 @@ class Driven:
 
     `owner` is who commanded it last, `users` whose commands are under way on it and how many, `commands` counts all.
     It is at rest once every subscriber has acknowledged a zero, or there is none, and nothing was commanded since;
-    `has_ended` if the last command on it ended with a zero of which that is not known.
+    `has_ended` if the last command on it ended with a zero of which that is not known, or by itself. `joints` are those
+    that were commanded, where it is trajectories of joints that it takes.
     """
 
     topic: str
@@ -70,6 +72,7 @@ class Driven:
     users: Counter[Principal] = field(default_factory=Counter[Principal])
     has_ended: bool = False
     is_at_rest: bool = False
+    joints: Sequence[str] = ()
     held: dict[tuple[str, str], _Held] = field(default_factory=dict[tuple[str, str], _Held])
 
     def close(self) -> None:
@@ -91,15 +94,17 @@ class Failsafes:
         self._values = values
         self._driven: dict[tuple[str, str], Driven] = {}
         self._goals: dict[str, asyncio.Task[None]] = {}
+        self._flights: dict[str, list[asyncio.Task[None]]] = {}
 
     def close(self) -> None:
         """Ends all that keeps them in force; safe to call twice. The bridge has carried them out, or is to."""
         for driven in self.driven:
             driven.close()
-        for task in self._goals.values():
+        for task in itertools.chain(self._goals.values(), *self._flights.values()):
             task.cancel()
         self._driven.clear()
         self._goals.clear()
+        self._flights.clear()
 
     # ── what is driven ─────────────────────────────────────────────────────────────────────────────────────────
 
@@ -107,6 +112,11 @@ class Failsafes:
     def driven(self) -> Sequence[Driven]:
         """Every velocity topic that this server has driven, but those that have given up their place at rest."""
         return list(self._driven.values())
+
+    @property
+    def moving(self) -> Sequence[str]:
+        """The topics that have got no zero since they were commanded, as far as is known."""
+        return sorted({driven.topic for driven in self.driven if not (driven.is_at_rest or driven.has_ended)})
 
     def owned(self, owner: Principal) -> Sequence[Driven]:
         """Those on which a command of this client is under way, and those that it was the last to command, that have
@@ -133,14 +143,15 @@ class Failsafes:
 
     @asynccontextmanager
     async def driving(
-        self, topic: str, type_name: str, qos: QoS, owner: Principal
+        self, topic: str, type_name: str, qos: QoS, owner: Principal, joints: Collection[str] = ()
     ) -> AsyncGenerator[Driven | None, None]:
-        """Around a command that publishes: leaves the fail-safe of a velocity topic before it; no other type needs one.
+        """Around a command that publishes: leaves the fail-safe of a velocity topic before it, or of one that moves
+        `joints`; no other type needs one.
 
         Raises:
             Refused: if it would be one topic more than there can be fail-safes, and none of them is at rest.
         """
-        if type_name not in VELOCITY_TYPES:
+        if type_name not in MOTION_TYPES:
             yield None
             return
         key = topic, type_name
@@ -153,6 +164,7 @@ class Failsafes:
             held = driven.held[qos.reliability, qos.durability] = _Held(qos)
             held.task = asyncio.create_task(self._keep_driven(driven, held))
         driven.owner, driven.is_at_rest, driven.has_ended = owner, False, False
+        driven.joints = tuple(dict.fromkeys((*driven.joints, *joints)))
         driven.commands += 1
         driven.users[owner] += 1
         for held in driven.held.values():
@@ -162,6 +174,11 @@ class Failsafes:
             yield driven
         finally:
             driven.users -= Counter([owner])  # keeps no zeros
+
+    def settled(self, topic: str, type_name: str) -> None:
+        """Notes that what was commanded on a topic has come to its end by itself, and was seen there."""
+        if driven := self._driven.get((topic, type_name)):
+            driven.has_ended = not driven.users
 
     def commands(self) -> Mapping[tuple[str, str], int]:
         """How many commands each topic has had: what `rest` is to be told, taken before zeros are asked for."""
@@ -225,7 +242,7 @@ class Failsafes:
         """Keeps a fail-safe in force, in one bridge after the other. What a lost bridge left moving, its successor
         stops at once.
         """
-        after_a_loss = False
+        after_a_loss = is_told = False
         while True:
             held.is_needed.clear()
             try:
@@ -235,15 +252,18 @@ class Failsafes:
                     type=driven.type,
                     qos=held.qos.request(),
                     frame=self._graph.frame_id_of(driven.topic),
+                    joints=list(driven.joints),
                     now=after_a_loss and not driven.is_at_rest,
                     timeout_s=NO_END_S,
                 )
             except BridgeLost:
-                after_a_loss = True
+                after_a_loss, is_told = True, False
             except RobotError as error:
                 if self._graph.is_closed:
                     return
-                _logger.warning("the fail-safe of %s is not in force: %s", driven.topic, error)
+                if not is_told:  # of an outage once
+                    _logger.warning("the fail-safe of %s is not in force: %s", driven.topic, error)
+                is_told = not was_refused(error)
                 after_a_loss = after_a_loss or not was_refused(error)
                 with anyio.move_on_after(math.inf if was_refused(error) else _AGAIN_S):
                     await held.is_needed.wait()  # until the topic is commanded once more
@@ -268,14 +288,47 @@ class Failsafes:
             self._goals.pop(goal_id).cancel()
 
     async def _keep_cancel(self, goal_id: str, body: bytes, service: Mapping[str, Any]) -> None:
-        """Keeps it in force, in one bridge after the other."""
+        await self._keep_call(f"goal {goal_id}", body, service)
+        self._goals.pop(goal_id, None)
+
+    # ── flights ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def leave_brake(self, vehicle: str) -> None:
+        """Before an order to a vehicle: leaves the requests that make it stand. `SET_MODE` must have been learnt.
+
+        All modes are sent, the best one last: an autopilot does not take those that it does not have.
+        """
+        if vehicle in self._flights:
+            return
+        service = {"service": f"{vehicle}/set_mode", "type": SET_MODE}
+        self._flights[vehicle] = [
+            asyncio.create_task(self._keep_call(f"flight {vehicle}", self._brake_body(mode), service))
+            for mode in reversed(BRAKE_MODES)
+        ]
+
+    def withdraw_brake(self, vehicle: str) -> None:
+        """Takes the fail-safe of a vehicle back; without effect where there is none."""
+        for task in self._flights.pop(vehicle, ()):
+            task.cancel()
+
+    def _brake_body(self, mode: str) -> bytes:
+        return self._values.encode_known(f"{SET_MODE}_Request", {"base_mode": 0, "custom_mode": mode})
+
+    async def _keep_call(self, what: str, body: bytes, service: Mapping[str, Any]) -> None:
+        """Keeps a request in force, in one bridge after the other."""
+        is_told = False
         while True:
             try:
                 await self._graph.ask("failsafe_call", body, timeout_s=NO_END_S, **service)
             except BridgeLost:
+                is_told = False
                 continue
             except RobotError as error:
                 if not self._graph.is_closed:
-                    _logger.warning("the fail-safe of goal %s is not in force: %s", goal_id, error)
-            self._goals.pop(goal_id, None)
+                    if not is_told:  # of an outage once
+                        _logger.warning("the fail-safe of %s is not in force: %s", what, error)
+                    if not was_refused(error):  # nobody was reached: the next bridge is to have it
+                        is_told = True
+                        await anyio.sleep(_AGAIN_S)
+                        continue
             return

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+import logging
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from dataclasses import dataclass
 from time import monotonic
 from typing import Any
 
+import anyio
+
 from ros2_mcp.model.commands import Answer, CancelGoals, Principal, SendGoal
-from ros2_mcp.model.errors import NotFound, Stopped
-from ros2_mcp.model.goals import CANCEL_TYPE
+from ros2_mcp.model.errors import BridgeLost, NotFound, Stopped, Unreachable
+from ros2_mcp.model.goals import CANCEL_TYPE, STATUS, STATUS_TYPE, TERMINAL, cancel_request, goal_id_hex
+from ros2_mcp.model.qos import QoS
 from ros2_mcp.robot.core import Core
-from ros2_mcp.robot.graph import was_refused
+from ros2_mcp.robot.graph import NO_END_S, was_refused
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp.robot.services import call
 
@@ -20,16 +25,30 @@ TERMINATED_GOAL = 3
 """Codes of action_msgs/srv/CancelGoal (`CANCEL_CODES`)."""
 _AGAIN_S = 0.1
 """Between requests to cancel a goal that its server has yet to accept."""
+_FOLLOWED_AFTER_S = 1.0
+"""A goal that is over before needs no subscription."""
+_MOST_FOLLOWED = 32
+"""Actions whose status is subscribed to for this, one subscription each: more than a robot carries out at a time."""
+_FOLLOW_AGAIN_S = 5.0
+"""Between looks whether a goal that nobody follows is to be followed now, and after a lost bridge."""
+_CLOSE_S = 0.5
+"""A bridge that is alive answers within milliseconds; the end of the server does not wait longer for another."""
+_MOST_STATES, _MOST_STATE_BYTES = 100, 1_000_000
+"""Messages of one status topic that wait; each has all goals of its action, so that the newest would do."""
+_STATUS_QOS = QoS(durability="transient_local", depth=1)
+"""As every action server publishes its status: whoever comes late gets the newest."""
 CANCELLED_S = 3.0
 """A server that is alive answers within milliseconds; the end of a client does not wait longer for one that is not."""
+_logger = logging.getLogger(__name__)
 
 
 class Goal(Job):
     """A goal that this server sent; its id is the goal's own.
 
-    It is running until somebody has seen it end, and may move the robot until then: no process tells us of its end
-    unasked. `is_accepted` is false as long as its server has not said that it takes it, and so may know nothing of it;
-    `was_sent` is false once it is known that it never left.
+    It is running until somebody has seen it end, and may move the robot until then. Where nobody awaits it, that is
+    `follow`, which listens to its action's status while it `is_followed`. `is_accepted` is false as long as its server
+    has not said that it takes it, and so may know nothing of it; `was_sent` is false once it is known that it never
+    left. `at_end` is told once of its end, and `ended_as` is how that was, in words.
     """
 
     kind = "goal"
@@ -48,19 +67,32 @@ class Goal(Job):
         action: str,
         action_type: str,
         ask_to_cancel: Callable[[], Awaitable[Mapping[str, Any]]],
+        follow: Callable[[Goal], Coroutine[Any, Any, None]] | None = None,
     ) -> None:
         super().__init__(owner=owner, moves=[action], job_id=goal_id)
         self.action = action
         self.action_type = action_type
         self.is_accepted = False
         self.was_sent = True
+        self.is_followed = False
+        self.ended_as = ""
+        self.at_end: Callable[[Goal], None] = lambda _: None
         self._ask_to_cancel = ask_to_cancel
+        self._follow = follow
         self._has_ended = asyncio.Event()
 
     async def run(self) -> None:
         """Waits until somebody has seen it end."""
         self.begun()
-        await self._has_ended.wait()
+        with anyio.move_on_after(_FOLLOWED_AFTER_S):
+            await self._has_ended.wait()
+        if self._has_ended.is_set():
+            return
+        async with anyio.create_task_group() as group:
+            if self._follow:
+                group.start_soon(self._follow, self)
+            await self._has_ended.wait()
+            group.cancel_scope.cancel()
 
     async def stop(self) -> None:
         """Asks its server to cancel it. It is running until it is seen to end, as it may move the robot until then."""
@@ -83,14 +115,31 @@ class Goal(Job):
                 return response
             await asyncio.sleep(_AGAIN_S)
 
-    def has_been_seen_to_end(self) -> None:
-        """Notes that it has ended, or was not accepted."""
-        self._has_ended.set()
+    def has_been_seen_to_end(self, how: str = "") -> None:
+        """Notes that it has ended, and how if that was seen, or was not accepted."""
+        if not self._has_ended.is_set():
+            self.ended_as = how or "it was not seen how"
+            self._has_ended.set()
+            self.at_end(self)
 
     @property
     def is_running(self) -> bool:
         """Whether it has not been seen to end: at once, and not only when its task has run."""
         return super().is_running and not self._has_ended.is_set()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CancelWhen:
+    """A goal that is to be cancelled as soon as a condition on a topic holds: its own feedback (`is_of_feedback`: the
+    fields are those of the feedback itself), or any other topic.
+    """
+
+    action: str
+    goal_id: str
+    topic: str
+    topic_type: str
+    condition: str
+    is_of_feedback: bool = True
 
 
 async def send(core: Core, command: SendGoal) -> Answer:
@@ -99,7 +148,7 @@ async def send(core: Core, command: SendGoal) -> Answer:
     It ends at once if its server does not take it. Raises as a `ServiceBorne`.
     """
     await core.values.learn(command.type, CANCEL_TYPE)
-    core.values.encode_known(f"{command.type}_Goal", command.value)  # a goal that does not fit becomes no job
+    await core.values.encode(f"{command.type}_Goal", command.value)  # a goal that does not fit becomes no job
     core.check_stop()
     former = core.jobs.get(Goal, command.goal_id)
     if former and former.is_running:  # its server refuses a second one of that id, and goes on with the first
@@ -108,7 +157,7 @@ async def send(core: Core, command: SendGoal) -> Answer:
 
     async def ask_to_cancel() -> Mapping[str, Any]:
         answer = await call(core, cancel)
-        response = core.values.in_full(answer.type, answer.body)
+        response = await core.values.in_full(answer.type, answer.body)
         code = response["return_code"]
         if code == TERMINATED_GOAL or (code == UNKNOWN_GOAL and goal.is_accepted):
             ended(core, goal.id)
@@ -120,6 +169,7 @@ async def send(core: Core, command: SendGoal) -> Answer:
         action=command.name,
         action_type=command.type,
         ask_to_cancel=ask_to_cancel,
+        follow=lambda goal: _follow(core, goal),
     )
     if len(core.jobs.running(Goal)) >= Goal.most_running:  # the oldest one is forgotten, and may still be running
         core.no_known_stop.note("service", f"{command.service} ({command.service_type})")
@@ -140,8 +190,92 @@ async def send(core: Core, command: SendGoal) -> Answer:
     return answer
 
 
-def ended(core: Core, goal_id: str) -> None:
-    """Notes that a goal has ended or was not accepted, if it is one of ours."""
+async def _follow(core: Core, goal: Goal) -> None:
+    """Listens to the status of the goal's action, which tells of all its goals, unless another goal does it already."""
+    while True:
+        followed = [other for other in core.jobs.running(Goal) if other.is_followed]
+        if len(followed) < _MOST_FOLLOWED and all(other.action != goal.action for other in followed):
+            goal.is_followed = True
+            try:
+                await _take_states(core, goal.action)
+            except Exception as error:  # noqa: BLE001 - a goal that cannot be followed goes on, and must stay known
+                _logger.debug("the status of %s cannot be followed: %s", goal.action, error)
+            finally:
+                goal.is_followed = False
+        await asyncio.sleep(_FOLLOW_AGAIN_S)
+
+
+async def _take_states(core: Core, action: str) -> None:
+    """Notes which goals of an action have ended, as its server tells it, until this is cancelled."""
+    await core.values.learn(STATUS_TYPE)
+    subscription = await core.bridge.subscribe(
+        f"{action}/_action/status",
+        STATUS_TYPE,
+        _STATUS_QOS.request(),
+        keep="all",
+        max_samples=_MOST_STATES,
+        max_bytes=_MOST_STATE_BYTES,
+    )
+    try:
+        while True:
+            samples = await subscription.take(_FOLLOW_AGAIN_S)
+            messages: list[Any] = await core.values.decode_all(STATUS_TYPE, samples)
+            for state in (state for message in messages for state in message.status_list):
+                goal_id = goal_id_hex(state.goal_info.goal_id.uuid)
+                ours = core.jobs.get(Goal, goal_id)
+                if state.status in TERMINAL and ours and ours.action == action:
+                    ended(core, goal_id, STATUS.get(state.status, ""))
+    finally:
+        with anyio.move_on_after(_CLOSE_S, shield=True):  # a scope that is cancelled cancels every await again
+            await subscription.close()
+
+
+@dataclass(frozen=True, slots=True)
+class WhenMet:
+    """What a condition was met by, and what the server of its goal said to the request to cancel it.
+
+    `report` is that of `ros2_mcp_bridge.asking.Asking`; `was_taken` whether the server cancels the goal.
+    """
+
+    report: Mapping[str, Any]
+    was_taken: bool
+
+
+async def cancel_when(core: Core, asked: CancelWhen, name: str) -> WhenMet:
+    """Has the bridge ask a condition until it is met, and then cancel the goal; `name` is that of this asking there.
+
+    A bridge that is lost leaves it to the next one. What stops does not pass the policy. Raises as `Graph.ask`.
+    """
+    await core.values.learn(CANCEL_TYPE, asked.topic_type)
+    body = core.values.encode_known(f"{CANCEL_TYPE}_Request", cancel_request(asked.goal_id))
+    while True:
+        try:
+            reply = await core.graph.ask(
+                "cancel_when",
+                body,
+                timeout_s=NO_END_S,
+                wait_s=CANCELLED_S,
+                within_s=CANCELLED_S,
+                name=name,
+                service=f"{asked.action}/_action/cancel_goal",
+                type=CANCEL_TYPE,
+                topic=asked.topic,
+                topic_type=asked.topic_type,
+                hears=[asked.topic_type],
+                condition=asked.condition,
+                goal_id=asked.goal_id if asked.is_of_feedback else "",
+            )
+        except (BridgeLost, Unreachable):
+            if core.graph.is_closed:
+                raise
+            await asyncio.sleep(_AGAIN_S)
+        else:
+            response = await core.values.in_full(f"{CANCEL_TYPE}_Response", reply.body)
+            return WhenMet(reply.ok["report"], bool(response["goals_canceling"]))
+
+
+def ended(core: Core, goal_id: str, how: str = "") -> None:
+    """Notes that a goal has ended, and how, or was not accepted, if it is one of ours."""
     if goal := core.jobs.get(Goal, goal_id):
-        goal.has_been_seen_to_end()
+        goal.has_been_seen_to_end(how)
     core.failsafes.withdraw(goal_id)

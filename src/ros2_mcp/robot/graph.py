@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import (
     BridgeRefused,
+    Lapsed,
+    Latched,
     LinkError,
     NotFound,
+    Refused,
     RobotError,
     Stopped,
     TimedOut,
     UnknownInterface,
 )
 from ros2_mcp.model.graph import (
+    OF_EVERY_NODE,
     BridgeStatus,
+    Contact,
     NamedTypes,
     NodeEndpoints,
     NodeRow,
@@ -27,6 +33,7 @@ from ros2_mcp.model.graph import (
     TopicRow,
 )
 from ros2_mcp.model.qos import Endpoint
+from ros2_mcp.robot.seen import Seen, is_of_robot
 from ros2_mcp_bridge import protocol
 
 if TYPE_CHECKING:
@@ -38,6 +45,8 @@ REQUEST_S = 10.0
 """For what the bridge answers from memory: only one that hangs takes so long, and it is declared dead before."""
 NO_END_S = 1e9
 """32 years: of requests that stay open, fail-safes and relays. Every request on the stream has a time-out."""
+_ASKED_AT_ONCE = 32
+"""Questions to the bridge that are under way together; it answers one after the other."""
 _SETTLING = 0.8
 """The part of a bounded wait that discovery may take; the rest is for the answer with what is found by then."""
 _KINDS: Mapping[str, type[RobotError]] = {
@@ -46,8 +55,12 @@ _KINDS: Mapping[str, type[RobotError]] = {
     "timeout": TimedOut,
     "server_gone": NotFound,
     "stopped": Stopped,
+    "lapsed": Lapsed,
+    "refused": Refused,
 }
-_NOTHING_SENT: Collection[str] = ("bad_request", "unknown_type", "not_found", "stopped")
+_NOTHING_SENT: Collection[str] = (
+    "bad_request", "unknown_type", "not_found", "stopped", "lapsed", "latched", "refused",
+)  # fmt: skip
 """Kinds of errors with which the bridge says that what it was asked to send has not left."""
 _Shape = TypeVar("_Shape")
 
@@ -57,6 +70,8 @@ class Graph:
 
     def __init__(self, bridge: Bridge) -> None:
         self._bridge = bridge
+        self.seen = Seen()
+        self._looking = asyncio.Semaphore(_ASKED_AT_ONCE)
 
     @property
     def is_closed(self) -> bool:
@@ -68,6 +83,8 @@ class Graph:
         try:
             return await self._bridge.request(op, body, timeout_s=timeout_s, **arguments)
         except BridgeRefused as refused:
+            if refused.kind == "latched":  # the bridge has told by whom before it answered
+                raise Latched(refused.message, refused.hint, by=self.latched_by) from refused
             raise _KINDS.get(refused.kind, LinkError)(refused.message, refused.hint) from refused
 
     async def query(
@@ -120,11 +137,56 @@ class Graph:
         reply = await self.query(protocol.RelaysReply, "relays")
         return {name: RelayCounts(**counts) for name, counts in reply["relays"].items()}
 
+    def relay_ended(self, name: str) -> RelayCounts | None:
+        """The last counts of a relay whose request was cancelled; None until the bridge has told them."""
+        counts = self._bridge.relays_ended.get(name)
+        return RelayCounts(**counts) if counts else None
+
+    def repeat_begun_at(self, name: str) -> float | None:
+        """When it was heard that the first message of a repeat had been sent (monotonic, in s); None before."""
+        return self._bridge.repeats_begun.get(name)
+
+    def motion_report(self, name: str) -> Mapping[str, Any]:
+        """What was told last of a motion that is under way; empty before."""
+        return self._bridge.motions.get(name, {})
+
+    @property
+    def was_reached(self) -> bool:
+        """Whether a bridge has ever said hello: before that this server can have nothing in motion there."""
+        return bool(self._bridge.nodes)
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether a bridge is there now."""
+        return self._bridge.hello is not None
+
+    @property
+    def silent_s(self) -> float:
+        """How long ago the robot's bridge was last heard of, in s; infinite while there is none."""
+        return self._bridge.silent_s
+
+    @property
+    def unheard_s(self) -> float:
+        """How long ago the robot was last heard of, by whichever bridge, in s; infinite where it never was."""
+        return self._bridge.unheard_s
+
+    @property
+    def failure(self) -> str:
+        """Why the robot was not reached the last time; empty once it was."""
+        return self._bridge.failure
+
+    async def contact(self) -> Contact:
+        """Who answers at the other end of the link, which begins if need be; raises as `ask`."""
+        hello, clock = await self._bridge.ready(), self._bridge.clock
+        offset_s = clock.offset_ns / 1e9 if clock.is_known else None
+        return Contact(hello.distro, hello.rmw, hello.domain_id, offset_s, clock.rtt_s)
+
     async def bridge_status(self) -> BridgeStatus:
         """How the bridge is."""
         stats = await self.query(protocol.StatsReply, "stats")
         hello = self._bridge.hello
         assert hello is not None  # it has just answered
+        clock = self._bridge.clock
         return BridgeStatus(
             **hello._asdict(),
             starts=self._bridge.generation,
@@ -135,7 +197,48 @@ class Graph:
             subscriptions=stats["subscriptions"],
             publishers=stats["publishers"],
             clients=stats["clients"],
+            clock_offset_s=clock.offset_ns / 1e9 if clock.is_known else None,
+            link_rtt_s=clock.rtt_s,
         )
+
+    async def absence(self, within_s: float | None = None) -> str:
+        """In words, that no robot is there, in which domain, and what was seen of it earlier; empty where one is there.
+
+        Servers like this one and the tools of ROS's command line are no robot; a publisher without a node may be one.
+        """
+        found = await self.nodes(within_s)
+        nodes = [row.name for row in found if is_of_robot(row.name)]
+        await asyncio.gather(*(self._look_at(node) for node in nodes if not self.seen.knows(node)))
+        if nodes or await self._has_other_publishers(within_s):
+            return ""
+        domain = "this domain" if self.domain_id is None else f"domain {self.domain_id}"
+        if not found.settled:
+            return f"No robot is seen in {domain} yet: discovery is still under way, ask again."
+        left = str(self.seen.left((), {}))
+        place = f"Is it on, in the same domain (ROS_DOMAIN_ID is {self.domain_id} here), and reachable from here?"
+        if self._bridge.is_remote:
+            place = (
+                f"Are its nodes running there, and in {domain}? Another domain is chosen by --domain-id N, or by "
+                "?domain_id=N at the end of its address."
+            )
+        return " ".join(filter(None, (f"No robot is seen in {domain}.", left, place)))
+
+    async def _look_at(self, node: str) -> None:
+        """Notes a node that has not been seen before, with what it publishes."""
+        async with self._looking:
+            try:
+                topics = {row.name: row.types[0] for row in (await self.node(node)).publishers if row.types}
+            except RobotError:  # it has gone meanwhile, or its name is none that ROS allows
+                return
+        self.seen.note(node, topics)
+
+    async def _has_other_publishers(self, within_s: float | None) -> bool:
+        """Whether somebody publishes who is no node, as a flight controller does."""
+        topics = [row for row in await self.topics(within_s) if row.name not in OF_EVERY_NODE and row.publishers]
+        for row in topics:
+            if any(is_of_robot(one.node) for one in (await self.endpoints(row.name, within_s)).publishers):
+                return True
+        return False
 
     @property
     def own_nodes(self) -> Collection[str]:
@@ -156,6 +259,21 @@ class Graph:
         return self._bridge.lapses
 
     @property
+    def lapsed_at(self) -> float:
+        """When the last lapse of a link lease was heard of (monotonic, in s); 0 where none was."""
+        return self._bridge.lapsed_at
+
+    @property
+    def latched_by(self) -> str:
+        """By whom and why the latch was set, in words, as a bridge told it last; empty where none did."""
+        return self._bridge.latched_by
+
+    @property
+    def latched_at(self) -> float:
+        """When that was heard of (monotonic, in s)."""
+        return self._bridge.latched_at
+
+    @property
     def domain_id(self) -> int | None:
         """The ROS domain; None until there is a bridge."""
         return self._bridge.hello.domain_id if self._bridge.hello else None
@@ -166,7 +284,7 @@ class Graph:
 
     async def endpoints(self, topic: str, within_s: float | None = None) -> TopicEndpoints:
         """The publishers and subscribers of a topic; empty where the graph does not know it."""
-        return _endpoints(topic, await self._settled(protocol.EndpointsReply, "endpoints", within_s, topic=topic))
+        return self._present(topic, await self._settled(protocol.EndpointsReply, "endpoints", within_s, topic=topic))
 
     async def wait_for(
         self,
@@ -195,17 +313,38 @@ class Graph:
             )
         except TimedOut:
             return await self.endpoints(topic)
-        return _endpoints(topic, reply)
+        return self._present(topic, reply)
+
+    def _present(self, topic: str, reply: protocol.EndpointsReply) -> TopicEndpoints:
+        """The endpoints as rows; their publishers have been seen from now on."""
+        own = self.own_nodes
+        publishers = [Endpoint.parse(endpoint, own) for endpoint in reply["publishers"]]
+        for publisher in publishers:
+            self.seen.note(publisher.node, {topic: publisher.type})
+        subscribers = [Endpoint.parse(endpoint, own) for endpoint in reply["subscribers"]]
+        return TopicEndpoints(topic, publishers, subscribers, reply["settled"])
 
     async def no_such_topic(self, topic: str) -> NotFound:
         """The error for a topic that is not there, or not seen yet, with the nearest right spelling."""
         found = await self.topics()
         if not found.settled:
             return NotFound(f"{topic} is not seen yet, but discovery is still under way.", "Ask again in a moment.")
-        return NotFound(
-            f"There is no topic {topic}: nobody publishes or subscribes to it.",
-            names.did_you_mean(topic, [row.name for row in found], "ros2_topic_list shows what is there."),
-        )
+        known = [row.name for row in found]
+        hint = await self.near(topic, known, "ros2_topic_list")
+        return NotFound(f"There is no topic {topic}: nobody publishes or subscribes to it.", hint)
+
+    async def near_topic(self, topic: str) -> str:
+        """A hint for a topic that is not there: the one that was most likely meant; empty where none is near."""
+        return names.did_you_mean(topic, _others(topic, [row.name for row in await self.topics()]))
+
+    async def near(self, name: str, known: Sequence[str], tool: str) -> str:
+        """A hint for a name that is not there: the nearest one; that there is no robot; or the tool that lists them."""
+        return names.did_you_mean(name, _others(name, known)) or await self.absence() or f"{tool} shows what is there."
+
+
+def _others(name: str, known: Sequence[str]) -> list[str]:
+    """The known names that may have been meant with this one: hidden ones only if it is hidden."""
+    return [each for each in known if each != name and (names.is_hidden(name) or not names.is_hidden(each))]
 
 
 def was_refused(error: RobotError) -> bool:
@@ -214,12 +353,3 @@ def was_refused(error: RobotError) -> bool:
         return not error.may_have_left
     refused = error.__cause__
     return isinstance(refused, BridgeRefused) and refused.kind in _NOTHING_SENT
-
-
-def _endpoints(topic: str, reply: protocol.EndpointsReply) -> TopicEndpoints:
-    return TopicEndpoints(
-        topic,
-        [Endpoint.parse(endpoint) for endpoint in reply["publishers"]],
-        [Endpoint.parse(endpoint) for endpoint in reply["subscribers"]],
-        reply["settled"],
-    )

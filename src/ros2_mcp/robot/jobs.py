@@ -33,8 +33,9 @@ class Job(ABC):
 
     `state` is `starting`, `running`, `ended` (by itself), `stopped` (somebody stopped it) or `failed` (`failure` says
     why); `is_stopping` from the time on at which somebody asks it to end. `stop_reason` is what stopped it, where that
-    was not its own tool. `owner` is who began it. `moves` are the topics and actions that it may move something on:
-    `ros2_stop` and the end of its owner stop all jobs that have some, and leave the others.
+    was not its own tool; `started_at` when it was made (monotonic, in s). `owner` is who began it. `moves` are the
+    topics and actions that it may move something on: `ros2_stop` and the end of its owner stop all jobs that have some,
+    and leave the others. `at_most_s` is the time after which it ends by itself, in s.
 
     Started and awaited with `Jobs`; neither the state nor the id survives this process.
     """
@@ -47,6 +48,8 @@ class Job(ABC):
     """How many that have ended are kept, so that their last state can be asked for."""
     is_displaced: ClassVar[bool] = False
     """Whether a new one makes the oldest one forgotten when too many run, instead of being refused itself."""
+    has_its_topics_alone: ClassVar[bool] = False
+    """Whether nothing else of this server may publish on what it moves, as long as it runs."""
     ends_elsewhere: ClassVar[bool] = False
     """Whether the robot itself carries it out, so that cancelling it here only forgets it."""
     listed_by: ClassVar[str] = ""
@@ -62,12 +65,13 @@ class Job(ABC):
         self.id = job_id or f"{self.kind}_{secrets.token_hex(4)}"
         self.owner = owner
         self.moves = tuple(moves)
+        self.at_most_s = math.inf
         self.state: State = "starting"
         self.failure: Exception | None = None
         self.outcome: State | None = None
         self.has_begun = False
         self.stop_reason = ""
-        self._started_at = monotonic()
+        self.started_at = monotonic()
         self._ended_at = 0.0
         self._scope: anyio.CancelScope | None = None
         self._settled = asyncio.Event()
@@ -102,7 +106,7 @@ class Job(ABC):
     @property
     def elapsed_s(self) -> float:
         """How long it has run, or ran."""
-        return (self._ended_at or monotonic()) - self._started_at
+        return (self._ended_at or monotonic()) - self.started_at
 
     async def stop(self) -> None:
         """Ends it, also while it is still beginning, and returns when it has ended; without effect on one that has.
@@ -149,7 +153,7 @@ class Job(ABC):
         except Exception as error:  # whatever it is, it ends this job and no other
             self.failure = _single(error)
             if isinstance(self.failure, Stopped):
-                self.outcome, self.stop_reason = "stopped", self.stop_reason or "ros2_stop"
+                self.outcome, self.stop_reason = "stopped", self.stop_reason or self.failure.reason
             elif self._settled.is_set() and not isinstance(self.failure, RobotError):
                 _logger.exception("%s %s failed", self.kind, self.id)
         finally:
@@ -193,7 +197,7 @@ class Jobs:
             with anyio.move_on_after(within_s):
                 await job._settled.wait()  # pyright: ignore[reportPrivateUsage]
         except BaseException:  # cancelled: who began it will never learn its id
-            await _abandon(job)
+            await abandon(job)
             raise
         if job.failure:
             raise job.failure
@@ -207,7 +211,7 @@ class Jobs:
                 if every_second:
                     await every_second()
         except BaseException:  # cancelled, or the client that is reported to has gone
-            await _abandon(job)
+            await abandon(job)
             raise
 
     async def run(self, job: Job, *, every_second: Report | None = None) -> None:
@@ -348,7 +352,7 @@ async def _stop_all(jobs: Sequence[Job]) -> Mapping[Job, str]:
     return ended
 
 
-async def _abandon(job: Job) -> None:
+async def abandon(job: Job) -> None:
     """Ends a job whose caller has gone at once, without winding down: it may be moving the robot."""
     job.cancel()
     with anyio.CancelScope(shield=True):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import time
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -40,9 +39,9 @@ LineListener = Callable[[int, Sample], None]
 class LogRing:
     """The newest lines of /rosout. After a lost bridge it subscribes again, and keeps no line twice.
 
-    `since_ns` is the Unix time at which it was first subscribed (0: not yet). Older lines may be in it: nodes send a
-    new subscriber what they logged in the last ten seconds (by default). `dropped` counts the lines that were there and
-    had to give way, `interruptions` how often the bridge was lost.
+    `since_ns` is the Unix time, by the robot's clock, at which it was first subscribed (0: not yet). Older lines may be
+    in it: nodes send a new subscriber what they logged in the last ten seconds (by default). `dropped` counts the lines
+    that were there and had to give way, `interruptions` how often the bridge was lost.
     """
 
     def __init__(self, bridge: Bridge, max_lines: int = MAX_LINES, max_bytes: int = MAX_BYTES) -> None:
@@ -123,7 +122,7 @@ class LogRing:
             max_bytes=self._max_bytes,
             drain_s=_DRAIN_S,
         ) as subscription:
-            self.since_ns = self.since_ns or time.time_ns()
+            self.since_ns = self.since_ns or self._bridge.clock.now_ns()
             self._listening.set()
             dropped_waiting = 0
             while True:

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncGenerator, Mapping
+import json
+from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, cast
 
-from ros2_mcp.model.commands import Command, Feed, Play, Publish, Relay, Repeat, Sent
+from ros2_mcp.model.commands import Command, Feed, Move, Moved, Play, Publish, Relay, Repeat, Sent
 from ros2_mcp.model.graph import RelayCounts
 from ros2_mcp.model.qos import QoS
+from ros2_mcp.robot import flights
 from ros2_mcp.robot.core import Core
 from ros2_mcp.robot.failsafes import Driven
 from ros2_mcp.robot.graph import NO_END_S, REQUEST_S
 from ros2_mcp_bridge import protocol
-from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+from ros2_mcp_bridge.velocity import HOLD_TYPES, MOTION_TYPES
+
+_HEARD_S = 6.0
+"""A motion waits 5 s for the first messages that it hears (`motion.FIRST_HEARD_S`)."""
 
 
 async def publish(core: Core, command: Publish) -> Sent:
@@ -37,6 +42,10 @@ async def publish(core: Core, command: Publish) -> Sent:
         matched=reply["matched"],
         acked=reply["acked"],
         elapsed_s=reply["waited_s"],
+        limited=reply["limited"],
+        hold_s=reply["hold_s"],
+        stopper_s=reply["stopper_s"],
+        unguarded=reply["unguarded"],
     )
 
 
@@ -57,6 +66,32 @@ async def repeat(core: Core, command: Repeat) -> Sent:
         )
         reply = cast("protocol.RepeatReply", answer.ok)
         _note_end(driven, number, reply["final_sent"])
+    return _sent(command, reply)
+
+
+async def move(core: Core, command: Move) -> Moved:
+    """A motion by feedback in the bridge from its beginning to its end, with a zero."""
+    await core.values.encode(command.type, command.value)  # which checks it; the bridge makes the commands itself
+    async with _sending(core, command, command.choice.qos) as driven:
+        number = driven.commands if driven else 0
+        answer = await core.act(
+            "move",
+            json.dumps(command.controller).encode(),
+            timeout_s=command.duration_s + command.wait_match_s + _HEARD_S + REQUEST_S,
+            name=command.motion_id,
+            wait_match_s=command.wait_match_s,
+            rate_hz=command.rate_hz,
+            duration_s=command.duration_s,
+            hears=list(command.hears),
+            frame=_frame_id_of(command.value),
+            **_destination(command, command.choice.qos),
+        )
+        reply = cast("protocol.MotionReply", answer.ok)
+        _note_end(driven, number, reply["final_sent"])
+    return Moved(sent=_sent(command, reply), outcome=reply["outcome"], why=reply["why"], report=reply["report"])
+
+
+def _sent(command: Repeat | Move, reply: protocol.RepeatReply) -> Sent:
     return Sent(
         topic=command.name,
         type=command.type,
@@ -67,6 +102,9 @@ async def repeat(core: Core, command: Repeat) -> Sent:
         late=reply["late"],
         stopped_with_zero=reply["final_sent"],
         ended_by=reply["ended_by"],
+        limited=reply["limited"],
+        stopper_s=reply["stopper_s"],
+        unguarded=reply["unguarded"],
     )
 
 
@@ -74,7 +112,7 @@ async def relay(core: Core, command: Relay | Play) -> RelayCounts:
     """A relay in the bridge from its beginning to its end, with a zero at the end of what moves."""
     await core.values.learn(command.type)
     arguments: dict[str, Any] = {}
-    if isinstance(command, Relay) and command.source:
+    if isinstance(command, Relay) and command.source and not command.is_fed:
         arguments = {"source": command.source, "duration_s": command.duration_s or 0.0}
         arguments |= {"rate_hz": command.rate_hz} if command.rate_hz else {}
     async with _sending(core, command, command.qos) as driven:
@@ -101,7 +139,7 @@ async def feed(core: Core, command: Feed) -> int:
 
 @asynccontextmanager
 async def _sending(
-    core: Core, command: Publish | Repeat | Relay | Play, qos: QoS
+    core: Core, command: Publish | Repeat | Move | Relay | Play, qos: QoS
 ) -> AsyncGenerator[Driven | None, None]:
     """Around a request that publishes: its fail-safe is in force, or it is noted that none is known.
 
@@ -110,13 +148,17 @@ async def _sending(
         Refused: if too many velocity topics are driven.
     """
     core.check_stop()
-    if command.type not in VELOCITY_TYPES:
+    if command.type not in MOTION_TYPES and flights.takes_setpoints(core, command.name):
+        yield None  # what stops it is the brake of that flight
+        return
+    if command.type not in MOTION_TYPES:
         with core.no_known_stop.sending("topic", f"{command.name} ({command.type})"):
             yield None
         return
     if frame_id := _frame_id_of(command.value):
         core.graph.note_frame_id(command.name, frame_id)
-    async with core.failsafes.driving(command.name, command.type, qos, command.principal) as driven:
+    joints = _joints_of(command.value) if command.type in HOLD_TYPES else ()
+    async with core.failsafes.driving(command.name, command.type, qos, command.principal, joints) as driven:
         yield driven
 
 
@@ -135,3 +177,9 @@ def _frame_id_of(value: object) -> str:
     """The `header.frame_id` of a value that has been encoded; empty where it gives none."""
     header = cast("Mapping[str, Any]", value).get("header") if isinstance(value, Mapping) else None
     return str(header.get("frame_id", "")) if header else ""
+
+
+def _joints_of(value: object) -> Sequence[str]:
+    """The joints of a trajectory that has been encoded."""
+    names = cast("Mapping[str, Any]", value).get("joint_names", ()) if isinstance(value, Mapping) else ()
+    return [str(name) for name in names]

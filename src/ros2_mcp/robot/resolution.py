@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model import names, qos
-from ros2_mcp.model.errors import NotFound, TypeConflict
+from ros2_mcp.model.errors import NotFound, TypeConflict, UnknownInterface
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Choice
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import named, quoted
 
 if TYPE_CHECKING:
     from ros2_mcp.robot.graph import Graph
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 INFRASTRUCTURE = ("rcl_interfaces/srv/", "type_description_interfaces/srv/")
 """Types of services that every node has."""
 _SEND_GOAL = "/_action/send_goal"
+_LISTED = "ros2_interface_list shows what is there."
+_MOST_TOLD = 6
+"""Endpoints of a topic with several types that its error names: more are no help in one sentence."""
 _APPEARING_S = 1.0
 """How long a publication without a type waits for a topic that is coming up; discovery on one machine takes less."""
 
@@ -38,15 +41,56 @@ class Types:
         self._graph = graph
         self._only_type: dict[str, str] = {}
 
+    async def full_name(self, requested: str, kind: str = "", in_use: Collection[str] = ()) -> str:
+        """The full name of a type: `Twist` and `geometry_msgs/Twist` are `geometry_msgs/msg/Twist`.
+
+        Args:
+            requested: a full name, one without its kind, or the name alone: of the types `in_use`, else of all that are
+                installed where the bridge runs.
+            kind: `msg`, `srv` or `action`; empty is any, in this order.
+            in_use: the types that the topic, service or action has.
+
+        Raises:
+            BadName: if it is not a type's name, or of another kind.
+            TypeConflict: if several have this name; names them.
+            UnknownInterface: if none has it.
+        """
+        text = requested.strip()
+        if kind and not names.is_short(text):
+            return names.interface_type(text, kind)
+        if text.count("/") == 2:
+            return names.interface_type(text, text.split("/")[1])
+        used = [name for name in in_use if names.is_type(text, name)]
+        installed = used or await self._graph.interfaces()
+        if names.is_short(text):
+            found = [name for name in installed if names.is_type(text, name) and f"/{kind}" in name]
+        else:  # std_srvs/SetBool
+            candidates = [names.interface_type(text, each) for each in names.KINDS]
+            found = [name for name in candidates if name in installed][:1]
+        if len(found) > 1:
+            raise TypeConflict(f"{text} may be {' or '.join(map(named, found))}.", "Give the full name.")
+        if found:
+            return found[0]
+        raise UnknownInterface(
+            f"{quoted(text)} is the name of no {kind or 'type'} that is installed where the bridge runs.",
+            _like(text, installed, kind),
+        )
+
     # ── topics ─────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def topic(self, present: TopicEndpoints, requested: str = "") -> str:
         """The type of a topic with these endpoints; the requested one where it has none yet."""
         if requested and not names.is_derived(requested):
-            requested = names.interface_type(requested, "msg")
+            requested = await self.full_name(requested, "msg", present.types)
         if not (requested or present.types):
             raise await self._graph.no_such_topic(present.topic)
-        return _one_of(present.types, requested, present.topic)
+        if requested or len(present.types) < 2:
+            return _one_of(present.types, requested, present.topic)
+        raise TypeConflict(
+            f"{present.topic} has {len(present.types)} types: {', '.join(map(named, present.types))}.",
+            f"{_who_has_which(present)}End what should not be there, or give the type you mean to a tool that takes "
+            "one: ros2_topic_subscribe takes msg_type.",
+        )
 
     async def destination(self, topic: str, requested: str = "") -> Destination:
         """Where a message for this topic goes; raises `NotFound` if it has no type and none is requested."""
@@ -67,21 +111,33 @@ class Types:
         """
         if requested and self._only_type.get(service) == requested:
             return requested
-        if requested and not ("/action/" in requested and names.is_derived(requested)):
-            requested = names.interface_type(requested, "srv")
         found = await self._graph.services()
         types = next((row.types for row in found if row.name == service), ())
+        if requested and not ("/action/" in requested and names.is_derived(requested)):
+            requested = await self.full_name(requested, "srv", types)
         if not (types or requested):
-            raise NotFound(f"There is no service {service}.", await self.near_service(service))
+            raise await self.no_such_service(service)
         if len(types) == 1 and requested in ("", *types):
             self._only_type[service] = types[0]
         return _one_of(types, requested, service)
+
+    async def absent_service(self, service: str) -> NotFound | None:
+        """The error for a service that is not there although discovery has settled; None if it is, or may be."""
+        if service in self._only_type:
+            return None
+        found = await self._graph.services()
+        is_there = not found.settled or any(row.name == service for row in found)
+        return None if is_there else await self.no_such_service(service)
+
+    async def no_such_service(self, service: str) -> NotFound:
+        """The error for a service that is not there, with the nearest right spelling."""
+        return NotFound(f"There is no service {service}.", await self.near_service(service))
 
     async def near_service(self, service: str) -> str:
         """A hint for a service that is not there: the one that was most likely meant."""
         others = [row for row in await self._graph.services() if row.name != service]
         likely = [row.name for row in others if not is_infrastructure(row.name, row.types)]
-        return names.did_you_mean(service, likely, "ros2_service_list shows what is there.")
+        return await self._graph.near(service, likely, "ros2_service_list")
 
     def forget_service(self, service: str) -> None:
         """Forgets the type of a service whose server has gone: it may come back with another one."""
@@ -100,11 +156,35 @@ class Types:
     async def action(self, action: str, requested: str = "") -> str:
         """The type of an action, which must be there."""
         present = await self.actions()
-        requested = names.interface_type(requested, "action") if requested else ""
-        if action not in present:
-            hint = names.did_you_mean(action, list(present), "ros2_list_actions shows what is there.")
-            raise NotFound(f"There is no action {action}: no server offers it.", hint)
-        return _one_of(present[action], requested, action)
+        types = present.get(action, ())
+        requested = await self.full_name(requested, "action", types) if requested else ""
+        if not types:
+            raise NotFound(f"There is no action {action}: no server offers it.", await self.near_action(action))
+        return _one_of(types, requested, action)
+
+    async def near_action(self, action: str) -> str:
+        """A hint for an action that is not there: the one that was most likely meant."""
+        return await self._graph.near(action, list(await self.actions()), "ros2_list_actions")
+
+
+def _like(text: str, installed: Sequence[str], kind: str) -> str:
+    """A hint for a type that is not there: the most similar one, of that kind first."""
+    if not names.is_short(text):
+        return names.did_you_mean(names.interface_type(text, "msg"), installed, _LISTED)
+    of_kind = {name.rpartition("/")[2]: name for name in installed if f"/{kind}" in name}
+    near = of_kind.get(names.nearest(text, list(of_kind)))
+    others = [name for name in installed if names.is_type(text, name)]
+    if others:
+        return f"There is {' and '.join(map(named, others))}, which is no {kind}."
+    return f"Did you mean {named(near)}?" if near else _LISTED
+
+
+def _who_has_which(present: TopicEndpoints) -> str:
+    """Who publishes and who subscribes with which type, as a sentence."""
+    told = [f"{named(each.node)} publishes {named(each.type)}" for each in present.publishers]
+    told += [f"{named(each.node)} subscribes to {named(each.type)}" for each in present.subscribers]
+    more = f", and {len(told) - _MOST_TOLD} more" if len(told) > _MOST_TOLD else ""
+    return f"{', '.join(told[:_MOST_TOLD])}{more}. "
 
 
 def _one_of(types: Collection[str], requested: str, name: str) -> str:

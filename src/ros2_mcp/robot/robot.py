@@ -7,31 +7,44 @@ import copy
 import logging
 from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ros2_mcp.guard.guard import Guard
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.model import commands, names, qos
 from ros2_mcp.model.commands import Answer, Command, Principal, R
-from ros2_mcp.model.errors import RobotError
-from ros2_mcp.robot import goals, publishing, services
+from ros2_mcp.model.errors import Refused, Rehearsed, RobotError
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.text import named
+from ros2_mcp.robot import flights, goals, publishing, services
 from ros2_mcp.robot.core import Core
+from ros2_mcp.robot.facts import facts_of
 from ros2_mcp.robot.failsafes import ACKNOWLEDGED_S, MATCH_S, ZERO_S
 from ros2_mcp.robot.graph import Graph
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.last_plans import LastPlans
 from ros2_mcp.robot.listening import Listening, subscribed_while
 from ros2_mcp.robot.log import LogRing
+from ros2_mcp.robot.places import Places
+from ros2_mcp.robot.transforms import TransformListener
 from ros2_mcp.robot.translation import as_meant
 from ros2_mcp.robot.values import Values
 from ros2_mcp_bridge.protocol import Keep, StoppedTopic, StopReply
+from ros2_mcp_bridge.rules import only_reads
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge, Subscription
     from ros2_mcp.model.qos import Choice
+    from ros2_mcp.robot.stops import Accepted
 
 MAX_WAITING = 20_000
 MAX_WAITING_BYTES = 64_000_000
 """Of the samples of one subscription that nobody has taken yet: 20 s of a topic of 1,000 Hz, or a second of raw camera
 pictures. What is more is dropped, the oldest first, and counted."""
+_BACKLOG_BYTES = 1_000_000
+"""Of those that wait in the bridge where a network lies between: 1.6 s at 5 Mbit/s. Of larger pictures only the
+newest one waits."""
 _DEPTH = 1000
 """The queue of the middleware bridges the time between two rounds of the bridge (docs/decisions/0007)."""
 _MOST_REMEMBERED = 256
@@ -45,20 +58,44 @@ async def _nothing(_core: Core, _command: Command[Any]) -> None:
 _EXECUTORS: Mapping[type[Command[Any]], Callable[[Core, Any], Awaitable[Any]]] = {
     commands.Publish: publishing.publish,
     commands.Repeat: publishing.repeat,
+    commands.Move: publishing.move,
     commands.Relay: publishing.relay,
     commands.Play: publishing.relay,
     commands.Feed: publishing.feed,
     commands.Record: _nothing,
-    commands.ServiceCall: services.call,
+    commands.ServiceCall: flights.call,
     commands.SetParameters: services.call,
     commands.ChangeState: services.call,
     commands.SendGoal: goals.send,
     commands.CancelGoals: services.call,
 }
 """How each command is carried out, once it has been decided: it encodes its value, leaves its fail-safe and sends."""
+_PUBLISHING = (commands.Publish, commands.Repeat, commands.Relay, commands.Play)
 _NEVER_STOPPED = (commands.CancelGoals, commands.Record)
 """The first one stops; the other writes files and sends nothing."""
 _logger = logging.getLogger(__name__)
+
+
+def _ends_own_goal(core: Core, command: Command[Any]) -> bool:
+    """Whether it cancels one goal that this server sent, and no other: what stops is never held."""
+    if not isinstance(command, commands.CancelGoals) or any((command.stamp or {}).values()):
+        return False  # with a time, all goals that were accepted before it are cancelled besides
+    own = core.jobs.get(goals.Goal, command.goal_id)
+    return own is not None and own.action == command.name
+
+
+def _check_room(core: Core, command: Command[Any]) -> None:
+    """Raises `Refused` where a motion by feedback has the topic for itself: what came between its commands would lead
+    it past its guard.
+    """
+    if not isinstance(command, _PUBLISHING):
+        return
+    for job in core.jobs.running(Job):
+        if job.has_its_topics_alone and command.name in job.moves:
+            raise Refused(
+                f"{job.id} drives by {named(command.name)}, which is its alone until it ends: nothing was sent.",
+                "Wait for its end, or end it with ros2_stop.",
+            )
 
 
 class Robot(Core):
@@ -70,25 +107,35 @@ class Robot(Core):
     def __init__(
         self,
         bridge: Bridge,
-        policy: Policy | None = None,
+        guard: Guard | None = None,
         result_bytes: int = 32_000,
         *,
         graph: Graph | None = None,
         values: Values | None = None,
     ) -> None:
         super().__init__(bridge, graph, values)
-        self.policy = policy or Policy()
+        self.guard = guard or Guard()
         self.log = LogRing(bridge)
+        self.transforms = TransformListener(bridge, self.graph, self.values)
+        self.places = Places()
+        self.last_plans = LastPlans(lambda topic: self.listen(topic, keep="latest"))
+        self.programs_folder: Path | None = None  # of kept programs; None: none are kept
         self._listened: dict[tuple[str, str, str], tuple[str, Choice]] = {}
         self.result_bytes = result_bytes
 
-    def acting_for(self, principal: Principal) -> Robot:
-        """The same robot for one call, to be taken when the call is accepted: whatever is done through it is done for
-        that principal, and not after a stop that comes later.
+    def acting_for(self, principal: Principal, accepted: Accepted | None = None) -> Robot:
+        """The same robot for one call: whatever is done through it is done for that principal, and not after a stop
+        that came after the call was accepted, which is now if it is not said.
         """
         robot = copy.copy(self)
-        robot.principal, robot.accepted = principal, self.stops.now()
+        robot.principal, robot.accepted = principal, accepted or self.stops.now()
+        robot.notes = []
         return robot
+
+    @property
+    def policy(self) -> Policy:
+        """What this server allows."""
+        return self.guard.policy
 
     # ── acting ─────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -105,10 +152,41 @@ class Robot(Core):
         """
         view = self if self.accepted else self.acting_for(self.principal)
         command = await as_meant(view, command)
-        self.policy.check(command)
-        if not isinstance(command, _NEVER_STOPPED):
-            view.check_stop()
-        return await _EXECUTORS[type(command)](view, command)
+        if view.rehearsed is not None:
+            decision = await self.guard.foresee(
+                command, lambda with_value: facts_of(view, command, self.policy, with_value=with_value)
+            )
+            said = {"refused": f"would be refused: {decision.reason}", "consent": "would wait for a person's approval"}
+            view.rehearsed.append(f"{command.act}: {said.get(decision.verdict, 'would be done')}")
+            raise Rehearsed(view.rehearsed[-1])
+        async with self.guard.acting(
+            command,
+            lambda with_value: facts_of(view, command, self.policy, with_value=with_value),
+            stops=_ends_own_goal(self, command),
+        ) as act:
+            view.notes.extend(act.notes)
+            if not isinstance(command, _NEVER_STOPPED):
+                view.check_stop()
+            _check_room(self, command)
+            result = await _EXECUTORS[type(command)](view, command)
+            act.ended_by = getattr(result, "ended_by", "")
+            if isinstance(command, commands.SendGoal):
+                self._audit_end(command)
+            return result
+
+    def _audit_end(self, command: commands.SendGoal) -> None:
+        """Has the end of an accepted goal leave a line, as its sending did."""
+        goal, audit = self.jobs.get(goals.Goal, command.goal_id), self.guard.audit
+        if not goal or not goal.is_accepted or not audit:
+            return
+
+        def tell(goal: goals.Goal) -> None:
+            who = command.principal.name
+            audit.note("goal ended", principal=who, name=goal.action, goal_id=goal.id, outcome=goal.ended_as)
+
+        goal.at_end = tell
+        if not goal.is_running:
+            tell(goal)
 
     # What stops is never refused: it does not pass the policy, and no stop that comes later holds it up.
 
@@ -156,6 +234,8 @@ class Robot(Core):
             In words, what was ended: `repeat repeat_0f3a9c21`, `zero on /cmd_vel`.
         """
         self.stops.end_of(principal)
+        if self.guard.approvals:
+            self.guard.approvals.leave(principal)
         topics = self.failsafes.give_up(principal)
         ended, _ = await asyncio.gather(self.jobs.stop_owned(principal, reason), self._zero(topics))
         return [*(f"{job.kind} {job.id}" for job in ended), *(f"zero on {topic}" for topic in topics)]
@@ -181,9 +261,16 @@ class Robot(Core):
         """Ends one relay or playback in the bridge; without effect where there is none."""
         await self.graph.ask("relay_stop", name=relay_id)
 
-    def goal_ended(self, goal_id: str) -> None:
-        """Notes that a goal has ended or was not accepted, if it is one of ours."""
-        goals.ended(self, goal_id)
+    async def cancel_when(self, asked: goals.CancelWhen, name: str) -> goals.WhenMet:
+        """Has the bridge cancel a goal as soon as a condition holds, and returns then; `name` is that of this asking.
+
+        `graph.repeat_begun_at(name)` tells when it is being asked. Raises as `Graph.ask`.
+        """
+        return await goals.cancel_when(self, asked, name)
+
+    def goal_ended(self, goal_id: str, how: str = "") -> None:
+        """Notes that a goal has ended, and how, or was not accepted, if it is one of ours."""
+        goals.ended(self, goal_id, how)
 
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -194,9 +281,13 @@ class Robot(Core):
         type_name: str = "",
         *,
         wait_s: float = 0.0,
+        absent: Callable[[TopicEndpoints], Awaitable[None]] | None = None,
         keep: Keep = "all",
         max_samples: int = MAX_WAITING,
-        max_bytes: int = MAX_WAITING_BYTES,
+        max_bytes: int | None = None,
+        head_bytes: int = 0,
+        every_n: int = 1,
+        newest_of_old: bool = False,
     ) -> AsyncGenerator[Listening, None]:
         """A subscription that matches every publisher there is.
 
@@ -204,9 +295,14 @@ class Robot(Core):
             topic: its name; it need not be there yet.
             type_name: needed only if the topic has several types or none yet.
             wait_s: how long to wait for a first publisher.
+            absent: is called first where the topic is not there at all; may raise.
             keep: `all` samples that wait, or only the `latest`.
             max_samples: bound on the samples that wait; the oldest are dropped and counted.
-            max_bytes: bound on their bytes.
+            max_bytes: bound on their bytes. Without it, 64 MB here, and over a network 1 MB in the bridge, so that what
+                comes is new; with it, as much in the bridge.
+            head_bytes: only so many of the first bytes of each sample are needed (0: all).
+            every_n: only every n-th sample is needed; those between stay on the robot, and count as received.
+            newest_of_old: of what a latched topic replays, only the newest.
 
         Raises:
             NotFound: if the topic is not there and no type is given.
@@ -218,7 +314,16 @@ class Robot(Core):
         def subscribed(full_type: str, choice: Choice) -> Coroutine[Any, Any, Subscription]:
             qos_request = choice.qos.request()
             return self.bridge.subscribe(
-                topic, full_type, qos_request, keep=keep, max_samples=max_samples, max_bytes=max_bytes
+                topic,
+                full_type,
+                qos_request,
+                keep=keep,
+                max_samples=max_samples,
+                max_bytes=MAX_WAITING_BYTES if max_bytes is None else max_bytes,
+                backlog_bytes=_BACKLOG_BYTES if max_bytes is None else None,
+                head_bytes=head_bytes,
+                every_n=every_n,
+                newest_of_old=newest_of_old and choice.qos.durability == "transient_local",
             )
 
         subscription: Subscription | None = None
@@ -228,6 +333,8 @@ class Robot(Core):
         else:
             present = await self.graph.endpoints(topic)
         try:
+            if absent and not present.types:
+                await absent(present)
             present = await self.graph.wait_for(topic, publishers=1, timeout_s=wait_s, present=present)
             full_type = await self.types.topic(present, type_name)
             publishers = [publisher for publisher in present.publishers if publisher.type == full_type]
@@ -276,7 +383,7 @@ class Robot(Core):
             NotFound: if no server appeared in time, or it left before it answered.
             TimedOut: if it did not answer in time.
         """
-        if not services.only_reads(service_type):
+        if not only_reads(service_type):
             raise ValueError(f"{service_type} may change something: calling {service} takes a command.")
         # In the form of a command, but not decided about: reading is always allowed.
         asking = commands.ServiceCall(
@@ -284,6 +391,6 @@ class Robot(Core):
         )
         return await services.call(self, asking)
 
-    def fields_of(self, answer: Answer) -> dict[str, Any]:
+    async def fields_of(self, answer: Answer) -> dict[str, Any]:
         """The answer of a service in full, for this program and not for display."""
-        return self.values.in_full(answer.type, answer.body)
+        return await self.values.in_full(answer.type, answer.body)

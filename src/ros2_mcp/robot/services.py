@@ -1,33 +1,13 @@
-"""Carrying out the commands that are requests to services; which services may be asked without a command."""
+"""Carrying out the commands that are requests to services."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from ros2_mcp.model.commands import Answer, CancelGoals, SendGoal, ServiceBorne
+from ros2_mcp.model.commands import Answer, CancelGoals, ChangeState, SendGoal, ServiceBorne, SetParameters
 from ros2_mcp.robot.core import Core
-
-_READING_TYPES = frozenset(
-    {
-        "rcl_interfaces/srv/DescribeParameters",
-        "rcl_interfaces/srv/GetParameterTypes",
-        "rcl_interfaces/srv/GetParameters",
-        "rcl_interfaces/srv/ListParameters",
-        "lifecycle_msgs/srv/GetAvailableStates",
-        "lifecycle_msgs/srv/GetAvailableTransitions",
-        "lifecycle_msgs/srv/GetState",
-        "type_description_interfaces/srv/GetTypeDescription",
-        "lora_msgs/srv/GetMessages",
-        "wisevision_msgs/srv/InfluxGetMessages",
-    }
-)
-"""Types of services whose definition says that they read something and change nothing; the last two are those of the
-Data Black Box."""
-
-
-def only_reads(service_type: str) -> bool:
-    """Whether a service of that type reads something and changes nothing; asking for the result of a goal does, too."""
-    return service_type in _READING_TYPES or ("/action/" in service_type and service_type.endswith("_GetResult"))
+from ros2_mcp_bridge.flight import vehicle_of
+from ros2_mcp_bridge.rules import only_reads
 
 
 async def call(core: Core, command: ServiceBorne) -> Answer:
@@ -50,6 +30,9 @@ async def call(core: Core, command: ServiceBorne) -> Answer:
         reply = await core.graph.ask("call", body, **arguments)
     elif isinstance(command, SendGoal):  # it is a job, and cancelled whatever becomes of this request
         reply = await core.graph.ask("call", body, epoch=core.check_stop().epoch, **arguments)
+    elif isinstance(command, SetParameters | ChangeState) or vehicle_of(command.service, command.service_type):
+        # configuration is no motion (decision 21), and a flight is a job
+        reply = await core.act("call", body, **arguments)
     else:
         with core.no_known_stop.sending("service", f"{command.service} ({command.service_type})"):
             reply = await core.act("call", body, **arguments)

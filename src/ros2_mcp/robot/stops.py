@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 _MOST_ENDED = 1000
 """Clients whose ends are remembered: more than can have a call under way that was accepted before their end."""
 _STOPPED = "ros2_stop came after this call was accepted: nothing was sent."
+_DEPARTURE = "the end of its client"
 _CLIENT_GONE = "The client that asked for this has gone: it was ended."
 
 
@@ -70,7 +71,7 @@ class Stops:
         if accepted.epoch != self.epoch:
             raise Stopped(_STOPPED)
         if accepted.ends < self._ended_at.get(principal, 0):
-            raise Stopped(_CLIENT_GONE)
+            raise Stopped(_CLIENT_GONE, reason=_DEPARTURE)
 
     @contextmanager
     def leaving(self, principal: Principal) -> Generator[None, None, None]:
@@ -82,4 +83,4 @@ class Stops:
                 return
             finally:
                 self._leaving.discard((principal, scope))
-        raise Stopped(_CLIENT_GONE, may_have_left=True)
+        raise Stopped(_CLIENT_GONE, reason=_DEPARTURE, may_have_left=True)

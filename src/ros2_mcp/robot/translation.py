@@ -10,13 +10,9 @@ from typing import Any, cast
 from ros2_mcp.model import commands, parameters
 from ros2_mcp.model.commands import Command, R, ServiceBorne, ServiceCall
 from ros2_mcp.model.errors import BadValue
-from ros2_mcp.model.goals import CANCEL_TYPE, goal_id_hex
+from ros2_mcp.model.goals import goal_id_hex
 from ros2_mcp.robot.core import Core
-
-SET_PARAMETERS = "rcl_interfaces/srv/SetParameters"
-SET_PARAMETERS_ATOMICALLY = "rcl_interfaces/srv/SetParametersAtomically"
-CHANGE_STATE = "lifecycle_msgs/srv/ChangeState"
-_SEND_GOAL = "_SendGoal"
+from ros2_mcp_bridge.rules import meaning
 
 
 async def as_meant(core: Core, command: Command[R]) -> Command[R]:
@@ -29,43 +25,33 @@ async def as_meant(core: Core, command: Command[R]) -> Command[R]:
 
 
 async def _meaning(core: Core, command: ServiceCall) -> ServiceBorne:
-    kind, (subject, _, _) = command.type, command.name.rpartition("/")
-    # By the name, too: a service of such a type that is no action's is called as it was named.
-    is_goal = "/action/" in kind and kind.endswith(_SEND_GOAL) and command.name.endswith("/_action/send_goal")
-    is_cancelling = kind == CANCEL_TYPE and command.name.endswith("/_action/cancel_goal")
-    if not (is_goal or is_cancelling or kind in (SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY, CHANGE_STATE)):
+    kind, meant = command.type, meaning(command.name, command.type)
+    if meant.verb in ("call", "read"):
         return command
     body = await core.values.encode(f"{kind}_Request", command.value)
-    request = core.values.in_full(f"{kind}_Request", body)
+    request = await core.values.in_full(f"{kind}_Request", body)
     common: dict[str, Any] = {
         "principal": command.principal,
         "risk": command.risk,
         "timeout_s": command.timeout_s,
         "wait_s": command.wait_s,
+        "name": meant.name,
     }
-    of_node: dict[str, Any] = {
-        "name": subject or "/",
-        "through": command.name,
-        "type": kind,
-        "value": command.value,
-    }
-    if kind == CHANGE_STATE:
+    of_node: dict[str, Any] = {"through": command.name, "type": kind, "value": command.value}
+    if meant.verb == "transition":
         transition = request["transition"]
         return commands.ChangeState(
             **common, **of_node, transition=transition["label"], transition_id=int(transition["id"])
         )
-    if kind in (SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY):
+    if meant.verb == "set":
         plain = {entry["name"]: parameters.value_of(entry["value"]) for entry in request["parameters"]}
         return commands.SetParameters(**common, **of_node, parameters=plain)
-    action = subject.removesuffix("/_action")
-    if is_goal:
+    if meant.verb == "goal":
         goal_id = goal_id_hex(request["goal_id"]["uuid"])
         if not int(goal_id, 16):
             raise BadValue("goal_id.uuid", "all zeros is no goal, it stands for every goal.", "Give 16 random bytes.")
         goal = cast("dict[str, Any]", command.value).get("goal", {})
-        return commands.SendGoal(**common, name=action, type=kind.removesuffix(_SEND_GOAL), value=goal, goal_id=goal_id)
+        return commands.SendGoal(**common, type=meant.type, value=goal, goal_id=goal_id)
     goal_id = goal_id_hex(request["goal_info"]["goal_id"]["uuid"])
     one = goal_id if int(goal_id, 16) else ""
-    return commands.CancelGoals(
-        **common, name=action, goal_id=one, stamp=request["goal_info"]["stamp"], value=command.value
-    )
+    return commands.CancelGoals(**common, goal_id=one, stamp=request["goal_info"]["stamp"], value=command.value)

@@ -1,27 +1,34 @@
 """Values of the robot's own types: definitions fetched once, bytes to JSON and back.
 
-The codec is imported inside the methods: with NumPy and rosbags it takes 0.3 to 0.9 s, and the server answers
-tools/list before that.
+The codec is imported with the first type: with NumPy and rosbags it takes 0.3 to 0.9 s, and the server answers
+tools/list before that. Large values are encoded, decoded and rendered in a thread (`aside`).
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from ros2_mcp.link.interfaces import curing
 from ros2_mcp.model import names
+from ros2_mcp.model.aside import aside, extent, load
 from ros2_mcp.model.errors import BadValue, UnknownInterface
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import listed
 from ros2_mcp_bridge.protocol import DefinitionsReply
-from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+from ros2_mcp_bridge.velocity import MOTION_TYPES
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.cdr import Codec, Message
     from ros2_mcp.codec.definitions import Definitions
     from ros2_mcp.codec.render import Rendered, RenderOptions
     from ros2_mcp.robot.graph import Graph
+
+_MAX_UNKNOWN = 5
+"""Types that are named in a note: mostly all are of one package."""
+_CODEC = ("ros2_mcp.codec.cdr", "ros2_mcp.codec.check", "ros2_mcp.codec.render")
 
 
 class Values:
@@ -53,6 +60,7 @@ class Values:
         Raises:
             UnknownInterface: if the robot's installation has no definition of one.
         """
+        await load(*_CODEC)
         if all(self.definitions.knows(name) for name in types):
             return  # without waiting for others that are being fetched: what stops uses types that are known
         async with self._loading:
@@ -75,12 +83,17 @@ class Values:
         installed = await self._graph.interfaces()
         package = name.partition("/")[0]
         if not any(other.startswith(package + "/") for other in installed):
-            return f"The package {package} is not there: source its workspace (--workspace DIR) or install it."
+            return curing(package)
         return names.did_you_mean(name, installed, "ros2_interface_list shows what is there.")
 
     def decode(self, type_name: str, sample: Sample) -> Message:
-        """The values of a sample whose type has been learnt."""
+        """The values of a small sample whose type has been learnt."""
         return self.codec.decode(type_name, sample.data)
+
+    async def decode_all(self, type_name: str, samples: Sequence[Sample]) -> list[Message]:
+        """The values of several samples whose type has been learnt."""
+        size = sum(len(sample.data) for sample in samples)
+        return await aside(size, lambda: [self.decode(type_name, sample) for sample in samples])
 
     async def encode(self, type_name: str, value: object) -> bytes:
         """The bytes of a JSON value, strictly checked.
@@ -89,39 +102,47 @@ class Values:
             BadValue: naming the path of what does not fit.
         """
         await self.learn(type_name)
-        return self.encode_known(type_name, value)
+        return await aside(extent(value), self.encode_known, type_name, value)
 
     def encode_known(self, type_name: str, value: object) -> bytes:
-        """The same, for a type that has been learnt."""
+        """The same at once, for a small value of a type that has been learnt."""
         from ros2_mcp.codec.check import check
 
         message = check(self.definitions, type_name, value)
-        if type_name in VELOCITY_TYPES:
+        if type_name in MOTION_TYPES:
             self._require_finite(type_name, message, "")
         return self.codec.encode(type_name, message)
 
     def _require_finite(self, type_name: str, message: object, path: str) -> None:
-        """Raises `BadValue` for a number in a message with which nothing can be driven; such types have no lists."""
+        """Raises `BadValue` for a number in a message with which nothing can be driven."""
         for each in self.definitions.structure(type_name).fields:
-            below, value = f"{path}{each.name}", getattr(message, each.name)
-            if each.type.is_message:
-                self._require_finite(each.type.base, value, f"{below}.")
-            elif isinstance(value, float) and not math.isfinite(value):
-                raise BadValue(below, f"{value} is no finite number: nothing can be driven with it.", "Give a number.")
+            value: Any = getattr(message, each.name)
+            shown = [(f"{path}{each.name}", value)]
+            if each.type.arity != "single":
+                shown = [(f"{path}{each.name}[{index}]", entry) for index, entry in enumerate(value)]
+            for below, entry in shown:
+                if each.type.is_message:
+                    self._require_finite(each.type.base, entry, f"{below}.")
+                elif isinstance(entry, float) and not math.isfinite(entry):
+                    what = f"{entry} is no finite number: nothing can be driven with it."
+                    raise BadValue(below, what, "Give a number.")
 
-    def render(self, type_name: str, body: bytes, options: RenderOptions | None = None) -> Rendered:
+    async def render(self, type_name: str, body: bytes, options: RenderOptions | None = None) -> Rendered:
         """Bytes as bounded JSON values."""
+        return await aside(len(body), self._render, type_name, body, options)
+
+    def _render(self, type_name: str, body: bytes, options: RenderOptions | None) -> Rendered:
         from ros2_mcp.codec.render import RenderOptions, render
 
         return render(
             self.definitions, type_name, self.codec.decode(type_name, body), options=options or RenderOptions()
         )
 
-    def in_full(self, type_name: str, body: bytes) -> dict[str, Any]:
+    async def in_full(self, type_name: str, body: bytes) -> dict[str, Any]:
         """Bytes as JSON values with nothing left out, for this program and not for display."""
         from ros2_mcp.codec.render import RenderOptions
 
-        return self.render(type_name, body, RenderOptions(exact=True)).value
+        return (await self.render(type_name, body, RenderOptions(exact=True))).value
 
     def example(self, type_name: str) -> dict[str, Any]:
         """A value of a learnt type with every field at its default, ready to fill in."""
@@ -138,3 +159,23 @@ class Values:
     def field_types(self, type_name: str) -> dict[str, Any]:
         """Name → type of the top-level fields of a learnt message type."""
         return {field.name: str(field.type) for field in self.definitions.structure(type_name).fields}
+
+    async def fields_of(self, types: Iterable[str], part: str = "") -> tuple[dict[str, dict[str, Any]], str]:
+        """Type → name → type of its top-level fields, or those of its `part`, such as `_Request`; and a note.
+
+        There is nothing under a type that is not installed where the bridge runs: what has it is listed all the same,
+        and the note says why.
+        """
+        fields: dict[str, dict[str, Any]] = {}
+        unknown: dict[str, str] = {}
+        for name in sorted(set(types)):
+            try:
+                await self.learn(name)
+                fields[name] = self.field_types(f"{name}{part}")
+            except UnknownInterface as error:
+                fields[name], unknown[name] = {}, str(error)
+        if not unknown:
+            return fields, ""
+        first, *others = unknown
+        also = f" Likewise unknown: {listed(others, _MAX_UNKNOWN)}." if others else ""
+        return fields, f"Fields are missing: {unknown[first]}{also}"

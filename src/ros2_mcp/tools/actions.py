@@ -17,19 +17,18 @@ from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Number, Pattern, Whole
 from ros2_mcp.tools.declare import tool
+from ros2_mcp.tools.injection import Waits
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 PLACE = 90
 
-ActionName = Annotated[str, Field(description="Name of the action, such as /navigate_to.")]
-ActionType = Annotated[
-    str, Field(description="Type such as nav2_msgs/action/NavigateToPose. Leave it out to use the action's own.")
-]
+ActionName = Annotated[str, Field(description="Such as /navigate_to.")]
+ActionType = Annotated[str, Field(description="Such as nav2_msgs/action/NavigateToPose. Default: the action's own.")]
 GoalId = Annotated[str, Field(description="The goal's id: 32 hexadecimal digits.")]
-Duration = Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Listen for this long, in seconds.")]
+Duration = Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Listen for so many seconds.")]
 MaxMessages = Annotated[Whole, Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages.")]
 ResultTimeout = Annotated[
-    Number | None, Field(ge=0, le=MAX_DURATION_S, description="Wait at most this long for the result, in seconds.")
+    Number | None, Field(ge=0, le=MAX_DURATION_S, description="Wait at most so many seconds for the result.")
 ]
 
 
@@ -39,7 +38,7 @@ async def ros2_list_actions(robot: Robot, pattern: Pattern = "") -> ActionList:
     return await list_actions(robot, pattern)
 
 
-@tool(title="Send a goal", risk="actuate", group="actions")
+@tool(title="Send a goal", risk="actuate", group="actions", program="goal")
 async def ros2_send_action_goal(
     robot: Robot,
     report: Report,
@@ -48,6 +47,10 @@ async def ros2_send_action_goal(
     action_type: ActionType = "",
     wait_for_result: Annotated[Flag, Field(description="Wait until the goal has ended.")] = False,
     timeout_sec: ResultTimeout = 60.0,
+    cancel_when: Annotated[
+        str,
+        Field(description='Cancel it as soon as this holds, of its feedback or as "/scan: nearest(-20, 20) < 0.4".'),
+    ] = "",
 ) -> GoalOutcome:
     """Send a goal to an action server. Can move the robot.
 
@@ -59,13 +62,14 @@ async def ros2_send_action_goal(
         action_name,
         action_type,
         goal_fields,
+        cancel_when=cancel_when,
         wait_for_result=wait_for_result,
         timeout_s=60.0 if timeout_sec is None else timeout_sec,
         report=report,
     )
 
 
-@tool(title="Cancel goals", risk="actuate", group="actions")
+@tool(title="Cancel goals", risk="actuate", group="actions", program="cancel")
 async def ros2_cancel_action_goal(
     robot: Robot,
     action_name: ActionName,
@@ -75,7 +79,9 @@ async def ros2_cancel_action_goal(
         Whole, Field(description="Goals accepted up to this time too; with cancel_all only those.")
     ] = 0,
     stamp_nanosec: Annotated[Whole, Field(ge=0, lt=1_000_000_000, description="Nanoseconds of that time.")] = 0,
-    wait_timeout_sec: Annotated[Number, Field(gt=0, le=60, description="Wait at most this long for the answer.")] = 3.0,
+    wait_timeout_sec: Annotated[
+        Number, Field(gt=0, le=60, description="Wait at most so many seconds for the answer.")
+    ] = 3.0,
 ) -> Cancellation:
     """Ask an action server to cancel a goal, or all goals."""
     return await cancel(
@@ -88,7 +94,7 @@ async def ros2_cancel_action_goal(
     )
 
 
-@tool(title="Result of a goal", risk="read", group="actions")
+@tool(title="Result of a goal", risk="read", group="actions", program="result")
 async def ros2_action_request_result(
     robot: Robot,
     report: Report,
@@ -96,7 +102,11 @@ async def ros2_action_request_result(
     goal_id_hex: GoalId,
     action_type: ActionType = "",
     timeout_sec: ResultTimeout = 60.0,
-    wait_for_service_sec: Annotated[Number, Field(ge=0, le=60, description="Wait this long for the server.")] = 3.0,
+    wait_for_service_sec: Annotated[
+        Number, Field(ge=0, le=60, description="Wait so many seconds for the server.")
+    ] = 3.0,
+    *,
+    waits: Waits,
 ) -> GoalResult:
     """Wait for the result of a goal, whoever sent it. A time-out does not cancel it."""
     return await request_result(
@@ -106,6 +116,7 @@ async def ros2_action_request_result(
         goal_id_hex,
         timeout_s=timeout_sec,
         wait_for_service_s=wait_for_service_sec,
+        waits=waits,
         report=report,
     )
 

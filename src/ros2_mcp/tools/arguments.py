@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
 
 from ros2_mcp.ops.sources.selection import MAX_MESSAGES
+from ros2_mcp.ops.sources.times import is_seconds_ago, taken_as
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 
@@ -29,56 +31,106 @@ def _as_text(value: Any) -> Any:
     return str(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
 
 
+@dataclass(frozen=True)
+class TimeArgument:
+    """Metadata of an argument that is a time in the past, or with `ago` may be a number of seconds ago."""
+
+    ago: bool = False
+
+    def taken_as(self, text: str) -> str:
+        """How a text is taken that does not say it all; empty for any other."""
+        return "" if self.ago and is_seconds_ago(text) else taken_as(text)
+
+
 # NaN and infinities are refused: as a time, a rate or a bound they compare in ways that nobody means.
 Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
 Whole = Annotated[int, BeforeValidator(_no_bool)]
 Flag = Annotated[bool, BeforeValidator(_strictly_bool)]
 
-TopicName = Annotated[str, Field(description="Name of the topic, such as /scan.")]
+TopicName = Annotated[str, Field(description="Such as /scan.")]
 MessageType = Annotated[
     str,
-    Field(description="Type such as sensor_msgs/msg/LaserScan. Leave it out to use the topic's own."),
+    Field(description="Such as sensor_msgs/msg/LaserScan. Default: the topic's own."),
 ]
-Pattern = Annotated[str, Field(description="Only names that match: a glob such as /camera/*, or any part of a name.")]
+Pattern = Annotated[str, Field(description="Only names (or types) with this part; or a glob: */map*.")]
 # At most: a result as long as that is cut by its size in characters (`binding.py`) before it is by this number.
-Limit = Annotated[Whole, Field(ge=1, le=2000, description="How many to list at most.")]
-Hidden = Annotated[Flag, Field(description="Also names that ROS hides (a part starting with an underscore).")]
+Limit = Annotated[Whole, Field(ge=1, le=2000, description="List at most so many.")]
+Hidden = Annotated[Flag, Field(description="Also hidden names (a part starts with _).")]
 Fields = Annotated[
     list[str] | None,
-    Field(description='Only these parts of a message, such as ["pose.pose.position", "ranges[0:10]"]. Default: all.'),
+    Field(
+        description='Only these parts: ["pose.pose.position", "ranges[0:10]", '
+        "\"transforms[child_frame_id == 'base_link']\"]."
+    ),
 ]
 # At most 10,000 elements: with three digits and a comma each that is 40 kB, and a result has 32 kB.
 MaxArray = Annotated[
     Whole,
-    Field(ge=0, le=10_000, description="Show arrays up to this length in full; longer ones are summarised."),
+    Field(ge=0, le=10_000, description="Longer arrays are summarised."),
 ]
 EveryN = Annotated[Whole, Field(ge=1, le=1_000_000, description="Keep only every n-th message.")]
-FromBag = Annotated[str, Field(description='Ask this recording instead of the robot now; "black box": our own.')]
-FromStart = Annotated[str, Field(description='Of the recording: ISO 8601 with zone, or "last 30 s".')]
-UpToEnd = Annotated[str, Field(description="Written like start.")]
+FromBag = Annotated[str, Field(description='Ask this recording, not the robot now; "black box": our own.')]
+FromStart = Annotated[
+    str,
+    BeforeValidator(_as_text),
+    TimeArgument(),
+    Field(description='Of it: ISO 8601, UNIX time, "last 30 s" or "12 s in".'),
+]
+UpToEnd = Annotated[str, BeforeValidator(_as_text), TimeArgument(), Field(description="Like start.")]
+RecordedTime = Annotated[
+    str,
+    BeforeValidator(_as_text),
+    TimeArgument(),
+    Field(description='Of the recording: ISO 8601, UNIX time or "12 s in". Default: its end.'),
+]
 Seconds = Annotated[Number, Field(ge=0, le=MAX_DURATION_S)]
-Duration = Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description="Collect for this long, in seconds.")]
+Duration = Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description="Collect for so many seconds.")]
 MessageLimit = Annotated[
     Whole | None,
     Field(ge=1, le=MAX_MESSAGES, description="Stop after this many messages (alone: waiting at most 20 s)."),
 ]
 NumericFields = Annotated[
     list[str] | None,
-    Field(description='Only these fields, such as ["pose.pose.position", "ranges[0:10]"]. Default: all numeric ones.'),
+    Field(description='Such as ["pose.pose.position", "ranges[0:10]"]. Default: all numbers.'),
 ]
 BagName = Annotated[str, Field(description="Name of the bag, as ros2_bag_list shows it.")]
 BagStart = Annotated[
     str,
+    BeforeValidator(_as_text),
+    TimeArgument(),
     Field(
-        description='From this moment on: ISO 8601 with zone; "last 30 s" is that long before the end, "2 min in" (or '
-        '"first 2 min") that long after the beginning.'
+        description='From this moment on: ISO 8601, UNIX time; "last 30 s" is that long before the end, "2 min in" '
+        "that long after its beginning."
     ),
 ]
 BagEnd = Annotated[
-    str, Field(description="Up to this moment (a time is included), written like start. Default: the end of the bag.")
+    str,
+    BeforeValidator(_as_text),
+    TimeArgument(),
+    Field(description="Up to this moment (a time is included), written like start. Default: the end of the bag."),
+]
+PastTime = Annotated[
+    str,
+    BeforeValidator(_as_text),
+    TimeArgument(),
+    Field(description='ISO 8601, such as 2026-11-21T03:00:00.5Z, UNIX time, or relative: "last 30 s", "5 min ago".'),
+]
+UpToPastTime = Annotated[str, BeforeValidator(_as_text), TimeArgument(), Field(description="Like time_start.")]
+AtTime = Annotated[
+    str,
+    BeforeValidator(_as_text),
+    TimeArgument(),
+    Field(description='"2 s ago", ISO 8601, stamp.'),
 ]
 Since = Annotated[
     str,
     BeforeValidator(_as_text),
-    Field(description='Seconds ago, such as "30", or a time like "2030-01-31T12:00:00Z". Default: all that is kept.'),
+    TimeArgument(ago=True),
+    Field(description='Seconds ago, such as "30", or a time (ISO 8601). Default: all that is kept.'),
+]
+UpToLogEnd = Annotated[
+    str,
+    BeforeValidator(_as_text),
+    TimeArgument(ago=True),
+    Field(description='Like since; of a recording also "12 s in". Default: now, or its end.'),
 ]

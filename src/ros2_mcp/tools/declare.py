@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Literal
 
-from ros2_mcp.tools.injection import Call, arguments_of, values_for
+from ros2_mcp.tools.injection import Call, Makers, arguments_of, made_by, values_for
 
 Risk = Literal["read", "write", "actuate", "stop"]
 """`read` changes nothing; `write` changes the software's state; `actuate` can move the robot; `stop` ends what was set
@@ -26,9 +26,11 @@ class ToolDeclaration:
     """One tool as the model sees it.
 
     `aliases` maps other spellings of its arguments to the right ones. Tools that are not offered `by_default` come
-    with their group: models choose best among about thirty. A call of `also_named` is answered too; it is not listed.
-    `recorded` tools also work where a recording stands for the robot. `place` is where the tool stands in
-    `tools/list`; None: at the `PLACE` of its module.
+    with their group: models choose well among at most forty. A call of `also_named` is answered too; it is not listed.
+    `recorded` tools also work where a recording stands for the robot. `program` is the name of the function that they
+    are in the module `robot` of programs; without one they are not in it. One that `runs_programs` is there where the
+    sandbox is installed, its description shows the module, and where nothing may be moved it only reads. `place` is
+    where the tool stands in `tools/list`; None: at the `PLACE` of its module.
     """
 
     function: ToolFunction
@@ -40,6 +42,8 @@ class ToolDeclaration:
     aliases: Mapping[str, str] = field(default_factory=dict[str, str])
     also_named: str = ""
     recorded: bool = False
+    program: str = ""
+    runs_programs: bool = False
     place: int | None = None
 
     @property
@@ -52,13 +56,18 @@ class ToolDeclaration:
         """The function's signature with its annotations evaluated."""
         return inspect.signature(self.function, eval_str=True)
 
+    @cache  # noqa: B019 - as above; it is needed with each call
+    def makers(self) -> Makers:
+        """How the values of the function's parameters are made."""
+        return {name: made_by(parameter) for name, parameter in self.signature().parameters.items()}
+
     def arguments(self) -> inspect.Signature:
         """The signature that the model sees: without what is made for the function."""
         return arguments_of(self.signature())
 
     async def perform(self, call: Call, arguments: Mapping[str, Any]) -> Any:
         """Calls the function with validated arguments and with what is made for it; raises `RobotError` as it does."""
-        return await self.function(**await values_for(self.signature(), call, arguments))
+        return await self.function(**await values_for(self.makers(), call, arguments))
 
 
 DECLARED: list[ToolDeclaration] = []
@@ -74,6 +83,8 @@ def tool(
     aliases: Mapping[str, str] | None = None,
     also_named: str = "",
     recorded: bool = False,
+    program: str = "",
+    runs_programs: bool = False,
     place: int | None = None,
 ) -> Callable[[ToolFunction], ToolFunction]:
     """Declares the function as a tool of the same name."""
@@ -90,6 +101,8 @@ def tool(
                 aliases=aliases or {},
                 also_named=also_named,
                 recorded=recorded,
+                program=program,
+                runs_programs=runs_programs,
                 place=place,
             )
         )

@@ -38,8 +38,8 @@ async def ros2_get_message_fields(
 async def ros2_interface_list(
     robot: Robot,
     pattern: Pattern = "",
-    kind: Annotated[str, Field(description="Only one kind: msg, srv or action.")] = "",
-    package: Annotated[str, Field(description="Only this package.")] = "",
+    kind: Annotated[str, Field(description="Only this kind: msg, srv or action.")] = "",
+    package: Annotated[str, Field(description="Only of this package, such as std_msgs.")] = "",
     limit: Limit = 200,
 ) -> interfaces.InterfaceList:
     """List the message, service and action types installed on the robot, or that a recording has."""

@@ -9,7 +9,7 @@ Where the tool has a parameter of the same name, both get the same value.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from operator import attrgetter
@@ -21,6 +21,9 @@ from ros2_mcp.ops.sources.kinds import OWN_KINDS, Sources
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.ops.sources.source import Source, SourceKind
+from ros2_mcp.ops.sources.times import is_seconds_ago
+from ros2_mcp.programs.declare import Function
+from ros2_mcp.programs.program import Programs
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import (
     Duration,
@@ -31,20 +34,32 @@ from ros2_mcp.tools.arguments import (
     MaxArray,
     MessageLimit,
     NumericFields,
+    RecordedTime,
     Since,
     UpToEnd,
+    UpToLogEnd,
 )
+
+_TIMES_TO_WAIT = frozenset(
+    {"duration", "duration_sec", "timeout", "timeout_sec", "wait_timeout_sec", "wait_for_service_sec"}
+)
+"""Arguments of tools that say how long to wait."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
-    """What tools can get in every call; `limitations` says in words what this server does not offer and why."""
+    """What tools can get in every call; `limitations` says in words what this server does not offer and why.
+
+    `given` are the names of the arguments that the caller gave, `functions` gives those of the module of programs.
+    """
 
     robot: Robot
     store: BagStore
     report: Report
     kinds: Sequence[SourceKind] = OWN_KINDS
     limitations: Sequence[str] = ()
+    given: Collection[str] = ()
+    functions: Callable[[], Sequence[Function]] = tuple
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +70,10 @@ class MadeBy:
     arguments: tuple[str, ...] | None = None
 
 
+Makers = Mapping[str, MadeBy | None]
+"""Name of a parameter → how its value is made; None for an argument of the tool."""
+
+
 # ── makers ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -63,15 +82,25 @@ def _sources(call: Call) -> Sources:
 
 
 async def _source(call: Call, bag: FromBag = "", start: FromStart = "", end: UpToEnd = "") -> Source:
-    return await _sources(call).open(bag, start, end)
+    return await _sources(call).open(bag, start, end, waits=_waits(call), report=call.report)
 
 
-async def _log_source(call: Call, since: Since = "", bag: FromBag = "", end: UpToEnd = "") -> Source:
+async def _at_one_time(call: Call, bag: FromBag = "", time: RecordedTime = "") -> Source:
+    """What was known at a time: of a recording, up to it."""
+    return await _sources(call).open(bag, "", time, names=("time", "time"), waits=False, report=call.report)
+
+
+def _waits(call: Call) -> bool:
+    """Whether the caller gave a time to wait: then what is not there yet is waited for."""
+    return not _TIMES_TO_WAIT.isdisjoint(call.given)
+
+
+async def _log_source(call: Call, since: Since = "", bag: FromBag = "", end: UpToLogEnd = "") -> Source:
     """Without the name of a bag the log is the robot's own: times alone do not mean the black box here."""
-    if not (bag or end or call.store.subject_name):
+    if not (bag or call.store.subject_name):
         return Live(call.robot)
-    is_number = since.strip().replace(".", "", 1).isdigit()
-    return await _sources(call).open(bag, f"{since} s ago" if is_number else since, end)
+    start, until = (f"{text} s ago" if is_seconds_ago(text) else text for text in (since, end))
+    return await _sources(call).open(bag, start, until, names=("since", "end"))
 
 
 def _selection(
@@ -96,11 +125,21 @@ def _numbers(call: Call, fields: NumericFields = None) -> Selection:
     return _selection(call, fields=fields)
 
 
+def _programs(call: Call) -> Programs:
+    return Programs(functions=call.functions(), store=call.store, kinds=call.kinds)
+
+
 LimitedMessages = Annotated[Selection, MadeBy(_selection)]
 Messages = Annotated[Selection, MadeBy(_selection, ("fields", "max_array", "every_n"))]
 OneMessage = Annotated[Selection, MadeBy(_selection, ("fields", "max_array"))]
 Numbers = Annotated[Selection, MadeBy(_numbers)]
 Limitations = Annotated[Sequence[str], MadeBy(attrgetter("limitations"), ())]
+ProgramsHere = Annotated[Programs, MadeBy(_programs, ())]
+Waits = Annotated[bool, MadeBy(_waits, ())]
+RecordingSource = Annotated[Source, MadeBy(_source, ("bag",))]
+"""For tools with a time of their own."""
+AtOneTime = Annotated[Source, MadeBy(_at_one_time)]
+"""What was known at a time."""
 LogSource = Annotated[Source, MadeBy(_log_source)]
 
 _BY_TYPE: Mapping[Any, MadeBy] = {
@@ -135,15 +174,14 @@ def arguments_of(whole: inspect.Signature) -> inspect.Signature:
     return whole.replace(parameters=list(arguments.values()))
 
 
-async def values_for(whole: inspect.Signature, call: Call, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of all parameters of a tool's function.
+async def values_for(makers: Makers, call: Call, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of all parameters of a tool's function, each with how it is made.
 
     Raises:
         RobotError: if one cannot be made, such as a source that is not there.
     """
     values: dict[str, Any] = {}
-    for name, parameter in whole.parameters.items():
-        made = made_by(parameter)
+    for name, made in makers.items():
         if made is None:
             values[name] = arguments[name]
             continue

@@ -20,11 +20,11 @@ from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ
 
 PLACE = 30
 
-MeasuredFor = Annotated[Number, Field(ge=0.1, le=600, description="Measure for this long, in seconds.")]
+MeasuredFor = Annotated[Number, Field(ge=0.1, le=600, description="Measure for so many seconds.")]
 Names = Annotated[list[str] | None, Field(max_length=100, description="Names that must be there.")]
 
 
-@tool(title="Wait until a condition holds", risk="read", group="measure", recorded=True)
+@tool(title="Wait until a condition holds", risk="read", group="measure", recorded=True, program="wait_until")
 async def ros2_wait_until(
     report: Report,
     topic_name: TopicName,
@@ -32,14 +32,14 @@ async def ros2_wait_until(
         str,
         Field(
             description="Over the message's fields, such as: pose.pose.position.x > 1.0 and twist.twist.linear.x == 0. "
-            "With and, or, not, + - * /, comparisons, in, abs(), min(), max(), len(), hypot(), [index] (not met where "
-            "the list is shorter). Of all elements: max(status[*].level) == 2; with the fields of one: "
+            "With and, or, not, + - * /, comparisons, in, abs(), min(), max(), len(), hypot(), sqrt(), atan2(), "
+            "yaw(pose.pose.orientation) (rad), [index] (not met where the list is shorter). Of laser scans: "
+            "nearest(-20, 20) < 0.6 (deg, m), range_at(90). Of all elements: "
+            "max(status[*].level) == 2; with the fields of one: "
             'any(status, name == "imu" and level > 1), all().'
         ),
     ],
-    timeout: Annotated[
-        Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most this long, in seconds.")
-    ] = 30.0,
+    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most so many seconds.")] = 30.0,
     *,
     selection: Selection,
     source: Source,
@@ -61,7 +61,7 @@ async def ros2_health_check(
     check_rates: Annotated[
         Flag, Field(description="Listen to topics; else look at the graph and diagnostics only.")
     ] = True,
-    rate_check_duration_sec: Annotated[Number, Field(ge=0.5, le=60, description="Listen for this long.")] = 3.0,
+    rate_check_duration_sec: Annotated[Number, Field(ge=0.5, le=60, description="Listen for so many seconds.")] = 3.0,
     min_expected_rate_hz: Annotated[
         Number, Field(ge=0, le=MAX_RATE_HZ, description="Of sensors and expected topics.")
     ] = 1.0,
@@ -83,6 +83,7 @@ async def ros2_health_check(
     risk="read",
     group="measure",
     recorded=True,
+    program="statistics",
 )
 async def ros2_topic_statistics(
     report: Report,
@@ -92,24 +93,28 @@ async def ros2_topic_statistics(
     selection: Numbers,
     source: Source,
 ) -> statistics.Statistics:
-    """Measure numeric fields of topics at the same time: min, max, mean, std, slope, gaps, jumps, stuck values, NaN."""
+    """Measure numeric fields of topics at the same time: min, max, mean, std, slope, gaps, jumps, stuck values, NaN.
+
+    Trends too, and when extremes were reached. For bytes and ages of messages use ros2_topic_stats.
+    """
     return await statistics.measure(source.lasting(duration), topic_names, selection, report)
 
 
-@tool(title="Compare two topics", risk="read", group="measure", recorded=True, by_default=False)
+@tool(title="Compare two topics", risk="read", group="measure", recorded=True, program="compare")
 async def ros2_topic_compare(
     report: Report,
     topic1_name: TopicName,
     topic2_name: TopicName,
     duration_sec: MeasuredFor = 5.0,
     diff_fields: NumericFields = None,
-    tolerance_percent: Annotated[Number, Field(ge=0, le=100, description="Of a field's largest magnitude.")] = 0.1,
+    tolerance_percent: Annotated[Number, Field(ge=0, le=100, description="Of a field's range (max - min).")] = 0.1,
     sync_by_timestamp: Annotated[Flag, Field(description="Pair by header stamp; else by time of receipt.")] = True,
     *,
     source: Source,
 ) -> comparison.Comparison:
     """Compare two topics over the same time, field by field: differences, correlation, delay.
 
+    Quaternions as rotations, angles (by name: yaw, heading, ...) modulo a turn.
     The verdict is IDENTICAL, SIMILAR, DIFFERENT or VERY DIFFERENT.
     """
     return await comparison.compare(

@@ -21,8 +21,10 @@ from ros2_mcp.tools.arguments import (
     Limit,
     MessageType,
     Number,
+    PastTime,
     Pattern,
     TopicName,
+    UpToPastTime,
     Whole,
 )
 from ros2_mcp.tools.declare import tool
@@ -34,30 +36,32 @@ HISTORY_PLACE = 120
 """Of `ros2_get_messages`: it is offered by default, the others of this module only with their group."""
 
 Bytes = Annotated[Whole, Field(ge=0, le=record.MAX_BYTES)]
-Topics = Annotated[list[str] | None, Field(description="Only these topics.")]
-RecordingId = Annotated[str, Field(description="The recording's id.")]
-PlaybackId = Annotated[str, Field(description="The playback's id.")]
-PastTime = Annotated[
-    str, Field(description='ISO 8601 with zone, such as 2026-11-21T03:00:00.5Z, or relative: "last 30 s", "5 min ago".')
-]
+Topics = Annotated[list[str] | None, Field(min_length=1, description="Only these topics.")]
+RecordingId = Annotated[str, Field(description="As ros2_record_start gave it. Default: the only one that runs.")]
+PlaybackId = Annotated[str, Field(description="As ros2_bag_play gave it.")]
 
 
 @tool(title="Record topics", risk="write", group="memory", by_default=False)
 async def ros2_record_start(
     robot: Robot,
     store: BagStore,
-    topics: Annotated[list[str] | None, Field(description="Topics to record, also if they appear later.")] = None,
-    patterns: Annotated[
-        list[str] | None, Field(description="Globs such as /camera/*, or parts of names. Default without topics: all.")
+    topics: Annotated[
+        list[str] | None, Field(min_length=1, description="Topics to record, also if they appear later.")
     ] = None,
-    max_duration_sec: Annotated[Number, Field(ge=0, le=604_800, description="End after this time; 0: never.")] = 0.0,
+    patterns: Annotated[
+        list[str] | None,
+        Field(min_length=1, description="Globs such as /camera/*, or parts of names. Default without topics: all."),
+    ] = None,
+    max_duration_sec: Annotated[
+        Number, Field(ge=0, le=604_800, description="End after so many seconds; 0: never.")
+    ] = 0.0,
     max_bytes: Annotated[Bytes, Field(description="End at this size; 0: never.")] = 0,
     split_bytes: Annotated[Bytes, Field(description="Begin a new file at this size; 0: never.")] = 0,
     name: Annotated[str, Field(max_length=200, description="Name of the recording. Default: the time.")] = "",
 ) -> record.RecordingState:
     """Begin to record topics to disk (MCAP in a rosbag2 folder). It goes on until a limit or ros2_record_stop.
 
-    Latched messages are included; topics that appear later join within a second.
+    Latched messages are included; topics that appear later join within a second. /agent/calls has what you do.
     """
     request = record.RecordRequest(
         topics=topics or (),
@@ -71,13 +75,15 @@ async def ros2_record_start(
 
 
 @tool(title="Recordings", risk="read", group="memory", by_default=False)
-async def ros2_record_status(robot: Robot, recording_id: RecordingId = "") -> record.RecordingStates:
+async def ros2_record_status(
+    robot: Robot, recording_id: Annotated[str, Field(description="Only this one; default: all.")] = ""
+) -> record.RecordingStates:
     """Show how recordings stand: messages, bytes and losses of each topic, and why one ended."""
     return await record.status(robot, recording_id)
 
 
 @tool(title="Stop recording", risk="write", group="memory", by_default=False)
-async def ros2_record_stop(robot: Robot, recording_id: RecordingId) -> record.RecordingState:
+async def ros2_record_stop(robot: Robot, recording_id: RecordingId = "") -> record.RecordingState:
     """End a recording and close its files."""
     return await record.stop(robot, recording_id)
 
@@ -128,7 +134,10 @@ async def ros2_bag_play(
         Field(description="Also onto topics that have a live publisher, and velocity commands that move the robot."),
     ] = False,
     wait_sec: Annotated[
-        Number, Field(ge=0, le=MAX_DURATION_S, description="Wait this long for its end; it goes on.")
+        Number,
+        Field(
+            ge=0, le=MAX_DURATION_S, description="Wait this long for its end, in seconds; then it goes on by itself."
+        ),
     ] = 40.0,
 ) -> play.PlaybackState:
     """Publish a bag's messages again in their rhythm. Can move the robot if it holds commands: choose topics."""
@@ -139,8 +148,10 @@ async def ros2_bag_play(
 
 
 @tool(title="Playbacks", risk="read", group="memory", by_default=False)
-async def ros2_bag_play_status(robot: Robot, playback_id: PlaybackId = "") -> play.PlaybackStates:
-    """Show how playbacks of bags stand."""
+async def ros2_bag_play_status(
+    robot: Robot, playback_id: Annotated[str, Field(description="Only this one; default: all.")] = ""
+) -> play.PlaybackStates:
+    """Show how far playbacks of bags have come, what was published, and why one ended."""
     return await play.status(robot, playback_id)
 
 
@@ -166,12 +177,13 @@ async def ros2_get_messages(
     message_type: MessageType = "",
     number_of_messages: Annotated[Whole, Field(ge=0, le=100_000, description="Only the last N; 0: all.")] = 0,
     time_start: PastTime = "",
-    time_end: PastTime = "",
+    time_end: UpToPastTime = "",
     *,
     selection: Messages,
     bucket_name: Annotated[str, Field(description="Bucket of a Data Black Box that has several.")] = "",
 ) -> messages.StoredMessages:
     """Get messages that were sent earlier, and say from where: a WiseVision Data Black Box, recordings, opened bags."""
-    request = SourceRequest(start=time_start.strip(), end=time_end.strip(), bucket=bucket_name)
+    names = ("time_start", "time_end")
+    request = SourceRequest(start=time_start.strip(), end=time_end.strip(), bucket=bucket_name, names=names)
     chosen = replace(selection, message_limit=number_of_messages or None)
     return await messages.get_messages(sources, topic_name, message_type, request, chosen, report)

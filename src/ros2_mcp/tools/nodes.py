@@ -15,11 +15,11 @@ from ros2_mcp.tools.declare import tool
 PLACE = 100
 """Of parameters and lifecycle; the list of nodes stands near the top."""
 
-NodeName = Annotated[str, Field(description="Full name of the node, such as /base_controller.")]
+NodeName = Annotated[str, Field(description="Full name, such as /base_controller.")]
 NodeNames = Annotated[list[str] | None, Field(description="Full names of nodes; default: every node.")]
 
 
-@tool(title="List nodes", risk="read", place=11)
+@tool(title="List nodes", risk="read", place=11, program="nodes")
 async def ros2_node_list(
     robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 200
 ) -> NodeList:
@@ -41,7 +41,7 @@ async def ros2_parameter_list(
     return await parameters.describe(robot, node_names or (), pattern, limit)
 
 
-@tool(title="Read parameters", risk="read", group="parameters", by_default=False)
+@tool(title="Read parameters", risk="read", group="parameters", by_default=False, program="parameters")
 async def ros2_parameter_get(
     robot: Robot,
     node_name: NodeName,
@@ -52,7 +52,7 @@ async def ros2_parameter_get(
     return await parameters.dump(robot, node_name, names, whole=whole)
 
 
-@tool(title="Set parameters", risk="actuate", group="parameters")
+@tool(title="Set parameters", risk="actuate", group="parameters", program="set_parameter")
 async def ros2_parameter_set(
     robot: Robot,
     node_name: NodeName,

@@ -12,12 +12,12 @@ from ros2_mcp.ops.pictures.map import MapPicture, map_picture
 from ros2_mcp.ops.pictures.plot import Plot, PlotRequest, plot
 from ros2_mcp.ops.results import Report
 from ros2_mcp.ops.sources.source import Source
-from ros2_mcp.tools.arguments import Number, TopicName, Whole
+from ros2_mcp.tools.arguments import Number, Whole
 from ros2_mcp.tools.declare import tool
 
 PLACE = 40
 
-Timeout = Annotated[Number, Field(gt=0, le=600, description="Wait at most this long, in seconds.")]
+Timeout = Annotated[Number, Field(gt=0, le=600, description="Live: wait at most so many seconds.")]
 Pixels = Annotated[Whole, Field(ge=300, le=MAX_SIDE, description="Size of the picture in pixels.")]
 Limit = Annotated[
     Number | None, Field(description="Only points within, in metres. Default: all but single ones far away.")
@@ -36,7 +36,7 @@ async def ros2_plot(
             description='Topic:field, such as ["/odom:twist.twist.linear.x"]. A topic or message: all numbers in it.',
         ),
     ],
-    duration: Annotated[Number, Field(ge=0.1, le=600, description="Listen for this long, in seconds.")] = 5.0,
+    duration: Annotated[Number, Field(ge=0.1, le=600, description="Live: listen for so many seconds.")] = 5.0,
     kind: Annotated[
         Literal["time", "xy"],
         Field(description='"time", or "xy": pairs of series against each other; a position alone is a trajectory.'),
@@ -53,7 +53,7 @@ async def ros2_plot(
 @tool(title="Map as a picture", risk="read", group="pictures", recorded=True)
 async def ros2_get_map_as_image(
     report: Report,
-    topic_name: TopicName,
+    topic_name: Annotated[str, Field(description="A topic of nav_msgs/OccupancyGrid. Default: the only one.")] = "",
     timeout: Timeout = 5.0,
     *,
     source: Source,
@@ -66,7 +66,7 @@ async def ros2_get_map_as_image(
 @tool(title="Point cloud from above", risk="read", group="pictures", recorded=True, by_default=False)
 async def ros2_get_pointcloud_as_bev(
     report: Report,
-    topic_name: TopicName,
+    topic_name: Annotated[str, Field(description="A topic of sensor_msgs/PointCloud2. Default: the only one.")] = "",
     resolution: Annotated[Number, Field(ge=0.001, le=100, description="Metres per pixel.")] = 0.05,
     zmin: Height = None,
     zmax: Height = None,

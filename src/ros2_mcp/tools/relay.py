@@ -17,8 +17,8 @@ PLACE = 110
 Tolerances = Annotated[
     dict[str, Number],
     Field(
-        description='With on_change: how much a field may differ before it counts, such as {"pose.position.x": 0.05}. '
-        '"*" is for every number. Other fields count when they differ at all; stamps of headers never do.'
+        description='With on_change: how much a field may differ before it counts: {"pose.position.x": 0.05}; "*": '
+        "every number. Others count when they differ at all; stamps of headers never."
     ),
 ]
 Mapping = Annotated[
@@ -27,7 +27,7 @@ Mapping = Annotated[
 ]
 
 
-@tool(title="Start a relay", risk="actuate", group="relay", by_default=False)
+@tool(title="Start a relay", risk="actuate", group="relay")
 async def ros2_relay_start(
     robot: Robot,
     source_topic: Annotated[str, Field(description="Where the messages come from.")],
@@ -37,8 +37,12 @@ async def ros2_relay_start(
         Literal["identity", "rate_limit", "on_change", "filter"],
         Field(description="All messages, at most target_rate_hz, or only changes (filter means on_change)."),
     ] = "identity",
-    target_rate_hz: Annotated[Number, Field(gt=0, le=MAX_RATE_HZ, description="For rate_limit.")] = 10.0,
-    duration_sec: Annotated[Number, Field(ge=0, le=86400, description="0 is until it is stopped.")] = 60.0,
+    target_rate_hz: Annotated[
+        Number, Field(gt=0, le=MAX_RATE_HZ, description="With rate_limit: at most so many per second.")
+    ] = 10.0,
+    duration_sec: Annotated[
+        Number, Field(ge=0, le=86400, description="For so many seconds; 0: until it is stopped.")
+    ] = 60.0,
     tolerances: Tolerances | None = None,
     mapping: Mapping | None = None,
     destination_type: Annotated[str, Field(description="With a mapping to a topic that has no type yet.")] = "",
@@ -62,13 +66,13 @@ async def ros2_relay_start(
     return await relay.start(robot, request)
 
 
-@tool(title="List relays", risk="read", group="relay", by_default=False)
+@tool(title="List relays", risk="read", group="relay")
 async def ros2_relay_list(robot: Robot) -> relay.RelayList:
     """List the relays of this server with what they passed and dropped so far, and the last that ended."""
     return await relay.list_relays(robot)
 
 
-@tool(title="Stop a relay", risk="write", group="relay", by_default=False)
+@tool(title="Stop a relay", risk="write", group="relay")
 async def ros2_relay_stop(
     robot: Robot, relay_id: Annotated[str, Field(description="As ros2_relay_start gave it.")]
 ) -> relay.RelayState:

@@ -11,12 +11,11 @@ _REFERENCE = "#/$defs/"
 # pydantic's names of the bounds of a number → those of JSON schema.
 _BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
 _SCALARS: Mapping[Any, str] = {str: "string", bool: "boolean", int: "integer", float: "number"}
-# Of a value whose type is known only at run time, such as that of a parameter. A schema without a type is refused by
-# some clients.
-_ANY_VALUE: Schema = {
-    "type": ["boolean", "number", "string", "array", "null"],
-    "items": {"type": ["boolean", "number", "string"]},
-}
+_NULL: Schema = {"type": "null"}
+_ANY_SCALAR: list[Schema] = [{"type": "boolean"}, {"type": "number"}, {"type": "string"}]
+# Of a value whose type is known only at run time, such as that of a parameter. Some clients refuse a schema without a
+# type, and some one with a list of types: each branch has one.
+_ANY_VALUE: Schema = {"anyOf": [*_ANY_SCALAR, {"type": "array", "items": {"anyOf": _ANY_SCALAR}}, _NULL]}
 
 
 def argument_schema(schema: Mapping[str, Any]) -> Schema:
@@ -28,16 +27,19 @@ def argument_schema(schema: Mapping[str, Any]) -> Schema:
 
 
 def result_schema(kind: Any) -> Schema:
-    """The schema of a result: dataclasses of plain values. Every field is always there; what may be null says so."""
+    """The schema of a result: dataclasses of plain values. A field is always there, unless it is so only on request;
+    what may be null says so.
+    """
     options = get_args(kind)
     if type(None) in options:
         (present,) = (option for option in options if option is not type(None))
-        inner = result_schema(present)
-        return {**inner, "type": [inner["type"], "null"]}
+        return {"anyOf": [result_schema(present), _NULL]}
     if is_dataclass(kind):
         hints = get_type_hints(kind)
-        shown = [field.name for field in fields(kind) if not field.metadata.get("hidden")]
-        return {"type": "object", "properties": {name: result_schema(hints[name]) for name in shown}, "required": shown}
+        shown = [field for field in fields(kind) if not field.metadata.get("hidden")]
+        properties = {field.name: result_schema(hints[field.name]) for field in shown}
+        always = [field.name for field in shown if not field.metadata.get("on_request")]
+        return {"type": "object", "properties": properties, "required": always}
     origin = get_origin(kind) or kind
     if origin in (list, tuple, Sequence):
         return {"type": "array", "items": result_schema(options[0])}
@@ -65,7 +67,9 @@ def text_for_number(schema: Mapping[str, Any], value: Any, path: str = "") -> st
 
 
 def _plain(node: Mapping[str, Any], definitions: Mapping[str, Any]) -> Schema:
-    """The same schema with references resolved, and without titles and null defaults, which cost the model tokens."""
+    """The same schema with references resolved, and without what costs the model tokens and tells it nothing: titles,
+    and the defaults null and empty text of what is not required: it is *not given* where it is left out.
+    """
     if "$ref" in node:
         target = definitions[str(node["$ref"]).removeprefix(_REFERENCE)]
         return _plain({**target, **_without(node, "$ref")}, definitions)
@@ -77,7 +81,7 @@ def _plain(node: Mapping[str, Any], definitions: Mapping[str, Any]) -> Schema:
             result[key] = {name: _plain(part, definitions) for name, part in value.items()}
         elif key == "items":
             result[key] = _plain(value, definitions)
-        elif key not in ("$defs", "title") and (key != "default" or value is not None):
+        elif key not in ("$defs", "title") and (key != "default" or value not in (None, "")):
             result[_BOUNDS.get(key, key)] = value
     if result.get("type") == "object" and "properties" not in result:
         result.setdefault("additionalProperties", True)

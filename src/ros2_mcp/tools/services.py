@@ -12,17 +12,19 @@ from ros2_mcp.ops.services.list import ServiceList, list_services
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Flag, Hidden, Limit, Number, Pattern
 from ros2_mcp.tools.declare import tool
+from ros2_mcp.tools.injection import Waits
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 PLACE = 80
+_EMPTY = ("", "{}", "[]")
 
 
 def _empty_request(value: Any) -> Any:
-    """One desktop client sends objects as texts. Here an empty one may be: nothing is called without its fields."""
-    return {} if isinstance(value, str) and value.strip() == "{}" else value
+    """An empty request, as other servers and forms know it ([] or ""), counts as not given."""
+    return None if value is None or value == [] or (isinstance(value, str) and value.strip() in _EMPTY) else value
 
 
-@tool(title="List services", risk="read", group="services")
+@tool(title="List services", risk="read", group="services", program="services")
 async def ros2_service_list(
     robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 100
 ) -> ServiceList:
@@ -30,30 +32,35 @@ async def ros2_service_list(
     return await list_services(robot, pattern, include_hidden, limit)
 
 
-@tool(title="Call a service", risk="actuate", group="services", aliases={"timeout": "timeout_sec"})
+@tool(title="Call a service", risk="actuate", group="services", aliases={"timeout": "timeout_sec"}, program="call")
 async def ros2_service_call(
     robot: Robot,
     report: Report,
-    service_name: Annotated[str, Field(description="Name of the service, such as /set_mode.")],
+    service_name: Annotated[str, Field(description="Such as /set_mode.")],
     fields: Annotated[
-        dict[str, Any],
+        dict[str, Any] | None,
         BeforeValidator(_empty_request),
-        Field(description='The request\'s fields, such as {"data": true}.'),
-    ],
-    service_type: Annotated[
-        str, Field(description="Type such as std_srvs/srv/SetBool. Leave it out to use the service's own.")
-    ] = "",
+        Field(description='The request\'s fields, such as {"data": true}; none if it has none.'),
+    ] = None,
+    service_type: Annotated[str, Field(description="Such as std_srvs/srv/SetBool. Default: the service's own.")] = "",
     force_call: Annotated[
         Flag, Field(description="Call even if request fields are missing; they get defaults.")
     ] = False,
-    timeout_sec: Annotated[
-        Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most this long, in seconds.")
-    ] = 10.0,
+    timeout_sec: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most so many seconds.")] = 10.0,
+    *,
+    waits: Waits,
 ) -> ServiceAnswer:
     """Call a service and wait for its answer. Can move the robot.
 
     If request fields are missing it is not called: the answer names them.
     """
     return await call(
-        robot, service_name, service_type, fields, force_call=force_call, timeout_s=timeout_sec, report=report
+        robot,
+        service_name,
+        service_type,
+        fields,
+        force_call=force_call,
+        timeout_s=timeout_sec,
+        waits=waits,
+        report=report,
     )

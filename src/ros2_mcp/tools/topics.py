@@ -12,7 +12,17 @@ from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.topics import info, publish, stats, subscribe
 from ros2_mcp.ops.topics.list import TopicList, list_topics
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import Duration, Hidden, Limit, MessageLimit, MessageType, Number, Pattern, TopicName
+from ros2_mcp.tools.arguments import (
+    Duration,
+    Flag,
+    Hidden,
+    Limit,
+    MessageLimit,
+    MessageType,
+    Number,
+    Pattern,
+    TopicName,
+)
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import LimitedMessages, Messages, OneMessage
 from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ
@@ -28,11 +38,16 @@ MEASURE_S = 3.0
 
 Data = Annotated[
     dict[str, Any],
-    Field(description='The message\'s fields, such as {"linear": {"x": 0.2}}. Fields left out get their default.'),
+    Field(
+        description='The message\'s fields, such as {"linear": {"x": 0.2}}; others get their default. Also "nan", '
+        '"inf", "-inf".'
+    ),
 ]
-_SEVERAL = Field(min_length=1, max_length=stats.MAX_TOPICS)
-_HZ = "How often per second, with duration."
-_SECONDS = "For how long, in seconds, with frequency."
+_SEVERAL = Field(min_length=1, max_length=20)  # more than a person reads or commands at once
+_HZ = "Times per second, with duration."
+_SECONDS = "For so many seconds, with frequency."
+Destination = Annotated[str, Field(description="Such as /cmd_vel.")]
+PublishedType = Annotated[str, Field(description="Such as geometry_msgs/msg/Twist. Default: the topic's own.")]
 
 
 class TopicToRead(BaseModel):
@@ -44,6 +59,7 @@ class TopicToRead(BaseModel):
     msg_type: Annotated[MessageType, Field(validation_alias=AliasChoices("msg_type", "message_type"))] = ""
     duration: Duration = None
     message_limit: MessageLimit = None
+    fields: Annotated[list[str] | None, Field(description="Of this topic, in the place of those for all.")] = None
 
 
 class TopicToPublish(BaseModel):
@@ -51,19 +67,23 @@ class TopicToPublish(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    topic_name: TopicName
-    message_type: Annotated[MessageType, Field(validation_alias=AliasChoices("message_type", "msg_type"))] = ""
+    topic_name: Destination
+    message_type: Annotated[PublishedType, Field(validation_alias=AliasChoices("message_type", "msg_type"))] = ""
     data: Data
     frequency: Annotated[Number, Field(gt=0, le=MAX_RATE_HZ, description=_HZ)] = 1.0
     duration: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description=_SECONDS)] = 5.0
 
 
-@tool(title="List topics", risk="read", recorded=True)
+@tool(title="List topics", risk="read", recorded=True, program="topics")
 async def ros2_topic_list(
-    robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 200
+    robot: Robot,
+    pattern: Pattern = "",
+    include_hidden: Hidden = False,
+    limit: Limit = 200,
+    request_fields: Annotated[Flag, Field(description="Also the fields of each topic's messages.")] = False,
 ) -> TopicList:
     """List the topics of the robot with their types and the number of publishers and subscribers."""
-    return await list_topics(robot, pattern, include_hidden, limit)
+    return await list_topics(robot, pattern, include_hidden, limit, with_fields=request_fields)
 
 
 @tool(title="Topic details", risk="read", recorded=True)
@@ -78,9 +98,9 @@ async def ros2_topic_subscribe(
 ) -> subscribe.Reading:
     """Read messages of a topic: for a duration, or until a number of messages came. With neither: the first message.
 
-    QoS is chosen to match the publishers. Camera topics come back as pictures. Long arrays are summarised: use
-    fields to see a part in full. For rates use ros2_topic_stats. Of a recording: from start on, or without start the
-    last seconds or messages.
+    QoS is chosen to match the publishers. Images and maps come as pictures.
+    Long arrays are summarised: use fields to see a part in full. For rates use ros2_topic_stats. Of a recording: from
+    start on, else the last seconds or messages.
     """
     return await subscribe.read(source, topic_name, msg_type, selection, report)
 
@@ -94,10 +114,20 @@ async def ros2_subscribe_multiple_topics(
 ) -> subscribe.Readings:
     """Read several topics truly at the same time, each with its own duration or message limit.
 
-    Of a recording: from start on, or without start the last seconds or messages.
+    Images and maps come as pictures. Of a recording: from start on, else the last seconds or messages.
     """
     requests = [
-        (topic.name, topic.msg_type, replace(selection, duration_s=topic.duration, message_limit=topic.message_limit))
+        (
+            topic.name,
+            topic.msg_type,
+            replace(
+                selection,
+                fields=topic.fields or selection.fields,
+                shared=not topic.fields,
+                duration_s=topic.duration,
+                message_limit=topic.message_limit,
+            ),
+        )
         for topic in topics
     ]
     return await subscribe.read_several(source, requests, report)
@@ -107,41 +137,47 @@ async def ros2_subscribe_multiple_topics(
 async def ros2_topic_echo_wait(
     topic_name: TopicName,
     message_type: MessageType = "",
-    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most this long, in seconds.")] = 5.0,
+    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Wait at most so many seconds.")] = 5.0,
     *,
     selection: OneMessage,
     source: Source,
 ) -> subscribe.Echo:
     """Wait for the next message of a topic; the topic itself may appear meanwhile.
 
-    Of a recording: the next one from start on, or without start the last one.
+    Images and maps come as pictures. Of a recording: the next one from start on, else the last one.
     """
     return await subscribe.echo(source.lasting(timeout), topic_name, message_type, selection)
 
 
-@tool(title="Rate and age of topics", risk="read", recorded=True)
+@tool(title="Rate and age of topics", risk="read", recorded=True, program="rates")
 async def ros2_topic_stats(
     report: Report,
-    topic_names: Annotated[list[str], _SEVERAL, Field(description="Names of the topics.")],
+    topic_names: Annotated[
+        list[str] | None,
+        Field(min_length=1, max_length=stats.MAX_TOPICS, description="Default: all that somebody publishes."),
+    ] = None,
     duration: Annotated[
         Number | None,
-        Field(gt=0, le=MAX_MEASURE_S, description="Measure for this long, in seconds. Default: 3; of a recording all."),
+        Field(gt=0, le=MAX_MEASURE_S, description="For so many seconds. Default: 3; of a recording all."),
     ] = None,
     *,
     source: Source,
 ) -> stats.Stats:
-    """Measure how topics flow, several at once: rate, jitter, gaps, bandwidth, loss, age against the header's stamp."""
+    """Measure how topics flow, several at once: rate, jitter, gaps, bandwidth, loss, age against the header's stamp.
+
+    The largest first. For the values of fields use ros2_topic_statistics.
+    """
     lasting = source.lasting(duration or MEASURE_S, recorded_s=duration, whole=True)
     return await stats.measure(lasting, topic_names, report)
 
 
-@tool(title="Publish", risk="actuate", place=_PUBLISHING_PLACE, aliases={"msg_type": "message_type"})
+@tool(title="Publish", risk="actuate", place=_PUBLISHING_PLACE, aliases={"msg_type": "message_type"}, program="publish")
 async def ros2_topic_publish(
     robot: Robot,
     report: Report,
-    topic_name: TopicName,
+    topic_name: Destination,
     data: Data,
-    message_type: MessageType = "",
+    message_type: PublishedType = "",
     frequency: Annotated[Number | None, Field(gt=0, le=MAX_RATE_HZ, description=_HZ)] = None,
     duration: Annotated[Number | None, Field(gt=0, le=MAX_DURATION_S, description=_SECONDS)] = None,
 ) -> publish.Published:

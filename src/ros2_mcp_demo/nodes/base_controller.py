@@ -82,12 +82,15 @@ class BaseController(RobotPart):
         """A command by hand takes over from navigation."""
         if self.robot.mode == AUTONOMOUS:
             self.robot.mode = MANUAL
-            self.get_logger().info("/cmd_vel takes over: mode manual")
+            self.get_logger().warning("/cmd_vel takes over: mode manual")
         self._take(command)
 
     def _on_navigation_command(self, command):
         if self.robot.mode == AUTONOMOUS:
             self._take(command)
+        elif command.linear.x or command.angular.z:
+            text = f"commands of navigation are ignored: the mode is {self.robot.mode}"
+            self.get_logger().warning(text, throttle_duration_sec=5.0)
 
     def _take(self, command):
         if not (math.isfinite(command.linear.x) and math.isfinite(command.angular.z)):

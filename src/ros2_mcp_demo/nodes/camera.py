@@ -24,6 +24,7 @@ class Camera(RobotPart):
         self.declare_switch("enabled", True, "False: the camera is dead and publishes nothing")
         self.declare_number("frame_rate", 10.0, 0.5, 25.0, "Colour pictures per second [Hz]")
         self.declare_number("brightness", 1.0, 0.0, 2.0, "1 is right, 0 is black")
+        self.declare_text("sign", "", "What stands on a sign that it reads, and tells its log every two seconds")
         self._raw = self.create_publisher(Image, "camera/image_raw", 5)
         self._info = self.create_publisher(CameraInfo, "camera/camera_info", 5)
         self._depth = self.create_publisher(Image, "camera/depth/image_raw", 5)
@@ -35,6 +36,8 @@ class Camera(RobotPart):
         """Take the pictures that are due and wanted."""
         if not self.setting("enabled"):
             return
+        if (sign := self.setting("sign")) and self.is_due(0.5, "sign"):
+            self.get_logger().warning(f"reads a sign: {sign}")
         rate = self.setting("frame_rate")
         if self.is_due(rate, "color"):
             self._publish_color(stamp)

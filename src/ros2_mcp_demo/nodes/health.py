@@ -21,6 +21,10 @@ class Health(RobotPart):
         self._levels = {}
         self.create_service(Trigger, "self_test", self._self_test)
 
+    def watch(self, parts):
+        """Collect from these, too."""
+        self._parts += parts
+
     def tick(self, stamp):
         """Collect and publish when it is time."""
         if not self.is_due(1.0):
@@ -28,9 +32,7 @@ class Health(RobotPart):
         message = DiagnosticArray(status=[*filter(None, map(self._status, self._parts))])
         message.header.stamp = stamp
         self._diagnostics.publish(message)
-        charge = self.robot.battery.charge * 100
-        text = f"alive {self.robot.now:.0f} s, mode {self.robot.mode}, battery {charge:.0f} %"
-        self._heartbeat.publish(String(data=text))
+        self._heartbeat.publish(String(data=self.robot.heartbeat()))
 
     def _status(self, part):
         """What a part says of itself, or None; a change of its level is logged."""

@@ -22,14 +22,17 @@ class Localization(RobotPart):
         super().__init__("localization", robot, namespace)
         self._publisher = self.create_publisher(PoseWithCovarianceStamped, "pose", 10)
         self._tf = optional.tf2_msgs and self.create_publisher(optional.tf2_msgs.TFMessage, "/tf", 100)
+        self.declare_switch("enabled", True, "False: localisation is dead and tells nothing")
+        self.declare_number("stddev", 0.008, 0.0, 2.0, "Standard deviation of the position [m]")
         self._message = PoseWithCovarianceStamped()
-        self._message.pose.covariance = diagonal(6, {0: 7e-5, 1: 7e-5, 5: 2e-5})
 
     def tick(self, stamp):
         """Publish when it is time."""
-        if not self.is_due(RATE):
+        if not (self.setting("enabled") and self.is_due(RATE)):
             return
-        pose = self.robot.localize()
+        stddev = self.setting("stddev")
+        pose = self.robot.localize(stddev)
+        self._message.pose.covariance = diagonal(6, {0: 1.1 * stddev**2, 1: 1.1 * stddev**2, 5: 0.3 * stddev**2})
         self.headed(self._message, stamp, "map")
         place(self._message.pose.pose, pose)
         self._publisher.publish(self._message)

@@ -9,12 +9,13 @@ from typing import Any
 from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Path
-from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import GoalResponse
 
 from .. import optional
 from ..drive import Drive, Goal, Surroundings
 from ..simulation import AUTONOMOUS, IDLE, MAP_RESOLUTION
-from .part import OK, RobotPart, never_called
+from .goal_server import GoalServer
+from .part import OK, RobotPart
 
 COMMAND_RATE = 10.0  # Hz; the base stops after 0.5 s without a command
 FEEDBACK_RATE = 5.0
@@ -48,6 +49,9 @@ class Navigator(RobotPart):
                 self._command(0.0, 0.0)
             else:
                 self._end("canceled", "canceled; the robot stands")
+            return
+        if self.robot.driver is not self:
+            self._end("abort", "replaced by a goal for /navigate_to_pose")
             return
         if self.is_due(COMMAND_RATE, "command"):
             self._drive_on(stamp)
@@ -89,7 +93,7 @@ class Navigator(RobotPart):
         self._handle = handle
         self._drive = Drive(goal, self._surroundings, self.robot.now)
         self._started, self._travelled_before = self.robot.now, self.robot.base.travelled
-        self.robot.mode = AUTONOMOUS
+        self.robot.mode, self.robot.driver = AUTONOMOUS, self
         self.get_logger().info(f"driving to ({goal.x:g}, {goal.y:g})")
 
     def _drive_on(self, stamp):
@@ -116,7 +120,7 @@ class Navigator(RobotPart):
 
     def _end(self, how, reason):
         """Bring the goal to its end: `how` is the goal handle's succeed, abort or canceled."""
-        if self.robot.mode == AUTONOMOUS:
+        if self.robot.mode == AUTONOMOUS and self.robot.driver is self:
             self._command(0.0, 0.0)
         pose = self.robot.base.pose
         result = self._action.Result(
@@ -152,23 +156,3 @@ class Navigator(RobotPart):
         command = Twist()
         command.linear.x, command.angular.z = float(linear), float(angular)
         self._commands.publish(command)
-
-
-class GoalServer(ActionServer):
-    """Calls `begin(goal_handle)` for every accepted goal; the owner later calls `finish`.
-
-    rclpy would run a callback for as long as a goal takes, and an executor that waits for it would be busy.
-    """
-
-    def __init__(self, node, action_type, name, judge, begin):
-        callbacks = {"goal_callback": judge, "cancel_callback": lambda _: CancelResponse.ACCEPT}
-        super().__init__(node, action_type, name, never_called, **callbacks)
-        self._begin = begin
-
-    def notify_execute(self, goal_handle, execute_callback):  # noqa: ARG002
-        """The goal is now executing."""
-        self._begin(goal_handle)
-
-    def finish(self, goal_handle, result):
-        """Give clients the result of a goal that has succeeded, was aborted or canceled."""
-        super().notify_execute(goal_handle, lambda _: result)

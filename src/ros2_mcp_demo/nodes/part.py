@@ -68,6 +68,10 @@ class RobotPart(Node):
         """A boolean parameter."""
         self.declare_parameter(name, default, ParameterDescriptor(description=description))
 
+    def declare_text(self, name, default, description):
+        """A parameter that is a text."""
+        self.declare_parameter(name, default, ParameterDescriptor(description=description))
+
     def declare_fact(self, name, value, description):
         """A read-only parameter."""
         self.declare_parameter(name, value, ParameterDescriptor(description=description, read_only=True))

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from support.agent import FULL
+from support.agent import FULL, until
 from support.standstill import undisturbed
 
 FIBONACCI = "test_msgs/action/Fibonacci"
@@ -39,12 +39,16 @@ def test_a_result_whose_answer_is_lost_is_asked_for_again(agent, start_peer) -> 
     assert peer.count(name="lossy") == 2
 
 
+@pytest.mark.promise(
+    "ros2_list_actions", "List the actions of the robot with their types and the fields of their goals"
+)
 def test_an_action_is_listed_with_its_type_and_the_fields_of_its_goal(agent, robot) -> None:
     listed = agent.call("ros2_list_actions", pattern=robot.name("*"))["actions"]
     entry = {"name": robot.name("count"), "types": [FIBONACCI], "request_fields": {"order": "int32"}}
     assert entry in listed
 
 
+@pytest.mark.promise("ros2_send_action_goal", "Without it, use ros2_action_request_result with the goal_id later")
 def test_a_goal_that_is_not_waited_for_is_accepted_and_its_result_asked_for_later(agent, robot) -> None:
     sent = send(agent, robot.name("count"), 6, action_type="test_msgs/Fibonacci")
     assert (sent["accepted"], sent["status_code"], sent["status"], sent["waited"]) == (True, 1, "ACCEPTED", False)
@@ -59,6 +63,24 @@ def test_a_goal_that_is_not_waited_for_is_accepted_and_its_result_asked_for_late
         assert ended["result"] == {"sequence": [0, 1, 2, 3, 4, 5]}
 
 
+def test_a_goal_that_nobody_waits_for_is_seen_to_end(start_agent, robot) -> None:
+    agent = start_agent()
+    status = robot.name("count/_action/status")
+    agent.until_answered("ros2_topic_info", topic_name=status)
+
+    def listens() -> bool:
+        return any(row["ours"] for row in agent.call("ros2_topic_info", topic_name=status)["subscribers"])
+
+    send(agent, robot.name("count"), 60)  # some seconds
+    until(listens)
+    until(lambda: not listens())
+    assert agent.call("ros2_stop")["goals"] == []
+
+
+@pytest.mark.promise("ros2_send_action_goal", "Send a goal to an action server")
+@pytest.mark.promise(
+    "ros2_send_action_goal", "With wait_for_result the result is waited for, with feedback as progress"
+)
 def test_a_goal_that_is_waited_for_brings_result_and_every_feedback(agent, robot) -> None:
     ended = send(agent, robot.name("count"), 4, wait_for_result=True, timeout_sec=30)
     assert (ended["status"], ended["result"], ended["waited"]) == ("SUCCEEDED", {"sequence": [0, 1, 2, 3]}, True)
@@ -85,6 +107,8 @@ def test_an_aborted_goal_says_so_with_its_result(agent, robot) -> None:
     assert ended["result"] == {"sequence": [6]}
 
 
+@pytest.mark.promise("ros2_send_action_goal", "if the time ends first the goal goes on (status TIMEOUT)")
+@pytest.mark.promise("ros2_action_request_result", "A time-out does not cancel it")
 def test_a_waiting_that_times_out_leaves_the_goal_running_and_says_so(agent, robot) -> None:
     action = robot.name("held")
     ended = send(agent, action, 1, wait_for_result=True, timeout_sec=0.3)
@@ -96,6 +120,7 @@ def test_a_waiting_that_times_out_leaves_the_goal_running_and_says_so(agent, rob
     wait_until(lambda: result(agent, action, ended["goal_id"], timeout_sec=0)["status"] == "SUCCEEDED")
 
 
+@pytest.mark.promise("ros2_send_action_goal", "with feedback as progress")
 def test_waiting_reports_feedback_as_readable_progress(agent, robot) -> None:
     arguments = {"action_name": robot.name("count"), "goal_fields": {"order": 30}, "wait_for_result": True}
 
@@ -133,6 +158,7 @@ def test_a_cancelled_call_cancels_a_goal_that_is_accepted_only_then(agent, robot
     wait_until(lambda: robot.count(name="canceled") > cancelled)
 
 
+@pytest.mark.promise("ros2_wait_until", "Hidden topics too, such as /navigate_to_pose/_action/status")
 def test_goals_are_waited_for_on_the_hidden_topics_of_their_action(agent, robot) -> None:
     action = robot.name("count")
     ended = "any(status_list, status == STATUS_SUCCEEDED)"
@@ -143,6 +169,12 @@ def test_goals_are_waited_for_on_the_hidden_topics_of_their_action(agent, robot)
         assert waiting.result()["met"]
 
 
+@pytest.mark.promise("ros2_action_request_result", "Wait for the result of a goal, whoever sent it")
+@pytest.mark.promise("ros2_action_status", "with its state and age")
+@pytest.mark.promise(
+    "ros2_action_subscribe_feedback", "Follow the feedback of an action's goals for a while, whoever sent them"
+)
+@pytest.mark.promise("ros2_cancel_action_goal", "Ask an action server to cancel a goal")
 def test_goals_of_another_client_are_followed_and_cancelled(agent, robot, start_peer) -> None:
     action, other = robot.name("count"), start_peer()
     assert other.reaches(service=robot.name("there"))
@@ -168,6 +200,8 @@ def known_goals(agent, goal_id: str):
     return [goal for goal in agent.call("ros2_action_status")["goals"] if goal["goal_id"] == goal_id]
 
 
+@pytest.mark.promise("ros2_action_subscribe_status", "the last known states come first")
+@pytest.mark.promise("ros2_action_subscribe_status", "Follow how the states of an action's goals change for a while")
 def test_the_states_of_a_goal_of_another_client_are_followed(agent, robot, start_peer) -> None:
     action, other = robot.name("count"), start_peer()
     assert other.reaches(service=robot.name("there"))
@@ -212,6 +246,7 @@ def test_every_cancel_code_is_told(agent, robot) -> None:
     assert (ended["return_code"], ended["return_code_text"]) == (3, "ERROR_GOAL_TERMINATED")
 
 
+@pytest.mark.promise("ros2_cancel_action_goal", "or all goals")
 def test_all_goals_or_those_up_to_a_time_are_cancelled(agent, robot) -> None:
     action = robot.name("count")
     first = send(agent, action, 200)
@@ -283,6 +318,9 @@ def test_a_wrong_goal_names_the_path_and_is_not_sent(agent, robot, goal, path) -
     assert robot.count(name="count") == before
 
 
+@pytest.mark.promise(
+    "README", "Every value is checked against the definition that the robot itself has, before anything is sent"
+)
 def test_a_wrong_value_deep_inside_a_goal_names_its_path_and_is_not_sent(agent, robot) -> None:
     goal = {"nested_field_no_pkg": {"duration_value": {"sec": "soon"}}}
     said = agent.refusal("ros2_send_action_goal", action_name=robot.name("nested"), goal_fields=goal)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 import uuid
 
+import pytest
+
 from support.raw_server import MODERN
 from support.standstill import undisturbed
 
@@ -29,6 +31,8 @@ def wait_until(condition, within_s: float = 30.0) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.promise("README", "goals that it sent cancelled")
+@pytest.mark.promise("ros2_action_status", "Show every goal of every action with its state and age")
 def test_a_goal_that_was_sent_by_a_raw_call_is_ours_and_stopped(agent, robot) -> None:
     action = robot.name("count")
     goal_id = send_raw(agent, action, 2000)
@@ -38,6 +42,7 @@ def test_a_goal_that_was_sent_by_a_raw_call_is_ours_and_stopped(agent, robot) ->
     assert [(g["action_name"], g["status"], g["confirmed"]) for g in stopped] == [(action, "CANCELED", True)]
 
 
+@pytest.mark.promise("stopping", "as when the server ends: zeros, goals cancelled")
 def test_a_goal_of_a_raw_call_is_cancelled_when_the_server_dies(start_raw, robot) -> None:
     server = start_raw()
     server.begin(MODERN)

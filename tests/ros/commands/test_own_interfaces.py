@@ -69,6 +69,7 @@ def scales(built):
         node.stdin.close()
 
 
+@pytest.mark.promise("ros2_interface_list", "List the message, service and action types installed on the robot")
 @pytest.mark.timeout(300)
 def test_the_server_knows_a_built_package_and_speaks_it_with_other_nodes(built, scales) -> None:
     crate = {"label": "blue", "weights": [1.5, 2.0], "at": {"x": 1.0, "y": 0.0, "z": 0.0}}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 
 import pytest
@@ -40,6 +41,10 @@ def as_it_was(agent, robot):
     assert put(agent, robot, **values)["successful"]
 
 
+@pytest.mark.promise(
+    "ros2_parameter_get", "Read parameters of a node as name → value, in the form that ros2_parameter_set takes"
+)
+@pytest.mark.promise("ros2_parameter_set", "Set parameters of a node")
 def test_a_whole_node_is_read_in_a_form_that_can_be_set_back(agent, robot) -> None:
     dump = get(agent, robot)
     own = {name: value for name, value in dump["parameters"].items() if name in ALL}
@@ -66,6 +71,10 @@ def test_a_parameter_of_a_megabyte_is_told_by_its_length_and_given_whole_where_t
     assert whole["parameters"] == {"label": text}
 
 
+@pytest.mark.promise(
+    "ros2_parameter_list", "List parameters with value, type, description, range and whether they are read-only"
+)
+@pytest.mark.promise("ros2_parameter_list", "several nodes at once")
 def test_parameters_of_several_nodes_are_listed_at_once_with_what_their_descriptors_say(agent, robot) -> None:
     wanted = [robot.name(name) for name in ("tuned", "open", "dumb", "nobody", "deaf")]
 
@@ -95,6 +104,27 @@ def test_parameters_of_several_nodes_are_listed_at_once_with_what_their_descript
     assert deaf["error"] == f"{robot.name('deaf')} did not answer within 5 s: it is busy or hangs."
 
 
+def test_what_every_node_has_is_left_out_of_a_list_unless_it_is_asked_for_or_set(agent, robot) -> None:
+    def listed(pattern: str = "") -> tuple[dict[str, object], str]:
+        answer = agent.call("ros2_parameter_list", node_names=[robot.name("tuned")], pattern=pattern)
+        return {one["name"]: one["value"] for one in answer["nodes"][0]["parameters"]}, answer["note"]
+
+    found, note = listed()
+    assert "speed" in found and "use_sim_time" not in found
+    assert re.match(r"Left out: \d that every node may have \(use_sim_time at its default, ", note)
+    assert listed("use_sim*") == ({"use_sim_time": False}, "")
+    put(agent, robot, use_sim_time=True)
+    assert listed()[0]["use_sim_time"] is True
+    put(agent, robot, use_sim_time=False)
+
+
+def test_a_set_tells_what_each_value_was(agent, robot) -> None:
+    values = {"speed": 1.5, "label": "other"}
+    found = agent.whole("ros2_parameter_set", {"node_name": robot.name("tuned"), "values": values})
+    said = f"{robot.name('tuned')}: 2 of 2 parameter(s) set: speed = 1.5 (was 0.5), label = «other» (was «3»)."
+    assert found.content[0].text.startswith(said)
+
+
 @pytest.mark.parametrize(
     "name, given, taken",
     [("speed", 1, 1.0), ("steps", 10.0, 10), ("gains", [1, 2.5, "-inf"], [1.0, 2.5, "-inf"]), ("any", "text", "text")],
@@ -105,21 +135,22 @@ def test_values_are_converted_where_nothing_is_lost(agent, robot, name, given, t
     assert type(answer["parameters"][0]["value"]) is type(taken)
 
 
+@pytest.mark.promise("ros2_parameter_set", "Values are checked against type and range first, and read back afterwards")
 @pytest.mark.parametrize(
     "name, given, said",
     [
-        ("steps", "5", "steps: '5' is not of type integer."),
-        ("steps", True, "steps: True is not of type integer."),
+        ("steps", "5", 'steps: "5" is not of type integer.'),
+        ("steps", True, "steps: true is not of type integer."),
         ("steps", 5.5, "steps: 5.5 is not of type integer."),
         ("steps", 10**19, "steps: 10000000000000000000 does not fit"),
         ("enabled", 1, "enabled: 1 is not of type bool."),
-        ("enabled", "true", "enabled: 'true' is not of type bool."),
+        ("enabled", "true", 'enabled: "true" is not of type bool.'),
         ("label", 3, "label: 3 is not of type string."),
-        ("speed", "fast", "speed: 'fast' is not of type double."),
+        ("speed", "fast", 'speed: "fast" is not of type double.'),
         ("speed", 2.5, "speed: 2.5 is out of range. It takes 0.0 to 2.0."),
         ("steps", 11, "steps: 11 is out of range. It takes 0 to 10."),
-        ("gains", [1.0, "x"], "gains[1]: 'x' is not of type double."),
-        ("flags", True, "flags: True is not an array."),
+        ("gains", [1.0, "x"], 'gains[1]: "x" is not of type double.'),
+        ("flags", True, "flags: true is not an array."),
         ("octets", [256], "octets[0]: 256 is no byte."),
         ("serial", "B-2", "serial: it is read-only."),
         ("sped", 1.0, "sped: "),
@@ -176,12 +207,18 @@ def test_a_node_that_allows_undeclared_parameters_takes_new_ones(agent, robot) -
     assert [one["value"] for one in answer["parameters"]] == [3, [1.0, 2.5]]
 
 
+@pytest.mark.promise(
+    "ros2_node_info",
+    "Show what a node publishes, subscribes to, offers and calls, its lifecycle state and how many parameters",
+)
 def test_node_info_tells_parameters_lifecycle_services_and_actions(agent, robot) -> None:
     tuned = answered(agent, robot.name("tuned"))
     assert (tuned["parameters"], tuned["lifecycle_state"]) == (len(get(agent, robot)["parameters"]), None)
     valve = answered(agent, robot.name("valve"))
     assert (valve["is_lifecycle"], valve["lifecycle_state"]) == (True, "unconfigured")
+    assert valve["left_out"] == 6  # those for parameters
     peer = agent.call("ros2_node_info", node_name=robot.name("peer"))
+    assert peer["left_out"] > 6
     assert {"name": robot.name("switch"), "type": "std_srvs/srv/SetBool"} in peer["services"]
     assert {"name": robot.name("count"), "type": "test_msgs/action/Fibonacci"} in peer["actions"]
 
@@ -204,6 +241,8 @@ def test_node_info_does_not_wait_long_for_a_node_that_does_not_answer(agent, rob
     assert (dumb["has_parameters"], dumb["parameters"]) == (False, None)
 
 
+@pytest.mark.promise("ros2_lifecycle_state", "Show the state of lifecycle nodes and the transitions possible now")
+@pytest.mark.promise("ros2_lifecycle_change", "Make a transition of a lifecycle node by name")
 def test_a_lifecycle_node_is_moved_by_name_and_says_what_is_possible(agent, robot) -> None:
     node = robot.name("valve")
 

@@ -20,6 +20,9 @@ def slow_request(text: str, delay_s: float = 0.0) -> dict[str, object]:
     return {"string_value": text, "float64_value": delay_s}
 
 
+@pytest.mark.promise(
+    "ros2_service_list", "List the services of the robot with their types, request fields and the nodes that serve them"
+)
 def test_a_service_is_listed_with_its_request_fields_and_the_node_that_serves_it(agent, robot) -> None:
     listed = agent.call("ros2_service_list", pattern=robot.name("*"))
     (entry,) = [one for one in listed["services"] if one["service_name"] == robot.name("switch")]
@@ -30,10 +33,16 @@ def test_a_service_is_listed_with_its_request_fields_and_the_node_that_serves_it
         "providers": [robot.name("peer")],
     }
     assert not [one for one in listed["services"] if "_action" in one["service_name"]]
+    hint = "include_hidden=true shows them"
+    assert hint in listed["note"] and hint in agent.call("ros2_service_list")["note"]
+    exact = robot.name("peer/set_parameters")  # every node has it: shown where it was asked for
+    assert exact in [one["service_name"] for one in agent.call("ros2_service_list", pattern=exact)["services"]]
+    assert exact not in [one["service_name"] for one in agent.call("ros2_service_list", limit=2000)["services"]]
     hidden = agent.call("ros2_service_list", pattern=robot.name("*"), include_hidden=True, limit=200)
     assert robot.name("count/_action/send_goal") in [one["service_name"] for one in hidden["services"]]
 
 
+@pytest.mark.promise("ros2_service_call", "Call a service and wait for its answer")
 def test_the_response_is_an_object(agent, robot) -> None:
     answer = agent.call(
         "ros2_service_call", service_name=robot.name("switch"), service_type="std_srvs/SetBool", fields={"data": True}
@@ -43,6 +52,7 @@ def test_the_response_is_an_object(agent, robot) -> None:
     assert answer["result"] == {"success": True, "message": "asked True"}
 
 
+@pytest.mark.promise("ros2_service_call", "If request fields are missing it is not called: the answer names them")
 def test_missing_fields_are_named_and_nothing_is_called_unless_forced(agent, robot) -> None:
     before = robot.count(name="switch")
     asked = {"service_name": robot.name("switch"), "service_type": SWITCH, "fields": {}}
@@ -55,6 +65,12 @@ def test_missing_fields_are_named_and_nothing_is_called_unless_forced(agent, rob
     assert robot.count(name="switch") == before + 1
 
 
+@pytest.mark.promise(
+    "README", "Every value is checked against the definition that the robot itself has, before anything is sent"
+)
+@pytest.mark.promise(
+    "README", "A wrong field, kind, length or range is an error that names the path and what would be right"
+)
 @pytest.mark.parametrize(
     "fields, path",
     [
@@ -71,6 +87,7 @@ def test_a_wrong_request_names_the_path_and_is_not_sent(agent, robot, fields, pa
     assert robot.count(name="switch") == before
 
 
+@pytest.mark.promise("README", "nothing is cut or wrapped to fit")
 @pytest.mark.parametrize("fields, path", [({"uint8_value": 300}, "uint8_value"), ({"int32_value": 1.5}, "int32_value")])
 def test_a_number_that_does_not_fit_is_not_sent(agent, robot, fields, path) -> None:
     before = robot.count(name="slow")

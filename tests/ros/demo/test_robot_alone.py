@@ -25,7 +25,7 @@ def start_alone(prefixes):
         command = [*SERVER, *options, "demo", "--robot"]
         process = subprocess.Popen(command, env={**environment, **variables}, stdout=subprocess.PIPE, text=True)
         started.append(process)
-        told = [process.stdout.readline() for _ in range(5)]
+        told = [process.stdout.readline() for _ in range(8)]
         assert told[-1].startswith("robot ready"), told
         process.told = told
         return process
@@ -43,6 +43,8 @@ def graph_of(process):
     return {name: variables[name] for name in CHOOSES_GRAPH if name in variables}
 
 
+@pytest.mark.promise("README", "runs the robot alone, for a client of your own")
+@pytest.mark.promise("README", "It uses a ROS domain of its own, on this machine only")
 def test_it_keeps_to_itself_and_the_line_that_it_prints_leads_a_client_to_it(start_alone):
     robot = start_alone()
     graph = graph_of(robot)
@@ -52,6 +54,9 @@ def test_it_keeps_to_itself_and_the_line_that_it_prints_leads_a_client_to_it(sta
 
     line = shlex.split(robot.told[2])
     assert line[1:] == ["--domain-id", graph["ROS_DOMAIN_ID"], "config", "claude-code"]
+    export, alias = robot.told[5:7]
+    assert export == f"  export ROS_DOMAIN_ID={graph['ROS_DOMAIN_ID']} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST\n"
+    assert shlex.split(alias) == ["alias", f"ros2-mcp={shlex.join(line[:1])}"]
     bare = {"PATH": os.environ["PATH"], "HOME": os.environ["HOME"]}
     printed = subprocess.run([*line[:-1], "cursor"], env=bare, capture_output=True, text=True, check=True)
     entry = json.loads(printed.stdout)["mcpServers"]["ros2"]
@@ -64,6 +69,7 @@ def test_it_keeps_to_itself_and_the_line_that_it_prints_leads_a_client_to_it(sta
         client.end()
 
 
+@pytest.mark.promise("README", "It uses a ROS domain of its own")
 def test_a_second_robot_on_this_machine_does_not_meet_the_first(start_alone):
     assert graph_of(start_alone())["ROS_DOMAIN_ID"] != graph_of(start_alone())["ROS_DOMAIN_ID"]
 
@@ -75,3 +81,9 @@ def test_the_domain_and_the_range_that_were_asked_for_are_kept(start_alone, doma
     assert robot.told[0] == f"A simulated robot starts in ROS domain {domain_id}. Ctrl+C ends it.\n"
     by_option = start_alone("--domain-id", str(domain_id + 1), ROS_AUTOMATIC_DISCOVERY_RANGE="OFF")
     assert graph_of(by_option)["ROS_DOMAIN_ID"] == str(domain_id + 1)
+
+
+@pytest.mark.promise("README", "without them the robot says what it leaves out")
+def test_without_a_compiler_it_says_what_it_leaves_out(start_alone, tmp_path):
+    robot = start_alone(PATH=str(tmp_path), XDG_CACHE_HOME=str(tmp_path))
+    assert "; left out: " in robot.told[-1] and "/navigate_to (no ros2_mcp_demo_interfaces)" in robot.told[-1]

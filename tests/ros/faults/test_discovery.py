@@ -14,6 +14,9 @@ PROCESSES = 4
 pytestmark = pytest.mark.full
 
 
+@pytest.mark.promise(
+    "ros2_topic_list", "List the topics of the robot with their types and the number of publishers and subscribers"
+)
 async def test_a_first_listing_that_is_called_settled_holds_the_topics_of_every_process(start_agent, peer) -> None:
     topics = {f"/part{number}" for number in range(PROCESSES)}
     for topic in topics:

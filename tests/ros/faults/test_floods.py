@@ -12,6 +12,7 @@ from support.async_agent import AsyncAgent
 from support.faulty_peer import count_threads_and_files, parent_of
 
 
+@pytest.mark.promise("README", "every answer is measured, bounded and checked")
 @pytest.mark.parametrize(
     ("rate_hz", "seconds", "size"),
     [pytest.param(5000, 10 if FULL else 1, 40, id="small and fast"), pytest.param(300, 1.2, 256_000, id="large")],

@@ -40,6 +40,7 @@ def built_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {"AMENT_PREFIX_PATH": f"{prefix}:{sys.prefix}", "PYTHONPATH": f"{prefix}/site-packages"}
 
 
+@pytest.mark.promise("README", "the package with that type is not where the bridge runs: --workspace")
 async def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(
     agent: AsyncAgent, peer, built_elsewhere
 ) -> None:
@@ -59,7 +60,15 @@ async def test_a_type_that_only_the_publisher_has_is_named_with_what_to_do(
     assert await undisturbed_async(refused_after) < 1.0
     with pytest.raises(Refusal, match=r"No definition of nobody_msgs/msg/Thing.*--workspace"):
         await agent.call("ros2_topic_stats", topic_names=["/thing"], duration=0.5)
+    with pytest.raises(Refusal, match=r"ros2-mcp interfaces build DIR"):
+        await agent.call("ros2_topic_subscribe", topic_name="/thing", duration=10)
     await agent.call("ros2_status")
+
+    listed = await agent.call("ros2_topic_list", pattern="/thing", request_fields=True)
+    assert "Fields are missing: No definition of nobody_msgs/msg/Thing" in listed["note"]
+    health = await agent.call("ros2_health_check", rate_check_duration_sec=0.5)
+    (told,) = (row for row in health["findings"] if row["subject"] == "/thing")
+    assert health["verdict"] != "HEALTHY" and "No definition of nobody_msgs/msg/Thing" in told["problem"]
 
 
 async def test_a_topic_with_two_types_names_both_and_each_can_be_read(agent: AsyncAgent, peer) -> None:
@@ -77,6 +86,8 @@ async def test_a_topic_with_two_types_names_both_and_each_can_be_read(agent: Asy
         await agent.call("ros2_topic_subscribe", topic_name="/both", msg_type="std_msgs/msg/Bool")
 
 
+@pytest.mark.promise("README", "ros2_topic_info says in words which publisher and subscriber do not match, and why")
+@pytest.mark.promise("ros2_topic_info", "and why pairs do not match")
 async def test_policies_that_keep_third_parties_apart_are_told_in_words(agent: AsyncAgent, peer) -> None:
     pairs = {
         "/reliability": ({"reliability": "BEST_EFFORT"}, {}, "best_effort"),

@@ -10,22 +10,24 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from support.agent import Agent, agent_for
+from support.agent import Agent
 from support.processes import peer_command, running
-
-
-@pytest.fixture(scope="module")
-def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
-    """A client of a server with all tools."""
-    with agent_for(ros_environment, "--tools", "all") as client:
-        yield client
 
 
 @pytest.fixture(scope="module")
 def signals(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.Popen[str]]:
     """The node of `signal_peer`, discovered."""
     with running(ros_environment, *peer_command("signal_peer")) as process:
-        agent.knows("/signal", "/signal_late", "/signal_wave", "/signal_copy", "/signal_steady", "/sensor", "/pulse")
+        agent.knows(
+            "/signal",
+            "/signal_late",
+            "/signal_wave",
+            "/signal_copy",
+            "/signal_steady",
+            "/sensor",
+            "/pulse",
+            "/settings",
+        )
         yield process
 
 

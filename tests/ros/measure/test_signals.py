@@ -13,7 +13,7 @@ import pytest
 from support.agent import CALL_S, Agent
 from support.standstill import undisturbed
 
-GAP = re.compile(r"nothing for (\S+) s from (\S+) s on")
+GAP = re.compile(r"nothing for (\S+) s from (\S+) s \(\S+\) on")
 
 
 def published(signals: subprocess.Popen[str]) -> dict[str, Any]:
@@ -24,6 +24,8 @@ def published(signals: subprocess.Popen[str]) -> dict[str, Any]:
     return {name: np.array(sent) for name, sent in json.loads(signals.stdout.readline()).items()}
 
 
+@pytest.mark.promise("ros2_topic_statistics", "Measure numeric fields of topics")
+@pytest.mark.promise("ros2_topic_statistics", "min, max, mean, std")
 @pytest.mark.full
 def test_the_numbers_are_those_of_the_published_messages(agent: Agent, signals: subprocess.Popen[str]) -> None:
     (topic,) = agent.call("ros2_topic_statistics", topic_names=["/signal_steady"], duration=3)["topics"]
@@ -51,6 +53,8 @@ def results(agent: Agent, signals: subprocess.Popen[str]) -> dict[str, dict[str,
         "twice": ("statistics", {"topic_names": ["/signal_steady", "signal_steady"], "duration": 2}),
         "gaps": ("statistics", {"topic_names": ["/signal"], "duration": 4.5}),
         "faults": ("statistics", {"topic_names": ["/sensor"], "duration": 5, "fields": ["range"]}),
+        "replay": ("stats", {"topic_names": ["/settings"], "duration": 2}),
+        "replay, values": ("statistics", {"topic_names": ["/settings"], "duration": 2}),
         "late": ("compare", {"topic1_name": "/signal_wave", "topic2_name": "/signal_late", "duration_sec": 4}),
         "copy": ("compare", {"topic1_name": "/signal_steady", "topic2_name": "/signal_copy", "duration_sec": 2}),
     }
@@ -67,6 +71,7 @@ def test_a_topic_that_is_named_twice_is_counted_once_each_time(results: dict[str
     assert one["count"] == pytest.approx(100, abs=8) and other["count"] == pytest.approx(one["count"], abs=2)
 
 
+@pytest.mark.promise("ros2_topic_statistics", "at the same time")
 def test_several_topics_are_measured_over_the_same_time(results: dict[str, dict[str, Any]]) -> None:
     steady, copy, pulse = results["together"]["topics"]
     assert steady["started_at"] == copy["started_at"] == pulse["started_at"]
@@ -77,6 +82,7 @@ def test_several_topics_are_measured_over_the_same_time(results: dict[str, dict[
     assert pulse["count"] == pytest.approx(4 * steady["count"], rel=0.05)
 
 
+@pytest.mark.promise("ros2_topic_statistics", "gaps")
 def test_injected_gaps_are_found(results: dict[str, dict[str, Any]], signals: subprocess.Popen[str]) -> None:
     """Those between two messages; the window may begin or end in another one."""
     (topic,) = results["gaps"]["topics"]
@@ -92,6 +98,7 @@ def test_injected_gaps_are_found(results: dict[str, dict[str, Any]], signals: su
     assert topic["period_median_s"] == pytest.approx(np.median(periods), rel=0.1)
 
 
+@pytest.mark.promise("ros2_topic_statistics", "stuck values, NaN")
 def test_a_stuck_and_faulty_sensor_is_told(results: dict[str, dict[str, Any]]) -> None:
     (topic,) = results["faults"]["topics"]
     (sensor,) = topic["fields"]
@@ -99,6 +106,18 @@ def test_a_stuck_and_faulty_sensor_is_told(results: dict[str, dict[str, Any]]) -
     assert abs(sensor["not_finite"] - topic["count"] / 50) < 1
 
 
+def test_replayed_history_is_in_no_rate(results: dict[str, dict[str, Any]]) -> None:
+    (flow,) = results["replay"]["topics"]
+    assert flow["replayed"] >= 50 and 1 < flow["count"] <= 12  # on a machine that is held up it comes more slowly
+    assert flow["rate_hz"] <= 6 and flow["bytes_per_second"] <= 12 * 6
+    assert flow["publisher_nodes"] == ["/signals"]
+    (values,) = results["replay, values"]["topics"]
+    assert values["count"] > 50 and values["rate_hz"] <= 6
+
+
+@pytest.mark.promise(
+    "ros2_topic_compare", "Compare two topics over the same time, field by field: differences, correlation, delay"
+)
 def test_a_known_delay_and_offset_are_found(results: dict[str, dict[str, Any]]) -> None:
     found = results["late"]
     assert found["delay_s"] == pytest.approx(0.2, abs=0.02)
@@ -107,12 +126,14 @@ def test_a_known_delay_and_offset_are_found(results: dict[str, dict[str, Any]]) 
     assert found["paired_by"] == "nearest time of receipt: not both have a header"
 
 
+@pytest.mark.promise("ros2_topic_compare", "The verdict is IDENTICAL, SIMILAR, DIFFERENT or VERY DIFFERENT")
 def test_a_copy_is_identical(results: dict[str, dict[str, Any]]) -> None:
     found = results["copy"]
     assert (found["verdict"], found["paired_by"]) == ("IDENTICAL", "stamp")
     assert found["equal_messages"] == found["pairs"] >= max(found["count1"], found["count2"]) - 2 > 10
 
 
+@pytest.mark.promise("ros2_wait_until", "Every message is looked at")
 def test_a_short_pulse_is_not_missed(agent: Agent, signals: subprocess.Popen[str]) -> None:
     """One message in 100 is one."""
     asked = {"topic_name": "/pulse", "condition": "data > 5", "timeout": 20}

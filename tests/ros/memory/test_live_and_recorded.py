@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from ros2_mcp.bags.bag import Bag
+from ros2_mcp.ops.results import four_digits
 from support.agent import Agent, until
 from support.raw_server import RawServer
 from support.standstill import undisturbed
@@ -88,6 +89,7 @@ def recorded(start_agent: StartAgent, robot: object) -> tuple[Agent, dict[str, A
     return agent, live
 
 
+@pytest.mark.promise("README", "The past answers in the same words as the present")
 def test_the_recording_of_a_time_gives_the_numbers_that_were_measured_live(
     recorded: tuple[Agent, dict[str, Any]],
 ) -> None:
@@ -102,6 +104,8 @@ def test_the_recording_of_a_time_gives_the_numbers_that_were_measured_live(
     check_that_numbers_are_the_same(live, ask)
 
 
+@pytest.mark.promise("README", "The past answers in the same words as the present")
+@pytest.mark.promise("README", "--black-box keeps the last hours without being asked")
 def test_the_servers_own_black_box_is_asked_in_the_same_words(start_agent: StartAgent, robot: object) -> None:
     agent = start_agent("--black-box", "/odom,/scan")
     until(lambda: agent.call("ros2_record_status")["recordings"])
@@ -122,7 +126,12 @@ def test_the_servers_own_black_box_is_asked_in_the_same_words(start_agent: Start
 def kept_until(agent: Agent, topic: str) -> datetime:
     """When the black box received the last message of a topic that is on the disk."""
     last = agent.call("ros2_bag_read", bag="black box", topic_name=topic, limit=1, fields=["header.stamp"])
-    return moment(last["received_at"][-1])
+    return times_of(last)[-1]
+
+
+def times_of(reading: dict[str, Any]) -> list[datetime]:
+    """When each message of a reading was received."""
+    return [moment(reading["start"]) + timedelta(seconds=seconds) for seconds in reading["times_s"]]
 
 
 def test_moments_without_a_recording_are_refused(start_agent: StartAgent) -> None:
@@ -151,21 +160,29 @@ def check_that_reading_works(
     begin_ns, end_ns = (end(map(end, received_ns.values())) for end in (min, max))
     first = call("ros2_topic_subscribe", topic_name="/odom", start="first 0 s", message_limit=3)
     assert first["count"] == 3 and "x" in first["messages"][0]["pose"]["pose"]["position"]
-    begin = first["source"].removesuffix(" on").rpartition(" ")[2].removesuffix("Z")  # in milliseconds
-    assert all(at[: len(begin)] >= begin for at in first["received_at"])
+    begin = re.fullmatch(r"bag run, .* s from (\S+) \(0 s in\) on", first["source"])
+    assert begin and first["start"] == begin[1] and all(seconds >= 0 for seconds in first["times_s"])
     last = call("ros2_topic_echo_wait", topic_name="/odom", timeout=0.1)
-    assert last["received"] and last["received_at"] > max(first["received_at"])
+    assert last["received"] and moment(last["received_at"]) > max(times_of(first))
     kept = call("ros2_get_messages", topic_name="/odom", number_of_messages=1)
     assert kept["messages"] == [last["message"]] and kept["timestamps"] == [last["received_at"]]
+    assert kept["times_s"] == [pytest.approx(last["seconds_in"], abs=0.001)] and times_of(kept) == [
+        moment(last["received_at"])
+    ]
     several = call("ros2_subscribe_multiple_topics", topics=[{"name": "/imu", "duration": 1}, {"name": "/nowhere"}])
     assert several["topics"][0]["received"] == sum(at > end_ns - 1_000_000_000 for at in received_ns["/imu"]) > 0
     assert "no topic /nowhere" in several["topics"][1]["error"]
     for stats in call("ros2_topic_stats", topic_names=["/odom", "/scan"], end="first 2 s")["topics"]:
         first = [at for at in received_ns[stats["topic_name"]] if at < begin_ns + 2_000_000_000]
-        assert (stats["count"], stats["rate_hz"]) == (len(first), pytest.approx(rate_hz(first)))
+        assert (stats["count"], stats["rate_hz"]) == (len(first), four_digits(rate_hz(first)))
     assert call("ros2_topic_stats", topic_names=["/scan"], start="last 1 s")["topics"][0]["count"] == 0
-    for tool, topic in (("ros2_topic_subscribe", "/camera/image_raw"), ("ros2_get_map_as_image", "/map")):
-        shown = server.call(tool, topic_name=topic, start="last 1 s")  # of the map, the message came long before
+    for tool, asked in (
+        ("ros2_topic_subscribe", {"topic_name": "/camera/image_raw"}),
+        ("ros2_topic_echo_wait", {"topic_name": "/camera/image_raw"}),
+        ("ros2_subscribe_multiple_topics", {"topics": [{"name": "/camera/image_raw"}]}),
+        ("ros2_get_map_as_image", {"topic_name": "/map"}),
+    ):
+        shown = server.call(tool, **asked, start="last 1 s")  # of the map, the message came long before
         assert not shown.get("isError") and shown["content"][-1]["type"] == "image", shown["content"][0]
     plotted = server.call("ros2_plot", series=["/odom:pose.pose.position.x"], start="last 2 s")
     assert plotted["content"][-1]["type"] == "image"
@@ -177,6 +194,16 @@ def check_that_reading_works(
         assert refusal["isError"] and "the robot of this server is a recording" in refusal["content"][0]["text"]
 
 
+@pytest.mark.promise("ros2_topic_echo_wait", "Images and maps come as pictures")
+@pytest.mark.promise("ros2_subscribe_multiple_topics", "Images and maps come as pictures")
+@pytest.mark.promise("ros2_record_start", "Latched messages are included")
+@pytest.mark.promise("README", "Camera topics come back as pictures")
+@pytest.mark.promise("ros2_topic_subscribe", "Images and maps come as pictures")
+@pytest.mark.promise("README", "ros2-mcp --bag FILE serves one in the place of the robot, with no ROS at all")
+@pytest.mark.promise("ros2_topic_subscribe", "from start on, else the last seconds or messages")
+@pytest.mark.promise("ros2_subscribe_multiple_topics", "from start on, else the last seconds or messages")
+@pytest.mark.promise("ros2_topic_echo_wait", "else the last one")
+@pytest.mark.promise("ros2_interface_list", "or that a recording has")
 def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
     recorded: tuple[Agent, dict[str, Any]], ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
@@ -227,7 +254,7 @@ def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
         check_that_reading_works(server, call, received_ns)
         log = call("ros2_log_read", level="warn")
         assert log["source"].startswith("bag run")
-        assert [line["node"] for line in log["lines"]] == ["lidar"]
+        assert [line["node"] for line in log["lines"]] == ["/lidar"]
         nothing = server.call(
             "ros2_topic_statistics", topic_names=TOPICS, start="2001-01-01T00:00:00Z", end="2001-01-02T00:00:00Z"
         )

@@ -60,6 +60,11 @@ def published(type_name: str) -> int:
     return 3 + (len(get_test_msg(name)) if package == "test_msgs" else 0)
 
 
+@pytest.mark.promise("README", "ros2_record_start records (MCAP in the folder that ros2 bag writes)")
+@pytest.mark.promise("ros2_record_start", "Begin to record topics to disk (MCAP in a rosbag2 folder)")
+@pytest.mark.promise("ros2_record_stop", "End a recording and close its files")
+@pytest.mark.promise("ros2_record_status", "messages, bytes and losses of each topic")
+@pytest.mark.promise("ros2_bag_play", "Publish a bag's messages again")
 @pytest.mark.timeout(300)
 def test_record_read_play_and_record_again_give_the_same_bytes(
     start_agent: StartAgent, start_peer: StartPeer, tmp_path: Path
@@ -142,6 +147,7 @@ def test_a_recording_goes_on_with_the_next_bridge(
         assert bag.problems == []
 
 
+@pytest.mark.promise("ros2_record_stop", "End a recording and close its files")
 def test_a_server_that_is_told_to_end_closes_its_recording(
     start_agent: StartAgent, start_peer: StartPeer, tmp_path: Path
 ) -> None:
@@ -156,6 +162,9 @@ def test_a_server_that_is_told_to_end_closes_its_recording(
         assert bag.counts()["/some"] > 20
 
 
+@pytest.mark.promise("ros2_record_start", "It goes on until a limit or ros2_record_stop")
+@pytest.mark.promise("ros2_record_start", "topics that appear later join")
+@pytest.mark.promise("ros2_record_status", "why one ended")
 def test_a_topic_that_appears_later_joins_and_limits_end_the_recording(
     start_agent: StartAgent, start_peer: StartPeer, tmp_path: Path
 ) -> None:
@@ -170,6 +179,18 @@ def test_a_topic_that_appears_later_joins_and_limits_end_the_recording(
     assert "not below" in agent.refusal("ros2_bag_info", bag="../../../etc")
 
 
+def test_a_second_type_that_joins_a_topic_is_told(start_agent: StartAgent, start_peer: StartPeer) -> None:
+    agent = start_agent()
+    start_peer("stream", "/live:100:10")
+    agent.call("ros2_record_start", topics=["/live"], name="run")
+    until(lambda: written(agent, "run") > 10)
+    start_peer("listen", "/other")  # it publishes on /live, too
+    assert until(lambda: topic_of(agent, "run", "/live")["other_types"]) == ["std_msgs/msg/Int32"]
+    told = agent.whole("ros2_record_stop", {}).content[0].text
+    assert "Of /live only std_msgs/msg/UInt8MultiArray is recorded, not what is sent as std_msgs/msg/Int32." in told
+
+
+@pytest.mark.promise("README", "--black-box keeps the last hours without being asked")
 def test_the_black_box_keeps_small_topics_without_being_asked(
     start_agent: StartAgent, start_peer: StartPeer, tmp_path: Path
 ) -> None:

@@ -52,6 +52,7 @@ def blue(pixels: np.ndarray) -> np.ndarray:
     return np.argwhere(np.abs(pixels - (0x1F, 0x6F, 0xC4)).sum(axis=2) < 12)
 
 
+@pytest.mark.promise("ros2_plot", "Draw numeric fields over time")
 def test_the_speed_is_seen_to_rise_while_the_robot_drives(agent: Agent) -> None:
     series = ["/odom:twist.twist.linear.x", "/odom:twist.twist.angular.z"]
 
@@ -71,6 +72,7 @@ def test_the_speed_is_seen_to_rise_while_the_robot_drives(agent: Agent) -> None:
     assert np.ptp(places[:, 1]) > 600  # and fills the time
 
 
+@pytest.mark.promise("ros2_plot", "or trajectories, as a picture")
 def test_a_trajectory_is_as_large_as_the_way_driven(agent: Agent) -> None:
     driving = drive(agent, 4.0)
     found, pixels = seen(agent, "ros2_plot", series=["/odom:pose.pose.position"], duration=4, kind="xy")
@@ -81,6 +83,7 @@ def test_a_trajectory_is_as_large_as_the_way_driven(agent: Agent) -> None:
     assert len(blue(pixels)) > 500
 
 
+@pytest.mark.promise("README", "The past answers in the same words as the present")
 def test_a_recording_shows_what_was_seen_live(agent: Agent) -> None:
     begun = agent.call("ros2_record_start", topics=["/odom", "/map", "/cloud"], name="run")
     live, _ = seen(agent, "ros2_plot", series=["/odom:pose.pose.position.x"], duration=1.5)
@@ -94,8 +97,15 @@ def test_a_recording_shows_what_was_seen_live(agent: Agent) -> None:
     assert live["series"][0]["count"] > 10 and again["series"] == live["series"]
     shown_now, pixels = seen(agent, "ros2_get_map_as_image", topic_name="/map")
     shown_then, recorded_pixels = seen(agent, "ros2_get_map_as_image", topic_name="/map", bag="run")
-    same = (ground(shown_now, pixels) == ground(shown_then, recorded_pixels)).all(axis=2)
-    assert same.mean() > 0.99 and shown_then["free"] == shown_now["free"]  # the robot is not in the recording
+    # The robot is not in the recording; its arrow of 13 pixels ends at most a pixel's diagonal farther from its place.
+    now, then = ground(shown_now, pixels), ground(shown_then, recorded_pixels)
+    metres, rows = shown_now["metres_per_pixel"], np.arange(len(now))[:, None]
+    across = np.arange(now.shape[1]) - (shown_now["robot_x_m"] - shown_now["origin_x_m"]) / metres
+    along = len(now) - rows - (shown_now["robot_y_m"] - shown_now["origin_y_m"]) / metres
+    beside = np.hypot(across, along) > 13 + np.sqrt(2)
+    assert not beside.all() and (now != then)[~beside].any() and not (now != then)[beside].any()
+    assert shown_then["free"] == shown_now["free"] and shown_then["robot_x_m"] is None
+    assert shown_then["note"].startswith("Recorded at 20") and shown_then["seconds_in"] >= 0
     assert seen(agent, "ros2_get_pointcloud_as_bev", topic_name="/cloud", bag="run")[0]["frame_id"] == "room"
 
 
@@ -104,6 +114,9 @@ def recorded_topics(agent: Agent, recording_id: str) -> set[str]:
     return {topic["topic_name"] for topic in run["topics"] if topic["written"]}
 
 
+@pytest.mark.promise("ros2_get_map_as_image", "axes in metres, origin and robot")
+@pytest.mark.promise("ros2_get_map_as_image", "Show an occupancy grid as a picture")
+@pytest.mark.promise("ros2_get_map_as_image", "resolution, size, shares of free, occupied and unknown")
 def test_the_map_is_shown_with_its_facts(agent: Agent) -> None:
     found, pixels = seen(agent, "ros2_get_map_as_image", topic_name="/map")
     message = agent.call("ros2_topic_subscribe", topic_name="/map", fields=["info"])["messages"][0]
@@ -121,6 +134,8 @@ def test_the_map_is_shown_with_its_facts(agent: Agent) -> None:
     assert row > found["top_px"]
 
 
+@pytest.mark.promise("ros2_get_pointcloud_as_bev", "Show a point cloud from above")
+@pytest.mark.promise("ros2_get_pointcloud_as_bev", "extent")
 def test_a_room_is_seen_from_above(agent: Agent) -> None:
     found, pixels = seen(
         agent, "ros2_get_pointcloud_as_bev", topic_name="/cloud", resolution=0.1, color_mode="rgb", zmax=1.8

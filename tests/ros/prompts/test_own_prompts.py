@@ -18,6 +18,7 @@ HOW_TO = Path(__file__).parents[3] / "docs/how-to/prompts.md"
 HELLO = "---\nname: hello\n---\nHello.\n"
 
 
+@pytest.mark.promise("README", "add your own as Markdown files")
 def test_the_example_of_the_how_to_works_as_written(
     start_agent: Callable[..., PromptAgent], demo_robot: object, tmp_path: Path
 ) -> None:

@@ -14,7 +14,7 @@ from support.standstill import undisturbed
 ECHO, RELAY = "base.ros2-topic-echo-and-analyze", "base.ros2-topic-relay"
 HEALTH, DIFF = "base.ros2-node-health-check", "base.ros2-topic-diff-monitor"
 BOTH_ERAS = pytest.mark.parametrize("mode", ["auto", "legacy"])
-SENSORS = "/imu, /scan, /odom"
+SENSORS = "['/imu', '/scan', \"/odom\"]"  # as the prompts of the existing system have it
 
 
 @BOTH_ERAS
@@ -34,6 +34,7 @@ def test_prompts_are_listed_and_fetched_in_both_eras(
     assert names[0] == "/odom"
 
 
+@pytest.mark.promise("README", "the analysis of a topic")
 def test_a_topic_is_analyzed_as_the_prompt_says(agent: PromptAgent) -> None:
     statistics, stats = undisturbed(lambda: agent.take(ECHO, topic_name="/odom", duration_sec="1"))
     assert statistics["topics"][0]["count"] > 10
@@ -45,6 +46,8 @@ def test_without_a_topic_the_rates_of_all_are_measured(agent: PromptAgent) -> No
     assert {"/odom", "/scan"} <= {topic["topic_name"] for topic in stats["topics"]}
 
 
+@pytest.mark.promise("README", "a relay;")
+@pytest.mark.promise("ros2_relay_stop", "Stop a relay")
 def test_a_relay_works_as_the_prompt_says(agent: PromptAgent) -> None:
     given = {"source_topic": "/odom", "destination_topic": "/odom_slow", "transform": "rate_limit"}
 
@@ -57,6 +60,7 @@ def test_a_relay_works_as_the_prompt_says(agent: PromptAgent) -> None:
     assert undisturbed(measured) == pytest.approx(5, rel=0.2)
 
 
+@pytest.mark.promise("README", "the comparison of two")
 def test_a_topic_and_its_relay_are_compared(agent: PromptAgent) -> None:
     relay = agent.agent.call("ros2_relay_start", source_topic="/odom", destination_topic="/odom_same")
     [same, *_] = undisturbed(lambda: agent.take(DIFF, topic1_name="/odom", topic2_name="/odom_same", duration_sec="1"))
@@ -64,6 +68,7 @@ def test_a_topic_and_its_relay_are_compared(agent: PromptAgent) -> None:
     assert same["verdict"] == "IDENTICAL"
 
 
+@pytest.mark.promise("README", "Prompts lead the agent through whole jobs with the default tools: a health check")
 @pytest.mark.parametrize(
     ("fault", "verdicts", "said"),
     [
@@ -86,12 +91,11 @@ def test_the_health_check_names_what_is_wrong(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ((), "ros2_relay_start (needs the option --tools default,relay)"),
-        (("--tools", "core,measure"), "ros2_relay_start (needs the option --tools core,measure,relay)"),
-        (("--read-only", "--tools", "all"), "ros2_relay_start (this server is read-only)"),
+        (("--tools", "core,measure"), "because the option --tools core,measure,relay is needed"),
+        (("--read-only", "--tools", "all"), "because this server is read-only"),
     ],
 )
-def test_a_prompt_says_which_option_offers_the_tools_it_needs(
+def test_a_prompt_that_is_not_possible_says_why(
     start_agent: Callable[..., PromptAgent], options: tuple[str, ...], said: str
 ) -> None:
     agent = start_agent(*options)

@@ -5,34 +5,14 @@ from __future__ import annotations
 import json
 import subprocess
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from support.agent import Agent, agent_for
 
 PATIENCE_S = 20.0
-
-
-@pytest.fixture(scope="module")
-def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
-    """A client of a server that the tests of a file share."""
-    with agent_for(ros_environment, "--tools", "all") as client:
-        yield client
-
-
-@pytest.fixture
-def start_agent(ros_environment: dict[str, str]) -> Iterator[Callable[..., Agent]]:
-    """Start a server of this test's own: `start_agent("--tools", "all")`."""
-    with ExitStack() as running:
-
-        def begin(*options: str) -> Agent:
-            return running.enter_context(agent_for(ros_environment, *options))
-
-        yield begin
 
 
 class Peer:

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import pytest
+
 from support.agent import Refusal
 
 PATIENCE_S = 40.0
@@ -36,6 +38,7 @@ def texts(agent: Any, expected: int, **wanted: Any) -> list[str]:
     return [line["text"] for line in lines]
 
 
+@pytest.mark.promise("ros2_log_read", "Read what the robot's nodes have logged on /rosout")
 def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
     node = peer("complain", "20").node
     assert texts(agent, 21, node=node)[-2:] == ["number 19", "the arm is stuck"]
@@ -46,10 +49,13 @@ def test_lines_are_found_by_node_level_text_and_time(agent, peer) -> None:
     assert (found["matched"], found["lines"][0]["level"]) == (21, "WARN")
     assert "The newest 5 are shown" in found["note"]
     assert agent.call("ros2_log_read", node=node, since=found["lines"][-1]["time"])["matched"] == 1
+    first = agent.call("ros2_log_read", node=node)["lines"][0]
+    assert texts(agent, 1, node=node, end=first["time"]) == [first["text"]]
     time.sleep(1.1)  # nothing is said for a second
     assert agent.call("ros2_log_read", node=node, since=1)["matched"] == 0
 
 
+@pytest.mark.promise("ros2_log_read", "and from a few seconds before")
 def test_what_was_said_just_before_the_server_began_is_there(start_agent: Callable[..., Any], peer) -> None:
     speaker = peer("complain", "3").ready()
     own = start_agent()

@@ -57,6 +57,7 @@ def talk(agent: Agent, source: str, talker: Any) -> Any:
     return talker.line()
 
 
+@pytest.mark.promise("ros2_relay_start", "Let the messages of one topic appear on another, in the background")
 @pytest.mark.full
 @pytest.mark.timeout(SECONDS + 60)
 @pytest.mark.parametrize("kind", ["String", "Twist"])
@@ -137,6 +138,7 @@ def test_a_relay_goes_on_when_its_source_dies_and_comes_back(agent, peer) -> Non
     assert end(agent, relay)["state"] == "stopped"
 
 
+@pytest.mark.promise("ros2_relay_start", "It ends with its duration")
 @pytest.mark.full
 def test_a_relay_ends_with_its_duration(agent, peer) -> None:
     talker = peer("talk", "/timed_in", "Twist", "RELIABLE", "100", "1000")
@@ -179,6 +181,9 @@ def test_a_stopped_relay_leaves_no_entity_behind(agent) -> None:
     assert [after[name] - before[name] for name in ("subscriptions", "publishers")] == [0, 0]
 
 
+@pytest.mark.promise("README", "repeats, relays and playbacks ended")
+@pytest.mark.promise("ros2_relay_start", "with ros2_relay_stop or ros2_stop")
+@pytest.mark.promise("ros2_relay_start", "velocity topics then get a zero command")
 def test_stop_ends_relays_and_leaves_the_robot_at_zero(agent, peer) -> None:
     talker = peer("talk", "/driving_in", "Twist", "RELIABLE", "50", "5000")
     listener = peer("listen", "/driving_out", "Twist", "RELIABLE")
@@ -198,6 +203,7 @@ def test_stop_ends_relays_and_leaves_the_robot_at_zero(agent, peer) -> None:
     assert all(number == 0.0 for _, number in listener.heard())
 
 
+@pytest.mark.promise("ros2_relay_start", "and with this server")
 def test_a_server_that_ends_takes_its_relays_with_it(agent, ros_environment, peer) -> None:
     talker = peer("talk", "/leaving_in", "Twist", "RELIABLE", "50", "5000")
     listener = peer("listen", "/leaving_out", "Twist", "RELIABLE")
@@ -246,6 +252,8 @@ def test_a_source_that_comes_back_with_a_weaker_qos_is_matched_again(agent, peer
     end(agent, relay)
 
 
+@pytest.mark.promise("README", "everything that was driven when the server dies, is stopped or sleeps (within 1.1 s)")
+@pytest.mark.promise("stopping", "the server is killed: the same: 1 s")
 def test_a_server_that_is_killed_leaves_no_process_and_a_robot_at_zero(agent, ros_environment, peer) -> None:
     talker = peer("talk", "/killed_in", "Twist", "RELIABLE", "50", "5000")
     listener = peer("listen", "/killed_out", "Twist", "RELIABLE")

@@ -59,6 +59,10 @@ def eventually(condition: Callable[[], bool], within_s: float = PATIENCE_S) -> b
     return condition()
 
 
+@pytest.mark.promise(
+    "README",
+    "Resources such as ros2://topic/odom or ros2://log can be subscribed to: the client is told when something happens",
+)
 def test_a_new_sample_is_told(listener_of_each_era: Listener, events: CommandedProcess) -> None:
     assert max(delays(listener_of_each_era, SAID, lambda: events.say(text="hello"))) < WITHIN_S
 
@@ -78,6 +82,7 @@ def test_a_goal_that_ended_is_told(listener: Listener, events: CommandedProcess)
     assert max(delays(listener, "ros2://actions", reach)) < WITHIN_S
 
 
+@pytest.mark.promise("README", "can be subscribed to: the client is told when something happens")
 def test_a_line_of_at_least_the_level_is_told_and_no_other(listener: Listener, events: CommandedProcess) -> None:
     uri = "ros2://log?level=warn"
     assert max(delays(listener, uri, lambda: events.log(level="warning", text="warm"))) < WITHIN_S
@@ -142,7 +147,7 @@ def test_a_lost_bridge_is_survived(listener: Listener, events: CommandedProcess)
 
 def bridge_of(listener: Listener) -> int:
     """The process of the server's bridge."""
-    return children(listener.process.pid)[-1]
+    return children(listener.process.pid)[0]
 
 
 @pytest.mark.full

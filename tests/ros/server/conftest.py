@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from support.agent import Agent, agent_for
+from support.agent import Agent
 from support.commanded import CommandedProcess
 from support.processes import peer_command
 from support.raw_server import RawServer
-
-
-@pytest.fixture(scope="module")
-def agent(ros_environment: dict[str, str]) -> Iterator[Agent]:
-    """A client of a server that all tests share."""
-    with agent_for(ros_environment, "--tools", "all") as client:
-        yield client
 
 
 @pytest.fixture(scope="module")
@@ -32,17 +24,6 @@ def peer(ros_environment: dict[str, str], agent: Agent) -> Iterator[CommandedPro
     process.forget(topic="/peer_is_here")
     yield process
     process.end()
-
-
-@pytest.fixture
-def start_agent(ros_environment: dict[str, str]) -> Iterator[Callable[..., Agent]]:
-    """Start a server of this test's own: `start_agent("--read-only", ROS2_MCP_TOOLS="core")`."""
-    with ExitStack() as running:
-
-        def begin(*options: str, **changed: str) -> Agent:
-            return running.enter_context(agent_for({**ros_environment, **changed}, *options))
-
-        yield begin
 
 
 @pytest.fixture

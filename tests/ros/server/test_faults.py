@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from support.agent import FULL
+from support.agent import FULL, until
 from support.standstill import undisturbed
 
 STRING = "std_msgs/msg/String"
@@ -19,6 +19,7 @@ POOLED_THREADS = 10
 COUNTING = {"action_name": "/fibonacci", "action_type": "test_msgs/action/Fibonacci"}
 
 
+@pytest.mark.promise("ros2_topic_subscribe", "Read messages of a topic")
 def test_arrays_bytes_and_fields_named_data_keep_their_names_and_values(agent, peer) -> None:
     peer.offer_ramp(topic="/layout", kind="std_msgs/msg/Float32MultiArray", field="data", length=3, latched=True)
     message = agent.call("ros2_topic_subscribe", topic_name="/layout")["messages"][0]
@@ -48,8 +49,11 @@ def test_calls_leave_no_entities_threads_or_files_behind(agent, peer, small_robo
     before = resources(agent)
     before["server task"] = max(before["server task"], POOLED_THREADS)
     use(3400 if FULL else 60)
-    after = resources(agent)
-    assert {what: many for what, many in after.items() if many > before[what]} == {}
+
+    def left() -> dict[str, int]:
+        return {what: many for what, many in resources(agent).items() if many > before[what]}
+
+    until(lambda: left() == {})  # the disk may still be taking the audit, which has a descriptor as long
 
 
 def resources(agent) -> dict[str, int]:
@@ -65,18 +69,20 @@ def resources(agent) -> dict[str, int]:
 
 def test_ten_subscriptions_and_a_waiting_goal_delay_no_other_call(agent, peer, small_robot) -> None:
     quiet = seconds_of_a_listing(agent)
-    peer.offer(topic="/seldom", kind=STRING, seed=1)
-    seldom = {"topic_name": "/seldom", "duration": 50.0, "message_limit": 1}
-    reading = [agent.begin("ros2_topic_subscribe", **seldom) for _ in range(10)]
+    topics = [f"/seldom_{number}" for number in range(10)]  # who reads the same one shares a subscription
+    for topic in topics:
+        peer.offer(topic=topic, kind=STRING, seed=1)
+    reading = [agent.begin("ros2_topic_subscribe", topic_name=one, duration=50.0, message_limit=1) for one in topics]
     goal = agent.begin("ros2_send_action_goal", **COUNTING, goal_fields={"order": 500}, wait_for_result=True)
     while "EXECUTING" not in str(agent.call("ros2_action_status")["goals"]):
         assert not goal.done()
-    assert peer.readers(topic="/seldom", expected=10) == 10
+    assert [peer.readers(topic=topic, expected=1) for topic in topics] == [1] * 10
     bound = max(2 * quiet, 0.03)
     busy = undisturbed(lambda: seconds_of_a_listing(agent))
     assert not any(call.done() for call in [*reading, goal])
     assert busy < bound
-    peer.offer(topic="/seldom", kind=STRING, seed=1)
+    for topic in topics:
+        peer.offer(topic=topic, kind=STRING, seed=1)
     assert {call.result(20)["count"] for call in reading} == {1}
     agent.call("ros2_cancel_action_goal", action_name="/fibonacci", cancel_all=True, wait_timeout_sec=20)
     assert goal.result(20)["status"] == "CANCELED"
@@ -108,6 +114,12 @@ def test_a_goal_that_is_waited_for_can_be_cancelled_meanwhile(agent, small_robot
     assert undisturbed(seconds_until_cancelled) < 1.0
 
 
+def test_the_audit_tells_how_a_goal_ended(agent, small_robot) -> None:
+    sent = agent.call("ros2_send_action_goal", **COUNTING, goal_fields={"order": 3}, wait_for_result=True)
+    (end,) = [act for act in agent.call("ros2_audit_read")["acts"] if act["verb"] == "goal ended"][-1:]
+    assert (end["name"], end["outcome"]) == ("/fibonacci", "SUCCEEDED") and sent["status"] == "SUCCEEDED"
+
+
 def test_a_service_that_takes_too_long_is_given_up_in_time(agent, small_robot) -> None:
     def seconds_until_given_up() -> float:
         started = time.monotonic()
@@ -119,6 +131,7 @@ def test_a_service_that_takes_too_long_is_given_up_in_time(agent, small_robot) -
     assert 0.4 < undisturbed(seconds_until_given_up) < 1.0
 
 
+@pytest.mark.promise("ros2_send_action_goal", "if the time ends first the goal goes on (status TIMEOUT)")
 def test_a_goal_goes_on_when_the_waiting_ends_and_says_so(agent, small_robot) -> None:
     waited = agent.call(
         "ros2_send_action_goal", **COUNTING, goal_fields={"order": 30}, wait_for_result=True, timeout_sec=0.3
@@ -138,6 +151,10 @@ def test_reading_a_latched_topic_changes_no_later_publisher(agent, peer) -> None
     assert sent["qos"].startswith("reliable, volatile")
 
 
+@pytest.mark.promise("ros2_topic_publish", "Values are checked against the definition first")
+@pytest.mark.promise(
+    "README", "A wrong field, kind, length or range is an error that names the path and what would be right"
+)
 @pytest.mark.parametrize(
     ("kind", "data", "clear"),
     [
@@ -168,6 +185,9 @@ def test_a_whole_number_becomes_a_floating_point_number_exactly(agent, peer) -> 
     sending.cancel()
 
 
+@pytest.mark.promise("README", "every answer is measured, bounded and checked")
+@pytest.mark.promise("README", "about 32 kB of text for the messages of one reading")
+@pytest.mark.promise("ros2_topic_subscribe", "Long arrays are summarised")
 @pytest.mark.parametrize("kind", ["sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"])
 def test_big_messages_come_as_bounded_summaries(agent, peer, kind: str) -> None:
     topic = f"/big_{kind[-5:].lower()}"
@@ -182,16 +202,16 @@ def test_the_first_listing_of_a_new_server_is_whole(peer, start_agent) -> None:
     for topic in topics:
         peer.offer(topic=topic, kind=STRING, seed=1)
 
-    def seconds_of_the_first() -> float:
+    def first() -> tuple[dict[str, Any], float]:
         started = time.monotonic()
-        listing = start_agent().call("ros2_topic_list", pattern="/listed/*")
-        assert listing["settled"]
-        assert {entry["topic_name"] for entry in listing["topics"]} == topics
-        assert all(entry["publishers"] == 1 for entry in listing["topics"])
-        return time.monotonic() - started
+        return start_agent().call("ros2_topic_list", pattern="/listed/*"), time.monotonic() - started
 
     for _ in range(10 if FULL else 2):
-        assert undisturbed(seconds_of_the_first) < 6
+        # A machine that stands still loses packets of discovery, which are sent again after seconds: not judged here.
+        listing, took_s = undisturbed(first)
+        assert listing["settled"] and took_s < 6
+        assert {entry["topic_name"] for entry in listing["topics"]} == topics
+        assert all(entry["publishers"] == 1 for entry in listing["topics"])
     for topic in topics:
         peer.forget(topic=topic)
 

@@ -64,11 +64,13 @@ def found(server) -> str:
     return result["structuredContent"]["ros_found"]
 
 
+@pytest.mark.promise("README", "ROS 2 wheels in the server's own environment")
 def test_wheels(start_raw, tmp_path: Path) -> None:
     server = opened(lambda: start_raw(ROS2_MCP_ROS_ROOT=str(tmp_path)))
     assert "wheels" in found(server)
 
 
+@pytest.mark.promise("README", "a sourced shell")
 def test_a_sourced_shell(start_raw, ros_environment, bare_python: str) -> None:
     shell = sourced()
     path = os.pathsep.join([ros_environment["PYTHONPATH"], str(SITE_PACKAGES)])
@@ -76,6 +78,7 @@ def test_a_sourced_shell(start_raw, ros_environment, bare_python: str) -> None:
     assert "This shell is sourced" in found(server)
 
 
+@pytest.mark.promise("README", "is sourced for the bridge")
 def test_an_installation_that_is_slow_to_source(start_raw, bare_python: str, tmp_path: Path) -> None:
     (tmp_path / "jazzy").mkdir()
     gate = tmp_path / "gate"
@@ -87,6 +90,9 @@ def test_an_installation_that_is_slow_to_source(start_raw, bare_python: str, tmp
     assert "setup.bash is sourced for the bridge" in found(server)
 
 
+@pytest.mark.promise(
+    "README", "the server starts all the same, and every answer says what is missing and how to get it"
+)
 def test_none(start_raw, bare_python: str, tmp_path: Path) -> None:
     def slowest_of_two_calls() -> float:
         server = opened(lambda: start_raw(command=[bare_python, "-m", "ros2_mcp"], ROS2_MCP_ROS_ROOT=str(tmp_path)))

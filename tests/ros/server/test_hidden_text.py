@@ -81,6 +81,7 @@ def check(server: RawServer) -> None:
         pytest.fail("\n".join(faults[:20]))
 
 
+@pytest.mark.promise("README", "in summaries it is quoted and short")
 def test_a_recording_in_which_every_text_is_hostile_shows_all_and_forges_nothing(
     start_raw: Callable[..., RawServer], bag: Path
 ) -> None:
@@ -105,9 +106,7 @@ def server(start_raw: Callable[..., RawServer], hostile_robot: None, tmp_path: P
     server = start_raw("--tools", "all", "--record-dir", str(tmp_path))
     server.begin(VERSION)
     until(lambda: "/hostile/basic" in str(server.call("ros2_service_list")))
-    until(
-        lambda: not server.call("ros2_service_call", service_name="/hostile/say", fields={}, timeout_sec=1)["isError"]
-    )
+    until(lambda: not server.call("ros2_service_call", service_name="/hostile/say", timeout_sec=1)["isError"])
     return server
 
 
@@ -132,7 +131,7 @@ def live_calls() -> Iterator[tuple[str, dict[str, Any]]]:
     yield "ros2_plot", {"series": ["/hostile/text:data"], "duration": 0.5}
     yield "ros2_get_map_as_image", {"topic_name": "/hostile/text", "timeout": 1}
     yield "ros2_log_read", {}
-    yield "ros2_service_call", {"service_name": "/hostile/say", "fields": {}}
+    yield "ros2_service_call", {"service_name": "/hostile/say", "fields": []}
     yield "ros2_service_call", {"service_name": "/hostile/basic", "fields": {}, "force_call": True}
     yield "ros2_parameter_list", {}
     yield "ros2_parameter_list", {"node_names": ["/hostile"], "pattern": "name"}
@@ -145,6 +144,7 @@ def live_calls() -> Iterator[tuple[str, dict[str, Any]]]:
     yield "ros2_lifecycle_change", {"node_name": "/hostile", "transition": hostile("tags")}
 
 
+@pytest.mark.promise("README", "Text of the robot is data: what cannot be seen in it is shown as its code")
 def test_a_robot_whose_every_text_is_hostile_forges_nothing(server: RawServer) -> None:
     for tool, arguments in live_calls():
         server.ask("tools/call", name=tool, arguments=arguments, _meta={"progressToken": next(_TOKENS)})

@@ -12,7 +12,8 @@ from typing import Any
 import anyio
 import pytest
 from mcp import Client
-from mcp.client.sse import sse_client
+
+from support.tokens import HEADERS, client_at
 
 PATIENCE_S = 30.0
 WATCHED = "ros2://topic/parameter_events"
@@ -50,7 +51,7 @@ async def status(client: Client) -> Any:
 
 @pytest.mark.parametrize("mode", ["legacy", "auto"])
 async def test_clients_of_both_eras_list_call_and_read(port: int, mode: str) -> None:
-    async with Client(f"http://127.0.0.1:{port}/mcp", mode=mode) as client:
+    async with client_at(f"http://127.0.0.1:{port}/mcp", mode=mode) as client:
         assert "ros2_topic_list" in {tool.name for tool in (await client.list_tools()).tools}
         assert (await status(client))["bridge_node"]
         refused = await client.call_tool("ros2_topic_list", {"patern": "x"})
@@ -60,7 +61,7 @@ async def test_clients_of_both_eras_list_call_and_read(port: int, mode: str) -> 
 
 @pytest.mark.parametrize("port", ["sse"], indirect=True)
 async def test_clients_of_the_older_transport_list_and_call(port: int) -> None:
-    async with Client(sse_client(f"http://127.0.0.1:{port}/sse"), mode="legacy") as client:
+    async with client_at(f"http://127.0.0.1:{port}/sse", mode="legacy") as client:
         assert "ros2_topic_list" in {tool.name for tool in (await client.list_tools()).tools}
         assert (await status(client))["bridge_node"]
 
@@ -68,16 +69,16 @@ async def test_clients_of_the_older_transport_list_and_call(port: int) -> None:
 @pytest.mark.parametrize("port", ["sse"], indirect=True)
 def test_the_older_transport_refuses_a_post_so_that_clients_fall_back_to_it(port: int) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
-    connection.request("POST", "/sse", body="{}", headers={"Content-Type": "application/json"})
+    connection.request("POST", "/sse", body="{}", headers={"Content-Type": "application/json", **HEADERS})
     assert connection.getresponse().status == 405
     connection.close()
 
 
 @pytest.mark.filterwarnings("ignore:resources.subscribe is removed")
 async def test_a_client_that_is_gone_leaves_no_subscription_behind(port: int) -> None:
-    async with Client(f"http://127.0.0.1:{port}/mcp", mode="legacy") as stays:
+    async with client_at(f"http://127.0.0.1:{port}/mcp", mode="legacy") as stays:
         before = (await status(stays))["subscriptions"]
-        async with Client(f"http://127.0.0.1:{port}/mcp", mode="legacy") as goes:
+        async with client_at(f"http://127.0.0.1:{port}/mcp", mode="legacy") as goes:
             await goes.subscribe_resource(WATCHED)
             assert (await status(stays))["subscriptions"] == before + 1
         with anyio.fail_after(PATIENCE_S):
@@ -97,6 +98,7 @@ async def messages_on(client: Client, topic: str) -> int:
     return len(read["messages"])
 
 
+@pytest.mark.promise("README", "Over HTTP, what a client keeps moving stops when that client goes")
 async def test_the_end_of_a_client_stops_what_it_left_in_motion_and_nothing_else(port: int) -> None:
     """A repeat, whose call ends with the session, and a relay, which no call awaits; another client's relay goes on."""
 
@@ -123,9 +125,9 @@ async def test_the_end_of_a_client_stops_what_it_left_in_motion_and_nothing_else
         )
 
     url = f"http://127.0.0.1:{port}/mcp"
-    async with Client(url, mode="legacy") as stays, anyio.create_task_group() as calls:
+    async with client_at(url, mode="legacy") as stays, anyio.create_task_group() as calls:
         own = await relay(stays, "/kept/out")
-        async with Client(url, mode="legacy") as goes:
+        async with client_at(url, mode="legacy") as goes:
             left = await relay(goes, "/left/out")
             calls.start_soon(repeat, goes)
             with anyio.fail_after(PATIENCE_S):

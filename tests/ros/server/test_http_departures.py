@@ -19,7 +19,6 @@ from typing import Any
 
 import anyio
 import pytest
-from mcp import Client
 
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
@@ -30,6 +29,7 @@ from support.networks import Network, NotPermitted, network
 from support.observer import TWIST, Observer, observing
 from support.ports import listening
 from support.standstill import undisturbed
+from support.tokens import client_at
 
 ROUNDS = 200 if FULL else 5
 TOGETHER = 5
@@ -87,7 +87,13 @@ def _field(environment: dict[str, str], bags: Path, host: str, two: Network | No
         observer = stack.enter_context(observing(environment))
         observer.talk(topic="/talk", kind=TWIST, hz=20)
         ports: dict[str, int] = {}
-        options = ("--tools", "all", "--record-dir", str(bags))
+        options = (
+            "--tools",
+            "all",
+            "--record-dir",
+            str(bags),
+            "--behind-proxy",
+        )  # no TLS, on an address that others reach
         for transport, served in (("streamable-http", ("handshake", "modern")), ("sse", ("sse",))):
             port, _ = stack.enter_context(listening(environment, transport, *options, host=host))
             ports |= dict.fromkeys(served, port)
@@ -187,6 +193,8 @@ def told(what: str, seconds: list[float]) -> None:
     print(f"{what}: {len(seconds)} rounds, zero after at most {max(seconds) * 1000:.0f} ms")
 
 
+@pytest.mark.promise("README", "within 0.3 s of its closing or resetting its last open response or ending its session")
+@pytest.mark.promise("stopping", "a client over HTTP closes or resets its last open response, or ends its session")
 @pytest.mark.timeout(3600 if FULL else 240)
 @pytest.mark.parametrize(
     ("transport", "way"), [*itertools.product(TRANSPORTS, ("close", "reset")), ("handshake", "DELETE")]
@@ -226,6 +234,8 @@ def worst(drivers: list[Driver], went: int, within_s: float) -> dict[str, float]
     }
 
 
+@pytest.mark.promise("README", "2.3 s after its last packet where its network is gone")
+@pytest.mark.promise("stopping", "the network of a client over HTTP is gone: its client lease (2 s) lapses")
 @pytest.mark.timeout(3600 if FULL else 240)
 def test_a_client_that_vanishes_with_its_network_leaves_nothing_moving(field: Field, clients: CommandedProcess) -> None:
     """Every packet is lost from then on, nobody is told, and every stream looks open."""
@@ -253,6 +263,8 @@ def test_a_client_that_vanishes_with_its_network_leaves_nothing_moving(field: Fi
         told(f"{transport} silence (x {TOGETHER} clients)", each)
 
 
+@pytest.mark.promise("README", "A repeat of motion lasts at most 10 s")
+@pytest.mark.promise("stopping", "a client over HTTP hangs with its connection open")
 @pytest.mark.timeout(3600 if FULL else 240)
 def test_a_repeat_of_a_stopped_client_ends_by_itself(field: Field, clients: CommandedProcess) -> None:
     """Its kernel acknowledges for it: it cannot be told from one that waits."""
@@ -277,6 +289,8 @@ def test_a_repeat_of_a_stopped_client_ends_by_itself(field: Field, clients: Comm
         told(f"{transport} stopped (x {TOGETHER} clients)", each)
 
 
+@pytest.mark.promise("stopping", "by an open response that the client's kernel acknowledges")
+@pytest.mark.promise("README", "relays, playbacks and goals of a program that hangs with its connection open go on")
 def test_a_client_that_waits_at_an_open_stream_keeps_its_relay(field: Field, clients: CommandedProcess) -> None:
     """The call that began it was answered long ago, and nothing has been asked since."""
     drivers = [Driver(field, clients, transport, "relay") for transport in TRANSPORTS]
@@ -286,6 +300,13 @@ def test_a_client_that_waits_at_an_open_stream_keeps_its_relay(field: Field, cli
     for driver in drivers:
         assert field.observer.moved(sent_after=time.monotonic_ns() - 200_000_000, topic=driver.topic)
         driver.rests_after(clients.go(name=driver.name, resetting=False), CLOSED_S)
+        asks = Driver(field, clients, driver.transport, "relay")
+        asks.begin()
+        relays = asks.called("ros2_relay_list", {})["structuredContent"]["relays"]
+        [ended] = [relay for relay in relays if relay["destination_topic"] == driver.topic]
+        assert ended["state"] == "stopped" and ended["passed"] > 10 and ended["elapsed_sec"] > SILENT_S
+        assert ended["note"].count("end of its client") == 1
+        clients.go(name=asks.name, resetting=False)
 
 
 def test_a_departure_is_ended_once_though_nobody_acknowledges_its_zero(field: Field, clients: CommandedProcess) -> None:
@@ -320,6 +341,11 @@ def test_the_departure_of_one_client_leaves_what_another_moves_on_the_same_topic
     stays.rests_after(clients.go(name=stays.name, resetting=False), CLOSED_S)
 
 
+@pytest.mark.promise(
+    "README", "A client that keeps no response open has to ask for something every 2 s while something moves"
+)
+@pytest.mark.promise("stopping", "A client that keeps no response open has to ask for something every 2 s")
+@pytest.mark.promise("stopping", "The client lease holds while something moves")
 @pytest.mark.parametrize("transport", ["handshake", "modern"])
 def test_a_client_without_an_open_stream_that_asks_for_nothing_keeps_its_relay_for_a_lease(
     field: Field, clients: CommandedProcess, transport: str
@@ -335,6 +361,8 @@ def test_a_client_without_an_open_stream_that_asks_for_nothing_keeps_its_relay_f
     assert 1.9 < rested_s <= SILENT_S + ARRIVES_S
 
 
+@pytest.mark.promise("README", "unless its client asks for something or answers a ping meanwhile")
+@pytest.mark.promise("stopping", "and by an answered ping")
 @pytest.mark.timeout(120)
 async def test_a_repeat_outlasts_ten_seconds_where_the_client_answers_pings_and_says_why_where_it_cannot(
     field: Field,
@@ -344,7 +372,7 @@ async def test_a_repeat_outlasts_ten_seconds_where_the_client_answers_pings_and_
     async def repeated(mode: str) -> Any:
         url = f"http://{field.host}:{field.ports['handshake']}/mcp"
         repeat = {"message_type": TWIST, "data": MOVING, "frequency": 20, "duration": 12}
-        async with Client(url, mode=mode) as client:
+        async with client_at(url, mode=mode) as client:
             return await client.call_tool("ros2_topic_publish", {"topic_name": f"/{mode}/cmd_vel", **repeat})
 
     answers: dict[str, Any] = {}

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import socket
 from collections.abc import Iterator
+from contextlib import closing
+from http.client import HTTPConnection, HTTPResponse
 from typing import Any
 
 import pytest
 
 from support.ports import listening
+from support.tokens import BEARER, HEADERS
 
 PATIENCE_S = 30.0
 MODERN, HANDSHAKE = "2026-07-28", "2025-11-25"
@@ -21,8 +24,7 @@ PATHS = {
     "streamable-http": [("POST", "/mcp"), ("GET", "/mcp"), ("DELETE", "/mcp"), ("GET", "/"), ("GET", "/nothing")],
     "sse": [("GET", "/sse"), ("POST", "/messages/"), ("POST", "/messages"), ("GET", "/nothing")],
 }
-TOO_LARGE = 4 * 1024 * 1024 + 1
-"""The SDK takes 4 MiB."""
+TOO_LARGE = 1_000_001
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +68,7 @@ def usual(port: int, method: str = "POST", **more: str) -> list[tuple[str, str]]
     kind = [("Content-Type", "application/json")] if method == "POST" else []
     return [
         ("Host", f"127.0.0.1:{port}"),
+        ("Authorization", BEARER),
         ("Accept", "application/json, text/event-stream"),
         *kind,
         *((name.replace("_", "-"), value) for name, value in more.items()),
@@ -96,6 +99,7 @@ def everywhere() -> list[tuple[str, str, str]]:
     return [(transport, method, path) for transport, paths in PATHS.items() for method, path in paths]
 
 
+@pytest.mark.promise("README", "requests with a foreign or doubled Host or Origin header are refused on every path")
 @pytest.mark.parametrize(("transport", "method", "path"), everywhere())
 def test_a_foreign_host_is_refused_on_every_path(ports: dict[str, int], transport: str, method: str, path: str) -> None:
     port = ports[transport]
@@ -117,6 +121,7 @@ def test_a_foreign_host_is_refused_on_every_path(ports: dict[str, int], transpor
         assert answer(port, method, path, headers, body)[0] == 421, host
 
 
+@pytest.mark.promise("README", "requests with a foreign or doubled Host or Origin header are refused on every path")
 @pytest.mark.parametrize(("transport", "method", "path"), everywhere())
 def test_a_foreign_origin_is_refused_on_every_path(
     ports: dict[str, int], transport: str, method: str, path: str
@@ -139,6 +144,7 @@ def test_a_foreign_origin_is_refused_on_every_path(
         assert answer(port, method, path, headers, body)[0] == 403, origin
 
 
+@pytest.mark.promise("README", "requests with a foreign or doubled Host or Origin header are refused on every path")
 @pytest.mark.parametrize(("transport", "method", "path"), everywhere())
 def test_a_doubled_host_or_origin_is_refused_on_every_path(
     ports: dict[str, int], transport: str, method: str, path: str
@@ -190,22 +196,67 @@ def test_a_body_that_is_no_request_is_refused(ports: dict[str, int], what: str) 
 def test_a_body_that_is_no_request_is_refused_over_sse_and_the_stream_goes_on(ports: dict[str, int]) -> None:
     port = ports["sse"]
     with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as stream, stream.makefile("rb") as lines:
-        stream.sendall(f"GET /sse HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+        stream.sendall(f"GET /sse HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nAuthorization: {BEARER}\r\n\r\n".encode())
         path = next(line for line in lines if line.startswith(b"data: ")).split()[1].decode()
         for what, body in BAD_BODIES.items():
-            taken = (
-                202 if what == "an id that is none" else 400
-            )  # here the SDK takes it for a notification, and drops it
-            assert answer(port, "POST", path, sized(usual(port), body), body)[0] == taken, what
+            assert answer(port, "POST", path, sized(usual(port), body), body)[0] == 400, what
         body = request("initialize", INITIALIZE)
         assert answer(port, "POST", path, sized(usual(port), body), body)[0] == 202
         assert b"ros2-mcp" in next(line for line in lines if line.startswith(b"data: ") and b'"id":1' in line)
 
 
-@pytest.mark.parametrize("transport", PATHS)
-def test_a_body_that_is_too_large_is_refused(ports: dict[str, int], transport: str) -> None:
-    """Whether its size is declared or not, and long before all of it has come."""
-    port, path = ports[transport], "/mcp" if transport == "streamable-http" else "/messages/"
+REFUSED = {
+    b'{"jsonrpc": "2.0", "id": 5, "method": "ping", "params": []}': (5, -32602),
+    b'{"jsonrpc": "2.0", "id": "a", "method": "ping", "params": {"name": "\\ud800"}}': ("a", -32600),
+    b'{"jsonrpc": "2.0", "id": 1.5, "method": "ping"}': (1.5, -32600),
+    b'{"jsonrpc": "2.0", "id": 8, "method": "ping"': (8, -32600),
+    b'{"jsonrpc": "2.0", "id"': (None, -32700),
+}
+
+
+@pytest.mark.parametrize("path", ["/mcp", "/mcp%0A"])
+@pytest.mark.parametrize("padding", [b"", b" " * 25_000], ids=["small", "large"])
+@pytest.mark.parametrize("body", REFUSED)
+def test_a_refusal_has_the_id_of_its_request(ports: dict[str, int], body: bytes, padding: bytes, path: str) -> None:
+    port, padded = ports["streamable-http"], padding + body
+    for era in ({}, {"Mcp_Protocol_Version": HANDSHAKE}, {"Mcp_Protocol_Version": MODERN, "Mcp_Method": "ping"}):
+        status, text = answer(port, "POST", path, sized(usual(port, **era), padded), padded)
+        said = json.loads(text)
+        assert (status, said["id"], said["error"]["code"]) == (400, *REFUSED[body])
+
+
+def post(connection: HTTPConnection, session: str, message: dict[str, Any]) -> HTTPResponse:
+    """The answer, as far as it has begun."""
+    headers = {"Accept": "application/json, text/event-stream", "Content-Type": "application/json"}
+    named = {"Mcp-Session-Id": session} if session else {}
+    connection.request("POST", "/mcp", json.dumps({"jsonrpc": "2.0", **message}), {**headers, **HEADERS, **named})
+    return connection.getresponse()
+
+
+def test_of_two_requests_with_one_id_in_a_session_the_second_is_refused(ports: dict[str, int]) -> None:
+    slow, other = (HTTPConnection("127.0.0.1", ports["streamable-http"], timeout=PATIENCE_S) for _ in range(2))
+    with closing(slow), closing(other):
+        begun = post(other, "", {"id": 1, "method": "initialize", "params": INITIALIZE})
+        session = begun.headers["Mcp-Session-Id"]
+        begun.read()
+        post(other, session, {"method": "notifications/initialized"}).read()
+        wait = {"name": "ros2_topic_echo_wait", "arguments": {"topic_name": "/never_there", "timeout": 60}}
+        post(slow, session, {"id": 7, "method": "tools/call", "params": wait})
+        for same in (7, "7"):
+            refused = post(other, session, {"id": same, "method": "ping"})
+            said = json.loads(refused.read())
+            assert (refused.status, said["id"], said["error"]["code"]) == (400, same, -32600)
+            assert "is not answered yet" in said["error"]["message"]
+        assert b'"result":{}' in post(other, session, {"id": 8, "method": "ping"}).read()
+
+
+@pytest.mark.parametrize(
+    ("transport", "path"),
+    [("streamable-http", "/mcp"), ("streamable-http", "/mcp%0A"), ("sse", "/messages/"), ("sse", "/messages/more")],
+)
+def test_a_body_that_is_too_large_is_refused(ports: dict[str, int], transport: str, path: str) -> None:
+    """Whether its size is declared or not, long before all of it has come, and however its path is written."""
+    port = ports[transport]
     for era in ({}, {"Mcp_Protocol_Version": MODERN}):
         declared = [*usual(port, **era), ("Content-Length", str(10**12))]
         assert answer(port, "POST", path, declared, b"[")[0] == 413

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import re
 import time
+from functools import partial
 from itertools import count
 from typing import Any
 
 import pytest
 
 from ros2_mcp_bridge.limits import MAX_FAILSAFES
-from support.agent import FULL, agent_for
+from support.agent import FULL, agent_for, until
 from support.raw_server import RawServer
 from support.standstill import undisturbed
 
@@ -21,6 +22,7 @@ TIMES = 950 if FULL else 60
 FRESH = 50 if FULL else 2
 
 
+@pytest.mark.promise("ros2_topic_publish", "The result says how many subscribers were reached")
 def test_every_one_shot_publish_arrives(agent, peer) -> None:
     peer.listen(topic="/arrives", kind=STRING)
     agent.knows("/arrives")
@@ -43,6 +45,10 @@ def test_the_first_publish_of_a_new_server_arrives(peer, ros_environment) -> Non
     peer.forget(topic="/first")
 
 
+@pytest.mark.promise(
+    "ros2_publish_multiple_topics",
+    "Publish repeatedly on several topics at the same time, each with its own frequency and duration",
+)
 def test_a_publish_reaches_each_of_several_topics(agent, peer) -> None:
     topics = [f"/several_{number}" for number in range(3)]
     for topic in topics:
@@ -66,6 +72,10 @@ def missed(published: dict[str, Any]) -> int:
     return int(told[1]) if told else 0
 
 
+@pytest.mark.promise(
+    "README", "A result says what was sent and how many subscribers were matched, never that the robot moved"
+)
+@pytest.mark.promise("ros2_topic_publish", "The result says how many subscribers were reached")
 def test_a_publish_to_nobody_says_so(agent) -> None:
     def seconds_of_it() -> float:
         started = time.monotonic()
@@ -75,6 +85,18 @@ def test_a_publish_to_nobody_says_so(agent) -> None:
         return time.monotonic() - started
 
     assert undisturbed(seconds_of_it) < 2.0
+
+
+def test_a_publish_tells_this_servers_own_subscribers_apart(agent, peer) -> None:
+    peer.listen(topic="/reached", kind=STRING)
+    agent.knows("/reached")
+    publish = partial(agent.call, "ros2_topic_publish", topic_name="/reached", data={"data": "x"})
+    assert "own" not in publish()["note"]
+    relay = agent.call("ros2_relay_start", source_topic="/reached", destination_topic="/reached_further")
+    sent = until(lambda: (each := publish())["subscribers"] == 2 and each)
+    assert "1 of the 2 subscriber(s) are this server's own" in sent["note"]
+    agent.call("ros2_relay_stop", relay_id=relay["relay_id"])
+    peer.forget(topic="/reached")
 
 
 def test_a_publish_without_a_type_to_an_unknown_topic_is_refused(agent) -> None:
@@ -139,6 +161,7 @@ def test_a_call_on_several_topics_of_which_all_fail_is_an_error(agent, peer) -> 
     assert [bool(read["error"]) for read in one_of_two] == [True, False]
 
 
+@pytest.mark.promise("README", "A velocity that is not a finite number is never sent")
 @pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e400", '"nan"', '"inf"'])
 def test_a_velocity_that_is_not_finite_is_refused_and_named(ros_environment, number: str) -> None:
     """However JSON writes it, once and repeatedly."""
@@ -160,6 +183,8 @@ def test_a_velocity_that_is_not_finite_is_refused_and_named(ros_environment, num
         server.end()
 
 
+@pytest.mark.promise("README", "At most 64 velocity topics are driven at a time, each with its fail-safe")
+@pytest.mark.promise("README", "one more is refused")
 def test_one_velocity_topic_more_than_can_be_stopped_is_refused(ros_environment) -> None:
     twist = {"message_type": TWIST, "data": {"linear": {"x": 0.1}}}
     with agent_for(ros_environment) as fresh:

@@ -47,6 +47,8 @@ def read_field(agent, topic: str, field: str) -> Any:
     return reading["messages"][0][field]
 
 
+@pytest.mark.promise("README", "nothing is cut or wrapped to fit")
+@pytest.mark.promise("README", "Types and QoS are found by themselves")
 @pytest.mark.parametrize("kind", sample())
 def test_what_we_publish_arrives_with_exactly_those_values(agent, peer, kind: str) -> None:
     topic = new_topic()
@@ -85,6 +87,7 @@ def test_a_megabyte_is_published_exactly(agent, peer, kind: str) -> None:
     peer.forget(topic=topic)
 
 
+@pytest.mark.promise("ros2_topic_subscribe", "use fields to see a part in full")
 @pytest.mark.parametrize("kind", MEGABYTE if FULL else list(MEGABYTE)[:1])
 def test_a_megabyte_is_read_exactly_in_pieces(agent, peer, kind: str) -> None:
     topic, (field, length) = new_topic(), MEGABYTE[kind]

@@ -10,17 +10,15 @@ import pytest
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
 from support.driver import MOVING, Driver, write_bag
-from support.observer import Observer, observing
+from support.observer import Observer
 from support.velocities import TWIST, cdr
 
 BAG_MESSAGES = 100
 
 
-@pytest.fixture(scope="module")
-def observer(ros_environment: dict[str, str]) -> Iterator[Observer]:
-    """The observer of a file's tests; each has topics of its own."""
-    with observing(ros_environment) as process:
-        yield process
+def as_users_have_it(environment: dict[str, str]) -> dict[str, str]:
+    """Without the profile of the tests: with one, the stopper keeps to its transports."""
+    return {name: value for name, value in environment.items() if name != "FASTRTPS_DEFAULT_PROFILES_FILE"}
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +32,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def server(ros_environment: dict[str, str], observer: Observer, bags: Path) -> Iterator[Driver]:
     """A server that the tests of a file share."""
-    driver = Driver(ros_environment, "--tools", "all", "--record-dir", str(bags))
+    driver = Driver(as_users_have_it(ros_environment), "--tools", "all", "--record-dir", str(bags))
     yield driver
     driver.end()
 
@@ -46,7 +44,7 @@ def start_server(ros_environment: dict[str, str], bags: Path) -> Iterator[Callab
 
     def begin(*options: str, **changed: str) -> Driver:
         given = ("--record-dir", str(bags), *(options or ("--tools", "all")))
-        servers.append(Driver({**ros_environment, **changed}, *given))
+        servers.append(Driver({**as_users_have_it(ros_environment), **changed}, *given))
         return servers[-1]
 
     yield begin

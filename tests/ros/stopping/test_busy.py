@@ -1,18 +1,26 @@
-"""A healthy server that is busy keeps its link lease: 10 s here, 20 minutes in full (ROS2_MCP_BUSY_S)."""
+"""A healthy server that is busy keeps its link lease: 10 s here, 20 minutes in full (ROS2_MCP_BUSY_S).
+
+And whatever takes it long, once or again and again, leaves it no silence that is near the lease.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import shlex
+import sys
 import time
 from collections import deque
+from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
 from support.agent import FULL, until
 from support.driver import MOVING, Driver, fresh
-from support.observer import observing
+from support.observer import Observer, observing
+from support.processes import peer_command
 from support.velocities import TWIST, speed
 
 BUSY_S = float(os.environ.get("ROS2_MCP_BUSY_S", "1200" if FULL else "10"))
@@ -97,3 +105,84 @@ def test_a_busy_server_keeps_its_lease(start_server, observer, ros_environment) 
     assert "lapsed" not in json.dumps(status)
     server.errors.seek(0)
     assert b"lapsed" not in server.errors.read()
+
+
+SILENT_S = 0.75
+"""A quarter of the lease is left: the server pings every 0.25 s, and nothing holds it up for twice as long."""
+POSES = 100_000
+POSE_ARRAY = "geometry_msgs/msg/PoseArray"
+
+
+class Large:
+    """What takes a server long: each is asked for twice, the first time with what has to be imported for it."""
+
+    def __init__(self, server: Driver, observer: Observer) -> None:
+        self.server, self.observer = server, observer
+        self.poses, self.cloud, self.map = fresh("poses"), fresh("cloud"), fresh("map")
+
+    def publish(self) -> None:
+        """100,000 poses as an agent would write them: 3 MB of JSON, 5.6 MB for the robot."""
+        poses = {"poses": [{"position": {"x": 0.5}}] * POSES}
+        self.server.do("ros2_topic_publish", topic_name=fresh("many"), message_type=POSE_ARRAY, data=poses)
+
+    def pictures(self) -> None:
+        cloud = self.server.tool("ros2_get_pointcloud_as_bev", topic_name=self.cloud)
+        grid = self.server.tool("ros2_get_map_as_image", topic_name=self.map)
+        assert self.server.result(cloud)["points"] and self.server.result(grid)["width"] == 1000
+
+    def watch(self) -> None:
+        """A client that looks at a topic whenever something comes."""
+        for _ in range(3):
+            read = self.server.ask("resources/read", uri=f"ros2://topic{self.poses}")
+            assert "result" in read, read
+
+    def relay(self) -> None:
+        """Compares every message with the one before."""
+        to = fresh("changed")
+        asked = {"source_topic": self.poses, "destination_topic": to, "transform": "on_change", "duration_sec": 3}
+        relay = self.server.do("ros2_relay_start", **asked)["relay_id"]
+
+        def state() -> dict[str, object]:
+            relays = self.server.do("ros2_relay_list")["relays"]
+            return next(one for one in relays if one["relay_id"] == relay)
+
+        until(lambda: state()["state"] == "ended")
+        assert state()["passed"], state()
+
+
+@pytest.fixture
+def silences(tmp_path: Path) -> Path:
+    """Where it is noted for how long a server was silent whose `--bridge-python` is the program beside it."""
+    python, noted = tmp_path / "python", tmp_path / "silences"
+    command = [*peer_command("silence_peer"), str(noted), sys.executable]
+    python.write_text(f'#!/bin/sh\nexec {shlex.join(command)} "$@"\n')
+    python.chmod(0o755)
+    noted.touch()
+    return noted
+
+
+@pytest.mark.alone
+@pytest.mark.timeout(150)
+def test_nothing_large_makes_a_server_silent_for_long(start_server, observer, silences) -> None:
+    server = start_server("--tools", "all", "--bridge-python", str(silences.with_name("python")))
+    large, topic = Large(server, observer), fresh("steady")
+    observer.large(poses=large.poses, cloud=large.cloud, grid=large.map, hz=5.0)
+    observer.join(by=topic, topic=topic, kind=TWIST)
+    server.knows(topic, 1)
+    timed = {"frequency": HZ, "duration": 120}
+    driving = server.tool(
+        "ros2_topic_publish", topic_name=topic, message_type=TWIST, data=speed(TWIST, MOVING), **timed
+    )
+    observer.until_driven(topic)
+    longest: dict[str, float] = {}
+    work: list[Callable[[], None]] = [large.publish, large.pictures, large.watch, large.relay]
+    for one in work * 2:
+        before = len(silences.read_text().splitlines())
+        one()
+        told = silences.read_text().splitlines()[before:]
+        longest[one.__name__] = max([longest.get(one.__name__, 0.0), *(float(line.split()[1]) for line in told)])
+    print("silent for at most", longest)
+    assert driving not in server.answers, server.outcome(driving)
+    assert not [one for one in observer.messages(topic=topic) if not any(one["values"])], "a zero of a lapsed lease"
+    assert max(longest.values()) < SILENT_S, longest
+    server.stop()

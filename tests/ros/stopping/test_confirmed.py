@@ -50,6 +50,9 @@ def test_names_of_jobs_cannot_be_guessed(server, observer) -> None:
     assert any(set("abcdefghijklmnopqrstuvwxyz") & set(part[0]) for part in parts), ids
 
 
+@pytest.mark.promise("README", "Services that were called, and topics of other types that were published on, are named")
+@pytest.mark.promise("ros2_stop", "names the services called and topics published on that it cannot stop")
+@pytest.mark.promise("stopping", "this server has called a service or published on a topic of another type")
 def test_a_service_that_was_called_is_named_and_not_confirmed(start_server, observer) -> None:
     service, server = fresh("open_gripper"), start_server()
     observer.serve(service=service, kind=SET_BOOL)
@@ -70,6 +73,8 @@ def test_a_service_that_only_reads_hinders_nothing(start_server, observer) -> No
     assert server.stop()[0]["confirmed"] is True
 
 
+@pytest.mark.promise("README", "topics of other types that were published on, are named")
+@pytest.mark.promise("stopping", "and names them (unknown_services, unknown_topics)")
 def test_a_type_of_which_nobody_knows_how_it_is_stopped(start_server, observer) -> None:
     topic, server = fresh("effort"), start_server()
     observer.join(by=topic, topic=topic, kind="std_msgs/msg/Float64")
@@ -93,6 +98,8 @@ def test_a_goal_that_was_sent_as_a_raw_call(start_server, observer) -> None:
     until(lambda: [one["status"] for one in observer.goals_of(action=action)] == ["canceled"])
 
 
+@pytest.mark.promise("stopping", "or a goal's server does not answer")
+@pytest.mark.promise("README", "every goal has ended")
 def test_a_goal_whose_server_has_not_answered_is_not_confirmed(start_server, observer) -> None:
     """The server judges for longer than ros2_stop waits: who looks away says so."""
     action, server = fresh("ponders"), start_server()

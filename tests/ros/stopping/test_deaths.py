@@ -44,9 +44,12 @@ def end(server, observer, topic: str, request: int) -> None:
     observer.forget()
 
 
+@pytest.mark.promise("README", "and when the bridge dies")
+@pytest.mark.promise("stopping", "its successor sends the zeros, to each subscriber as it discovers it")
 def test_a_bridge_that_is_killed_leaves_nobody_without_a_zero(server, observer) -> None:
     """Four subscribers, and two that have joined shortly before, whom its successor discovers last."""
-    chance, ways, unstopped = random.Random(10), list(WAYS), []
+    ways = sorted(WAYS, key="once".__eq__)  # last, so in full only: the test after the next has one of it
+    chance, unstopped = random.Random(10), []
     for number in range(DEATHS):
         bridge, way = server.bridge(), ways[number % len(ways)]
         topic, request = drive(server, observer, way, late_s=(chance.uniform(0.1, 1.0), chance.uniform(0.1, 1.0)))
@@ -63,6 +66,19 @@ def test_a_bridge_that_is_killed_leaves_nobody_without_a_zero(server, observer) 
         server.stop()
         end(server, observer, topic, request)
     assert unstopped == [], f"{len(unstopped)} of {DEATHS} deaths"
+
+
+@pytest.mark.promise("stopping", "after 4 s the server gives such a bridge up, and its successor sends the zero")
+def test_a_bridge_that_is_blocked_is_given_up_and_its_successor_sends_the_zero(server, observer) -> None:
+    """Nothing of it runs any more, as where its middleware blocks it."""
+    topic, request = drive(server, observer, "repeat")
+    blocked = server.bridge()
+    os.kill(blocked, signal.SIGSTOP)
+    until(lambda: server.bridge() not in (None, blocked), SUCCESSOR_S)
+    calm(observer, topic)
+    assert observer.comes_to_rest(topic, SUCCESSOR_S) == []
+    server.stop()
+    end(server, observer, topic, request)
 
 
 def test_a_driver_that_joined_later_and_asks_for_more_gets_a_zero_when_the_bridge_dies(start_server, observer) -> None:
@@ -98,6 +114,7 @@ def test_a_bag_played_onto_a_velocity_topic_is_followed_by_zero_when_its_bridge_
     assert observer.comes_to_rest(topic, SUCCESSOR_S) == []
 
 
+@pytest.mark.promise("README", "a repeat, relay or playback when it ends, whatever ends it")
 @pytest.mark.parametrize("how", ["SIGTERM", "SIGKILL"])
 def test_a_bag_played_onto_a_velocity_topic_is_followed_by_zero_when_its_server_ends(
     start_server, observer, how: str
@@ -137,6 +154,9 @@ def test_ros2_stop_after_a_bridge_died_beneath_a_bag_stops_what_the_bag_moved(st
     assert observer.comes_to_rest(topic, SUCCESSOR_S) == []
 
 
+@pytest.mark.promise("README", "At most 64 velocity topics are driven at a time, each with its fail-safe")
+@pytest.mark.promise("README", "one more is refused")
+@pytest.mark.promise("stopping", "A 65th velocity topic, because only 64 have a fail-safe")
 def test_the_sixty_fifth_topic_is_refused_and_the_first_keeps_its_zero(start_server, observer) -> None:
     server = start_server()
     topics = [fresh("many") for _ in range(66)]

@@ -158,6 +158,7 @@ def quarter(field: Field, topic: str) -> bool:
 WAYS = (publish, repeat, relay, feed, play)
 
 
+@pytest.mark.promise("README", "A velocity that is not a finite number is never sent")
 @pytest.mark.parametrize("kind", VELOCITY_TYPES)
 @pytest.mark.parametrize("way", WAYS, ids=[way.__name__ for way in WAYS])
 def test_nothing_arrives_that_is_not_finite_or_not_of_now(field, way, kind: str) -> None:

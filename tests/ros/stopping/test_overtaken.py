@@ -6,12 +6,14 @@ import os
 import random
 import signal
 import time
+from collections.abc import Callable
 from contextlib import suppress
 
 import pytest
 
 from support.agent import FULL, Refusal, until
-from support.driver import MOVING, WAYS, calm, fresh
+from support.driver import MOVING, WAYS, Driver, calm, fresh
+from support.observer import Observer
 from support.velocities import TWIST, speed
 
 ROUNDS = 200 if FULL else 5
@@ -24,6 +26,8 @@ SETTLED_S = 0.15
 REST_S = 1.0
 ACTION_S = 3.0
 """A goal is judged for 0.2 s and looks for its cancelling every 20 ms; the rest is a busy machine."""
+
+Way = Callable[[Driver, Observer, str], int]
 
 pytestmark = pytest.mark.timeout(1500 if FULL else 120)
 
@@ -49,6 +53,8 @@ def has_ended(observer, topic: str, answered_ns: int) -> None:
     assert observer.comes_to_rest(topic, REST_S) == []
 
 
+@pytest.mark.promise("ros2_stop", "what was accepted before and has not been sent is dropped")
+@pytest.mark.promise("stopping", "nothing is sent any more that was accepted before")
 def test_publishes_that_are_in_flight(server, observer, watched, chance) -> None:
     for _ in range(ROUNDS):
         sent = [WAYS["once"](server, observer, watched) for _ in range(20)]
@@ -59,23 +65,16 @@ def test_publishes_that_are_in_flight(server, observer, watched, chance) -> None
         has_ended(observer, watched, answered_ns)
 
 
-@pytest.mark.parametrize("way", ["once", "repeat"])
-def test_a_publish_that_waits_for_its_subscriber(server, observer, chance, way: str) -> None:
+def untyped(server: Driver, _: Observer, topic: str) -> int:
+    """One message whose type is still to be resolved."""
+    return server.tool("ros2_topic_publish", topic_name=topic, data=speed(TWIST, MOVING))
+
+
+@pytest.mark.parametrize("publish", [WAYS["once"], WAYS["repeat"], untyped])
+def test_a_publish_that_waits_for_its_subscriber(server, observer, chance, publish: Way) -> None:
     for _ in range(ROUNDS):
         topic = fresh("waits")
-        sent = WAYS[way](server, observer, topic)
-        time.sleep(chance.uniform(0.0, 0.2))
-        _, answered_ns = server.stop()
-        observer.join(by=topic, topic=topic, kind=TWIST)
-        server.outcome(sent)
-        has_ended(observer, topic, answered_ns)
-        observer.leave(by=topic)
-
-
-def test_a_publish_whose_type_is_still_to_be_resolved(server, observer, chance) -> None:
-    for _ in range(ROUNDS):
-        topic = fresh("untyped")
-        sent = server.tool("ros2_topic_publish", topic_name=topic, data=speed(TWIST, MOVING))
+        sent = publish(server, observer, topic)
         time.sleep(chance.uniform(0.0, 0.2))
         _, answered_ns = server.stop()
         observer.join(by=topic, topic=topic, kind=TWIST)
@@ -125,11 +124,44 @@ def test_a_goal_that_is_being_sent(server, observer, chance) -> None:
         assert {goal["status"] for goal in goals} <= {"canceled"}
 
 
+def test_publishes_calls_and_goals_that_are_in_flight_together(server, observer, watched, chance) -> None:
+    """10,000 of them in full, 50 in each round: 32 publishes, of which 8 repeat, 14 calls and 4 goals."""
+    action, service = fresh("together"), fresh("serves")
+    observer.act(action=action)
+    observer.serve(service=service, kind="std_srvs/srv/SetBool")
+    until(lambda: action in str(server.do("ros2_list_actions")) and service in str(server.do("ros2_service_list")))
+    call = {"service_name": service, "service_type": "std_srvs/srv/SetBool", "fields": {"data": True}}
+    ways = ["once"] * 24 + ["repeat"] * 8 + ["call"] * 14 + ["goal"] * 4
+    late = sent_in_all = 0
+    for _ in range(ROUNDS if FULL else 2):
+        observer.forget()
+        chance.shuffle(ways)
+        sent = [
+            server.tool("ros2_service_call", **call)
+            if way == "call"
+            else server.tool("ros2_send_action_goal", action_name=action, goal_fields={"order": 100})
+            if way == "goal"
+            else WAYS[way](server, observer, watched)
+            for way in ways
+        ]
+        time.sleep(chance.uniform(0.0, 0.3))
+        _, answered_ns = server.stop()
+        for request in sent:
+            server.outcome(request)
+        has_ended(observer, watched, answered_ns)
+        asked = [*observer.asked(service=service), *(goal["asked"] for goal in observer.goals_of(action=action))]
+        late += sum(at > answered_ns + LATEST_S * 1e9 for at in asked)
+        until(lambda: unended(observer, action) == [], ACTION_S)
+        sent_in_all += len(sent)
+    print(f"{sent_in_all} commands in flight, {late} left after the answer")
+    assert late == 0
+
+
 def unended(observer, action: str) -> list[dict]:
     return [goal for goal in observer.goals_of(action=action) if not goal["ended"]]
 
 
-@pytest.mark.parametrize("way", ["repeat", "relay", "feed", "playback"])
+@pytest.mark.parametrize("way", ["repeat", "relay", "feed", "playback", "drive"])
 def test_what_has_just_begun(server, observer, watched, chance, way: str) -> None:
     for _ in range(ROUNDS):
         sent = WAYS[way](server, observer, watched)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable
+from statistics import median
 
 import pytest
 
 from support.agent import Refusal, until
 from support.driver import Driver, fresh
 from support.observer import observing
-from support.standstill import undisturbed
+from support.standstill import STOOD_STILL_S, undisturbed
 from support.velocities import (
     ACKERMANN,
     NOT_FINITE,
@@ -58,6 +59,8 @@ def ways(server: Driver, topic: str, kind: str, data: dict) -> dict[str, Callabl
     }
 
 
+@pytest.mark.promise("README", "A velocity that is not a finite number is never sent")
+@pytest.mark.promise("stopping", "publish refuses it with the path of the field")
 @pytest.mark.parametrize("kind", VELOCITY_TYPES)
 def test_a_velocity_that_is_not_finite_is_refused_with_its_path_and_never_sent(server, observer, kind: str) -> None:
     topic = fresh("not_finite")
@@ -85,6 +88,8 @@ def test_a_number_that_a_float32_cannot_hold_is_refused(server, observer) -> Non
     assert observer.counts(topic=topic)[topic] == 0
 
 
+@pytest.mark.promise("README", "it stamps commands and zeros with the robot's own time")
+@pytest.mark.promise("stopping", "with the frame of the last command and the robot's time as its stamp")
 @pytest.mark.parametrize("kind", STAMPED)
 @pytest.mark.parametrize("stamp", [FUTURE, ZERO], ids=["future", "zero"])
 def test_motions_and_their_zeros_have_the_time_of_now_and_one_frame(server, observer, kind: str, stamp: dict) -> None:
@@ -145,9 +150,14 @@ def test_the_zero_of_a_relay_has_the_frame_of_what_it_passed_on(server, observer
     assert observer.misstamped(most_s=0.5, topic=topic) == []
 
 
+@pytest.mark.promise("README", "it stamps commands and zeros with the robot's own time")
+@pytest.mark.promise("stopping", "the last /clock where a subscriber of the topic uses simulated time")
 @pytest.mark.parametrize("factor", [0.1, 5.0])
 def test_a_robot_with_simulated_time_gets_its_own(environment, factor: float) -> None:
-    """The clock of the subscriber's node is the judge: it hears `/clock` as the bridge does."""
+    """The ticks of `/clock` are the judge. One that a busy machine delivers 20 ms late is 0.1 s at 5 x: of the single
+    message it is asked that its tick is not older than 0.1 s by the wall clock, of the middle one by the simulated one.
+    """
+    oldest_s = MOST_S * max(1.0, factor)
     with observing(environment) as observer:
         server = Driver(environment)
         try:
@@ -164,14 +174,17 @@ def test_a_robot_with_simulated_time_gets_its_own(environment, factor: float) ->
                 server.stop()
                 assert observer.comes_to_rest(topic, 1.0) == []
                 assert observer.driven(topic=topic)[topic] >= 10
-                return observer.misstamped(most_s=MOST_S, topic=topic)
+                ages_s = [abs(one["age_s"]) for one in observer.messages(topic=topic)]
+                late = [f"half are {median(ages_s):g} s off"] if median(ages_s) > MOST_S else []
+                return [*observer.misstamped(most_s=oldest_s, topic=topic), *late]
 
             until(lambda: off() == [])  # until now nobody needed the clock: the bridge has to discover it first
-            assert undisturbed(off) == []
+            assert undisturbed(off, shortest_s=min(STOOD_STILL_S, oldest_s / factor)) == []
         finally:
             server.end()
 
 
+@pytest.mark.promise("stopping", "else the wall clock")
 def test_a_robot_with_wall_time_is_not_misled_by_a_clock_that_somebody_else_follows(environment) -> None:
     with observing(environment) as observer:
         server = Driver(environment)

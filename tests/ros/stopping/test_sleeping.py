@@ -97,6 +97,8 @@ class Round:
         return (goal["ended"] - self.stopped_ns) / 1e9 if goal["status"] == "canceled" else float("inf")
 
 
+@pytest.mark.promise("README", "is stopped or sleeps (within 1.1 s)")
+@pytest.mark.promise("stopping", "the server is stopped (SIGSTOP), hangs, or its machine sleeps")
 def test_a_server_that_is_stopped_leaves_nothing_moving_for_longer_than_its_lease(server, observer, action) -> None:
     worst: dict[str, float] = {}
 
@@ -121,21 +123,23 @@ def test_a_server_that_is_stopped_leaves_nothing_moving_for_longer_than_its_leas
         assert max(took.values()) <= LIMIT_S, took
 
 
+@pytest.mark.promise("stopping", "when it goes on, its calls say what ended them")
 def test_what_was_ended_by_the_lease_says_so(server, observer, action) -> None:
     observer.forget()
     one = Round(server, observer, action)
     one.stop()
     one.go_on()
     assert "lease" in server.outcome(one.requests["repeat"])
-    assert "CANCELED" in server.outcome(one.goal)
+    goal = server.outcome(one.goal)
+    assert "CANCELED" in goal and "longer than the link lease" in goal
     assert "lease" in json.dumps(server.do("ros2_status"))
     relays = server.do("ros2_relay_list")["relays"]
     driven = {one.topics["relay"], one.topics["feed"]}
     ended = [relay for relay in relays if relay["destination_topic"] in driven]
-    assert {relay["state"] for relay in ended} <= {"failed", "stopped", "ended"}
+    assert [(relay["state"], "link lease" in relay["note"]) for relay in ended] == [("stopped", True)] * 2, ended
     playback_id = server.result(one.requests["playback"])["playback_id"]
     (playback,) = server.do("ros2_bag_play_status", playback_id=playback_id)["playbacks"]
-    assert playback["state"] in {"failed", "stopped"}
+    assert playback["state"] == "stopped" and "link lease" in playback["note"], playback
     one.end()
 
 

@@ -16,6 +16,8 @@ import socket
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
+from queue import Queue
 from typing import Any, TextIO
 
 import rclpy
@@ -46,6 +48,7 @@ class Peer:
         self.node = Node("peer", namespace=namespace)
         self.nodes = [self.node]
         self.group = ReentrantCallbackGroup()
+        self._asking = MutuallyExclusiveCallbackGroup()
         self.counts: Counter[str] = Counter()
         self.released = threading.Event()
         self.velocities: list[tuple[float, float]] = []
@@ -80,22 +83,34 @@ class Peer:
 
     def send_goal(self, action: str, order: int) -> str:
         """Send a goal as any other client does; returns its id."""
-        client = self._clients.setdefault(action, ActionClient(self.node, Fibonacci, action))
+        client = self._clients.setdefault(
+            action, ActionClient(self.node, Fibonacci, action, callback_group=self._asking)
+        )
         assert client.wait_for_server(timeout_sec=PATIENCE_S)
-        handle = _wait(client.send_goal_async(Fibonacci.Goal(order=order)))
+        handle = self._answer_of(lambda: client.send_goal_async(Fibonacci.Goal(order=order)))
         assert handle.accepted
         goal_id = bytes(handle.goal_id.uuid).hex()
         self._handles[goal_id] = handle
         return goal_id
 
+    def _answer_of(self, ask: Callable[[], Any]) -> Any:
+        """Ask in the turn of the action client's callbacks: rclpy drops an answer that comes before it has noted the
+        request, which another thread may be too late for.
+        """
+        asked: Queue[Any] = Queue()
+        timer = self.node.create_timer(0.0, lambda: (timer.cancel(), asked.put(ask())), callback_group=self._asking)
+        future = asked.get(timeout=PATIENCE_S)
+        self.node.destroy_timer(timer)
+        return _wait(future)
+
     def result(self, goal_id: str) -> list[Any]:
         """The status and the sequence of a goal sent from here."""
-        answer = _wait(self._handles[goal_id].get_result_async())
+        answer = self._answer_of(self._handles[goal_id].get_result_async)
         return [answer.status, list(answer.result.sequence)]
 
     def cancel(self, goal_id: str) -> int:
         """Cancel a goal sent from here; returns the code."""
-        return _wait(self._handles[goal_id].cancel_goal_async()).return_code
+        return self._answer_of(self._handles[goal_id].cancel_goal_async).return_code
 
     def call(self, service: str, data: bool) -> str:
         """Call a SetBool service of somebody else."""

@@ -17,6 +17,8 @@ from typing import Any
 
 MODERN, HANDSHAKE = "2026-07-28", "2025-11-25"
 CLIENT = {"name": "sockets by hand", "version": "1"}
+TOKEN = "of-the-tests-0123456789-0123456789-0123456789"
+"""As in `support/tokens.py`, which would bring the SDK."""
 PATIENCE_S = 30.0
 AT_ONCE = struct.pack("ii", 1, 0)
 """For SO_LINGER: closing resets the connection."""
@@ -63,6 +65,7 @@ class Client:
         return self.request("POST", self.endpoint, json.dumps(message), **headers)
 
     def request(self, method: str, path: str, body: str | None, **headers: str) -> http.client.HTTPConnection:
+        headers["Authorization"] = f"Bearer {TOKEN}"
         if self.session:
             headers["Mcp-Session-Id"] = self.session
         if self.transport != "sse":

@@ -8,9 +8,11 @@ project. Times are CLOCK_MONOTONIC in ns, which all processes of a machine share
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import math
 import re
+import struct
 import sys
 import threading
 import time
@@ -36,6 +38,9 @@ DEPTH = 20_000
 """More than any test publishes before the observer takes it: what is lost here would not be judged."""
 STEP_S = 0.02
 """How often an action looks whether it is cancelled."""
+MOST_APART = 20
+"""Where only this machine is searched, rmw_fastrtps asks the first 32 participants of a domain who they are; of two
+later ones, neither ever discovers the other. A dozen are left for the servers of a test."""
 NUMBERS = ("float", "double", "int", "uint", "byte", "octet")
 
 
@@ -81,9 +86,14 @@ class Goal:
 
 
 class Place:
-    """A node in a participant of its own, and the thread that serves it."""
+    """A node in a participant of its own, and the thread that serves it.
+
+    None is destroyed before this process ends: to destroy one while another leaves can deadlock in Fast DDS 2.14
+    (`set_listener` spins until a callback ends that waits for its lock), which hung 1 of some thousand rounds.
+    """
 
     def __init__(self, name: str, *, sim_time: bool = False, serves: bool = False) -> None:
+        self.sim_time = sim_time
         self.context = rclpy.Context()
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
         overrides = [Parameter("use_sim_time", value=True)] if sim_time else []
@@ -100,6 +110,8 @@ class Place:
         self.executor.shutdown(timeout_sec=0.5)
         self.context.try_shutdown()
         self._thread.join(1.0)
+
+    def destroy(self) -> None:
         with contextlib.suppress(Exception):
             self.node.destroy_node()
 
@@ -111,11 +123,11 @@ class Place:
 
 @dataclass
 class Subscriber:
-    """One of them; `own` is its place if nobody shares it."""
+    """One of them; `apart` if nobody shares its place."""
 
     handle: Any
     place: Place
-    own: bool
+    apart: bool
 
 
 @dataclass
@@ -125,6 +137,9 @@ class Observer:
     heard: list[Heard] = field(default_factory=list)
     subscribers: dict[str, Subscriber] = field(default_factory=dict)
     places: dict[str, Place] = field(default_factory=dict)
+    apart: list[Place] = field(default_factory=list)
+    """Places for one subscriber each; who leaves gives his to the next."""
+    vacant: list[Place] = field(default_factory=list)
     talkers: dict[str, threading.Event] = field(default_factory=dict)
     publishers: dict[str, Any] = field(default_factory=dict)
     requests: dict[str, list[int]] = field(default_factory=dict)
@@ -154,8 +169,12 @@ class Observer:
         """Let a subscriber go; what it got is kept."""
         subscriber = self.subscribers.pop(by)
         subscriber.place.node.destroy_subscription(subscriber.handle)
-        if subscriber.own:
-            subscriber.place.close()
+        if subscriber.apart:
+            self.vacant.append(subscriber.place)
+
+    def joined(self) -> list[str]:
+        """The names of all that subscribe."""
+        return list(self.subscribers)
 
     def matched(self, by: str) -> int:
         """How many publishers a subscriber has discovered; -1 while it has not joined."""
@@ -211,7 +230,7 @@ class Observer:
     def _join(self, by: str, topic: str, kind: str, **how: bool) -> None:
         sim_time, apart = how.get("sim_time", False), how.get("apart", False)
         if apart:
-            place = Place(by, sim_time=sim_time)
+            place = self._place_apart(sim_time)
         else:
             place = self.place("sim", sim_time=True) if sim_time else self.place("main")
         cls, node = interface(kind), place.node
@@ -221,6 +240,16 @@ class Observer:
 
         handle = node.create_subscription(cls, topic, hear, _profile(how.get("best_effort", False)), raw=True)
         self.subscribers[by] = Subscriber(handle, place, apart)
+
+    def _place_apart(self, sim_time: bool) -> Place:
+        for place in self.vacant:
+            if place.sim_time == sim_time:
+                self.vacant.remove(place)
+                return place
+        if len(self.apart) == MOST_APART:
+            raise ValueError(f"{MOST_APART} subscribers are apart already, more would not be discovered")
+        self.apart.append(Place(f"apart_{len(self.apart)}", sim_time=sim_time))
+        return self.apart[-1]
 
     def _hear(self, by: str, topic: str, node: Node, cls: type, data: bytes, info: dict[str, int]) -> None:
         at, unix_ns, robot_ns = time.monotonic_ns(), time.time_ns(), node.get_clock().now().nanoseconds
@@ -309,23 +338,46 @@ class Observer:
 
         threading.Thread(target=run, daemon=True).start()
 
+    def travel(self, topic: str, hz: float, speed: float) -> None:
+        """Tell the odometry of a robot that drives along x at that speed (m/s), whatever it is told, until `hush`."""
+        publisher, done = self._publisher(topic, "nav_msgs/msg/Odometry"), threading.Event()
+        message, began = interface("nav_msgs/msg/Odometry")(), time.monotonic()
+        self.talkers[topic] = done
+
+        def run() -> None:
+            while not done.wait(1.0 / hz):
+                message.pose.pose.position.x = speed * (time.monotonic() - began)
+                publisher.publish(message)
+
+        threading.Thread(target=run, daemon=True).start()
+
     def hush(self, topic: str) -> None:
-        """End what `talk` began, if it did."""
+        """End what `talk` or `travel` began, if it did."""
         if done := self.talkers.pop(topic, None):
             done.set()
 
     def pictures(self, topic: str, size: int, hz: float) -> None:
         """Publish images of a size in bytes at a rate, until `hush`."""
-        cls, done = interface("sensor_msgs/msg/Image"), threading.Event()
-        publisher = self._publisher(topic, "sensor_msgs/msg/Image")
-        message = serialize_message(cls(height=size // 1000, width=1000, step=1000, encoding="mono8", data=bytes(size)))
-        self.talkers[topic] = done
+        cls = interface("sensor_msgs/msg/Image")
+        message = cls(height=size // 1000, width=1000, step=1000, encoding="mono8", data=bytes(size))
+        self._repeat(topic, "sensor_msgs/msg/Image", [message], hz)
 
-        def run() -> None:
-            while not done.wait(1.0 / hz):
-                publisher.publish(message)
-
-        threading.Thread(target=run, daemon=True).start()
+    def large(self, poses: str, cloud: str, grid: str, hz: float) -> None:
+        """Publish 20,000 poses of which one changes each time (1.1 MB), a cloud of as many points, and a map of a
+        million cells, on these topics at a rate, until `hush`.
+        """
+        array, points = interface("geometry_msgs/msg/PoseArray"), interface("sensor_msgs/msg/PointCloud2")
+        pose, field = interface("geometry_msgs/msg/Pose"), interface("sensor_msgs/msg/PointField")
+        several = [array(poses=[pose()] * 20_000), array(poses=[pose()] * 20_000)]
+        several[1].header.frame_id = "other"
+        axes = [field(name=name, offset=4 * at, datatype=7, count=1) for at, name in enumerate("xyz")]
+        made = struct.pack("<60000f", *(math.sin(at) for at in range(60_000)))
+        seen = points(height=1, width=20_000, fields=axes, point_step=12, row_step=240_000, data=made)
+        cells = interface("nav_msgs/msg/OccupancyGrid")()
+        cells.info.resolution, cells.info.width, cells.info.height, cells.data = 0.05, 1000, 1000, [0] * 1_000_000
+        self._repeat(poses, "geometry_msgs/msg/PoseArray", several, hz)
+        self._repeat(cloud, "sensor_msgs/msg/PointCloud2", [seen], hz)
+        self._repeat(grid, "nav_msgs/msg/OccupancyGrid", [cells], hz)
 
     def offer(self, topic: str, kind: str) -> None:
         """Have a publisher that says nothing yet."""
@@ -363,6 +415,18 @@ class Observer:
 
         threading.Thread(target=run, daemon=True).start()
 
+    def _repeat(self, topic: str, kind: str, messages: list[Any], hz: float) -> None:
+        """Publish these in turn at a rate, until `hush`."""
+        publisher, done = self._publisher(topic, kind), threading.Event()
+        bodies = itertools.cycle([serialize_message(message) for message in messages])
+        self.talkers[topic] = done
+
+        def run() -> None:
+            while not done.wait(1.0 / hz):
+                publisher.publish(next(bodies))
+
+        threading.Thread(target=run, daemon=True).start()
+
     def _publisher(self, topic: str, kind: str) -> Any:
         if topic not in self.publishers:
             node = self.place("main").node
@@ -384,9 +448,11 @@ class Observer:
     def close(self) -> None:
         for done in self.talkers.values():
             done.set()
-        own = [subscriber.place for subscriber in self.subscribers.values() if subscriber.own]
-        for place in (*own, *self.places.values()):
+        places = (*self.apart, *self.places.values())
+        for place in places:
             place.close()
+        for place in places:
+            place.destroy()
 
 
 def _numbers(message: Any) -> list[float]:

@@ -6,6 +6,7 @@
 /signal_copy geometry_msgs/PointStamped: every message of /signal_steady again
 /signal_steady geometry_msgs/PointStamped: as /signal, without silence
 /sensor      sensor_msgs/Range: noise, stuck for 50 messages (1 s) in every 150, one NaN in 50
+/settings    std_msgs/Float64, latched: 50 messages at the beginning, then 5 Hz
 /pulse       std_msgs/Float64: 0, and 7 for one message in 100, at 200 Hz
 """
 
@@ -22,7 +23,7 @@ import time
 import rclpy
 from geometry_msgs.msg import PointStamped
 from rclpy.executors import ExternalShutdownException
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Range
 from std_msgs.msg import Float64
 
@@ -40,6 +41,10 @@ class Signals:
         self.publishers = {
             name: self.node.create_publisher(kinds.get(name, Float64), name, deep) for name in names
         }  # fmt: skip
+        latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.settings = self.node.create_publisher(Float64, "settings", latched)
+        for _ in range(50):
+            self.settings.publish(Float64())
         self.sent: dict[str, list[tuple[float, float, float]]] = {"signal": [], "signal_steady": []}
         self.began = time.monotonic()
         self.ticks = 0
@@ -51,6 +56,8 @@ class Signals:
         self.publishers["pulse"].publish(Float64(data=0.0 if self.ticks % 100 else 7.0))
         if self.ticks % 4:
             return
+        if self.ticks % 40 == 0:
+            self.settings.publish(Float64())
         t = time.monotonic() - self.began
         steady = self.point("signal_steady", t)
         self.publishers["signal_copy"].publish(steady)

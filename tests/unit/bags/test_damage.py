@@ -9,6 +9,7 @@ import struct
 import tracemalloc
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import lz4.frame
@@ -16,11 +17,11 @@ import pytest
 import zstandard
 from mcap.writer import CompressionType, Writer
 
-from ros2_mcp.bags import chunks
+from ros2_mcp.bags import chunks, sqlite_file
 from ros2_mcp.bags.bag import Bag
 from ros2_mcp.bags.stored import Hole, Span, StoredTopic
 from ros2_mcp.bags.writer import BagWriter
-from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.errors import BadData, Locked
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.times import iso_time
 
@@ -237,6 +238,44 @@ def database(path: Path, count: int, *, packed: bool = False) -> list[Message]:
     return messages
 
 
+def steps_to_read(path: Path, count: int, monkeypatch: pytest.MonkeyPatch, *, newest_first: bool) -> int:
+    """How many thousand instructions SQLite needs for that many messages of one moment."""
+    messages = database(path, count)
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("UPDATE messages SET timestamp = 1000")
+        connection.commit()
+    steps, connect = 0, sqlite_file._connect
+
+    def tell() -> None:
+        nonlocal steps
+        steps += 1
+
+    def counting(of: Path) -> sqlite3.Connection:
+        connection = connect(of)
+        connection.set_progress_handler(tell, 1000)
+        return connection
+
+    monkeypatch.setattr(sqlite_file, "_connect", counting)
+    file = sqlite_file.SqliteFile(path)
+    read = [sample.data for _, sample in file.messages(Span(None), newest_first)]
+    file.close()
+    monkeypatch.setattr(sqlite_file, "_connect", connect)
+    sent = [sample.data for _, sample in messages]
+    assert read == (sent[::-1] if newest_first else sent)
+    return steps
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_many_messages_of_one_moment_are_read_in_a_time_that_grows_as_they_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, newest_first: bool
+) -> None:
+    few, many = (
+        steps_to_read(tmp_path / f"{count}.db3", count, monkeypatch, newest_first=newest_first)
+        for count in (4_000, 16_000)
+    )
+    assert many < 6 * few
+
+
 METADATA = """rosbag2_bagfile_information:
   version: 5
   storage_identifier: sqlite3
@@ -417,3 +456,46 @@ def test_a_database_that_was_checked_in_part_can_be_written_and_the_check_goes_o
             connection.execute("UPDATE messages SET topic_id = topic_id")
         connection.close()
     assert bag.check(10)
+
+
+def test_a_database_that_somebody_writes_to_is_locked_and_not_damaged(
+    tmp_path: Path, open_bag: OpenBag, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sqlite_file, "_BUSY_S", 0.01)
+    path = tmp_path / "run_0.db3"
+    messages = database(path, 3000)
+    bag = open_bag(path)
+    reading = bag.messages()
+    read = [next(reading)]
+    with closing(sqlite3.connect(path, isolation_level=None)) as writer:
+        writer.execute("BEGIN EXCLUSIVE")
+        for ask in (lambda: open_bag(path), lambda: list(bag.messages()), lambda: list(reading), bag.counts):
+            with pytest.raises(Locked, match=r"run_0\.db3 is locked: another program writes to it\. It is not damaged"):
+                ask()
+        writer.execute("ROLLBACK")
+    assert list(bag.messages()) == messages and not (bag.problems or bag.holes) and read == messages[:1]
+
+
+@pytest.mark.parametrize("newest_first", [False, True])
+def test_a_database_can_be_written_between_the_messages_that_are_read(
+    tmp_path: Path, open_bag: OpenBag, newest_first: bool
+) -> None:
+    path = tmp_path / "run_0.db3"
+    messages = database(path, 3000)
+    read: list[Message] = []
+    with closing(sqlite3.connect(path, timeout=0)) as writer:
+        for number, message in enumerate(open_bag(path).messages(newest_first=newest_first)):
+            read.append(message)
+            if number % 500 == 0:
+                with writer:
+                    writer.execute("UPDATE messages SET topic_id = topic_id WHERE timestamp = 1000")
+    assert read == (messages[::-1] if newest_first else messages)
+
+
+def test_a_database_without_an_index_is_read(tmp_path: Path, open_bag: OpenBag) -> None:
+    path = tmp_path / "run_0.db3"
+    messages = database(path, 3000)
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("DROP INDEX timestamp_idx")
+        connection.commit()
+    assert list(open_bag(path).messages()) == messages

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from ros2_mcp_bridge.epoch import StopEpoch
+from ros2_mcp_bridge.latch import FILE, Latch
 from ros2_mcp_bridge.request import Cancelled, Request
 
 
@@ -56,7 +59,7 @@ def test_a_request_of_before_a_lapse_is_held_back_and_one_of_after_it_leaves() -
     stops.lapse()
     with pytest.raises(Cancelled) as held_back:
         before.leave()
-    assert (held_back.value.kind, held_back.value.ended_by) == ("stopped", "lease")
+    assert (held_back.value.kind, held_back.value.ended_by) == ("lapsed", "lease")
     assert stops.overtaken == []
     accepted(stops, 0).leave()
 
@@ -67,6 +70,17 @@ def test_a_request_that_only_reads_is_never_held_back() -> None:
     stops.raise_to(1)
     stops.lapse()
     reading.leave()
+
+
+def test_what_comes_too_late_never_leaves_and_what_comes_afterwards_does() -> None:
+    stops = StopEpoch()
+    stops.is_late = True
+    late = accepted(stops, 0)
+    stops.is_late = False
+    with pytest.raises(Cancelled) as held_back:
+        late.leave()
+    assert held_back.value.kind == "lapsed"
+    accepted(stops, 0).leave()
 
 
 def test_a_request_that_ends_already_is_no_work_for_the_stop() -> None:
@@ -89,3 +103,27 @@ def test_a_stop_learns_once_of_what_was_accepted_before_it_and_comes_only_then()
     assert stops.take_overtaken() == [before]
     assert stops.take_overtaken() == []
     assert list(stops.coming) == [after]
+
+
+def test_while_the_latch_is_set_nothing_leaves_whoever_has_set_it(tmp_path: Path) -> None:
+    stops, other = StopEpoch(Latch(tmp_path / FILE)), Latch(tmp_path / FILE)
+    before = accepted(stops, 0)
+    other.set(by="stopper", reason="the bridge was silent")
+    for request in (before, accepted(stops, 0)):
+        with pytest.raises(Cancelled) as held_back:
+            request.leave()
+        assert (held_back.value.kind, held_back.value.ended_by) == ("latched", "latch")
+    Request({"id": 1, "op": "call"}, b"").leave()  # what only reads, or cancels
+
+
+def test_a_reset_starts_nothing_that_was_accepted_before_it(tmp_path: Path) -> None:
+    stops, operator = StopEpoch(Latch(tmp_path / FILE)), Latch(tmp_path / FILE)
+    before = accepted(stops, 0)
+    stops.latch.set(by="watchdog", reason="too fast")
+    meanwhile = accepted(stops, 0)
+    operator.reset(by="operator", seen=operator.look().count)
+    with pytest.raises(Cancelled):
+        before.leave()
+    with pytest.raises(Cancelled):
+        meanwhile.leave()
+    accepted(stops, 0).leave()

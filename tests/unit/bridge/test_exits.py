@@ -18,8 +18,8 @@ from ros2_mcp_bridge.packets import pack
 
 SOURCE = Path(__file__).resolve().parents[3] / "src/ros2_mcp_bridge"
 EXITS = {
-    ".publish_raw(": {"publishers.py": 2},  # what others have made, and zeros
-    ".call_async(": {"clients.py": 2},  # calls, and fail-safes
+    ".publish_raw(": {"publishers.py": 2, "stopper.py": 1},  # what others have made, and zeros; zeros only
+    ".call_async(": {"clients.py": 1, "stopper.py": 1},  # calls, and fail-safes; fail-safes only
 }
 PATIENCE_S = 10.0
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from ros2_mcp_bridge.lease import LinkLease
+from ros2_mcp_bridge.packets import PacketError
 
 PATIENCE_S = 10.0
 LEASE_S = 0.2
@@ -91,6 +92,19 @@ def test_a_sleep_before_the_lease_does_not_count(stream) -> None:
     stream[1](b"x")
     lease.wait_readable()
     assert lapses == []
+
+
+def test_who_hears_nothing_for_too_long_has_no_server_any_more(stream) -> None:
+    """Also before the first ping, and after a lease has lapsed."""
+    lease = LinkLease(stream[0], lambda _: None, orphan_s=0.05)
+    with pytest.raises(PacketError, match="nothing came for"):
+        lease.wait_readable()
+    lapses: list[float] = []
+    lease = LinkLease(stream[0], lapses.append, orphan_s=0.2)
+    lease.renew(0.05)
+    with pytest.raises(PacketError):
+        lease.wait_readable()
+    assert len(lapses) == 1
 
 
 def test_the_end_of_the_stream_is_no_silence(stream) -> None:

@@ -175,3 +175,47 @@ def test_the_last_turn_tells_how_long_the_thread_hangs(loop: Loop) -> None:
     time.sleep(0.1)
     assert time.monotonic() - loop.last_turn >= 0.09
     release.set()
+
+
+def test_an_answer_that_cannot_be_given_keeps_nothing_else_of_its_turn_from_going_on(
+    loop: Loop, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def steps() -> Steps[str]:
+        yield 0.0
+        return "done"
+
+    def unanswerable(*_: object) -> None:
+        raise ValueError("no answer")
+
+    other = Outcome()
+    loop.submit(lambda: (loop.start(steps(), unanswerable), loop.start(steps(), other)))
+    assert other.wait().result == "done"
+    assert "no answer" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("way", ["submitted", "due"])
+def test_many_slow_ones_at_once_are_no_hang_and_hold_up_no_stop(loop: Loop, way: str) -> None:
+    """Such as 40 listings of a large graph: a server takes a turn that is too long for a hang, and kills the bridge."""
+    turns, stopped_after, begun = set[float](), list[int](), threading.Event()
+    done: list[int] = []
+
+    def slow() -> None:
+        begun.set()
+        turns.add(loop.last_turn)
+        time.sleep(0.01)
+        done.append(len(done))
+
+    def steps() -> Steps[None]:
+        yield 0.0
+        slow()
+
+    for _ in range(40):
+        loop.submit(slow if way == "submitted" else lambda: loop.start(steps(), Outcome()))  # type: ignore[arg-type]
+    assert begun.wait(PATIENCE_S)
+    loop.submit_first(lambda: stopped_after.append(len(done)))
+    deadline = time.monotonic() + PATIENCE_S
+    while len(done) < 40 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert done == list(range(40))
+    assert len(turns) > 10, "a turn ends after a few of them"
+    assert stopped_after[0] < 40

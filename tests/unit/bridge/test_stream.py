@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import pytest
 
+from ros2_mcp_bridge import stream
 from ros2_mcp_bridge.limits import BATCH_BYTES
 from ros2_mcp_bridge.packets import Packet, PacketError, PacketReader, pack
 from ros2_mcp_bridge.request import OperationError
@@ -42,7 +43,7 @@ def drained(queue: SampleQueue) -> tuple[list[bytes], dict[str, object]]:
     while queue.waiting:
         (packet,) = PacketReader().feed(queue.take_batch())
         header, rest = packet.header, packet.body
-        for _, _, _, size in packet.header["samples"]:
+        for _, _, _, size, _ in packet.header["samples"]:
             data.append(rest[:size])
             rest = rest[size:]
         assert rest == b""
@@ -76,6 +77,22 @@ def test_samples_share_a_packet_up_to_its_size_and_a_larger_one_has_its_own() ->
     assert [len(batch) for batch in batches] == [2, 1, 1]
 
 
+def test_of_a_sample_whose_head_was_asked_for_the_whole_size_is_told() -> None:
+    queue = SampleQueue(1, max_samples=10, max_bytes=1000)
+    queue.add([Sample(1, 2, 3, b"head", 0, whole=921_600), *samples_of(b"all")])
+    (packet,) = PacketReader().feed(queue.take_batch())
+    assert packet.header["samples"] == [[1, 2, 3, 4, 921_600], [0, 0, None, 3, 0]]
+
+
+def test_those_between_every_nth_count_as_received() -> None:
+    queue = SampleQueue(1, max_samples=1, max_bytes=1000)
+    queue.skipped += 8
+    queue.add(samples_of(b"old", b"new"))
+    (packet,) = PacketReader().feed(queue.take_batch())
+    assert (packet.header["received"], packet.header["dropped"]) == (10, 1)
+    assert queue.counts(0) == {"received": 10, "dropped": 1, "lost": 0}
+
+
 def test_totals_count_up_to_the_samples_of_their_packet() -> None:
     queue = SampleQueue(1, max_samples=10, max_bytes=100 * BATCH_BYTES)
     queue.add(samples_of(bytes(BATCH_BYTES), b"later"))
@@ -96,7 +113,7 @@ def test_replies_go_before_samples() -> None:
 def test_the_answer_to_an_end_follows_the_last_samples() -> None:
     outbox, queue = Outbox(), SampleQueue(1, 10, 1000)
     outbox.add_samples(queue, samples_of(b"sample"))
-    outbox.reply_after_samples(queue, 8, queue.counts(None))
+    outbox.reply_after_samples(queue, 8, None)
     packets = written_with_samples(outbox, 2)
     assert packets[0].header["event"] == "samples"
     assert packets[1].header == {"id": 8, "ok": {"received": 1, "dropped": 0, "lost": None}}
@@ -104,7 +121,7 @@ def test_the_answer_to_an_end_follows_the_last_samples() -> None:
 
 def test_without_samples_that_answer_goes_at_once() -> None:
     outbox, queue = Outbox(), SampleQueue(1, 10, 1000)
-    outbox.reply_after_samples(queue, 8, queue.counts(0))
+    outbox.reply_after_samples(queue, 8, 0)
     assert [packet.header["id"] for packet in written(outbox)] == [8]
 
 
@@ -166,3 +183,14 @@ def written_with_samples(outbox: Outbox, count: int) -> list[Packet]:
     os.close(writing)
     os.close(reading)
     return found
+
+
+def test_all_subscriptions_together_are_bounded_and_the_largest_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stream, "MOST_WAITING_BYTES", 1000)
+    outbox = Outbox()
+    large, small = (SampleQueue(number, max_samples=100, max_bytes=5000) for number in (1, 2))
+    outbox.add_samples(small, samples_of(b"s" * 100))
+    for _ in range(20):
+        outbox.add_samples(large, samples_of(b"l" * 100))
+    assert (small.dropped, large.dropped) == (0, 11)
+    assert small.bytes + large.bytes == 1000

@@ -10,7 +10,9 @@ import pytest
 pytest.importorskip("rclpy")
 
 from ros2_mcp_bridge import clock, publishers, velocities
+from ros2_mcp_bridge.limiter import Limiter
 from ros2_mcp_bridge.request import Request
+from ros2_mcp_bridge.velocity import VELOCITY_TYPES
 
 TWIST = "geometry_msgs/msg/Twist"
 MIXED: list[tuple[list[bool | None], bool | None]] = [
@@ -44,6 +46,9 @@ class Exit:
 
     def acknowledged(self) -> bool | None:
         return self._acked
+
+    def done(self) -> bool:
+        return self._acked is not False
 
 
 @pytest.fixture
@@ -88,6 +93,46 @@ def test_one_acknowledgement_does_not_stand_for_all(driven, told: list[bool | No
     assert topic.outcome()["acked"] is whole
 
 
+class Hours:
+    """A clock that is set forward by hand."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.mark.parametrize(("acked", "sent"), [(True, [2, 2, 2, 2, 2]), (None, [2, 4, 4, 6, 8])])
+def test_a_zero_is_sent_again_to_who_acknowledges_nothing(
+    driven, monkeypatch: pytest.MonkeyPatch, acked: bool | None, sent: list[int]
+) -> None:
+    monkeypatch.setattr(velocities, "time", clock := Hours())
+    topic = driven("/a", one := Exit(acked))
+    topic.about_to_move()
+    topic.commanded("")
+    topic.send_zero()
+    found, rests = [one.sent], list[bool]()
+    for clock.now in (100.11, 100.3, 100.41, 101.01):
+        topic.look_for_rest()
+        rests.append(not topic.moves)
+        topic.send_again()
+        found.append(one.sent)
+    topic.look_for_rest()
+    assert found == sent
+    assert [*rests, not topic.moves] == ([True] * 5 if acked else [False] * 4 + [True])
+
+
+def test_a_zero_is_not_sent_again_after_a_command(driven, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(velocities, "time", clock := Hours())
+    topic = driven("/a", one := Exit(None))
+    topic.send_zero()
+    topic.commanded("")
+    clock.now += 2.0
+    topic.send_again()
+    assert one.sent == 2 and not topic.waits_to_send_again
+
+
 def test_a_broken_message_on_the_clock_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     """Undecodable, or with nanoseconds that fit into no stamp."""
 
@@ -122,5 +167,13 @@ def test_nothing_is_kept_of_a_publisher_that_could_not_be_made(monkeypatch: pyte
     everything = velocities.Velocities(SimpleNamespace(forget=lambda _: None), print)  # type: ignore[arg-type]
     request = Request({"id": 1, "op": "publish", "topic": "/a", "type": TWIST, "qos": {}}, b"")
     with pytest.raises(RuntimeError):
-        publishers.Publisher(node=object(), graph=object(), velocities=everything, request=request)  # type: ignore[arg-type]
+        publishers.Publisher(
+            node=object(), graph=object(), velocities=everything, limiter=Limiter(False), request=request
+        )  # type: ignore[arg-type]
     assert everything._topics == {}
+
+
+@pytest.mark.promise("stopping", "A velocity command is a Twist, TwistStamped, AckermannDrive or AckermannDriveStamped")
+def test_the_types_that_keep_a_robot_moving_are_these() -> None:
+    names = [name.rpartition("/")[2] for name in VELOCITY_TYPES]
+    assert names == ["Twist", "TwistStamped", "AckermannDrive", "AckermannDriveStamped"]

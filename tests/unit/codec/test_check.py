@@ -22,6 +22,7 @@ def problem(definitions: Definitions, name: str, value: object, **options: bool)
     ("field", "given", "stored"),
     [
         ("f64", 1, 1.0), ("f64", "nan", "nan"), ("f64", "-inf", "-inf"), ("f32", 0.1, 0.1), ("f64", 2**60, 2.0**60),
+        ("f64", "NaN", "nan"), ("f32", "Infinity", "inf"), ("f64", "-INFINITY", "-inf"), ("f64", "+inf", "inf"),
         ("i8", 3.0, 3), ("i8", -128, -128), ("u64", str(2**64 - 1), 2**64 - 1),
         ("i64", "-9223372036854775808", -(2**63)), ("octet", 255, 255), ("flag", False, False),
     ],
@@ -116,6 +117,31 @@ def test_big_float32_values_in_lists_are_refused_and_infinities_kept(definitions
     assert check(definitions, name, {"values": [1.0, float("inf")]}).values.tolist() == [1.0, float("inf")]
     assert check(definitions, name, {"values": [1, "nan", 0.5]}).values[2] == 0.5
     assert problem(definitions, name, {"values": [1.0, 1e39]}).path == "values[1]"
+
+
+def test_a_list_of_integers_and_fractions_is_exact_or_refused(definitions: Definitions) -> None:
+    name = "std_msgs/msg/Float64MultiArray"
+    assert check(definitions, name, {"data": [1, 0.5, -(2**53)]}).data.tolist() == [1.0, 0.5, -(2.0**53)]
+    assert problem(definitions, name, {"data": [0.5, 2**53 + 1]}).path == "data[1]"
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "message"),
+    [
+        ("geometry_msgs/msg/PoseWithCovariance", {"covariance": {"$diagonal": [1, 2, 3]}}, "3 elements in $diagonal"),
+        ("geometry_msgs/msg/PoseWithCovariance", {"covariance": {"$diagonal": ["x"] * 6}}, '"x" given'),
+        ("geometry_msgs/msg/PoseWithCovariance", {"covariance": {"$diagonal": 1}}, "1 given"),
+        ("geometry_msgs/msg/PoseWithCovariance", {"covariance": {"$diagonal": [0] * 6, "x": 1}}, "given, float64[36]"),
+        (LISTS, {"three": {"$diagonal": [1, 2, 3]}}, "of a square matrix"),
+        ("unique_identifier_msgs/msg/UUID", {"uuid": {"$diagonal": [1] * 4}}, "of a square matrix"),
+        (LISTS, {"longs": {"$diagonal": [1]}}, "of a square matrix"),
+    ],
+)
+def test_a_diagonal_is_one_of_a_square_matrix(
+    definitions: Definitions, name: str, given: dict[str, object], message: str
+) -> None:
+    error = problem(definitions, name, given)
+    assert message in error.message and error.path.startswith(next(iter(given)))
 
 
 def test_a_summary_is_never_taken_for_a_value(definitions: Definitions) -> None:

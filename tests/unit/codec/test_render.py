@@ -11,6 +11,7 @@ from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.codec.render import Rendered, RenderOptions, example_of, render
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.text import visible_json
+from ros2_mcp.model.values import summarised
 
 LISTS = "odd_msgs/msg/Lists"
 SCAN = "sensor_msgs/msg/LaserScan"
@@ -54,6 +55,31 @@ def test_float32_is_shown_short_and_comes_back_exactly(codec: Codec) -> None:
     assert shown(codec.definitions, name, {"values": [0.1, -2.5]}).value["values"] == [0.1, -2.5]
 
 
+def test_numbers_without_a_fraction_are_written_without_one_and_come_back_bit_for_bit(codec: Codec) -> None:
+    name = "std_msgs/msg/Float64MultiArray"
+    values = {"data": [0.0, -0.0, 1.0, -2.0, 1e6, 2.0**53, 1e300, 0.1, "nan"]}
+    there_and_back(codec, name, values)
+    text = json.dumps(shown(codec.definitions, name, values).value["data"])
+    assert text == '[0, -0.0, 1, -2, 1000000, 9007199254740992, 1e+300, 0.1, "nan"]'
+    twist = shown(codec.definitions, "geometry_msgs/msg/Twist", {"linear": {"y": -0.0}}).value["linear"]
+    assert json.dumps(twist) == '{"x": 0, "y": -0.0, "z": 0}'
+
+
+def test_a_diagonal_covariance_is_shown_as_its_diagonal_and_comes_back_bit_for_bit(codec: Codec) -> None:
+    name, six = "geometry_msgs/msg/PoseWithCovariance", [0.001, 1e6, 0.0, "nan", -0.0, 3.5]
+    whole = [six[index // 7] if index % 7 == 0 else 0.0 for index in range(36)]
+    value = {"covariance": whole}
+    assert shown(codec.definitions, name, value).value["covariance"] == {"$diagonal": six}
+    there_and_back(codec, name, value)
+    inertia = {"k": [1.0, *[0.0] * 8]}
+    assert shown(codec.definitions, "sensor_msgs/msg/CameraInfo", inertia).value["k"] == [1, *[0] * 8]
+    assert shown(codec.definitions, name, value, exact=True).value["covariance"] == whole
+    for beside in (1e-9, -0.0):
+        value = {"covariance": [*whole[: 35 - 1], beside, whole[35]]}
+        assert isinstance(shown(codec.definitions, name, value).value["covariance"], list)
+        there_and_back(codec, name, value)
+
+
 def test_numbers_that_json_lacks_are_strings(definitions: Definitions) -> None:
     value = {"i64": -(2**53) - 1, "u64": 2**53, "f32": math.inf, "f64": math.nan}
     result = shown(definitions, "odd_msgs/msg/Numbers", value).value
@@ -64,10 +90,16 @@ def test_a_long_array_becomes_length_first_values_and_statistics_of_the_finite(d
     result = shown(definitions, SCAN, {"ranges": [1.0, 2.0, 3.0, "nan", "inf", "-inf"]}, max_array=2)
     assert result.value["ranges"] == {
         "$summary": "float32[]", "length": 6, "first": [1.0, 2.0], "omitted": 4,
-        "min": 1.0, "max": 3.0, "mean": 2.0, "nan": 1, "inf": 2,
+        "min": 1.0, "min_at": 0, "min_at_angle": 0, "max": 3.0, "mean": 2.0, "nan": 1, "inf": 2,
     }  # fmt: skip
     assert result.truncated == ["ranges"]
-    assert "Summarised: ranges." in result.hint
+    assert "Summarised: ranges." in summarised(result.truncated)
+
+
+def test_a_long_scan_says_where_its_smallest_range_is(definitions: Definitions) -> None:
+    scan = {"angle_min": -1.5, "angle_increment": 0.5, "ranges": ["nan", 2.0, "-inf", 9.0, 0.5, 3.0]}
+    ranges = shown(definitions, SCAN, scan, max_array=2).value["ranges"]
+    assert (ranges["min"], ranges["min_at"], ranges["min_at_angle"]) == (0.5, 4, 0.5)
 
 
 def test_summaries_of_other_lists(definitions: Definitions) -> None:
@@ -117,9 +149,9 @@ def test_the_budget_holds_for_anything(definitions: Definitions, budget: int) ->
 
 
 def test_the_budget_takes_no_more_than_it_must(definitions: Definitions) -> None:
-    value = {"ranges": [0.5] * 1000, "intensities": [1.0] * 10}
-    assert len(shown(definitions, SCAN, value).value["ranges"]["first"]) == 64
-    assert len(shown(definitions, SCAN, value, max_bytes=500).value["ranges"]["first"]) == 16
+    value = {"ranges": [0.1234567] * 1000, "intensities": [1.0] * 10}
+    assert len(shown(definitions, SCAN, value).value["ranges"]["first"]) == 16
+    assert len(shown(definitions, SCAN, value, max_bytes=480).value["ranges"]["first"]) == 4
     assert shown(definitions, SCAN, value, max_array=1000).truncated == []
 
 
@@ -188,5 +220,5 @@ def test_random_messages_come_back_within_the_bounds_or_say_that_they_were_cut(c
 
 
 def test_an_element_beyond_the_list_says_how_long_it_is(definitions: Definitions) -> None:
-    with pytest.raises(BadValue, match=r"ranges\[5\]: there is no element 5, it has 2"):
+    with pytest.raises(BadValue, match=r"ranges\[5\]: there is no element \[5\], only \[0\] to \[1\]\."):
         shown(definitions, SCAN, {"ranges": [0.1, 0.2]}, fields=["ranges[5]"])

@@ -2,8 +2,9 @@ import pytest
 
 from ros2_mcp.codec.check import check
 from ros2_mcp.codec.definitions import Definitions
-from ros2_mcp.codec.select import numeric_fields, parse_fields, value_at
+from ros2_mcp.codec.select import numeric_fields, parse_field, parse_fields, value_at
 from ros2_mcp.model.errors import BadValue
+from support.made_windows import CODEC
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 
@@ -43,3 +44,19 @@ def test_values_are_found_by_path_also_under_python_words(definitions: Definitio
     message = check(definitions, ODOMETRY, {"pose": {"pose": {"position": {"x": 2.5}}}})
     assert value_at(message, "pose.pose.position.x") == 2.5
     assert value_at(check(definitions, "odd_msgs/msg/Words", {"class": 4}), "class") == 4
+
+
+@pytest.mark.parametrize(
+    ("type_name", "path", "index"),
+    [
+        ("sensor_msgs/msg/LaserScan", "ranges", 1),
+        ("sensor_msgs/msg/LaserScan", "ranges[2:9:3]", 5),
+        ("sensor_msgs/msg/LaserScan", "ranges[-2:]", None),
+        ("sensor_msgs/msg/MultiEchoLaserScan", "ranges[1:].echoes", None),
+        ("sensor_msgs/msg/MultiEchoLaserScan", "ranges[1].echoes", 1),
+        ("sensor_msgs/msg/Imu", "orientation_covariance[-2:]", 8),
+        ("tf2_msgs/msg/TFMessage", 'transforms[child_frame_id == "a"].transform.translation.x', None),
+    ],
+)
+def test_the_place_of_an_element_is_told_only_where_it_is_certain(type_name: str, path: str, index: int | None) -> None:
+    assert parse_field(CODEC.definitions, type_name, path).element(1) == index

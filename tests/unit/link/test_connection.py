@@ -36,6 +36,18 @@ async def test_a_refusal_keeps_its_kind_message_and_hint() -> None:
     assert (refused.value.kind, str(refused.value)) == ("not_found", "no such node look")
 
 
+async def test_the_rules_of_a_policy_are_the_first_that_a_bridge_hears() -> None:
+    _, peer = await connected(rules=b'{"digest": "d"}')
+    assert [(packet.header["op"], packet.body) for packet in peer.heard] == [("policy", b'{"digest": "d"}')]
+
+
+async def test_a_bridge_that_does_not_take_the_rules_is_given_up() -> None:
+    connection, peer = await connected(rules=b"{}")
+    error = {"kind": "bad_request", "message": "These rules cannot be read.", "hint": ""}
+    peer.say({"id": (await peer.next("policy"))["id"], "error": error})
+    assert "does not take the policy: These rules cannot be read." in (await connection.run()).message
+
+
 async def test_cancelling_the_asker_cancels_that_request() -> None:
     connection, peer = await connected()
     ask = asyncio.ensure_future(connection.request("call", b"x", 5, {}))
@@ -43,6 +55,17 @@ async def test_cancelling_the_asker_cancels_that_request() -> None:
     ask.cancel()
     assert (await peer.next("cancel"))["request"] == request["id"]
     assert request["timeout_s"] == 5
+
+
+async def test_the_last_counts_of_a_relay_whose_asker_was_cancelled_are_told() -> None:
+    told: list[Any] = []
+    connection, peer = await connected(relay_ended=lambda *end: told.append(end))
+    ask = asyncio.ensure_future(connection.request("relay", b"", 5, {"name": "relay_1"}))
+    request = await peer.next("relay")
+    ask.cancel()
+    await peer.next("cancel")
+    peer.say({"id": request["id"], "ok": {"passed": 12}})
+    assert told == [("relay_1", {"passed": 12})]
 
 
 async def test_a_subscription_whose_asker_was_cancelled_is_ended_when_its_answer_comes() -> None:
@@ -157,8 +180,22 @@ async def test_a_ros_thread_that_hangs_ends_the_life_of_the_bridge() -> None:
     connection, peer = await connected()
     life = asyncio.ensure_future(connection.run())
     await asyncio.sleep(0.01)
-    peer.say({"id": 0, "ok": {"ros_idle_s": 4.4}})
+    peer.say({"id": 0, "ok": {"ros_idle_s": 4.4, "now_ns": 1, "sent_ns": 1}})
     assert "its ROS thread hangs since 4.4 s" in str(await life)
+
+
+@pytest.mark.parametrize("is_remote", [True, False])
+async def test_over_a_network_a_ping_tells_what_was_heard_last(is_remote: bool) -> None:
+    """By which the bridge knows how long it was under way: no clock of this machine has to be like that one's."""
+    connection, peer = await connected(is_remote=is_remote)
+    life = asyncio.ensure_future(connection.run())
+    peer.say({"id": 0, "ok": {"ros_idle_s": 0.0, "now_ns": 1, "sent_ns": 1, "steady_s": 12.5}})
+    while len(peer.pings) < 3:
+        await asyncio.sleep(0.01)
+    assert [ping.get("heard_s") for ping in (peer.pings[0], peer.pings[-1])] == (
+        [0.0, 12.5] if is_remote else [None] * 2
+    )
+    life.cancel()
 
 
 async def test_bytes_that_are_no_packet_end_the_connection() -> None:
@@ -208,6 +245,6 @@ async def subscribed(connection: Connection, peer: Peer, **bounds: Any) -> Subsc
 
 
 def samples(number: int, data: list[bytes], received: int, dropped: int = 0) -> tuple[dict[str, Any], bytes]:
-    rows = [[1, 0, None, len(one)] for one in data]
+    rows = [[1, 0, None, len(one), 0] for one in data]
     header = {"event": "samples", "sub": number, "samples": rows, "received": received, "dropped": dropped, "lost": 0}
     return header, b"".join(data)

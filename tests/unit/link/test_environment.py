@@ -43,6 +43,7 @@ def workspace(root: Path, line: str) -> Path:
     return root
 
 
+@pytest.mark.promise("README", "the newest, or --distro, is sourced for the bridge")
 def test_the_newest_known_release_is_chosen(tmp_path: Path) -> None:
     root = install(tmp_path, "jazzy", "humble", "kilted", "iron")
     assert find_ros(Settings(ros_root=root), BARE).distro == "kilted"
@@ -57,6 +58,7 @@ def test_an_unknown_release_is_newer_than_the_known_ones_and_older_than_rolling(
     ]
 
 
+@pytest.mark.promise("README", "the newest, or --distro, is sourced for the bridge")
 def test_the_asked_for_release_wins_over_newer_ones(tmp_path: Path) -> None:
     found = find_ros(Settings(ros_root=install(tmp_path, "humble", "jazzy"), distro="humble"), BARE)
     assert (found.kind, found.distro) == ("unsourced", "humble")
@@ -74,6 +76,7 @@ def test_nothing_at_all_names_the_one_command_that_helps(tmp_path: Path, monkeyp
     with pytest.raises(RosNotFound) as missing:
         find_ros(Settings(ros_root=tmp_path), BARE)
     assert f"Run: {own_provenance().installing('jazzy')};" in missing.value.hint
+    assert "--robot ssh://me@robot" in missing.value.hint
 
 
 @pytest.mark.usefixtures("no_wheels")
@@ -82,9 +85,11 @@ def test_a_platform_without_wheels_is_not_told_to_install_them(tmp_path: Path, m
     with pytest.raises(RosNotFound) as missing:
         find_ros(Settings(ros_root=tmp_path), BARE)
     assert "Run:" not in missing.value.hint
-    assert "no ROS 2 wheels for" in missing.value.hint
+    assert "no ROS 2 wheels for" in missing.value.hint and "--robot ssh://me@robot" in missing.value.hint
 
 
+@pytest.mark.promise("README", "a sourced shell")
+@pytest.mark.promise("README", "runs under the Python of ROS 2")
 def test_a_sourced_shell_wins_and_its_own_python_runs_the_bridge(tmp_path: Path) -> None:
     prefix = tmp_path / "opt" / "jazzy"
     packages = put_rclpy(prefix, "python3.99")
@@ -115,6 +120,7 @@ def test_another_release_than_the_sourced_one_starts_from_a_clean_environment(tm
     assert not {"AMENT_PREFIX_PATH", "PYTHONPATH", "ROS_DISTRO"} & set(found.environment)
 
 
+@pytest.mark.promise("README", "--workspace DIR sources an overlay on top")
 @pytest.mark.parametrize("given", ["", "install", "install/setup.bash"])
 def test_a_workspace_is_given_by_its_root_its_install_folder_or_its_file(tmp_path: Path, given: str) -> None:
     overlay = workspace(tmp_path / "my ws", "")
@@ -127,6 +133,7 @@ def test_a_workspace_that_was_never_built_is_refused(tmp_path: Path) -> None:
         find_ros(Settings(ros_root=install(tmp_path, "jazzy"), workspaces=(tmp_path / "src",)), BARE)
 
 
+@pytest.mark.promise("README", "--workspace DIR sources an overlay on top, and may be given more than once")
 def test_overlays_are_sourced_in_order_whatever_their_paths_contain(tmp_path: Path) -> None:
     """The real command, with a program that prints its environment in the place of Python."""
     root = install(tmp_path / 'it\'s "the" $root', "jazzy")
@@ -174,6 +181,12 @@ def test_the_environment_of_the_bridge_holds_nothing_of_our_own_python() -> None
         "ROS_DOMAIN_ID": "7",
         "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp",
     }
+
+
+def test_what_was_asked_for_of_the_environment_stands_above_what_was_sourced() -> None:
+    settings = Settings(robot_env=("CYCLONEDDS_URI=file:///x=y", "ROS_STATIC_PEERS="))
+    clean = clean_environment(settings, {"HOME": "/h", "CYCLONEDDS_URI": "old"}, keep_sourced=True)
+    assert clean == {"HOME": "/h", "CYCLONEDDS_URI": "file:///x=y", "ROS_STATIC_PEERS": ""}
 
 
 def test_without_a_home_the_log_of_ros_has_a_place() -> None:

@@ -32,6 +32,7 @@ def made(root: Path, monkeypatch: pytest.MonkeyPatch, files: dict[str, str], sou
     return own_provenance({})
 
 
+@pytest.mark.promise("README", "pipx install . and uv tool install . do as well")
 @pytest.mark.parametrize(
     ("prefix", "files", "editable", "way", "command"),
     [

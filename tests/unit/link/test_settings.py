@@ -1,5 +1,6 @@
 """What environment and command line make of the settings."""
 
+import os
 import re
 from dataclasses import fields
 from pathlib import Path
@@ -80,3 +81,9 @@ def test_a_bound_holds_for_an_option_and_for_its_variable(tmp_path: Path) -> Non
         Settings.from_environment({}, black_box_hours=float("nan"))
     with pytest.raises(BadInput, match=r"--bag \(ROS2_MCP_BAG\) is .*It must be a file or folder that exists\."):
         Settings.from_environment({"ROS2_MCP_BAG": str(tmp_path / "none")})
+
+
+def test_a_policy_of_the_variable_holds_besides_that_of_the_option() -> None:
+    env = {"ROS2_MCP_POLICY": os.pathsep.join(("hall.yaml", "nav"))}
+    assert Settings.from_environment(env).policy == ("hall.yaml", "nav")
+    assert Settings.from_environment(env, policy=("lab",)).policy == ("hall.yaml", "nav", "lab")

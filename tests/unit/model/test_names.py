@@ -26,6 +26,12 @@ def test_a_name_that_ros_does_not_allow_is_refused(given: str) -> None:
         names.absolute(given)
 
 
+def test_a_name_that_the_middleware_cannot_carry_is_refused_with_the_longest() -> None:
+    assert names.absolute("/" + "a" * 246)
+    with pytest.raises(BadName, match="at most 247"):
+        names.absolute("/" + "a" * 247)
+
+
 def test_a_private_name_is_refused_with_the_form_that_would_be_right() -> None:
     with pytest.raises(BadName, match="/node_name/pose"):
         names.absolute("~/pose")
@@ -83,6 +89,15 @@ def test_a_derived_type_leads_to_the_file_that_defines_it(derived: str, defining
 )
 def test_a_pattern_is_a_glob_or_any_part_of_a_name(pattern: str, chosen: list[str]) -> None:
     assert names.matching(["/scan", "/camera/image_raw", "/camera/info"], pattern) == chosen
+
+
+@pytest.mark.parametrize(
+    ("pattern", "chosen"),
+    [("laserscan", ["/front"]), ("std_srvs/*", ["/reset"]), ("*/SetBool", ["/reset"]), ("/reset", ["/reset"])],
+)
+def test_a_pattern_matches_types_too(pattern: str, chosen: list[str]) -> None:
+    types = {"/front": ["sensor_msgs/msg/LaserScan"], "/reset": ["std_srvs/srv/Empty", "std_srvs/srv/SetBool"]}
+    assert names.matching(sorted(types), pattern, types.__getitem__) == chosen
 
 
 def test_the_nearest_name_is_found_whatever_its_case() -> None:

@@ -64,6 +64,14 @@ def test_a_value_of_another_type_is_refused_where_it_stands(value: Any, declared
     assert caught.value.path == path
 
 
+@pytest.mark.parametrize("declared", ["integer", "string", "bool_array", "byte_array", "dynamic"])
+def test_a_long_value_is_not_repeated_in_its_error(declared: str) -> None:
+    value = [{"a": "x" * 1_000_000}] if declared in ("string", "dynamic") else "x" * 1_000_000 + "é"
+    with pytest.raises(BadValue) as caught:
+        parameters.as_message("p", value if declared != "byte_array" else [value], declared)
+    assert len(str(caught.value)) < 250 and "xxx" in str(caught.value)
+
+
 @pytest.mark.parametrize("declared", ["dynamic", "not_set"])
 @pytest.mark.parametrize(
     ("value", "kind"),

@@ -1,15 +1,31 @@
-"""Windows of signals made for the purpose."""
+"""Windows of signals made for the purpose, and a robot whose bridge is made for it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping
 from typing import Any
 
 import pytest
 
 from ros2_mcp.codec.definitions import Definitions
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.robot import Robot
+from support.made_bridge import MadeBridge, robot_of
 from support.made_windows import CODEC, START_NS, Make, Window, encoded
+
+
+@pytest.fixture
+def bridge() -> MadeBridge:
+    return MadeBridge()
+
+
+@pytest.fixture
+async def robot(bridge: MadeBridge) -> AsyncIterator[Robot]:
+    """A robot at that bridge; after the test no relay may be open."""
+    robot = robot_of(bridge)
+    yield robot
+    await robot.jobs.close()
+    assert not bridge.relays
 
 
 @pytest.fixture

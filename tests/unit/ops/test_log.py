@@ -6,6 +6,7 @@ import pytest
 
 from ros2_mcp.model.errors import BadInput, BadValue
 from ros2_mcp.ops import log
+from support.made_windows import START_NS, Make, Recorded
 
 NOW = 1_900_000_000_000_000_000
 
@@ -16,6 +17,8 @@ NOW = 1_900_000_000_000_000_000
         ("", 0),
         ("30", NOW - 30_000_000_000),
         ("0.5", NOW - 500_000_000),
+        ("30 s ago", NOW - 30_000_000_000),
+        ("last 2 min", NOW - 120_000_000_000),
         ("2030-01-31T12:00:00Z", 1_896_091_200_000_000_000),
         ("2030-01-31T12:00:00", 1_896_091_200_000_000_000),
         ("2030-01-31T13:00:00.250000+01:00", 1_896_091_200_250_000_000),
@@ -25,7 +28,7 @@ def test_a_time_is_seconds_ago_or_iso(given, expected) -> None:
     assert log.since(given, NOW) == expected
 
 
-@pytest.mark.parametrize("given", ["yesterday", "-3", "nan", "inf"])
+@pytest.mark.parametrize("given", ["yesterday", "-3", "nan", "inf", "30 s in"])
 def test_a_time_that_is_none_is_refused(given) -> None:
     with pytest.raises(BadValue, match="since"):
         log.since(given, NOW)
@@ -56,10 +59,26 @@ def test_an_unknown_level_is_refused_with_the_nearest() -> None:
     ],
 )
 def test_a_node_is_found_by_its_name_a_part_or_a_glob(wanted, expected) -> None:
-    assert log.is_node("arm.driver.left", wanted) is expected
+    assert log.is_node("arm.driver.left", wanted) is log.is_node("/arm/driver/left", wanted) is expected
 
 
 def test_a_text_is_found_whatever_its_case() -> None:
     assert log.has_text("The Arm is stuck", "arm")
     assert log.has_text("The Arm is stuck", "the * stuck")
     assert not log.has_text("The Arm is stuck", "arm*")
+
+
+async def test_of_a_recording_lines_also_count_from_its_beginning(window: Make) -> None:
+    said = [(i / 10, {"level": 20 + 10 * (i % 2), "name": "left.arm", "msg": f"line {i}"}) for i in range(6)]
+    source = Recorded([window("/rosout", "rcl_interfaces/msg/Log", said)])
+    source.began_ns = START_NS - 1_000_000_000
+    found = await log.read_recorded(source, log.LogRequest(level="warn", limit=2), 32_000)
+    assert {line.node for line in found.lines} == {"/left/arm"}
+    for node in ("/left/arm", "left.arm", "arm", "/left"):
+        asked = log.LogRequest(node=node, level="warn", limit=2)
+        assert (await log.read_recorded(source, asked, 32_000)).lines == found.lines
+    assert [line.text for line in found.lines] == ["line 3", "line 5"] and found.seconds_in == [1.3, 1.5]
+    assert found.summary() == "2 of 3 line(s), 6 in made. The newest 2 are shown."
+    for limit in (-1, 0):
+        with pytest.raises(BadInput, match="limit"):
+            await log.read_recorded(source, log.LogRequest(limit=limit), 32_000)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
 
 import pytest
 
@@ -11,21 +10,8 @@ from ros2_mcp.model.errors import BadInput, BridgeLost
 from ros2_mcp.ops import relay
 from ros2_mcp.ops.relay import Relay, RelayRequest, way
 from ros2_mcp.robot import Robot
-from support.made_bridge import NUMBER, MadeBridge, robot_of
+from support.made_bridge import NUMBER, MadeBridge
 from support.tasks import soon
-
-
-@pytest.fixture
-def bridge() -> MadeBridge:
-    return MadeBridge()
-
-
-@pytest.fixture
-async def robot(bridge: MadeBridge) -> AsyncIterator[Robot]:
-    robot = robot_of(bridge)
-    yield robot
-    await robot.jobs.close()
-    assert not bridge.relays
 
 
 def from_to(source: str, destination: str) -> RelayRequest:
@@ -64,6 +50,7 @@ async def test_the_same_relay_runs_once(robot: Robot) -> None:
         await relay.start(robot, from_to("/a", "/b"))
 
 
+@pytest.mark.promise("ros2_relay_list", "and the last that ended")
 async def test_a_relay_whose_bridge_is_lost_has_failed_and_says_so(bridge: MadeBridge, robot: Robot) -> None:
     await relay.start(robot, from_to("/a", "/b"))
     [running] = robot.jobs.running(Relay)
@@ -74,8 +61,20 @@ async def test_a_relay_whose_bridge_is_lost_has_failed_and_says_so(bridge: MadeB
     assert (told.state, told.note) == ("failed", "The bridge was lost.")
 
 
+@pytest.mark.promise("ros2_relay_stop", "returns its final counts")
 async def test_a_relay_that_is_stopped_tells_its_last_counts(robot: Robot) -> None:
     begun = await relay.start(robot, from_to("/a", "/b"))
     stopped = await relay.stop(robot, begun.relay_id)
     assert (stopped.state, stopped.passed, stopped.stopped_with_zero) == ("stopped", 5, False)
     assert (await relay.stop(robot, begun.relay_id)) == stopped
+
+
+async def test_a_relay_whose_client_has_gone_tells_the_last_counts_of_the_bridge_and_the_reason_once(
+    robot: Robot,
+) -> None:
+    await relay.start(robot, from_to("/a", "/b"))
+    [running] = robot.jobs.running(Relay)
+    await robot.stop_owned(running.owner, "the end of its client, which ended its session")
+    [told] = (await relay.list_relays(robot)).relays
+    assert (told.state, told.passed, told.elapsed_sec) == ("stopped", 12, 1.5)
+    assert told.note == "It was ended by the end of its client, which ended its session."

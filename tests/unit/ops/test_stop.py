@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from ros2_mcp.ops.stop import Stopped, StoppedGoal, StoppedTopic, _doubts, _facts, _unknown
@@ -9,6 +11,11 @@ from ros2_mcp.ops.stop import Stopped, StoppedGoal, StoppedTopic, _doubts, _fact
 ENDED = {"repeats": 0, "relays": 0, "dropped": [], "topics": []}
 
 
+@pytest.mark.promise("stopping", "The answer of ros2_stop names them")
+@pytest.mark.promise(
+    "README", "Confirmed means: every zero was acknowledged (or nobody listens), nobody else publishes on those topics"
+)
+@pytest.mark.promise("stopping", "a subscriber does not acknowledge (best effort), or discovery is still under way")
 @pytest.mark.parametrize(
     ("topic", "doubt"),
     [
@@ -41,6 +48,7 @@ def test_a_topic_is_still_only_if_everybody_who_listens_has_said_that_the_zero_a
     assert " ".join(_doubts([topic], [])) == doubt
 
 
+@pytest.mark.promise("README", "(or nobody listens)")
 def test_that_nobody_listens_is_said() -> None:
     assert _facts(ENDED, [StoppedTopic("/cmd_vell", 0, None)], [], {}) == ["Nobody subscribes to /cmd_vell now."]
     assert _facts(ENDED, [StoppedTopic("/cmd_vel", 0, None, unreached=1)], [], {}) == []
@@ -49,7 +57,7 @@ def test_that_nobody_listens_is_said() -> None:
 def test_what_cannot_be_stopped_is_named_up_to_a_bound() -> None:
     services = [f"/s{number} (std_srvs/srv/Trigger)" for number in range(30)]
     [doubt] = _unknown(services, ["/lamp (std_msgs/msg/Bool)"])
-    assert doubt.startswith("Since its start this server has called 30 service(s) and published on 1 topic(s)")
+    assert doubt.startswith("NOT judged: since its start this server has called 30 service(s) and published on 1")
     assert "/s9 (" in doubt and "/s10 (" not in doubt and "/lamp (std_msgs/msg/Bool)" in doubt
     assert _unknown([], []) == []
 
@@ -62,6 +70,7 @@ def test_goals_that_had_ended_are_not_counted_as_cancelled() -> None:
 
 def test_a_goal_that_goes_on_has_not_ended_already() -> None:
     goals = [StoppedGoal("/go", "a", "EXECUTING", False)]
-    stopped = Stopped(repeats_stopped=0, relays_stopped=0, topics=[], goals=goals, confirmed=False, note="")
+    nothing = Stopped(repeats_stopped=0, relays_stopped=0, topics=[], goals=goals, confirmed=False, note="")
+    stopped = replace(nothing, is_doubted=True)
     assert stopped.summary().startswith("NOT confirmed") and "0 had ended already" in stopped.summary()
     assert _doubts([], goals) == ["Goal a has not ended yet."]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from ros2_mcp.guard.policy import Policy
 from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.prompts.folder import PromptFolder
@@ -20,7 +19,7 @@ MakeFolder = Callable[..., tuple[PromptFolder, list[Mistake]]]
 
 @pytest.fixture
 def robot() -> Robot:
-    return Robot(Bridge(lambda: start_carrier(Settings())), Policy())
+    return Robot(Bridge(lambda: start_carrier(Settings())))
 
 
 @pytest.fixture

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import jsonschema
 import pytest
 from generate import served_tools
 
+from ros2_mcp.assembly import Assembly, assemble
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.prompts.base import base_prompts
 from ros2_mcp.prompts.prompt import Prompt
 from ros2_mcp.robot import Robot
+from ros2_mcp.settings import Settings
 from support.prompt_steps import steps_of
 
 CONTRACT: dict[str, dict[str, Any]] = {
@@ -48,7 +51,7 @@ NEEDED = {
 }
 LEAST_AND_MOST = [
     ("base.ros2-topic-echo-and-analyze", {"duration_sec": "0.1", "analysis_type": "statistics"}),
-    ("base.ros2-topic-echo-and-analyze", {"duration_sec": "45", "analysis_type": "rate"}),
+    ("base.ros2-topic-echo-and-analyze", {"duration_sec": "600", "analysis_type": "rate"}),
     ("base.ros2-topic-echo-and-analyze", {"analysis_type": "message_count"}),
     ("base.ros2-topic-relay", {"transform": "rate_limit", "target_rate_hz": "0.01", "duration_sec": "0"}),
     ("base.ros2-topic-relay", {"transform": "rate_limit", "target_rate_hz": "1000", "duration_sec": "86400"}),
@@ -58,18 +61,25 @@ LEAST_AND_MOST = [
         "base.ros2-node-health-check",
         {
             "expected_topics": "/imu, /scan",
-            "expected_services": '["/reset"]',
-            "check_rates": "false",
+            "expected_services": "['/reset']",
+            "check_rates": "False",
             "rate_check_duration_sec": "0.5",
             "min_expected_rate_hz": "0",
         },
     ),
-    ("base.ros2-node-health-check", {"rate_check_duration_sec": "45", "min_expected_rate_hz": "1000"}),
+    ("base.ros2-node-health-check", {"rate_check_duration_sec": "60", "min_expected_rate_hz": "1000"}),
     (
         "base.ros2-topic-diff-monitor",
         {"duration_sec": "0.1", "diff_fields": "a.b, c", "tolerance_percent": "0", "sync_by_timestamp": "false"},
     ),
-    ("base.ros2-topic-diff-monitor", {"duration_sec": "45", "tolerance_percent": "100"}),
+    ("base.ros2-topic-diff-monitor", {"duration_sec": "600", "tolerance_percent": "100"}),
+]
+EVERY_FORM = [
+    *((name, {}) for name in NEEDED),
+    *(
+        ("base.ros2-topic-echo-and-analyze", {"analysis_type": kind})
+        for kind in ("statistics", "rate", "message_count")
+    ),
 ]
 SCHEMAS = {tool.name: tool.input_schema for tool in served_tools()}
 
@@ -132,5 +142,54 @@ async def test_wrong_values_are_refused(robot: Robot, name: str, given: dict[str
     assert complaint in str(refused.value)
 
 
+async def test_a_prompt_takes_what_its_tools_take_and_says_that_it_is_long(robot: Robot) -> None:
+    maximum = {tool: SCHEMAS[tool]["properties"] for tool in ("ros2_topic_statistics", "ros2_topic_stats")}
+    assert {schema["duration"]["maximum"] for schema in maximum.values()} == {600}
+    name = "base.ros2-topic-diff-monitor"
+    assert "takes 600 s" in await text_of(robot, name, {"duration_sec": "600"})
+    assert "given up" not in await text_of(robot, name, {"duration_sec": "45"})
+
+
 async def test_a_prompt_is_short(robot: Robot) -> None:
     assert max([len(await text_of(robot, name, {})) for name in NEEDED]) < 1000
+
+
+async def tools_named(made: Assembly, name: str, given: dict[str, str]) -> tuple[str, set[str]]:
+    """The text of a prompt as a server gives it, and the tools that it names."""
+    text = "\n".join(message.text for message in await made.catalog.messages(name, {**NEEDED[name], **given}))
+    return text, set(re.findall(r"\bros2_\w+", text))
+
+
+async def test_every_tool_that_a_prompt_names_is_offered_by_default() -> None:
+    made = assemble(Settings())
+    for name, given in EVERY_FORM:
+        text, tools = await tools_named(made, name, given)
+        assert tools and tools <= made.toolset.by_name.keys()
+        assert "not possible here" not in text
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        Settings(read_only=True),
+        Settings(read_only=True, tools=("all",)),
+        *(Settings(tools=(group,)) for group in ("core", "measure", "relay", "lifecycle")),
+        Settings(tools=("core", "measure")),
+    ],
+    ids=lambda settings: f"{','.join(settings.tools) or 'default'}{' read-only' if settings.read_only else ''}",
+)
+async def test_a_prompt_names_no_tool_that_is_not_offered(settings: Settings) -> None:
+    made = assemble(settings)
+    for name, given in EVERY_FORM:
+        text, tools = await tools_named(made, name, given)
+        assert tools <= made.toolset.by_name.keys()
+        assert tools or "not possible here" in text
+
+
+async def test_a_prompt_that_is_not_possible_names_the_reason_and_every_group_it_needs() -> None:
+    text, _ = await tools_named(assemble(Settings(tools=("relay",))), "base.ros2-topic-echo-and-analyze", {})
+    assert text == (
+        "Analyze a topic: not possible here, because the option --tools relay,core,measure is needed. Tell the user so."
+    )
+    text, _ = await tools_named(assemble(Settings(read_only=True)), "base.ros2-topic-relay", {})
+    assert "because this server is read-only." in text

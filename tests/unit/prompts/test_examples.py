@@ -17,7 +17,7 @@ from ros2_mcp.prompts.mistakes import Mistake
 from ros2_mcp.tools import TOOLS
 from support.prompt_steps import steps_of
 
-EXAMPLES = Path(__file__).parents[3] / "examples/prompts"
+EXAMPLES = Path(__file__).parents[3] / "src/ros2_mcp_demo/prompts"
 MAVROS = {
     "mavros_msgs/msg/Waypoint": "uint8 frame\nuint16 command\nbool is_current\nbool autocontinue\nfloat32 param1\n"
     "float32 param2\nfloat32 param3\nfloat32 param4\nfloat64 x_lat\nfloat64 y_long\nfloat64 z_alt\n",
@@ -27,14 +27,12 @@ MAVROS = {
     + "".join(f"float32 param{number}\n" for number in range(1, 8))
     + "---\nbool success\nuint8 result\n",
     "mavros_msgs/msg/State": "bool connected\nbool armed\nbool guided\nstring mode\nuint8 system_status\n",
-    "std_msgs/msg/Float64": "float64 data\n",
-    "sensor_msgs/msg/NavSatFix": "float64 latitude\nfloat64 longitude\nfloat64 altitude\n",
+    "mavros_msgs/msg/WaypointList": "uint16 current_seq\nWaypoint[] waypoints\n",
     "mavros_msgs/srv/SetMode": "uint8 base_mode\nstring custom_mode\n---\nbool mode_sent\n",
 }
 TOPICS = {
     "/mavros/state": "mavros_msgs/msg/State",
-    "/mavros/global_position/rel_alt": "std_msgs/msg/Float64",
-    "/mavros/global_position/global": "sensor_msgs/msg/NavSatFix",
+    "/mavros/mission/waypoints": "mavros_msgs/msg/WaypointList",
 }
 HOME = {"HOME_LAT": 47.4, "HOME_LON": 8.5, "DEST_LAT": 47.4001, "DEST_LON": 8.5002}
 
@@ -123,12 +121,11 @@ async def test_the_mission_takes_off() -> None:
     assert copter.flies and copter.mode == "AUTO"
 
 
-async def test_the_height_is_waited_for_once_the_mission_has_begun() -> None:
+async def test_the_take_off_is_waited_for_once_the_mission_has_begun() -> None:
     steps = [arguments for _, arguments in await fetched()]
     began = next(index for index, step in enumerate(steps) if step.get("service_name") == "/mavros/cmd/command")
-    assert {"topic_name": "/mavros/global_position/rel_alt", "condition": "data > 15 - 1", "timeout": 120} in steps[
-        began:
-    ]
+    wait = {"topic_name": "/mavros/mission/waypoints", "condition": "current_seq >= 2", "timeout": 120}
+    assert wait in steps[began:]
 
 
 async def test_the_mission_is_pushed_before_the_motors_are_armed_and_started_right_after() -> None:
@@ -140,10 +137,10 @@ async def test_the_mission_is_pushed_before_the_motors_are_armed_and_started_rig
 @pytest.mark.parametrize(
     ("back", "land", "commands"),
     [
-        ("true", "true", [16, 22, 16, 16, 21]),
-        ("true", "false", [16, 22, 16, 16]),
-        ("false", "true", [16, 22, 16, 21]),
-        ("false", "false", [16, 22, 16]),
+        ("true", "true", [16, 22, 16, 19, 16, 21]),
+        ("true", "false", [16, 22, 16, 19, 16]),
+        ("false", "true", [16, 22, 16, 19, 21]),
+        ("false", "false", [16, 22, 16, 19]),
     ],
 )
 async def test_the_waypoints_follow_the_flags(back: str, land: str, commands: list[int]) -> None:

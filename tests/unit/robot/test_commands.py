@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+from dataclasses import replace
 from typing import Any, cast
 
 import pytest
 
+from ros2_mcp.guard.guard import Guard
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.commands import (
@@ -21,28 +22,17 @@ from ros2_mcp.model.commands import (
     SetParameters,
 )
 from ros2_mcp.model.errors import BadValue, Refused
+from ros2_mcp.model.goals import STATUS_TYPE
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.translation import as_meant
 from support.noting_bridge import CHOICE, EVERY, GOAL_ID, TWIST, UUID, Noting, call, goal, on
-
-
-@pytest.fixture
-def bridge() -> Noting:
-    return Noting()
-
-
-@pytest.fixture
-async def robot(bridge: Noting) -> AsyncGenerator[Robot, None]:
-    robot = Robot(cast(Bridge, bridge))
-    yield robot
-    await robot.jobs.close()
-    robot.failsafes.close()
+from support.tasks import soon
 
 
 @pytest.mark.parametrize("command", EVERY, ids=lambda command: type(command).__name__)
 async def test_of_a_refused_command_nothing_is_sent_left_or_known(bridge: Noting, command: Command[Any]) -> None:
-    robot = Robot(cast(Bridge, bridge), Policy(read_only=True))
+    robot = Robot(cast(Bridge, bridge), Guard(Policy(read_only=True)))
     with pytest.raises(Refused, match="read-only"):
         await robot.do(command)
     await asyncio.sleep(0)
@@ -83,6 +73,32 @@ async def test_a_goal_is_known_as_long_as_its_server_has_it(robot: Robot, bridge
     [known] = robot.jobs.all(Goal)
     assert (known.id, known.is_running, known.is_accepted) == (GOAL_ID, accepted, accepted)
     robot.goal_ended(GOAL_ID)
+
+
+async def test_a_goal_that_nobody_awaits_ends_with_what_its_action_tells(robot: Robot, bridge: Noting) -> None:
+    await robot.values.learn("made/action/Go", STATUS_TYPE)
+    bridge.answer = robot.values.encode_known("made/action/Go_SendGoal_Response", {"accepted": True})
+    other_id = GOAL_ID[::-1]
+    for goal_id in (GOAL_ID, other_id):
+        await robot.do(replace(goal(), goal_id=goal_id))
+
+    def tell(**codes: int) -> None:
+        states = [
+            {"goal_info": {"goal_id": {"uuid": list(bytes.fromhex(goal_id[1:]))}}, "status": code}
+            for goal_id, code in codes.items()
+        ]
+        body = robot.values.encode_known(STATUS_TYPE, {"status_list": states})
+        header: Any = {"samples": [(1, 1, 1, len(body), 0)], "received": 1, "dropped": 0, "lost": 0}
+        bridge.listening["/go/_action/status"].arrived(header, body)
+
+    await soon(lambda: list(bridge.listening) == ["/go/_action/status"])  # one for both
+    tell(**{f"_{GOAL_ID}": 2, f"_{other_id}": 4})
+    await soon(lambda: [known.id for known in robot.jobs.running(Goal)] == [GOAL_ID])
+    assert robot.moves_for(LOCAL)
+    await soon(lambda: bool(bridge.listening))
+    tell(**{f"_{GOAL_ID}": 5})
+    await soon(lambda: not robot.jobs.running(Goal) and not bridge.listening)
+    assert not robot.moves_for(LOCAL)
 
 
 async def test_a_second_goal_of_the_same_id_that_is_refused_leaves_the_first_known(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from ros2_mcp.link.carriers import start_carrier
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.samples import Sample
@@ -16,6 +18,14 @@ def ring(**bounds: int) -> LogRing:
 def line(number: int, level: int = 20, size: int = 20) -> Sample:
     data = b"\0\1\0\0" + number.to_bytes(8, "little") + bytes([level]) + bytes(size - 13)
     return Sample(number, number, None, data)
+
+
+@pytest.mark.promise("ros2_log_read", "(the newest 5000)")
+def test_the_newest_5000_lines_are_kept() -> None:
+    log = ring()
+    for number in range(5001):
+        log.add(line(number))
+    assert [sample.received_ns for sample in log.lines] == list(range(1, 5001))
 
 
 def test_the_oldest_lines_give_way_and_are_counted() -> None:

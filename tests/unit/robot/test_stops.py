@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
 from dataclasses import asdict
-from typing import Any, cast
+from typing import Any
 
 import anyio
 import pytest
 
-from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.commands import LOCAL, CancelGoals, Command, Principal, Publish, Record, Repeat
-from ros2_mcp.model.errors import BadValue, NotFound, Refused, Stopped
+from ros2_mcp.model.errors import LEASE, BadValue, NotFound, Refused, Stopped
 from ros2_mcp.model.qos import Choice, QoS
 from ros2_mcp.ops.stop import stop
+from ros2_mcp.ops.topics.publish import Repetition
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp_bridge.limits import MAX_FAILSAFES
@@ -23,20 +22,7 @@ from support.tasks import soon
 
 GONE = Principal(name="session 2", transport="http")
 ACTING = [command for command in EVERY if not isinstance(command, (CancelGoals, Record))]
-SENDING = {"publish", "repeat", "relay", "relay_feed", "call"}
-
-
-@pytest.fixture
-def bridge() -> Noting:
-    return Noting()
-
-
-@pytest.fixture
-async def robot(bridge: Noting) -> AsyncGenerator[Robot, None]:
-    robot = Robot(cast(Bridge, bridge))
-    yield robot
-    await robot.jobs.close()
-    robot.failsafes.close()
+SENDING = {"publish", "repeat", "move", "relay", "relay_feed", "call"}
 
 
 def name_of(command: Command[Any]) -> str:
@@ -47,6 +33,7 @@ def publish(topic: str = "/cmd_vel", value: object = None, **more: Any) -> Publi
     return Publish(**on(topic, value=value or {}, choice=CHOICE, wait_match_s=0.0) | more)
 
 
+@pytest.mark.promise("README", "What was accepted before it and has not been sent is not sent after it")
 @pytest.mark.parametrize("command", ACTING, ids=name_of)
 async def test_what_was_accepted_before_a_stop_is_not_sent_after_it(
     robot: Robot, bridge: Noting, command: Command[Any]
@@ -106,6 +93,17 @@ async def test_a_goal_that_was_never_sent_is_none_of_ours(robot: Robot, bridge: 
     assert not dropped.is_running and not dropped.was_sent
 
 
+@pytest.mark.parametrize(("kind", "reason"), [("stopped", "ros2_stop"), ("lapsed", LEASE)])
+async def test_what_the_bridge_held_back_says_whether_a_stop_or_the_link_lease_came_first(
+    robot: Robot, bridge: Noting, kind: str, reason: str
+) -> None:
+    bridge.refuse["repeat"] = kind
+    repetition = Repetition(robot, Repeat(**on("/cmd_vel", value={}, choice=CHOICE, wait_match_s=0.0)))
+    with pytest.raises(Stopped) as held_back:
+        await robot.jobs.run(repetition)
+    assert (held_back.value.reason, repetition.state, repetition.stop_reason) == (reason, "stopped", reason)
+
+
 async def test_a_goal_that_was_sent_is_known_although_its_server_went_out_of_sight(
     robot: Robot, bridge: Noting
 ) -> None:
@@ -156,6 +154,7 @@ async def test_a_subscriber_in_the_graph_that_was_not_matched_is_not_stopped(
 # ── what is driven ─────────────────────────────────────────────────────────────────────────────────────────────────
 
 
+@pytest.mark.promise("README", "one more is refused")
 async def test_the_topic_beyond_the_limit_is_refused_and_no_other_loses_its_fail_safe(
     robot: Robot, bridge: Noting
 ) -> None:
@@ -218,6 +217,7 @@ async def test_a_repeat_that_is_answered_late_does_not_end_what_was_commanded_si
     assert robot.moves_for(LOCAL)
 
 
+@pytest.mark.promise("stopping", "publish refuses it with the path of the field")
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), 1e400, "nan", "inf", "-inf"])
 @pytest.mark.parametrize("kind", [TWIST, STAMPED])
 async def test_a_velocity_that_is_not_finite_is_refused_and_named(
@@ -239,6 +239,7 @@ async def test_the_zero_of_a_successor_has_the_frame_of_the_last_command(robot: 
 # ── what has no known stop ─────────────────────────────────────────────────────────────────────────────────────────
 
 
+@pytest.mark.promise("README", "nobody knows how what they began is stopped, so it is not confirmed then")
 async def test_a_stop_names_what_it_cannot_stop_and_is_not_confirmed_then(robot: Robot, bridge: Noting) -> None:
     assert (await stop(robot)).confirmed
     await robot.do(call("std_srvs/srv/SetBool", "/grip", {"data": True}))
@@ -248,6 +249,34 @@ async def test_a_stop_names_what_it_cannot_stop_and_is_not_confirmed_then(robot:
         assert stopped.unknown_services == ["/grip (std_srvs/srv/SetBool)"]
         assert stopped.unknown_topics == ["/arm (std_msgs/msg/Int32)"]
         assert not stopped.confirmed and "/grip" in stopped.summary()
+
+
+CONFIGURING = [
+    call("rcl_interfaces/srv/SetParameters", "/lidar/set_parameters", {"parameters": []}),
+    call("lifecycle_msgs/srv/ChangeState", "/lidar/change_state", {"transition": {"label": "activate"}}),
+]
+
+
+@pytest.mark.promise("README", "Parameters that were set and lifecycle transitions are configuration")
+@pytest.mark.promise("stopping", "they are not named, and hinder no confirmation")
+@pytest.mark.parametrize("command", CONFIGURING, ids=("parameters", "transition"))
+async def test_configuring_a_node_hinders_no_confirmation(robot: Robot, bridge: Noting, command: Command[Any]) -> None:
+    await robot.do(command)
+    stopped = await stop(robot)
+    assert (bridge.sent.count("call"), stopped.unknown_services, stopped.confirmed) == (1, [], True)
+
+
+@pytest.mark.promise("stopping", "The text of the answer begins with what is confirmed, and says last what")
+async def test_what_is_confirmed_is_said_first_and_what_is_not_judged_last(robot: Robot, bridge: Noting) -> None:
+    await robot.do(call("std_srvs/srv/SetBool", "/grip", {"data": True}))
+    assert (await stop(robot)).summary().startswith("Nothing was stopped. ")
+    await robot.do(publish())
+    bridge.zeros = [{"topic": "/cmd_vel", "type": TWIST, "matched": 1, "acked": True}]
+    told = (await stop(robot)).summary()
+    assert told.startswith(
+        "Stopped, partly confirmed: 0 repeated publication(s) and 0 relay(s) ended, zero on 1 topic(s)"
+    )
+    assert "/grip" in told.partition("NOT judged: since its start")[2]
 
 
 async def test_a_service_that_was_not_there_or_a_call_that_was_stopped_has_set_nothing_in_motion(
@@ -296,6 +325,7 @@ async def test_a_stop_is_finished_although_its_call_is_cancelled(robot: Robot, b
     assert not robot.moves_for(LOCAL)
 
 
+@pytest.mark.promise("stopping", "the bridge was lost or could not be asked")
 async def test_a_bridge_that_cannot_be_asked_leaves_nothing_confirmed(robot: Robot, bridge: Noting) -> None:
     bridge.refuse["stop"] = "ros_error"
     stopped = await stop(robot)

@@ -3,6 +3,8 @@ from __future__ import annotations
 import inspect
 from dataclasses import replace
 
+import pytest
+
 from ros2_mcp.assembly import assemble
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.robot import Robot
@@ -46,10 +48,11 @@ def test_a_tool_stands_at_the_place_of_its_module_or_at_its_own() -> None:
     assert in_order([last, after, of_its_module, before]) == [before, of_its_module, after, last]
 
 
+@pytest.mark.promise("ros2_status", "what is not possible")
 async def test_the_status_gets_what_the_server_does_not_offer() -> None:
     made = assemble(Settings(tools=("core",)))
     tool = made.toolset.by_name["ros2_status"]
     assert any("ros2_plot" in limitation for limitation in tool.limitations)
     call = Call(robot=made.robot, store=made.store, report=silent, limitations=tool.limitations)
-    values = await values_for(tool.declaration.signature(), call, {})
+    values = await values_for(tool.declaration.makers(), call, {})
     assert values["limitations"] == made.toolset.limitations

@@ -20,6 +20,7 @@ class Arguments(BaseModel):
     items: list[Item]
     limit: Annotated[int, Field(ge=1)] = 5
     type: str | None = None
+    pattern: Annotated[str, Field(description="Which.")] = ""
 
 
 class Union(BaseModel):
@@ -58,9 +59,10 @@ def test_an_optional_argument_is_a_plain_one_that_keeps_its_bounds() -> None:
     assert rate == {"type": "number", "exclusiveMinimum": 0, "maximum": 10}
 
 
-def test_defaults_are_kept_but_for_null() -> None:
+def test_defaults_are_kept_but_for_null_and_empty_text() -> None:
     assert inputs()["properties"]["limit"]["default"] == 5
     assert "default" not in inputs()["properties"]["type"]
+    assert inputs()["properties"]["pattern"] == {"type": "string", "description": "Which."}
 
 
 def test_arguments_are_closed_at_every_depth() -> None:
@@ -69,7 +71,9 @@ def test_arguments_are_closed_at_every_depth() -> None:
 
 
 def test_a_result_that_may_be_null_says_so() -> None:
-    assert outputs()["properties"]["inner"]["items"]["properties"]["value"]["type"] == ["number", "null"]
+    assert outputs()["properties"]["inner"]["items"]["properties"]["value"] == {
+        "anyOf": [{"type": "number"}, {"type": "null"}]
+    }
 
 
 def test_an_object_of_any_shape_is_open() -> None:

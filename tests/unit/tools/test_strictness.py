@@ -8,6 +8,7 @@ import pytest
 
 from ros2_mcp.assembly import assemble
 from ros2_mcp.binding import BoundTool, CallFailed
+from ros2_mcp.model.text import quoted
 from ros2_mcp.ops.results import silent
 from ros2_mcp.settings import Settings
 
@@ -46,3 +47,43 @@ async def test_a_text_is_no_number_where_the_tool_acts(text: str) -> None:
 async def test_an_id_that_is_none_is_refused_beside_cancel_all() -> None:
     said = await refusal("ros2_cancel_action_goal", action_name="/go", goal_id_hex="the last one", cancel_all=True)
     assert said.startswith("BadValue: goal_id_hex: 'the last one' is not a goal id.")
+
+
+async def test_two_spellings_of_one_argument_are_refused_with_both() -> None:
+    twice = {"topic_name": "/a", "message_type": "std_msgs/msg/String", "msg_type": "std_msgs/msg/Int32"}
+    said = await refusal("ros2_topic_publish", **twice, data={"data": 1})
+    assert said.startswith("BadInput: 'message_type' and 'msg_type' are two names of one argument")
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "right"),
+    [
+        ("ros2_topic_publish", "topic_type", "message_type"),
+        ("ros2_topic_publish", "message", "data"),
+        ("ros2_topic_publish", "rate", "frequency"),
+        ("ros2_topic_subscribe", "topic_type", "msg_type"),
+        ("ros2_topic_subscribe", "topic", "topic_name"),
+        ("ros2_topic_subscribe", "count", "message_limit"),
+        ("ros2_topic_stats", "topic_name", "topic_names"),
+        ("ros2_service_call", "request", "fields"),
+        ("ros2_service_call", "type", "service_type"),
+        ("ros2_send_action_goal", "goal", "goal_fields"),
+        ("ros2_parameter_set", "parameters", "values"),
+        ("ros2_wait_until", "expression", "condition"),
+    ],
+)
+async def test_an_argument_of_another_name_is_refused_with_the_one_that_is_meant(
+    name: str, wrong: str, right: str
+) -> None:
+    assert f"{name} has no argument '{wrong}'. Did you mean {right}?" in await refusal(name, **{wrong: "x"})
+
+
+@pytest.mark.parametrize("more", [{"reason": "emergency"}, {"confirm": None}, {"a\ud800": 1}])
+async def test_what_stops_ignores_arguments_that_it_does_not_have_and_tells(more: dict[str, Any]) -> None:
+    checked, told = tool("ros2_stop")._checked(more)  # pyright: ignore[reportPrivateUsage] - nothing is stopped here
+    assert not checked.model_dump()
+    assert told == [f"ros2_stop has no argument {quoted(next(iter(more)))}: ignored."]
+
+
+async def test_a_name_that_is_no_text_is_told_as_one() -> None:
+    assert (await refusal("ros2_topic_list", **{"a\ud800": 1})).startswith("BadInput: the name of an argument: ")

@@ -69,7 +69,8 @@ async def cancel(
     command = CancelGoals(
         principal=robot.principal, name=action, goal_id="" if cancel_all else chosen, stamp=stamp, timeout_s=timeout_s
     )
-    return _cancellation(command.service, robot.fields_of(await robot.do(command)), cancel_all=cancel_all)
+    response = await robot.fields_of(await robot.do(command))
+    return _cancellation(command.service, response, cancel_all=cancel_all)
 
 
 def _cancellation(service: str, response: Mapping[str, Any], *, cancel_all: bool = False) -> Cancellation:

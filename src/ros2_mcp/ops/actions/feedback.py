@@ -72,7 +72,7 @@ async def follow_feedback(
         robot.listen(topic, f"{action_type}_FeedbackMessage", wait_s=SERVER_S) as listening,
     ):
         async for sample in listening.samples(duration_s):
-            rendered = robot.values.render(listening.type, sample.data)
+            rendered = await robot.values.render(listening.type, sample.data)
             sender = goal_id_hex(rendered.value["goal_id"]["uuid"])
             if only_goal not in (None, sender):
                 continue

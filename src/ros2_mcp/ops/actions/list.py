@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import UnknownInterface
 from ros2_mcp.robot import Robot
 
 
@@ -25,22 +25,17 @@ class ActionList:
     """The actions that have a server."""
 
     actions: Sequence[ActionEntry]
+    note: str = ""
 
     def summary(self) -> str:
         """One line."""
-        return f"{len(self.actions)} action(s)."
+        return f"{len(self.actions)} action(s). {self.note}".rstrip()
 
 
 async def list_actions(robot: Robot, pattern: str = "") -> ActionList:
-    """The actions with their types and the fields of their goals."""
-    types = await robot.types.actions()
-    entries: list[ActionEntry] = []
-    for name in names.matching(sorted(types), pattern):
-        action_type = types[name][0]
-        try:
-            await robot.values.learn(action_type)
-            fields = robot.values.field_types(f"{action_type}_Goal")
-        except UnknownInterface:  # the action can be named, though its goals cannot be described here
-            fields = {}
-        entries.append(ActionEntry(name, types[name], fields))
-    return ActionList(entries)
+    """The actions whose names or types match, with the fields of their goals."""
+    types, absence = await asyncio.gather(robot.types.actions(), robot.graph.absence())
+    chosen = names.matching(sorted(types), pattern, types.__getitem__)
+    fields, unknown = await robot.values.fields_of((types[name][0] for name in chosen), "_Goal")
+    entries = [ActionEntry(name, types[name], fields[types[name][0]]) for name in chosen]
+    return ActionList(entries, " ".join(filter(None, (absence, unknown))))

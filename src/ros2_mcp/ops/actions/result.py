@@ -9,11 +9,14 @@ from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import NotFound, TimedOut
+from ros2_mcp.model.errors import LEASE, NotFound, TimedOut
 from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_bytes, goal_id_hex
+from ros2_mcp.ops.actions.cancel_when import note_on
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
+from ros2_mcp.ops.endings import ended_by, reason_of
 from ros2_mcp.ops.results import Report, reporting, silent
 from ros2_mcp.robot import Answer, Robot
+from ros2_mcp.robot.goals import Goal
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 STATUS_AFTER_S = 1.0
@@ -50,9 +53,11 @@ async def request_result(
     *,
     timeout_s: float | None = 60.0,
     wait_for_service_s: float = SERVER_S,
+    waits: bool = True,
     report: Report = silent,
 ) -> GoalResult:
-    """Waits for the result of a goal, whoever sent it. A time-out does not cancel it.
+    """Waits for the result of a goal, whoever sent it, and if it `waits` for its server too. A time-out does not cancel
+    the goal.
 
     Raises:
         NotFound: if no such action is there, or its server left before the goal ended.
@@ -61,8 +66,10 @@ async def request_result(
     action = names.absolute(action, "action")
     wait_s = MAX_DURATION_S if timeout_s is None else bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
     goal_id = goal_id_hex(goal_id_bytes(goal_id))
-    if action_type and action not in await robot.types.actions():
-        action_type = names.interface_type(action_type, "action")  # its server may still have to appear
+    if waits and action_type and action not in await robot.types.actions():
+        near = await robot.types.near_action(action)
+        await report(0.0, wait_s, f"{action} is not there yet; waiting for it. {near}")
+        action_type = await robot.types.full_name(action_type, "action")  # its server may still have to appear
     else:
         action_type = await robot.types.action(action, action_type)
     async with reporting(report, wait_s, f"waiting for the result of {action}"):
@@ -103,11 +110,17 @@ async def result_of(
             return GoalResult(service, goal_id, True, timeout_s, 0, "TIMEOUT", note=note)
         finally:
             asking.cancel()
-    response = robot.values.render(answer.type, answer.body).value
+    response = (await robot.values.render(answer.type, answer.body)).value
     code = int(response["status"])
     if code in TERMINAL or code == 0:
-        robot.goal_ended(goal_id)
+        robot.goal_ended(goal_id, STATUS.get(code, ""))
     note = "The server does not know this goal: it never was, or it has been forgotten." if code == 0 else ""
+    goal = robot.jobs.get(Goal, goal_id)
+    if STATUS.get(code) == "CANCELED" and goal and robot.graph.lapsed_at > goal.started_at:
+        note = ended_by(LEASE)
+    elif STATUS.get(code) == "CANCELED" and goal and robot.graph.latched_at > goal.started_at:
+        note = ended_by(reason_of(robot, "latch"))
+    note = " ".join(filter(None, (note, note_on(robot, goal_id))))
     result = response["result"] if code in TERMINAL else None
     return GoalResult(service, goal_id, True, timeout_s, code, STATUS.get(code, str(code)), result, note)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import monotonic
@@ -14,8 +14,10 @@ from ros2_mcp.model import names
 from ros2_mcp.model.commands import SendGoal
 from ros2_mcp.model.errors import LinkError, NotFound, RobotError, TimedOut
 from ros2_mcp.model.goals import STATUS, goal_id_hex, new_goal_id
+from ros2_mcp.ops.actions.cancel_when import ConditionalCancel, asked_for, begin
 from ros2_mcp.ops.actions.result import STATUS_AFTER_S, result_of
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
+from ros2_mcp.ops.defaults import left_at_default
 from ros2_mcp.ops.results import Report, in_words, silent
 from ros2_mcp.robot import Answer, Listening, Robot
 from ros2_mcp.robot.goals import Goal
@@ -62,13 +64,15 @@ async def send_goal(
     action_type: str,
     goal: Mapping[str, Any],
     *,
+    cancel_when: str = "",
     wait_for_result: bool = False,
     timeout_s: float = 60.0,
     report: Report = silent,
 ) -> GoalOutcome:
     """Sends a goal, and waits for its result if asked to, reporting its feedback as progress.
 
-    A waiting that times out leaves the goal running; a waiting that is cancelled cancels the goal.
+    A waiting that times out leaves the goal running; a waiting that is cancelled cancels the goal. With `cancel_when`
+    the bridge cancels it as soon as that condition holds (see `asked_for`), also when nobody waits.
 
     Raises:
         NotFound: if no such action is there, or its server left.
@@ -87,6 +91,9 @@ async def send_goal(
         timeout_s=ACCEPT_S,
         wait_s=SERVER_S,
     )
+    watch: ConditionalCancel | None = None
+    if cancel_when.strip():
+        watch = await begin(robot, await asked_for(robot, action, action_type, command.goal_id, cancel_when))
     try:
         if not wait_for_result:
             return await _submit(robot, command, goal)
@@ -104,17 +111,35 @@ async def send_goal(
     except asyncio.CancelledError:
         await asyncio.shield(_give_up(robot, command))
         raise
+    finally:
+        if watch and not ((sent := robot.jobs.get(Goal, command.goal_id)) and sent.is_running):
+            await asyncio.shield(watch.stop())
+
+
+Heard = Callable[[Mapping[str, Any]], None]
+"""Is told each feedback of a goal, as JSON."""
+
+
+async def follow(robot: Robot, goal: Goal, report: Report = silent, heard: Heard = lambda _: None) -> GoalOutcome:
+    """Waits for the end of a goal that was sent, at most an hour, reporting its feedback as progress.
+
+    Raises:
+        NotFound: if its server left.
+    """
+    sent = GoalOutcome(goal.action, goal.action_type, True, goal.id, None)
+    topic, kind = f"{goal.action}/_action/feedback", f"{goal.action_type}_FeedbackMessage"
+    async with robot.listen(topic, kind, wait_s=SERVER_S) as listening:
+        return await _ending(robot, sent, listening, MAX_DURATION_S, report, heard)
 
 
 async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> GoalOutcome:
     """Sends the goal; returns when its server has said whether it accepts it."""
     await robot.values.learn(command.type)
-    missing = robot.values.missing_fields(f"{command.type}_Goal", goal)
     calling = asyncio.ensure_future(robot.do(command))
     try:
         accepted, stamp = True, await _accepted_meanwhile(robot, command, calling)
         if stamp is None:
-            response = robot.fields_of(await calling)
+            response = await robot.fields_of(await calling)
             accepted, stamp = bool(response["accepted"]), response["stamp"]
         elif sent := robot.jobs.get(Goal, command.goal_id):
             sent.is_accepted = True
@@ -133,7 +158,7 @@ async def _submit(robot: Robot, command: SendGoal, goal: Mapping[str, Any]) -> G
     if not accepted:
         rejected = "The action server rejected the goal; ros2_log_read may tell why."
         return replace(sent, status_code=-1, status=STATUS[-1], note=rejected)
-    return replace(sent, note=f"Sent with their default values: {', '.join(missing)}." if missing else "")
+    return replace(sent, note=left_at_default(robot.values.definitions, f"{command.type}_Goal", goal))
 
 
 async def _accepted_meanwhile(
@@ -151,7 +176,12 @@ async def _accepted_meanwhile(
 
 
 async def _ending(
-    robot: Robot, sent: GoalOutcome, listening: Listening, timeout_s: float, report: Report
+    robot: Robot,
+    sent: GoalOutcome,
+    listening: Listening,
+    timeout_s: float,
+    report: Report,
+    heard: Heard = lambda _: None,
 ) -> GoalOutcome:
     """Waits for the result of an accepted goal; takes its feedback meanwhile, and reports the newest."""
     count, last = 0, None
@@ -160,9 +190,10 @@ async def _ending(
         nonlocal count, last
         samples = await listening.take(first_within_s)
         for sample in samples:
-            message = robot.values.render(listening.type, sample.data).value
+            message = (await robot.values.render(listening.type, sample.data)).value
             if goal_id_hex(message["goal_id"]["uuid"]) == sent.goal_id:
                 count, last = count + 1, message["feedback"]
+                heard(message["feedback"])
         return bool(samples)
 
     async def follow() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from time import monotonic
@@ -12,15 +11,13 @@ from typing import Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound
-from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_hex, stamp_seconds
+from ros2_mcp.model.goals import STATUS, STATUS_TYPE, TERMINAL, goal_id_hex, stamp_seconds
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import Report, iso_time, reporting, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
-STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
-"""Of the latched topic `<action>/_action/status`, on which a server publishes the states of its goals."""
 SERVER_S = 3.0
 """For an action server that is coming up: its services are discovered one after the other, within 3 s of each other."""
 MAX_MESSAGES = 1000
@@ -97,12 +94,12 @@ async def states_now(robot: Robot, action: str, within_s: float = _LATCHED_S) ->
             samples = await listening.take(within_s)
     except NotFound:
         return []
-    return states_in(robot, samples[-1]) if samples else []
+    return await states_in(robot, samples[-1]) if samples else []
 
 
-def states_in(robot: Robot, sample: Sample) -> list[GoalState]:
+async def states_in(robot: Robot, sample: Sample) -> list[GoalState]:
     """The states in one message of the topic."""
-    message: Mapping[str, Any] = robot.values.in_full(STATUS_TYPE, sample.data)
+    message: Mapping[str, Any] = await robot.values.in_full(STATUS_TYPE, sample.data)
     return [
         GoalState(
             goal_id_hex(entry["goal_info"]["goal_id"]["uuid"]),
@@ -133,7 +130,7 @@ async def follow_status(
         robot.listen(topic, STATUS_TYPE, wait_s=SERVER_S) as listening,
     ):
         async for sample in listening.samples(duration_s):
-            frames.append(StatusFrame(iso_time(sample.received_ns), states_in(robot, sample)))
+            frames.append(StatusFrame(iso_time(sample.received_ns), await states_in(robot, sample)))
             if len(frames) >= max_messages:
                 break
     note = "" if frames else "Its server has not told of any goal yet."
@@ -149,8 +146,8 @@ async def all_goals(robot: Robot) -> KnownGoals:
         for state in states:
             is_ours = robot.jobs.get(Goal, state.goal_id) is not None
             if state.status_code in TERMINAL:
-                robot.goal_ended(state.goal_id)
-            age_s = time.time() - stamp_seconds(state.accept_stamp)
+                robot.goal_ended(state.goal_id, state.status)
+            age_s = robot.now_ns() / 1e9 - stamp_seconds(state.accept_stamp)
             shown_age = round(age_s, 3) if abs(age_s) < _OTHER_CLOCK_S else None
             goals.append(KnownGoal(action, state.goal_id, state.status_code, state.status, shown_age, is_ours))
     note = "" if goals else "No goal has been sent yet, or the servers have forgotten them."

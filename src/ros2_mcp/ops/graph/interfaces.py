@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadName, UnknownInterface
+from ros2_mcp.model.errors import BadName
 from ros2_mcp.ops.results import list_note
 from ros2_mcp.robot import Robot
-
-KINDS = ("msg", "srv", "action")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +49,10 @@ class Definition:
 async def list_interfaces(
     robot: Robot, pattern: str = "", kind: str = "", package: str = "", limit: int = 200
 ) -> InterfaceList:
-    """The interfaces installed where the bridge runs."""
-    if kind and kind not in KINDS:
-        raise BadName(f"{kind!r} is not a kind of interface.", f"Give one of {', '.join(KINDS)}.")
-    installed = await robot.graph.interfaces()
+    """The interfaces installed where the bridge runs; of a recording those that it has."""
+    if kind and kind not in names.KINDS:
+        raise BadName(f"{kind!r} is not a kind of interface.", f"Give one of {', '.join(names.KINDS)}.")
+    installed = [name for name in await robot.graph.interfaces() if not names.is_derived(name)]
     chosen = [
         name
         for name in names.matching(installed, pattern)
@@ -64,12 +62,13 @@ async def list_interfaces(
 
 
 async def define(robot: Robot, type_name: str) -> Definition:
-    """The definition of a message, service or action; `pkg/Name` finds the kind by itself.
+    """The definition of a message, service or action; `pkg/Name` and `Name` find the rest by themselves.
 
     Raises:
+        TypeConflict: if several have this name.
         UnknownInterface: if it is not installed where the bridge runs.
     """
-    full = await _full_name(robot, type_name)
+    full = await robot.types.full_name(type_name)
     await robot.values.learn(full)
     interface = robot.values.definitions.interface(full)
     fields = {side: {field.name: str(field.type) for field in made.fields} for side, made in interface.sides.items()}
@@ -82,17 +81,3 @@ async def define(robot: Robot, type_name: str) -> Definition:
         examples={side: robot.values.example(made.type) for side, made in interface.sides.items()},
         hash=robot.values.definitions.hash(full) if is_message else "",
     )
-
-
-async def _full_name(robot: Robot, type_name: str) -> str:
-    """`std_srvs/SetBool` is `std_srvs/srv/SetBool`: the first kind under which the name is installed."""
-    text = type_name.strip()
-    if text.count("/") == 2:
-        return names.interface_type(text, text.split("/")[1])
-    candidates = [names.interface_type(text, kind) for kind in KINDS]
-    installed = await robot.graph.interfaces()
-    for name in candidates:
-        if name in installed:
-            return name
-    near = names.did_you_mean(candidates[0], installed, "ros2_interface_list shows what is there.")
-    raise UnknownInterface(f"{type_name} is not installed where the bridge runs.", near)

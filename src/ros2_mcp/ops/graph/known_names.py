@@ -76,6 +76,7 @@ async def _actions(robot: Robot, within_s: float) -> list[str]:
 async def _message_types(robot: Robot, within_s: float) -> list[str]:
     """The types that the topics have, then every other message type that is installed."""
     in_use = sorted({kind for row in await robot.graph.topics(within_s) for kind in row.types})
+    in_use = [name for name in in_use if not names.is_derived(name)]
     installed = [name for name in await robot.graph.interfaces(within_s) if "/msg/" in name]
     return [*in_use, *(name for name in installed if name not in set(in_use))]
 

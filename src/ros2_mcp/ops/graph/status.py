@@ -7,15 +7,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 
+from ros2_mcp.guard.consent import Auditing
+from ros2_mcp.guard.state import RESET_HINT, latched
+from ros2_mcp.ops.results import microseconds
 from ros2_mcp.robot import Robot
 
+NO_POLICY = "none is in force, whatever fits its definition is sent"
+_OTHER_CLOCK_S = 0.5
+"""Less matters to nobody: tf2 and people wait for tenths of a second. Far above what a long way leaves uncertain."""
 _LAST_RESTARTS = 5
 """The reasons of the last ones are enough to see a pattern; `bridge_starts` counts all."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """The state of the server and its bridge; `limitations` says in words what is not possible here and why."""
+    """The state of the server and its bridge; `limitations` says in words what is not possible here and why.
+
+    `policy` names what is in force, or says that nothing is; `policy_strength` and `policy_digest` are then empty.
+    `mode` is what holds now: the policy's, or the stricter one that the operator has chosen. `latched`: nothing acts
+    until an operator resets the latch. `audit_head` is the end of the audit: who copies it can tell later whether all
+    was written anew. `clock_offset_s` is how far the robot's clock, by which all its times are, is ahead of this
+    machine's (0 where they cannot be told apart); `link_rtt_s` is how long the way to the bridge and back takes at
+    least. Both are null until they are known.
+    """
 
     server_version: str
     python: str
@@ -29,16 +43,28 @@ class Status:
     bridge_restarts: Sequence[str]
     bridge_uptime_s: float
     bridge_memory_bytes: int
+    clock_offset_s: float | None
+    link_rtt_s: float | None
     subscriptions: int
     publishers: int
     service_clients: int
     read_only: bool
+    policy: str
+    policy_strength: str
+    policy_digest: str
+    mode: str
+    audit_head: str
+    latched: bool
     ros_found: str
+    robot_seen: bool
+    note: str
     limitations: Sequence[str]
 
     def summary(self) -> str:
         """One line."""
-        return f"ROS 2 {self.distro} with {self.rmw}, domain {self.domain_id}; bridge {self.bridge_node} is up."
+        ros = f"ROS 2 {self.distro} with {self.rmw}, domain {self.domain_id}; bridge {self.bridge_node} is up."
+        strength = f" ({self.policy_strength})" if self.policy_strength else ""
+        return f"{ros} Policy: {self.policy}{strength}. {self.note}".rstrip()
 
 
 async def status(robot: Robot, limitations: Sequence[str] = ()) -> Status:
@@ -48,11 +74,22 @@ async def status(robot: Robot, limitations: Sequence[str] = ()) -> Status:
         LinkError: saying what is missing, if there is no bridge.
     """
     bridge = await robot.graph.bridge_status()
+    absence = await robot.graph.absence()
     found = list(limitations)
+    in_force = " and ".join(document.name for document in robot.policy.documents) or NO_POLICY
     if robot.policy.read_only:
         found.append("Tools that write are absent: the server was started read-only.")
+    if (latch := robot.guard.latch.look()).is_set:
+        found.append(f"Nothing acts: {latched(latch)} {RESET_HINT}")
+    auditing = robot.guard.audit
+    if isinstance(auditing, Auditing) and auditing.log.failed:
+        found.append(f"The audit cannot be written: {auditing.log.failed}.")
+    if other := robot.guard.server_lock.other():
+        found.append(other)
     if bridge.executor == "SingleThreadedExecutor":
         found.append("This rclpy has no EventsExecutor: service calls take a little longer.")
+    if other_clock := _other_clock(bridge.clock_offset_s):
+        found.append(other_clock)
     if lapses := robot.graph.lapses:
         found.append(
             f"The link lease has lapsed {len(lapses)} time(s), the last time after this server had been silent for "
@@ -71,10 +108,30 @@ async def status(robot: Robot, limitations: Sequence[str] = ()) -> Status:
         bridge_restarts=bridge.restarts[-_LAST_RESTARTS:],
         bridge_uptime_s=bridge.uptime_s,
         bridge_memory_bytes=bridge.memory_bytes,
+        clock_offset_s=microseconds(bridge.clock_offset_s),
+        link_rtt_s=microseconds(bridge.link_rtt_s),
         subscriptions=bridge.subscriptions,
         publishers=bridge.publishers,
         service_clients=bridge.clients,
         read_only=robot.policy.read_only,
+        policy=in_force,
+        policy_strength=robot.guard.strength if robot.policy.in_force else "",
+        policy_digest=robot.policy.digest,
+        mode=robot.guard.mode if robot.policy.in_force else "",
+        audit_head=auditing.log.head.short if isinstance(auditing, Auditing) else "",
+        latched=latch.is_set,
         ros_found=bridge.found,
+        robot_seen=not absence,
+        note=absence,
         limitations=found,
+    )
+
+
+def _other_clock(offset_s: float | None) -> str:
+    """In words, that the clocks of robot and server differ; empty where that matters to nobody."""
+    if offset_s is None or abs(offset_s) < _OTHER_CLOCK_S:
+        return ""
+    return (
+        f"The robot's clock is {abs(offset_s):.1f} s {'ahead of' if offset_s > 0 else 'behind'} this machine's. All "
+        "times of the robot are by its own clock, and a time that is given to a tool is one of that clock."
     )

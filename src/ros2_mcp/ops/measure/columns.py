@@ -6,7 +6,7 @@ So a recording of any size is measured in bounded memory. Import it inside funct
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +17,9 @@ from ros2_mcp.codec.cdr import Codec, Message
 from ros2_mcp.codec.select import FieldPath
 from ros2_mcp.model.errors import BadData, BadValue
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.times import recorded_time
+from ros2_mcp.ops.measure.flow import Holes, rate_hz
 from ros2_mcp.ops.measure.signals import Numbers, flat
-from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.sources.selection import undecodable
 
 if TYPE_CHECKING:
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
 MOST_ROWS = 1_000_000
 """Messages of one topic whose values are kept: an IMU at 200 Hz for 80 minutes. Looking for jumps takes ten times the
 memory of one column, 80 MB."""
+
+
+_WHOLE = {"int64": np.int64, "uint64": np.uint64}
+"""Whole numbers that float64 rounds: equal ones are told by these."""
 
 
 @dataclass
@@ -38,26 +43,40 @@ class Room:
 
 
 class Arrivals:
-    """When the messages of one topic came. `times_ns` are those of the first messages, as many as there is room for."""
+    """When the messages of one topic came. `times_ns` are those of the first messages, as many as there is room for.
 
-    def __init__(self, room: Room) -> None:
+    Those that `is_replayed` names were sent earlier and kept for late subscribers: they are `replayed`, and say nothing
+    of counts, bytes, times and rates.
+    """
+
+    def __init__(self, room: Room, is_replayed: Callable[[Sample], bool] = lambda _: False) -> None:
         self.count = 0
+        self.replayed = 0
         self.bytes = 0
         self.first_ns = self.last_ns = 0
         self._room = room
         self._times = array("q")
+        self._is_replayed = is_replayed
 
     def add(self, samples: Sequence[Sample]) -> None:
         """Takes in messages, in the order of time."""
+        whole = len(samples)
+        samples = [sample for sample in samples if not self._is_replayed(sample)]
+        self.replayed += whole - len(samples)
         if not samples:
             return
         self.first_ns = self.first_ns if self.count else samples[0].received_ns
         self.last_ns = samples[-1].received_ns
         self.count += len(samples)
-        self.bytes += sum(len(sample.data) for sample in samples)
+        self.bytes += sum(sample.size for sample in samples)
         kept = min(len(samples), self._room.times)
         self._room.times -= kept
         self._times.extend(sample.received_ns for sample in samples[:kept])
+
+    @property
+    def seen(self) -> int:
+        """How many messages there are, with those from before."""
+        return self.count + self.replayed
 
     @property
     def times_ns(self) -> Times:
@@ -69,11 +88,14 @@ class Arrivals:
         """Whether the times are those of all messages."""
         return len(self._times) == self.count
 
-    @property
-    def rate_hz(self) -> float | None:
-        """Messages per second between the first and the last, whether kept or not."""
-        span_s = (self.last_ns - self.first_ns) / 1e9
-        return (self.count - 1) / span_s if self.count > 1 and span_s > 0 else None
+    def rate_hz(self, holes: Holes = ()) -> float | None:
+        """Messages per second between the first and the last, without the time of holes, whether kept or not."""
+        if self.all_kept:
+            return rate_hz(self.times_ns, holes)
+        inside = [(max(begin, self.first_ns), min(end, self.last_ns)) for begin, end in holes]
+        lost_ns = [end - begin for begin, end in inside if end > begin]
+        span_s = (self.last_ns - self.first_ns - sum(lost_ns)) / 1e9
+        return (self.count - 1 - len(lost_ns)) / span_s if span_s > 0 else None
 
 
 @dataclass
@@ -149,6 +171,30 @@ class Line:
 
 
 @dataclass
+class Extreme:
+    """Where the smallest value was, or with `sign` -1 the largest: the time, and of a list the index of the element."""
+
+    sign: float = 1.0
+    at_s: float = 0.0
+    element: int = 0
+    _least: float = np.inf
+
+    def add(self, numbers: Numbers, parts: Sequence[Numbers], times_s: Numbers) -> None:
+        """Takes in the values of messages, all of them and message by message."""
+        signed = np.where(np.isfinite(numbers), self.sign * numbers, np.inf)
+        at = int(signed.argmin())
+        if signed[at] >= self._least:
+            return
+        self._least = float(signed[at])
+        row, self.element = at, 0
+        if len(parts) > 1 or len(times_s) == 1:  # a list: one array for each message
+            ends = np.cumsum([len(part) for part in parts])
+            row = int(np.searchsorted(ends, at, side="right"))
+            self.element = at - int(ends[row]) + len(parts[row])
+        self.at_s = float(times_s[row])
+
+
+@dataclass
 class Column:
     """One field of all messages: `totals` of all its values, `line` and ends of its series, and what is kept of them.
 
@@ -160,23 +206,28 @@ class Column:
     whole_lists: bool = False
     totals: Totals = field(default_factory=Totals)
     line: Line = field(default_factory=Line)
+    lowest: Extreme = field(default_factory=Extreme)
+    highest: Extreme = field(default_factory=lambda: Extreme(-1.0))
     first: float = np.nan
     last: float = np.nan
     messages: int = 0
     is_constant: bool = True
-    _first_part: Numbers = field(default_factory=lambda: flat([]))
-    _rows: list[NDArray[np.int32]] = field(default_factory=list[NDArray[np.int32]])
-    _lengths: list[NDArray[np.int32]] = field(default_factory=list[NDArray[np.int32]])
-    _values: list[Numbers] = field(default_factory=list[Numbers])
+    _first_part: NDArray[Any] = field(default_factory=lambda: flat([]))
+    _rows: array[int] = field(default_factory=lambda: array("i"))
+    _lengths: array[int] = field(default_factory=lambda: array("i"))
+    _values: array[float] = field(default_factory=lambda: array("d"))
 
     def read(self, messages: Sequence[Message]) -> tuple[list[int], list[Numbers]]:
         """Which of the messages have the field, and its values in each: one, or those of a list that is not empty."""
         values = [value_of(self.path, message) for message in messages]
+        whole = _WHOLE.get(self.path.type.base)
         rows = [row for row, value in enumerate(values) if value is not None and (not self.path.is_list or len(value))]
-        if self.path.is_list:
-            return rows, [flat(values[row]) for row in rows]
-        numbers = flat([values[row] for row in rows])
-        return rows, [numbers]
+        present = [values[row] for row in rows]
+        parts = [flat(value) for value in present] if self.path.is_list else [flat(present)]
+        if rows:
+            lists = present if self.path.is_list else [present]
+            self._compare([np.asarray(one, whole).ravel() for one in lists] if whole else parts)
+        return rows, parts
 
     def add(self, rows: Sequence[int], parts: Sequence[Numbers], times_s: Numbers, first_row: int | None) -> None:
         """Takes in what `read` gave; `first_row` is where to keep it, None: nowhere."""
@@ -184,9 +235,10 @@ class Column:
             return
         numbers = np.concatenate(parts)
         self.totals.add(numbers)
-        self._compare(parts)
         self.messages += len(rows)
         whole = np.array(rows, np.int32)
+        for extreme in (self.lowest, self.highest):
+            extreme.add(numbers, parts, times_s[whole])
         if self.path.is_list:
             finite = [part[np.isfinite(part)] for part in parts]
             present = [bool(len(part)) for part in finite]
@@ -204,60 +256,72 @@ class Column:
         if self.path.is_list and not self.whole_lists:
             whole, numbers = series_rows, series
         elif self.path.is_list:
-            self._lengths.append(np.array([len(part) for part in parts], np.int32))
-        self._rows.append(whole + np.int32(first_row))
-        self._values.append(numbers)
+            self._lengths.extend(len(part) for part in parts)
+        self._rows.frombytes((whole + np.int32(first_row)).tobytes())
+        self._values.frombytes(numbers.tobytes())
 
     def kept_of(self, rows: Sequence[int], parts: Sequence[Numbers]) -> int:
         """How many numbers are kept of what `read` gave: of a list one, unless whole lists are."""
         return len(rows) if self.path.is_list and not self.whole_lists else sum(map(len, parts))
 
-    def _compare(self, parts: Sequence[Numbers]) -> None:
-        """Whether it is the same in every message; a NaN is never the same, unless it is in a list."""
+    def _compare(self, parts: Sequence[NDArray[Any]]) -> None:
+        """Whether it is the same in every message that has it; a NaN is never the same, unless it is in a list."""
         if not self.messages:
             self._first_part = parts[0] if self.path.is_list else parts[0][:1]
         if self.is_constant and self.path.is_list:
-            self.is_constant = all(np.array_equal(part, self._first_part, equal_nan=True) for part in parts)
+            self.is_constant = all(
+                np.array_equal(part, self._first_part, equal_nan=part.dtype.kind == "f") for part in parts
+            )
         elif self.is_constant:
             self.is_constant = bool((parts[0] == self._first_part).all())
 
     @property
+    def first_value(self) -> NDArray[Any]:
+        """Its value in the first message, or of a list all of that one's; of 64-bit whole numbers these, exactly."""
+        return self._first_part
+
+    @property
     def rows(self) -> NDArray[np.int32]:
         """The rows (numbers of decoded messages) of what is kept."""
-        return np.concatenate([np.zeros(0, np.int32), *self._rows])
+        return np.frombuffer(self._rows, np.int32) if self._rows else np.zeros(0, np.int32)
 
     @property
     def values(self) -> Numbers:
         """What is kept: a value for each row, or all elements of all lists one after the other."""
-        return np.concatenate([flat([]), *self._values])
+        return np.frombuffer(self._values) if self._values else flat([])
 
     @property
     def lengths(self) -> NDArray[np.int32]:
         """Of whole lists how many elements each row has."""
-        return np.concatenate([np.zeros(0, np.int32), *self._lengths])
+        return np.frombuffer(self._lengths, np.int32) if self._lengths else np.zeros(0, np.int32)
 
-    def by_row(self, rows: int) -> list[Numbers]:
-        """The values of each of the first rows: none where a message does not have the field."""
-        found = [flat([])] * rows
-        if self.path.is_list:
-            parts = np.split(self.values, np.cumsum(self.lengths)[:-1]) if len(self.rows) else []
-        else:
-            parts = np.split(self.values, len(self.rows)) if len(self.rows) else []
-        for row, part in zip(self.rows.tolist(), parts, strict=True):
-            found[row] = part
-        return found
+    def by_row(self, rows: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """For each of the first rows where in `values` its own begin, and how many they are: 0 without the field."""
+        counts = np.zeros(rows, np.int32)
+        counts[self.rows] = self.lengths if self.path.is_list else 1
+        return np.cumsum(counts, dtype=np.int32) - counts, counts
 
 
 class Columns(Arrivals):
-    """The chosen fields of one topic's messages. `read_ns` are the times of those rows that are kept.
+    """The chosen fields of one topic's messages, replayed ones too. `read_ns` are the times of the rows that are kept.
+
+    The times of lines and extremes are seconds from `origin_ns`, when the first message came.
 
     Messages that are not what their type says are left out, and counted as `undecodable`; `trouble` is of the first.
     """
 
     def __init__(
-        self, codec: Codec, type_name: str, fields: Sequence[FieldPath], room: Room, *, whole_lists: bool = False
+        self,
+        codec: Codec,
+        type_name: str,
+        fields: Sequence[FieldPath],
+        room: Room,
+        *,
+        whole_lists: bool = False,
+        is_replayed: Callable[[Sample], bool] = lambda _: False,
     ) -> None:
-        super().__init__(room)
+        super().__init__(room, is_replayed)
+        self.origin_ns: int | None = None
         self.columns = [Column(path, whole_lists) for path in fields]
         self.decoded = 0
         self.undecodable = 0
@@ -271,6 +335,7 @@ class Columns(Arrivals):
         super().add(samples)
         if not self.columns or not samples:
             return
+        origin_ns = self.origin_ns = samples[0].received_ns if self.origin_ns is None else self.origin_ns
         messages: list[Message] = []
         readable: list[Sample] = []
         for sample in samples:
@@ -280,7 +345,7 @@ class Columns(Arrivals):
             except BadData as error:
                 self.undecodable += 1
                 self.trouble = self.trouble or error
-        times_s = flat([(sample.received_ns - self.first_ns) / 1e9 for sample in readable])
+        times_s = flat([(sample.received_ns - origin_ns) / 1e9 for sample in readable])
         batches = [column.read(messages) for column in self.columns]
         kept = [column.kept_of(*batch) for column, batch in zip(self.columns, batches, strict=True)]
         numbers = len(readable) + sum(kept)
@@ -318,12 +383,12 @@ class Columns(Arrivals):
         """In words, how many messages could not be decoded; empty where all could."""
         return undecodable(self.undecodable, str(self.trouble)) if self.undecodable else ""
 
-    def bounds(self, what: str) -> str:
+    def bounds(self, what: str, began_ns: int | None = None) -> str:
         """In words, of which part the values were kept, which `what` is of; empty where they all were."""
         if not self.columns or self.all_read:
             return ""
         rows = len(self._read)
-        until = f", up to {iso_time(self._read[-1])}" if rows else ""
+        until = f", up to {recorded_time(self._read[-1], began_ns)}" if rows else ""
         return f"{what} of the first {rows} of {self.decoded} messages only{until}: more values were too much to keep."
 
 

@@ -5,23 +5,23 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.text import listed
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.definitions import Definitions
     from ros2_mcp.codec.select import FieldPath
-    from ros2_mcp.ops.measure.columns import Column
+    from ros2_mcp.ops.measure.differences import Difference
     from ros2_mcp.ops.measure.paired import Paired
     from ros2_mcp.ops.measure.signals import Numbers
 
-# Up to here topics are similar, and different: of the RMS difference, as a share of a field's largest magnitude.
+# Up to here topics are similar, and different: of the RMS difference, as a share of a field's scale.
 SIMILAR_PERCENT = 5.0
 DIFFERENT_PERCENT = 50.0
 # Messages that may be without a partner and topics still be identical: one at each end of the time.
@@ -30,8 +30,6 @@ _EDGES = 2
 _UNPAIRED_SHARE = 0.1
 # Fields that are named in the reasons; all are in the table.
 _MAX_REASONS = 5
-# Correlation at the best delay from which on the two signals are said to resemble each other.
-_SURE = 0.7
 
 Verdict = Literal["IDENTICAL", "SIMILAR", "DIFFERENT", "VERY DIFFERENT"]
 
@@ -40,14 +38,21 @@ Verdict = Literal["IDENTICAL", "SIMILAR", "DIFFERENT", "VERY DIFFERENT"]
 class FieldComparison:
     """One field in both topics, over the paired messages; differences are second minus first.
 
-    `scale` is the largest magnitude that either topic has; the percentages are of it. `correlation` is Pearson's, null
-    where one does not vary. `delay_s` is by how much the second follows the first (by cross-correlation of the
-    values over the time of receipt), null where the two do not resemble each other. `not_compared` counts values that
-    are NaN or infinite in only one of them, or are missing.
+    `compared_as`: a quaternion is one `rotation`, which differs by the angle between the two; an `angle` (by its name:
+    yaw, heading, steering_angle, ...) differs by at most half a turn; all else is a `number`. `unit` is empty where it
+    is that of the field. The percentages are of `scale`: how far the values spread within a topic (max - min, the
+    larger of the two; at least a thousandth of the largest magnitude, at most all of it), the magnitude where neither
+    varies, at least 0.001° of latitude and longitude; of angles half a turn. `correlation` is Pearson's, null where one
+    does not vary. `delay_s` is by how much the second follows the first (by cross-correlation of the values over the
+    time of receipt), null where the two do not resemble each other.
+    `not_compared` counts values that are NaN or infinite in only one of them, or are missing; of rotations also those
+    that were never set (all 0). `alike` counts values that are the same in both, but nothing to compute with.
     """
 
     field: str
     compared: int
+    compared_as: Literal["number", "angle", "rotation"] = "number"
+    unit: str = ""
     mean_difference: float | None = None
     max_difference: float | None = None
     rms_difference: float | None = None
@@ -57,6 +62,7 @@ class FieldComparison:
     correlation: float | None = None
     delay_s: float | None = None
     not_compared: int = 0
+    alike: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +129,7 @@ def keeping(types: Sequence[str], fields: Sequence[str]) -> Callable[[Stream], P
     from ros2_mcp.ops.measure.columns import Room
     from ros2_mcp.ops.measure.paired import Paired
 
-    room = Room()
+    room = Room(times=0)  # those of the rows are kept
 
     def keep(stream: Stream) -> Paired:
         side = 0 if stream.type == types[0] else 1
@@ -155,22 +161,22 @@ def evaluate(
     first: Capture[Paired], second: Capture[Paired], *, tolerance_percent: float = 0.1, by_stamp: bool = True
 ) -> Comparison:
     """Compares two captures of the same fields; raises `BadData` if no message of one is what its type says."""
-    from ros2_mcp.ops.measure.columns import seconds
+    import numpy as np
+
+    from ros2_mcp.ops.measure.differences import differences
     from ros2_mcp.ops.measure.signals import pairs
 
     for capture in (first, second):
         capture.kept.check()
     times, paired_by = _pairing_times(first, second, by_stamp)
-    partners = pairs(*times)
-    received_ns = first.kept.read_ns, second.kept.read_ns
-    received = seconds(received_ns[0], first.start_ns), seconds(received_ns[1], second.start_ns)
-    columns = zip(first.kept.columns, second.kept.columns, strict=True)
-    compared = [_compare_field(one, other, received, partners) for one, other in columns]
-    delays_ns = [int(received_ns[1][j] - received_ns[0][i]) for i, j in partners]
+    in_first, in_second = partners = pairs(*times)
+    del times
+    compared = [_row(one) for one in differences(first, second, partners)]
+    delays_ns = second.kept.read_ns[in_second] - first.kept.read_ns[in_first]
     delays_s = sorted(row.delay_s for row in compared if row.delay_s is not None)
-    verdict, reasons = _judge(first, second, len(partners), compared, tolerance_percent)
+    verdict, reasons = _judge(first, second, len(in_first), compared, tolerance_percent)
     for capture in (first, second):
-        troubles = (capture.kept.skipped, capture.kept.bounds("Compared are those"))
+        troubles = (capture.mixed, capture.kept.skipped, capture.kept.bounds("Compared are those", capture.began_ns))
         reasons += [f"{capture.topic}: {trouble}" for trouble in troubles if trouble]
     return Comparison(
         topic1=first.topic,
@@ -181,9 +187,9 @@ def evaluate(
         paired_by=paired_by,
         count1=first.kept.decoded,
         count2=second.kept.decoded,
-        pairs=len(partners),
-        equal_messages=sum(first.kept.marks[i] == second.kept.marks[j] for i, j in partners),
-        receive_delay_s=sum(delays_ns) / len(delays_ns) / 1e9 if delays_ns else None,
+        pairs=len(in_first),
+        equal_messages=int(np.count_nonzero(first.kept.marks[in_first] == second.kept.marks[in_second])),
+        receive_delay_s=float(delays_ns.mean()) / 1e9 if len(delays_ns) else None,
         delay_s=delays_s[len(delays_s) // 2] if delays_s else None,
         fields=compared,
         source=first.source,
@@ -195,82 +201,60 @@ def _pairing_times(
 ) -> tuple[tuple[Numbers, Numbers], str]:
     """The times by which messages are paired, in seconds, and in words which these are."""
     from ros2_mcp.ops.measure.columns import seconds
-    from ros2_mcp.ops.measure.signals import flat
 
     stamps = (first.kept.stamps_ns, second.kept.stamps_ns) if by_stamp else (None, None)
     reason = ""
     if stamps[0] is None or stamps[1] is None:
         reason = ": not both have a header" if by_stamp else ""
-    elif not stamps[0] or not stamps[1]:
+    elif not len(stamps[0]) or not len(stamps[1]):
         reason = ": a topic is silent"
-    elif any(own[-1] <= 0 or any(later <= earlier for earlier, later in pairwise(own)) for own in stamps if own):
+    elif any(own[-1] <= 0 or (own[1:] <= own[:-1]).any() for own in (stamps[0], stamps[1])):
         reason = ": the stamps do not rise"
     elif stamps[0][-1] < stamps[1][0] or stamps[1][-1] < stamps[0][0]:
         reason = ": the stamps are of different times"
     else:
         # counted from the first stamp, because a Unix time in nanoseconds does not fit a float exactly
-        origin = stamps[0][0]
-        first_s, second_s = (flat([(at - origin) / 1e9 for at in own]) for own in stamps if own)
-        return (first_s, second_s), "stamp"
+        origin = int(stamps[0][0])
+        return (seconds(stamps[0], origin), seconds(stamps[1], origin)), "stamp"
     sides = (first, second)
     first_s, second_s = (seconds(capture.kept.read_ns, capture.start_ns) for capture in sides)
     return (first_s, second_s), f"nearest time of receipt{reason}"
 
 
-def _compare_field(
-    one_side: Column,
-    other_side: Column,
-    times: tuple[Numbers, Numbers],
-    partners: Sequence[tuple[int, int]],
-) -> FieldComparison:
-    """One field of the partners, and the delay between all its values; lists element by element."""
+def _row(difference: Difference) -> FieldComparison:
+    """The differences of one field in numbers."""
     import numpy as np
 
-    from ros2_mcp.ops.measure import signals
+    from ros2_mcp.ops.measure.signals import number
 
-    path = one_side.path
-    first, second = one_side.by_row(len(times[0])), other_side.by_row(len(times[1]))
-    same_length = [(i, j) for i, j in partners if len(first[i]) == len(second[j])]
-    # behind an empty array, because NumPy does not join none
-    one = np.concatenate([signals.flat([]), *(first[i] for i, _ in same_length)])
-    other = np.concatenate([signals.flat([]), *(second[j] for _, j in same_length)])
-    both, alike = np.isfinite(one) & np.isfinite(other), (one == other) | (np.isnan(one) & np.isnan(other))
-    not_compared = int(np.count_nonzero(~both & ~alike)) + len(partners) - len(same_length)
-    one, other = one[both], other[both]
-    if not len(one):
-        return FieldComparison(path.path, 0, not_compared=not_compared)
-    delay_s = None
-    if not path.is_list:
-        delay_s, score = signals.delay(*_finite(times[0], first), *_finite(times[1], second))
-        delay_s = delay_s if score is not None and score >= _SURE else None
+    values = difference.values
+    row = FieldComparison(
+        difference.field,
+        len(values),
+        compared_as=difference.kind,
+        unit=difference.unit,
+        not_compared=difference.not_compared,
+        alike=difference.alike,
+    )
+    if not len(values):
+        return row
     # of numbers at the end of their range a difference may be infinite, which is shown as null; squares of shares
     # of the scale do not overflow where squares of the differences would
     with np.errstate(over="ignore", invalid="ignore"):
-        difference = other - one
-        scale = float(max(np.abs(one).max(), np.abs(other).max()))
-        unit = scale or 1.0
-        largest, rms = float(np.abs(difference).max()), float(np.sqrt(np.mean((difference / unit) ** 2))) * unit
-        return FieldComparison(
-            field=path.path,
-            compared=len(one),
-            mean_difference=signals.number(difference.mean()),
-            max_difference=signals.number(largest),
-            rms_difference=signals.number(rms),
-            max_percent=signals.number(100 * largest / unit),
-            rms_percent=signals.number(100 * rms / unit),
-            scale=signals.number(scale),
-            correlation=signals.correlation(one, other),
-            delay_s=delay_s,
-            not_compared=not_compared,
+        unit = difference.scale or 1.0
+        largest, rms = float(np.abs(values).max()), float(np.sqrt(np.mean((values / unit) ** 2))) * unit
+        return replace(
+            row,
+            mean_difference=number(values.mean()),
+            max_difference=number(largest),
+            rms_difference=number(rms),
+            max_percent=number(100 * largest / unit),
+            rms_percent=number(100 * rms / unit),
+            scale=number(difference.scale),
+            correlation=difference.correlation,
+            # what is equal in every pair does not follow, whatever correlation makes of few values
+            delay_s=difference.delay_s and (difference.delay_s if largest else 0.0),
         )
-
-
-def _finite(times: Numbers, values: Sequence[Numbers]) -> tuple[Numbers, Numbers]:
-    """The finite values of a field that is no list, with their times; a message without it has an empty array."""
-    from ros2_mcp.ops.measure.signals import flat
-
-    points = [(at, value[0]) for at, value in zip(times, values, strict=True) if len(value) and math.isfinite(value[0])]
-    return flat([at for at, _ in points]), flat([value for _, value in points])
 
 
 def _in_holes(capture: Capture[Paired], partner: Capture[Paired]) -> int:
@@ -292,24 +276,43 @@ def _judge(
     def percent(row: FieldComparison) -> float:
         return math.inf if row.rms_percent is None else row.rms_percent  # null: it does not fit a number
 
-    differing = [row for row in compared if row.max_percent is None or row.max_percent > tolerance]
+    one_sided = [row.field for row in compared if not row.compared and row.not_compared]
+    absent = [row.field for row in compared if not (row.compared or row.not_compared or row.alike)]
+    differing = [row for row in compared if row.compared and (row.max_percent is None or row.max_percent > tolerance)]
     differing.sort(key=percent, reverse=True)
     reasons = [
-        f"{row.field} differs by {row.rms_difference or 0.0:.3g} ({row.rms_percent or 0.0:.3g} %) RMS, "
+        f"{row.field} differs by {row.rms_difference or 0.0:.3g} {row.unit}".rstrip()
+        + f" ({row.rms_percent or 0.0:.3g} %) RMS, "
         f"{row.max_difference or 0.0:.3g} at most."
         for row in differing[:_MAX_REASONS]
-        if row.compared
     ]
     if len(differing) > _MAX_REASONS:
         reasons.append(f"{len(differing) - _MAX_REASONS} more fields differ.")
     unpaired = max(counts) - pairs - max(_in_holes(first, second), _in_holes(second, first))
     if unpaired > max(_EDGES, _UNPAIRED_SHARE * max(counts)):
         reasons.append(f"{unpaired} messages have no partner ({counts[0]} and {counts[1]} came).")
-    if not_compared := sum(row.not_compared for row in compared):
+    if not_compared := sum(row.not_compared for row in compared if row.compared_as != "rotation"):
         reasons.append(f"{not_compared} values are not finite or missing in one of them only.")
+    if not_compared := sum(row.not_compared for row in compared if row.compared_as == "rotation"):
+        reasons.append(f"{not_compared} rotations are missing or were never set in one of them only.")
+    nothing = [f"Nothing to compare in either: {listed(absent, _MAX_REASONS)}."] if absent else []
+    if len(absent) == len(compared):
+        return "VERY DIFFERENT", reasons + nothing
     if not reasons:
-        return "IDENTICAL", [f"All {len(compared)} fields of {pairs} pairs agree within {tolerance:g} %."]
+        return "IDENTICAL", [_agreement(compared, len(compared) - len(absent), pairs, tolerance), *nothing]
+    reasons += nothing
     worst = max((percent(row) for row in compared if row.compared), default=0.0)
-    if worst <= max(SIMILAR_PERCENT, tolerance):
+    if len(one_sided) + len(absent) == len(compared):
+        return "VERY DIFFERENT", reasons
+    if worst <= max(SIMILAR_PERCENT, tolerance) and not one_sided:
         return "SIMILAR", reasons
     return ("DIFFERENT" if worst <= max(DIFFERENT_PERCENT, tolerance) else "VERY DIFFERENT"), reasons
+
+
+def _agreement(compared: Sequence[FieldComparison], fields: int, pairs: int, tolerance: float) -> str:
+    """That they agree, with the largest difference that there is nevertheless."""
+    text = f"All {fields} fields of {pairs} pairs agree within {tolerance:g} %"
+    most = max(compared, key=lambda row: row.max_percent or 0.0)
+    if not most.max_percent:
+        return f"{text}."
+    return f"{text}; most differs {most.field}, by {most.max_difference:.3g} {most.unit}".rstrip() + "."

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
 from time import monotonic
 from typing import Any
 
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import iso_time
+from ros2_mcp.model.times import recorded_time
 from ros2_mcp.robot import Robot
 
 DIAGNOSTICS = "/diagnostics"
@@ -19,7 +20,10 @@ LISTEN_S = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """What a component last reported of itself; `level` is OK, WARN, ERROR or STALE."""
+    """What a component last reported of itself; `level` is OK, WARN, ERROR or STALE.
+
+    Of a recording `received_at` also says how long after its beginning.
+    """
 
     name: str
     hardware_id: str
@@ -30,9 +34,10 @@ class Diagnostic:
 
 
 class DiagnosticTable:
-    """The newest status of every component, and its worst one."""
+    """The newest status of every component, and its worst one; of a recording that began at `began_ns`."""
 
-    def __init__(self) -> None:
+    def __init__(self, began_ns: int | None = None) -> None:
+        self._began_ns = began_ns
         self._newest: dict[tuple[str, str], tuple[int, Diagnostic]] = {}
         self._worst: dict[tuple[str, str], tuple[int, Diagnostic]] = {}
 
@@ -53,7 +58,7 @@ class DiagnosticTable:
                 LEVELS[level] if level < len(LEVELS) else str(level),
                 status.message,
                 {entry.key: entry.value for entry in status.values},
-                iso_time(received_ns),
+                recorded_time(received_ns, self._began_ns),
             )
             self._newest[key] = (level, row)
             if key not in self._worst or level > self._worst[key][0]:
@@ -81,5 +86,7 @@ async def read_diagnostics(robot: Robot) -> DiagnosticTable:
     end = monotonic() + LISTEN_S
     async with robot.listen(DIAGNOSTICS) as listening:
         while (left := end - monotonic()) > 0:
-            table.add_all(robot, listening.type, await listening.take(left))
+            samples = await listening.take(left)
+            # a robot's may be of hundreds of statuses, each with many values: not on the event loop
+            await asyncio.to_thread(table.add_all, robot, listening.type, samples)
     return table

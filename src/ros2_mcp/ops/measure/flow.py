@@ -19,10 +19,20 @@ if TYPE_CHECKING:
 
 Holes: TypeAlias = "Sequence[tuple[int, int]]"
 
-# A gap is a period longer than this many times the median one: a message that is missing, and more than jitter.
+# A gap is a period longer than this many times the usual one: a message that is missing, and more than jitter.
 GAP_FACTOR = 3.0
+# Of the periods, this share is not longer than the usual one. The median would be a moment where two publishers send in
+# pairs, and every pause between the pairs a gap; so would it be for four that send together.
+_USUAL_SHARE = 0.8
+# Of fewer periods a fifth is none.
+_LEAST_PERIODS = 4
 # With fewer messages, and so fewer than three periods, no period can be called usual.
 _LEAST_MESSAGES = 4
+# Of so few messages the rate between them says nothing where they came together and no others: two of them 20 µs apart
+# are no stream of 50 kHz. Together is within a tenth of the time where no period can be called usual, else within a
+# hundredth, so that the rate of a sensor that stopped soon is told all the same.
+_BURST_MESSAGES = 20
+_FEW_SHARE, _BURST_SHARE = 0.1, 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +72,14 @@ def periods_s(times_ns: Times, holes: Holes = ()) -> NDArray[Any]:
     return np.diff(times_ns)[~over_holes(times_ns, holes)] / 1e9
 
 
+def usual_s(periods: NDArray[Any]) -> float:
+    """The usual one of periods in seconds: four of five are not longer; the longest where there are fewer than four."""
+    import numpy as np
+
+    share = _USUAL_SHARE if len(periods) >= _LEAST_PERIODS else 1.0
+    return float(np.quantile(periods, share, method="lower"))
+
+
 def rate_hz(times_ns: Times, holes: Holes = ()) -> float | None:
     """Messages per second between the first and the last; None where there are not two different times."""
     import numpy as np
@@ -71,32 +89,44 @@ def rate_hz(times_ns: Times, holes: Holes = ()) -> float | None:
     return len(periods_ns) / span_s if span_s > 0 else None
 
 
+def is_burst(count: int, rate_hz: float | None, over_s: float) -> bool:
+    """Whether so many messages came in so small a part of the time that was looked at that they have no rate."""
+    if rate_hz is None or count >= _BURST_MESSAGES:
+        return False
+    return (count - 1) / rate_hz < over_s * (_FEW_SHARE if count < _LEAST_MESSAGES else _BURST_SHARE)
+
+
+def burst_in_words(count: int, rate_hz: float) -> str:
+    """That they are too few to tell a rate."""
+    return f"Its {count} messages came within {1000 * (count - 1) / rate_hz:.3g} ms: too few to tell a rate."
+
+
 def gaps(times_ns: Times, holes: Holes = (), edges_ns: tuple[int, ...] = ()) -> list[Gap]:
-    """Periods longer than three times the median one; with both edges of a time also before the first and after the
+    """Periods longer than three times the usual one; with both edges of a time also before the first and after the
     last message.
     """
     import numpy as np
 
-    usual_s = periods_s(times_ns, holes)
-    if len(times_ns) < _LEAST_MESSAGES or not len(usual_s):
+    found_s = periods_s(times_ns, holes)
+    if len(times_ns) < _LEAST_MESSAGES or not len(found_s):
         return []
-    limit_ns = GAP_FACTOR * float(np.median(usual_s)) * 1e9
+    limit_ns = GAP_FACTOR * usual_s(found_s) * 1e9
     bounded = np.sort(np.concatenate((times_ns, np.array(edges_ns, np.int64)))) if edges_ns else times_ns
     long, lost = np.diff(bounded), over_holes(bounded, holes)
     return [Gap(int(bounded[at]), int(long[at]) / 1e9, bool(lost[at])) for at in np.flatnonzero(long > limit_ns)]
 
 
 def silence_in(times_ns: Times, end_ns: int, periods: float, least_s: float, holes: Holes = ()) -> Silence | None:
-    """The silence at the end, else the longest one, if it is longer than `periods` median periods and than `least_s`.
+    """The silence at the end, else the longest one, if it is longer than `periods` usual periods and than `least_s`.
 
     None where there are fewer than four messages.
     """
     import numpy as np
 
-    usual_s = periods_s(times_ns, holes)
-    if len(times_ns) < _LEAST_MESSAGES or not len(usual_s):
+    found_s = periods_s(times_ns, holes)
+    if len(times_ns) < _LEAST_MESSAGES or not len(found_s):
         return None
-    limit_s = max(periods * float(np.median(usual_s)), least_s)
+    limit_s = max(periods * usual_s(found_s), least_s)
     bounded = np.append(times_ns, end_ns)
     silences = np.where(over_holes(bounded, holes), 0, np.diff(bounded))
     if (since_last_s := int(silences[-1]) / 1e9) > limit_s:

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ros2_mcp.model.samples import Sample, header_stamp_ns
+import numpy as np
+
+from ros2_mcp.model.samples import STAMP_END, Sample, header_stamp_ns
 from ros2_mcp.ops.measure.columns import Columns
 
-_STAMP_END = 12
-"""A message that begins with a header has its stamp in bytes 4 to 11, after the header of CDR."""
+if TYPE_CHECKING:
+    from ros2_mcp.ops.measure.flow import Times
 
 
 class Paired(Columns):
@@ -21,23 +23,30 @@ class Paired(Columns):
 
     def __init__(self, codec: Any, type_name: str, *more: Any, **options: Any) -> None:
         super().__init__(codec, type_name, *more, **options)
-        self.marks = array("q")
+        self._marks = array("q")
         self._stamps = array("q") if codec.definitions.starts_with_header(type_name) else None
 
     @property
     def rows(self) -> int:
         """How many messages can be compared."""
-        return len(self.marks)
+        return len(self._marks)
 
     @property
-    def stamps_ns(self) -> Sequence[int] | None:
+    def marks(self) -> Times:
+        """The mark of each row."""
+        return np.frombuffer(self._marks, np.int64) if self._marks else np.zeros(0, np.int64)
+
+    @property
+    def stamps_ns(self) -> Times | None:
         """The header's stamp of each row; None where the type does not begin with a header."""
-        return self._stamps
+        if self._stamps is None:
+            return None
+        return np.frombuffer(self._stamps, np.int64) if self._stamps else np.zeros(0, np.int64)
 
     def keep(self, samples: Sequence[Sample]) -> None:
         """Keeps stamps and marks."""
-        self.marks.extend(hash(sample.data) for sample in samples)
+        self._marks.extend(hash(sample.data) for sample in samples)
         if self._stamps is not None:
             self._stamps.extend(
-                header_stamp_ns(sample.data) if len(sample.data) >= _STAMP_END else 0 for sample in samples
+                header_stamp_ns(sample.data) if len(sample.data) >= STAMP_END else 0 for sample in samples
             )

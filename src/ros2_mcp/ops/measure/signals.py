@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.select import FieldPath
 
 Numbers: TypeAlias = "NDArray[np.float64]"
 
@@ -37,8 +40,13 @@ _GRID = 2000
 _NEAR_BEST = 0.98
 # Of values scaled to 1 a mean square below this is rounding: doubles are exact to about 1e-16.
 _ROUNDING = 1e-28
-# A step that is smaller than this part of the largest value is no jump of a robot, but of its arithmetic.
-_ROUNDING_STEP = 1e-5
+# Parts of the time that a trend must go through in one direction; of noise one in 5,000 does.
+_BLOCKS = 8
+# How many standard errors the slope of a trend must be from 0: what noise that goes so by chance never is.
+_SURE_SLOPE = 8.0
+# A step that is smaller than this part of the largest value is none of the robot, but of its arithmetic: some units in
+# the last place of float32, in which much was computed that is sent as float64. Whole numbers are exact.
+_ROUNDING_OF = {"float32": 1e-6, "float64": 1e-7}
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,15 +74,23 @@ def number(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def jumps(times: Numbers, values: Numbers) -> list[Jump]:
-    """Steps far out of the usual. A value that mostly stands still has one only if it moves once."""
+def rounding(path: FieldPath) -> float:
+    """Up to which share of its largest value a field's changes may be those of arithmetic."""
+    return _ROUNDING_OF.get(path.steps[-1].field.type.base, 0.0)
+
+
+def jumps(times: Numbers, values: Numbers, rounded: float = 0.0) -> list[Jump]:
+    """Steps far out of the usual, and larger than `rounded` of the largest value.
+
+    A value that mostly stands still has one only if it moves once.
+    """
     steps = np.diff(values)
     if len(steps) < _LEAST_STEPS:
         return []
     size = np.abs(steps)
     if (median := float(np.median(size))) > 0:
         usual = max(_MAD_TO_SIGMA * float(np.median(np.abs(steps - np.median(steps)))), median)
-        large = size > max(JUMP_FACTOR * usual, _ROUNDING_STEP * float(np.abs(values).max()))
+        large = size > max(JUMP_FACTOR * usual, rounded * float(np.abs(values).max()))
     else:
         large = size > 0
         if np.count_nonzero(large) > max(1, len(steps) // _RARE_STEPS):
@@ -108,18 +124,41 @@ def stuck(times: Numbers, values: Numbers) -> Stuck | None:
     return Stuck(float(times[first]), float(times[last] - times[first]), samples, float(values[first]))
 
 
-def pairs(first: Numbers, second: Numbers) -> list[tuple[int, int]]:
+def trend(times: Numbers, values: Numbers, rounded: float = 0.0) -> float | None:
+    """The change per second of a value that goes in one direction the whole time, under whatever noise; else None.
+
+    That is where the means of eight parts follow each other, with one step at most in which nothing changes, by more
+    than `rounded` of the largest value.
+    """
+    if len(values) < 2 * _BLOCKS:
+        return None
+    means = np.array([part.mean() for part in np.array_split(values, _BLOCKS)])
+    change, steps = float(means[-1] - means[0]), np.diff(means)
+    onwards = np.sign(steps) * np.sign(change)
+    if onwards.min() < 0 or np.count_nonzero(onwards) < len(steps) - 1:
+        return None
+    if not math.isfinite(change) or abs(change) <= rounded * float(np.abs(values).max()):
+        return None
+    alike = correlation(times, values)
+    if alike is None or alike**2 * (len(values) - 2) < _SURE_SLOPE**2 * (1 - alike**2):
+        return None
+    away: Numbers = times - times.mean()
+    return float(away @ values) / float(away @ away)
+
+
+def pairs(first: Numbers, second: Numbers) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Indices of times that belong together: each is the other's nearest in time, and they are not far apart.
 
     Not far is at most half of the longer of the two median periods; without a limit where one has fewer than two times.
     """
     if not len(first) or not len(second):
-        return []
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
     forth, back = _nearest(first, second), _nearest(second, first)
     periods = [_period(times) for times in (first, second) if len(times) > 1]
     limit = max(periods) / 2 if len(periods) == 2 else math.inf
-    mutual = [(i, int(j)) for i, j in enumerate(forth) if back[j] == i]
-    return [(i, j) for i, j in mutual if abs(first[i] - second[j]) <= limit]
+    mutual = np.flatnonzero(back[forth] == np.arange(len(first)))
+    near = mutual[np.abs(first[mutual] - second[forth[mutual]]) <= limit]
+    return near, forth[near]
 
 
 def _nearest(times: Numbers, others: Numbers) -> NDArray[np.intp]:
@@ -139,8 +178,9 @@ def correlation(first: Numbers, second: Numbers) -> float | None:
     if len(first) < 2:
         return None
     # as shares of the largest magnitude, so that no square overflows
-    one, other = (values / (float(np.abs(values).max()) or 1.0) for values in (first, second))
-    one, other = one - one.mean(), other - other.mean()
+    one, other = (values / (max(float(values.max()), -float(values.min())) or 1.0) for values in (first, second))
+    one -= one.mean()
+    other -= other.mean()
     norm = math.sqrt(float(one @ one) * float(other @ other))
     return number(one @ other / norm) if norm > _ROUNDING * len(first) else None
 

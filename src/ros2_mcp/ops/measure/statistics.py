@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, BadValue, RobotError
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.measure.flow import gaps, periods_s, rate_hz
-from ros2_mcp.ops.results import Report, iso_time, silent
+from ros2_mcp.model.times import both_times, recorded_time, seconds_in
+from ros2_mcp.ops.measure.flow import burst_in_words, gaps, is_burst, periods_s
+from ros2_mcp.ops.results import Report, four_digits, iso_time, microseconds, silent
 from ros2_mcp.ops.sources.selection import Selection
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.select import FieldPath
-    from ros2_mcp.ops.measure.columns import Column, Columns
+    from ros2_mcp.ops.measure.columns import Column, Columns, Extreme
 
 # All are subscribed to at the same time, and share the memory that a capture may take.
 MAX_TOPICS = 20
-# What one field takes in the result, 13 names and numbers and a short path; for how many there is room.
-_FIELD_BYTES = 350
+# What one field takes in the result, 15 names and numbers, two times and a short path; for how many there is room.
+_FIELD_BYTES = 480
 # What a topic takes beside its fields.
 _TOPIC_BYTES = 500
 # Fields of each topic that are shown in any case, however small the result has to be.
 _MIN_FIELDS = 3
+# Trends and constant values in the line that names them; all are in the table.
+_MAX_NAMED = 12
+# Up to here JSON's numbers are whole numbers exactly; larger ones are texts.
+_EXACT = 2**53
+# Fields whose extremes stand in a line of their own; all are in the table, and who wants few has chosen them.
+_MAX_RANGES = 6
 # Jumps that are listed of one field, and half of the gaps of one topic; the others are only counted.
 _MAX_LISTED = 5
 
@@ -35,10 +42,11 @@ _MAX_LISTED = 5
 class FieldStatistics:
     """One numeric field over the time of measuring, over its finite values; null where there are too few.
 
-    `std` is the standard deviation of the values (divided by their number), `slope` the change per second of the best
-    straight line. Of an array (`array` true) all elements of all messages count together; `first`, `last`
-    and `slope` are of its means. `not_finite` counts NaN and infinities. `anomalies` says in words: jumps, a stuck
-    value, values that are not finite.
+    `min_at` and `max_at` say when the extremes were first reached, and in which element of an array. `trend` says in
+    words that it goes in one direction all the time. `std` is the standard deviation of the values (divided by their
+    number), `slope` the change per second of the best straight line. Of an array (`array` true) all elements of all
+    messages count together; `first`, `last` and `slope` are of its means. `not_finite` counts NaN and infinities.
+    `anomalies` says in words: jumps, a stuck value, values that are not finite.
     """
 
     field: str
@@ -51,16 +59,28 @@ class FieldStatistics:
     first: float | None = None
     last: float | None = None
     slope: float | None = None
-    constant: bool = False
+    min_at: str = ""
+    max_at: str = ""
+    trend: str = ""
     not_finite: int = 0
     anomalies: Sequence[str] = ()
+
+    @property
+    def range(self) -> str:
+        """Its extremes and when they were, in words."""
+        extremes = (("min", self.min, self.min_at), ("max", self.max, self.max_at))
+        told = [f"{name} {value:.6g} at {at}" for name, value, at in extremes if value is not None]
+        return f"{self.field}: {', '.join(told)}"
 
 
 @dataclass(frozen=True, slots=True)
 class TopicStatistics:
     """One topic over the time of measuring. Times in seconds; null where there were too few messages to tell.
 
-    `gaps` says in words when nothing came for longer than three median periods. `started_at` is ISO 8601.
+    `constants` are the fields that were the same in every message, with their value; `fields` are the others. `gaps`
+    says in words when nothing came for longer than three usual periods (four of five are not longer). `started_at` is
+    ISO 8601; other times are absolute and in seconds from then, of a recording from its beginning, which is
+    `seconds_in` before.
     """
 
     topic_name: str
@@ -71,7 +91,9 @@ class TopicStatistics:
     period_std_s: float | None = None
     gaps: Sequence[str] = ()
     fields: Sequence[FieldStatistics] = ()
+    constants: Mapping[str, float | str] = field(default_factory=dict[str, "float | str"])
     started_at: str = ""
+    seconds_in: float | None = None
     duration: float = 0.0
     received: int = 0
     dropped: int = 0
@@ -81,13 +103,18 @@ class TopicStatistics:
     error: str = ""
 
     def summary(self) -> list[str]:
-        """One line, and one for each gap and anomaly."""
+        """One line, and one for each gap, anomaly, and range of the first fields."""
         if self.error:
             return [f"{named(self.topic_name)}: {self.error}"]
         rate = "rate unknown" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
-        line = f"{named(self.topic_name)}: {self.count} message(s), {rate}, {len(self.fields)} field(s). {self.note}"
+        line = f"{named(self.topic_name)}: {self.count} message(s), {rate}, {len(self.fields)} field(s)."
         anomalies = [f"{row.field}: {anomaly}" for row in self.fields for anomaly in row.anomalies]
-        return [line.rstrip(), *(f"  {finding}" for finding in (*self.gaps, *anomalies))]
+        trends = [f"{row.field} {row.trend}" for row in self.fields if row.trend]
+        constants = [f"{name} {_short(value)}" for name, value in self.constants.items()]
+        lists = [_listed("trends", trends), _listed("constant", constants)]
+        ranges = [row.range for row in self.fields[:_MAX_RANGES] if row.min is not None]
+        findings = [finding for finding in (*self.gaps, *anomalies, *lists, *ranges) if finding]
+        return [f"{line} {self.note}".rstrip(), *(f"  {finding}" for finding in findings)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +152,9 @@ async def measure(
     room = Room()
 
     def keep(stream: Stream) -> Columns:
-        return Columns(stream.codec, stream.type, measured_fields(stream, selection.fields), room)
+        return Columns(
+            stream.codec, stream.type, measured_fields(stream, selection.fields), room, is_replayed=stream.is_replayed
+        )
 
     captures = await source.captures(topics, keep, report)
     most_fields = max((selection.max_bytes // len(topics) - _TOPIC_BYTES) // _FIELD_BYTES, _MIN_FIELDS)
@@ -184,30 +213,40 @@ def evaluate(capture: Capture[Columns], most_fields: int = 80) -> TopicStatistic
     kept, holes = capture.kept, capture.holes
     kept.check()
     periods = periods_s(kept.times_ns, holes)
-    notes = [kept.skipped, kept.bounds("Jumps and stuck values are looked for in those")]
+    constant = [column for column in kept.columns if _is_constant(column, kept.decoded)]
+    varying = [column for column in kept.columns if not _is_constant(column, kept.decoded)]
+    notes = [kept.skipped, kept.bounds("Jumps and stuck values are looked for in those", capture.began_ns)]
     if not kept.all_kept:
-        until = iso_time(int(kept.times_ns[-1])) if len(kept.times_ns) else "its beginning"
+        until = recorded_time(int(kept.times_ns[-1]), capture.began_ns) if len(kept.times_ns) else "its beginning"
         notes.append(f"Periods and gaps are those up to {until}: more times were too much to keep.")
     if not kept.columns:
         notes.insert(0, "It has no numbers to measure; choose fields for bytes, booleans and stamps.")
-    elif len(kept.columns) > most_fields:
-        left_out = len(kept.columns) - most_fields
-        first = kept.columns[most_fields].path.path
+    elif len(varying) > most_fields:
+        left_out = len(varying) - most_fields
+        first = varying[most_fields].path.path
         notes.insert(0, f"{left_out} more fields are not shown: choose fields, from {first} on.")
-    if not kept.count:
+    if kept.replayed:
+        notes.insert(0, f"{kept.replayed} latched message(s) from before this time are measured, but not in the rate.")
+    if not kept.seen:
         notes.insert(0, "Silent in this time." if capture.publishers else "Nobody published on it.")
     elif capture.dropped:
         notes.insert(0, f"{capture.dropped} messages were too much to keep; the newest are counted.")
+    rate = kept.rate_hz(holes)
+    if rate and is_burst(kept.count, rate, capture.duration_s):
+        notes.insert(0, burst_in_words(kept.count, rate))
+        rate = None
     return TopicStatistics(
         capture.topic,
         capture.type,
-        count=kept.count,
-        rate_hz=rate_hz(kept.times_ns, holes) if kept.all_kept else kept.rate_hz,
-        period_median_s=float(np.median(periods)) if len(periods) else None,
-        period_std_s=float(periods.std()) if len(periods) > 1 else None,
+        count=kept.seen,
+        rate_hz=four_digits(rate),
+        period_median_s=microseconds(float(np.median(periods)) if len(periods) else None),
+        period_std_s=microseconds(float(periods.std()) if len(periods) > 1 else None),
         gaps=_gap_lines(capture),
-        fields=[_field_statistics(column, capture) for column in kept.columns[:most_fields]],
+        fields=[_field_statistics(column, capture) for column in varying[:most_fields]],
+        constants={column.path.path: _constant(column) for column in constant},
         started_at=iso_time(capture.start_ns),
+        seconds_in=seconds_in(capture.start_ns, capture.began_ns),
         duration=capture.duration_s,
         received=capture.received,
         dropped=capture.dropped,
@@ -224,7 +263,7 @@ def _gap_lines(capture: Capture[Columns]) -> list[str]:
     found.sort(key=lambda gap: -gap.duration_s)
     shown = sorted(found[: 2 * _MAX_LISTED], key=lambda gap: gap.from_ns)
     lines = [
-        f"nothing for {gap.duration_s:.3f} s from {(gap.from_ns - capture.start_ns) / 1e9:.3f} s on"
+        f"nothing for {gap.duration_s:.3f} s from {both_times(gap.from_ns, capture.zero_ns)} on"
         f"{': damage, it cannot be read there' if gap.in_hole else ''}"
         for gap in shown
     ]
@@ -238,9 +277,12 @@ def _field_statistics(column: Column, capture: Capture[Columns]) -> FieldStatist
     totals, path = column.totals, column.path
     anomalies: list[str] = []
     if totals.not_finite:
-        anomalies.append(f"{totals.not_finite} of {totals.total} values are not finite ({totals.nan} NaN)")
+        kinds = ((totals.nan, "NaN"), (totals.not_finite - totals.nan, "infinite"))
+        counted = ", ".join(f"{count} {kind}" for count, kind in kinds if count)
+        anomalies.append(f"{totals.not_finite} of {totals.total} values are not finite: {counted}")
     if not totals.count:
         return FieldStatistics(path.path, path.is_list, 0, not_finite=totals.not_finite, anomalies=anomalies)
+    trend, found = ("", []) if path.is_list else _trend_and_anomalies(column, capture)
     return FieldStatistics(
         path.path,
         path.is_list,
@@ -252,14 +294,47 @@ def _field_statistics(column: Column, capture: Capture[Columns]) -> FieldStatist
         first=number(column.first),
         last=number(column.last),
         slope=number(column.line.slope),
-        constant=column.messages > 1 and column.is_constant,
+        min_at=_extreme_at(column.lowest, path, capture),
+        max_at=_extreme_at(column.highest, path, capture),
+        trend=trend,
         not_finite=totals.not_finite,
-        anomalies=[] if path.is_list else [*anomalies, *_anomalies(column, capture)],
+        anomalies=[*anomalies, *found],
     )
 
 
-def _anomalies(column: Column, capture: Capture[Columns]) -> list[str]:
-    """Jumps and the time that the value stood still, in words; what lies over a hole is no jump."""
+def _is_constant(column: Column, messages: int) -> bool:
+    """Whether every message has it, and all the same; what only some have keeps its row, with its count."""
+    return column.messages == messages > 1 and column.is_constant and not column.totals.not_finite
+
+
+def _constant(column: Column) -> float | str:
+    """A value that is the same in every message; of a list with different ones how many, and from where to where."""
+    totals = column.totals
+    value = column.first_value
+    if value.dtype.kind in "iu" and (value == value[0]).all():
+        return float(value[0]) if abs(int(value[0])) <= _EXACT else str(value[0])
+    if totals.min == totals.max and value.dtype.kind == "f":
+        return totals.min
+    return f"{len(column.first_value)} values, {totals.min:g} to {totals.max:g}"
+
+
+def _short(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _listed(what: str, entries: Sequence[str]) -> str:
+    more = f" and {len(entries) - _MAX_NAMED} more" if len(entries) > _MAX_NAMED else ""
+    return f"{what}: {', '.join(entries[:_MAX_NAMED])}{more}" if entries else ""
+
+
+def _extreme_at(extreme: Extreme, path: FieldPath, capture: Capture[Columns]) -> str:
+    at = both_times((capture.kept.origin_ns or 0) + round(extreme.at_s * 1e9), capture.zero_ns)
+    element = path.element(extreme.element) if path.is_list else None
+    return at if element is None else f"element {element}, {at}"
+
+
+def _trend_and_anomalies(column: Column, capture: Capture[Columns]) -> tuple[str, list[str]]:
+    """A trend, jumps and the time that the value stood still, in words; what lies over a hole is no jump."""
     import numpy as np
 
     from ros2_mcp.ops.measure import signals
@@ -274,13 +349,25 @@ def _anomalies(column: Column, capture: Capture[Columns]) -> list[str]:
         return any(since_s < end_s and until_s > begin_s for begin_s, end_s in holes)
 
     with np.errstate(over="ignore", invalid="ignore"):  # numbers at the end of their range
-        jumps, still = signals.jumps(times, values), signals.stuck(times, values)
+        rounded = signals.rounding(column.path)
+        jumps, still = signals.jumps(times, values, rounded), signals.stuck(times, values)
+        slope = signals.trend(times, values, rounded)
+    trend = ""
+    if slope is not None:
+        over_s = float(times[-1] - times[0])
+        way = "rises" if slope > 0 else "falls"
+        trend = f"{way} steadily by {abs(slope):.3g}/s ({slope * over_s:+.3g} in {over_s:.3g} s)"
     found = [jump for jump in jumps if not is_over_hole(jump.since_s, jump.at_s)]
-    lines = [f"jump from {jump.before:g} to {jump.after:g} at {jump.at_s:.3f} s" for jump in found[:_MAX_LISTED]]
-    if len(found) > _MAX_LISTED:
-        lines.append(f"{len(found) - _MAX_LISTED} more jumps")
+
+    def when(at_s: float) -> str:
+        return both_times(capture.start_ns + round(at_s * 1e9), capture.zero_ns)
+
+    lines = [f"jump from {jump.before:g} to {jump.after:g} at {when(jump.at_s)}" for jump in found]
+    if len(found) > _MAX_LISTED:  # the first ones, and the last one: the end of a burst
+        between = f"{len(found) - _MAX_LISTED} more jumps, up to the last one:"
+        lines = [*lines[: _MAX_LISTED - 1], between, lines[-1]]
     if still:
-        lines.append(f"stuck at {still.value:g} for {still.duration_s:.3f} s from {still.at_s:.3f} s on")
+        lines.append(f"stuck at {still.value:g} for {still.duration_s:.3f} s from {when(still.at_s)} on")
         if is_over_hole(still.at_s, still.at_s + still.duration_s):
             lines[-1] += " (damage: a part of that time cannot be read)"
-    return lines
+    return trend, lines

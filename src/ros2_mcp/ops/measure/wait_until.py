@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model.errors import BadData, BadValue, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import in_quotes
+from ros2_mcp.model.times import recorded_time, seconds_in
 from ros2_mcp.ops.results import HIDDEN, Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source, Stream
@@ -31,7 +32,8 @@ class Wait:
     """Whether a condition came true, with the message that met it; else the last one that came.
 
     `looked_at` messages were examined; `undecided` of them had no answer (a list too short, a division by zero).
-    `values` are the fields that the condition names. `dropped` messages came too fast to be looked at.
+    `values` are the fields that the condition names, and what it computes. `dropped` messages came too fast to be
+    looked at. `seconds_in` is `at` counted from a recording's beginning.
     """
 
     topic_name: str
@@ -39,6 +41,7 @@ class Wait:
     condition: str
     met: bool
     at: str
+    seconds_in: float | None
     waited: float
     looked_at: int
     undecided: int
@@ -48,11 +51,13 @@ class Wait:
     source: str
     note: str
     is_live: bool = field(default=True, metadata=HIDDEN)
+    when: str = field(default="", metadata=HIDDEN)
 
     def summary(self) -> str:
         """One line."""
         outcome = "is met" if self.met else "was not met"
-        when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}, {self.at}"
+        seen = f", {'at' if self.met else 'the last at'} {self.when}" if self.when else ""
+        when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}{seen}"
         values = ", ".join(f"{path} = {in_quotes(value)}" for path, value in self.values.items())
         line = f"{self.topic_name}: {self.condition} {outcome} {when} ({values or 'no message'})."
         return f"{line} {self.note}".rstrip()
@@ -61,7 +66,8 @@ class Wait:
 async def wait_until(
     source: Source, topic: str, text: str, report: Report = silent, *, max_bytes: int = 32_000
 ) -> Wait:
-    """Looks at every message until one meets the condition, or the source's time is over.
+    """Looks at every message until one meets the condition, or the source's time is over; live, of those that a latched
+    topic replays, at the newest.
 
     Raises:
         BadInput: if the text is not a condition.
@@ -74,7 +80,7 @@ async def wait_until(
     started = monotonic()
     with contextlib.suppress(NotFound):  # it may appear in time
         condition(source.codec.definitions, await source.type_of(topic), text)
-    async with source.follow(topic) as stream:
+    async with source.judging().follow(topic) as stream:
         search = _Search(stream, condition(stream.codec.definitions, stream.type, text))
 
         def progress() -> str:
@@ -99,6 +105,7 @@ class _Search:
     met: bool = False
     looked_at: int = 0
     undecided: int = 0
+    why_undecided: str = ""
     undecodable: int = 0
 
     async def run(self) -> None:
@@ -119,8 +126,10 @@ class _Search:
             self.received_ns = sample.received_ns
             self.looked_at += 1
             holds = self.condition.holds(self.message)
-            self.undecided += holds is None
-            if holds:
+            if holds is None:
+                self.undecided += 1
+                self.why_undecided = self.why_undecided or self.condition.why_undecided(self.message)
+            elif holds:
                 self.met = True
                 return
 
@@ -139,14 +148,16 @@ class _Search:
                     values |= render(definitions, type_name, self.message, options=options).value
                 except BadValue:  # a list is too short
                     values[path] = None
-        dropped = self.stream.counts.dropped
+            values |= self.condition.values(self.message)
+        dropped, has_message = self.stream.counts.dropped, self.message is not None
         notes: list[str] = []
         if self.undecodable:
             notes.append(undecodable(self.undecodable))
         elif not self.looked_at:
             notes.append("No message came." if self.stream.publishers else "No message came: nobody publishes on it.")
         if self.undecided:
-            notes.append(f"{self.undecided} messages had no answer (a list too short, or a division by zero).")
+            why = f"Of {self.undecided} of {self.looked_at} message(s) it cannot be said"
+            notes.append(f"{why}: {self.why_undecided}")
         if dropped:
             notes.append(f"{dropped} messages came too fast to be looked at.")
         return Wait(
@@ -154,14 +165,16 @@ class _Search:
             topic_type=type_name,
             condition=self.condition.text,
             met=self.met,
-            at=iso_time(self.received_ns) if self.message is not None else "",
+            at=iso_time(self.received_ns) if has_message else "",
+            seconds_in=seconds_in(self.received_ns, source.began_ns) if has_message else None,
             waited=round(waited_s, 6),
             looked_at=self.looked_at,
             undecided=self.undecided,
             dropped=dropped,
             values=values,
             message=message,
-            source=source.words,
+            source=source.words_after(waited_s),
             note=" ".join(notes),
             is_live=source.is_live,
+            when=recorded_time(self.received_ns, source.began_ns) if has_message else "",
         )

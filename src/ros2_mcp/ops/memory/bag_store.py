@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.model.text import listed
 
 if TYPE_CHECKING:
     from ros2_mcp.bags.bag import Bag
@@ -29,7 +31,7 @@ _BLACK_BOX_WORDS = ("black box", "black_box", "blackbox")
 
 
 _MOST_TOLD = 10
-"""Lines about damage in one answer; ros2_bag_info has up to 50 of each file."""
+"""Lines about damage in one answer, of which ros2_bag_info has up to 50 of each file; bags that a hint names."""
 _read_in_call: ContextVar[dict[Path, OpenedBag] | None] = ContextVar("_read_in_call", default=None)
 """The bags that are read on behalf of one call, in whatever task or thread: so that no reader can forget damage."""
 
@@ -40,6 +42,7 @@ class OwnBag:
 
     folder: Path
     is_growing: Callable[[], bool]
+    now_ns: Callable[[], int]
 
 
 class OpenedBag:
@@ -103,9 +106,9 @@ class BagStore:
         """The name of the recording that stands for the robot; empty where there is none."""
         return self.subject.name if self.subject else ""
 
-    def writes(self, folder: Path, is_growing: Callable[[], bool]) -> None:
-        """Notes a bag that this server begins to write, and what tells whether it still does."""
-        self.own[folder.name] = OwnBag(folder, is_growing)
+    def writes(self, folder: Path, is_growing: Callable[[], bool], now_ns: Callable[[], int] = time.time_ns) -> None:
+        """Notes a bag that this server begins to write, what tells whether it still does, and whose clock it has."""
+        self.own[folder.name] = OwnBag(folder, is_growing, now_ns)
 
     async def close(self) -> None:
         """Closes the bags that are open; what is being recorded goes on."""
@@ -135,9 +138,15 @@ class BagStore:
 
     def is_growing(self, bag: Bag) -> bool:
         """Whether this server is recording it."""
+        return self.recorded_until_ns(bag) is not None
+
+    def recorded_until_ns(self, bag: Bag) -> int | None:
+        """Now, by the clock of the bag's times, if this server is recording it; else None."""
         own = list(self.own.values())  # at once: this is a thread, and recordings begin in another
-        folders = [written.folder.resolve() for written in own if written.is_growing()]
-        return any(bag.path.resolve().is_relative_to(folder) for folder in folders)
+        for written in own:
+            if written.is_growing() and bag.path.resolve().is_relative_to(written.folder.resolve()):
+                return written.now_ns()
+        return None
 
     def problems_of(self, bag: Bag) -> list[str]:
         """What is damaged or missing; that the end is not written yet is no damage while it is being recorded."""
@@ -167,6 +176,8 @@ class BagStore:
         """
         if self.subject and name == self.subject.name:
             return self.subject
+        if "\0" in name:  # no name of a file has it, and `pathlib` would fail
+            raise BadInput(f"{name!r} is no name of a bag: it has a NUL character.", "ros2_bag_list shows the names.")
         name = BLACK_BOX if name.strip().lower() in _BLACK_BOX_WORDS else name
         paths = [path for root in self._roots if (path := (root / name).resolve()).is_relative_to(root.resolve())]
         if not paths:  # such as `../secrets`, or a link out of the folder
@@ -178,8 +189,13 @@ class BagStore:
             raise NotFound("This server keeps no black box.", "It does with the option --black-box.")
         raise NotFound(
             f"There is no bag {name!r} in {self.bag_dir}.",
-            did_you_mean(name, list(self.bag_names()), "ros2_bag_list shows what can be read."),
+            did_you_mean(name, list(self.bag_names()), self.which()),
         )
+
+    def which(self) -> str:
+        """A hint: the names of the first bags that may be read, if there are any, and what lists them all."""
+        first = listed(list(self.bag_names()), _MOST_TOLD)
+        return f"{f'There are: {first}. ' if first else ''}ros2_bag_list shows what can be read."
 
     def opened_names(self) -> list[str]:
         """The bags that are open, by the names that `reading` takes, the last one first."""

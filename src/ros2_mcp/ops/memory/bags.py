@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
+from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import named
+from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.results import ON_REQUEST, iso_time
 from ros2_mcp.ops.sources.bag import open_bag
-from ros2_mcp.ops.sources.selection import Selection, fit
+from ros2_mcp.ops.sources.selection import Selection, fit, message_times
+from ros2_mcp.ops.space.meaning import meaning_of_newest
 from ros2_mcp.ops.topics.subscribe import collect
 from ros2_mcp.robot import Robot
 
@@ -84,31 +87,36 @@ class BagInfo:
 
     def summary(self) -> list[str]:
         """One line, and one for each problem."""
-        line = f"{named(self.bag)}: {self.messages} messages of {len(self.topics)} topics in {self.duration_s:.3f} s."
-        return [f"{line} {self.note}", *self.problems]
+        line = f"{named(self.bag)}: {self.messages} messages of {len(self.topics)} topics in {self.duration_s:.3f} s"
+        when = f", from {self.start} to {self.end}" if self.start else ""
+        return [f"{line}{when}. {self.note}", *self.problems]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagMessages:
-    """Messages of one topic of a bag, received by the recorder at the times `received_at`.
+    """Messages of one topic of a bag, received by the recorder `times_s` seconds after the bag's `start`.
 
-    `truncated` names paths whose values are summaries; `problems` say what of the bag is damaged or missing.
+    `truncated` names paths whose values are summaries; `problems` say what of the bag is damaged or missing. `meaning`
+    is that of the newest message of a laser scan, a point cloud or a depth image, seen from the robot's base.
     """
 
     bag: str
     topic_name: str
     topic_type: str
     messages: Sequence[dict[str, Any]]
-    received_at: Sequence[str]
+    start: str
+    times_s: Sequence[float]
     count: int
     truncated: Sequence[str]
     problems: Sequence[str]
     note: str
+    meaning: Meaning | None = field(default=None, metadata=ON_REQUEST)
 
     def summary(self) -> list[str]:
         """One line, and one for each problem."""
-        line = f"{named(self.bag)} {named(self.topic_name)}: {self.count} message(s). {self.note}".rstrip()
-        return [line, *self.problems]
+        said = f"{self.note} {self.meaning or ''}".strip()
+        line = f"{named(self.bag)} {named(self.topic_name)}: {self.count} message(s). {said}"
+        return [line.rstrip(), *self.problems]
 
 
 async def list_bags(store: BagStore, pattern: str = "", limit: int = 200) -> BagList:
@@ -188,19 +196,24 @@ async def read(
     collected = await collect(source, topic, "", selection, latched=False)
     stream = collected.stream
     fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
-    notes = [collected.more, fitted.note]
+    start, times_s = message_times(source, fitted.samples)
+    notes = [stream.note, collected.more, fitted.note]
     if not collected.samples:
         first_ns, last_ns = source.covers
-        notes.append(f"None in that time; the bag goes from {iso_time(first_ns)} to {iso_time(last_ns)}.")
+        notes.append(
+            f"None in that time; the bag goes from {iso_time(first_ns)} to {recorded_time(last_ns, first_ns)}."
+        )
     return BagMessages(
         bag=bag,
         topic_name=stream.topic,
         topic_type=stream.type,
         messages=fitted.values,
-        received_at=[iso_time(sample.received_ns) for sample in fitted.samples],
+        start=start,
+        times_s=times_s,
         count=len(fitted.values),
         truncated=fitted.truncated,
         problems=await asyncio.to_thread(read_problems),
+        meaning=await meaning_of_newest(source, stream, fitted),
         note=" ".join(filter(None, notes)),
     )
 

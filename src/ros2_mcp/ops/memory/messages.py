@@ -5,17 +5,20 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from contextlib import aclosing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError
-from ros2_mcp.ops.results import Report, iso_time, reporting, silent
+from ros2_mcp.model.meanings import Meaning
+from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
+from ros2_mcp.ops.results import ON_REQUEST, Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.bag import end_note
 from ros2_mcp.ops.sources.kinds import Sources
-from ros2_mcp.ops.sources.selection import MAX_MESSAGES, Fitted, Selection, fit
+from ros2_mcp.ops.sources.selection import MAX_MESSAGES, Fitted, Selection, fit, message_times
 from ros2_mcp.ops.sources.source import ANSWER_S, Source, SourceRequest
+from ros2_mcp.ops.space.meaning import meaning_of_newest
 from ros2_mcp.ops.topics.subscribe import Collected, collect
 
 _ANY = "any"
@@ -26,23 +29,29 @@ _ANY = "any"
 class StoredMessages:
     """Messages of the past with the times at which they were stored (empty where the source does not say).
 
+    Of a recording `times_s` are the same in seconds from its beginning, `start` (else both are empty).
     Of `found` messages `count` are shown; `note` tells if there are earlier ones that were not read. `truncated` names
-    paths whose values are summaries.
+    paths whose values are summaries. `meaning` is that of the newest message of a laser scan, a point cloud or a depth
+    image, seen from the robot's base.
     """
 
     source: str
     topic_name: str
     topic_type: str
     timestamps: Sequence[str]
+    start: str
+    times_s: Sequence[float]
     messages: Sequence[dict[str, Any]]
     count: int
     found: int
     truncated: Sequence[str]
     note: str
+    meaning: Meaning | None = field(default=None, metadata=ON_REQUEST)
 
     def summary(self) -> str:
         """One line."""
-        return f"{self.topic_name}: {self.count} of {self.found} message(s) from {self.source}. {self.note}".rstrip()
+        said = f"{self.note} {self.meaning or ''}".strip()
+        return f"{self.topic_name}: {self.count} of {self.found} message(s) from {self.source}. {said}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,15 +84,20 @@ async def get_messages(
     bounded("number_of_messages", selection.message_limit or 0, 0, MAX_MESSAGES, "messages")
     selection.check()
     topic = names.absolute(topic)
-    type_name = "" if type_name in ("", _ANY) else names.interface_type(type_name, "msg")
+    type_name = "" if type_name in ("", _ANY) else await sources.robot.types.full_name(type_name, "msg")
     async with reporting(report, ANSWER_S, f"looking for earlier messages of {topic}"):
         found = await _find(sources, topic, type_name, request, selection)
-    return await asyncio.to_thread(_show, found, type_name, request, selection)
+    samples = found.collected.samples[:: -selection.every_n][::-1]  # counted from the newest
+    stream = found.collected.stream
+    fitted = await asyncio.to_thread(fit, stream.codec, stream.type, samples, selection) if samples else Fitted()
+    meaning = await meaning_of_newest(found.source, stream, fitted)
+    return replace(_show(found, fitted, type_name, request, selection), meaning=meaning)
 
 
 async def _find(sources: Sources, topic: str, type_name: str, request: SourceRequest, selection: Selection) -> _Found:
     """What the first source has that has messages; else, where none has failed, what the first says that has none."""
-    all_of_them = replace(selection, fields=(), every_n=1, message_limit=selection.message_limit or MAX_MESSAGES)
+    filters = [path for path in selection.fields if "==" in path]
+    all_of_them = replace(selection, fields=filters, every_n=1, message_limit=selection.message_limit or MAX_MESSAGES)
     empty: _Found | None = None
     failed: list[RobotError] = []
     async with aclosing(sources.of_the_past(request)) as opened:
@@ -92,9 +106,7 @@ async def _find(sources: Sources, topic: str, type_name: str, request: SourceReq
                 if isinstance(source, RobotError):
                     raise source
                 expected = "" if source.keeps_types else type_name
-                collected = await collect(
-                    source, topic, expected, all_of_them, latched=False, names=("time_start", "time_end")
-                )
+                collected = await collect(source, topic, expected, all_of_them, latched=False, names=request.names)
             except (BadName, BadValue):
                 raise
             except NotFound:
@@ -112,22 +124,32 @@ async def _find(sources: Sources, topic: str, type_name: str, request: SourceReq
         return empty
     raise NotFound(
         f"Nobody has kept messages of {topic}: no Data Black Box, no recording and no opened bag has it.",
-        "Start the server with --black-box, record with ros2_record_start, or open a bag with ros2_bag_info.",
+        _how_to_keep(sources.store),
     )
 
 
-def _show(found: _Found, type_name: str, request: SourceRequest, selection: Selection) -> StoredMessages:
-    source, stream, whole = found.source.title, found.collected.stream, found.collected.samples
-    samples = whole[:: -selection.every_n][::-1]  # counted from the newest
-    fitted = fit(stream.codec, stream.type, samples, selection) if samples else Fitted()
+def _how_to_keep(store: BagStore) -> str:
+    """How there would be messages to find, as far as it is not so already."""
+    more = "ros2_record_start records; ros2_bag_info opens a bag."
+    if BLACK_BOX not in store.own:
+        return f"The option --black-box keeps the last hours of chosen topics. {more}"
+    return f"The black box of this server is on and has none of it: --black-box says which topics it keeps. {more}"
+
+
+def _show(
+    found: _Found, fitted: Fitted, type_name: str, request: SourceRequest, selection: Selection
+) -> StoredMessages:
+    source, stream, samples = found.source.title, found.collected.stream, found.collected.samples
     if samples and not fitted.samples:
         raise BadData(
             f"{source} has {len(samples)} messages of {stream.topic}, but none is a {stream.type}.",
             "Give the right message_type: the messages were stored with another type, or another version of it.",
         )
+    of_recording = found.source.began_ns is not None
+    start, times_s = message_times(found.source, fitted.samples) if of_recording else ("", [])
     notes = [f"Another source failed: {error.message}" for error in found.failed]
     notes += [stream.note, end_note(found.source, request.start, request.end)]
-    if len(whole) != selection.message_limit:  # who asks for the last two need not be told that there are others
+    if len(samples) != selection.message_limit:  # who asks for the last two need not be told that there are others
         notes.append(found.collected.more)
     if type_name not in ("", stream.type):
         notes.append(f"They are {stream.type}, not {type_name}.")
@@ -141,9 +163,11 @@ def _show(found: _Found, type_name: str, request: SourceRequest, selection: Sele
         topic_name=stream.topic,
         topic_type=stream.type,
         timestamps=[iso_time(sample.received_ns) if sample.received_ns else "" for sample in fitted.samples],
+        start=start,
+        times_s=times_s,
         messages=fitted.values,
         count=len(fitted.values),
-        found=len(whole),
+        found=len(samples),
         truncated=fitted.truncated,
         note=" ".join(filter(None, notes)),
     )

@@ -16,14 +16,16 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import Feed, Play
 from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError, Stopped, TypeConflict
+from ros2_mcp.model.graph import RelayCounts
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.endings import REASONS, ended_by, held_back
+from ros2_mcp.model.times import seconds_in
+from ros2_mcp.ops.endings import ended_by, guarded, held_back, limited, reason_of
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.sources.bag import find_topic, span_in
-from ros2_mcp.robot import VELOCITY_TYPES, Robot
+from ros2_mcp.robot import MOTION_TYPES, Robot
 from ros2_mcp.robot.jobs import Job
 
 if TYPE_CHECKING:
@@ -38,7 +40,7 @@ _READY_S = 5.0
 _DEPTH = 100
 """Messages that wait for a slow listener: a second of a topic at 100 Hz."""
 _ANSWERED_S = 0.5
-"""A bridge that ends publishers answers at once, unless it waits for the acknowledgement of a zero."""
+"""The answer to what has ended comes before a feed finds nothing: it has only to be read."""
 _POLL_S = 0.02
 """A publisher is made within milliseconds; this is by how much a start is longer than it needs to be."""
 _DISCOVERED_S = 0.3
@@ -71,13 +73,18 @@ class PlayRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlaybackState:
-    """A playback. `state` is `playing`, `ended`, `stopped` or `failed`; `late_s` how far it lags behind its rhythm."""
+    """A playback. `state` is `playing`, `ended`, `stopped` or `failed`; `late_s` how far it lags behind its rhythm.
+
+    It has come to the recorded time `at`, which is `seconds_in` after the bag's beginning.
+    """
 
     playback_id: str
     bag: str
     state: str
     published: Mapping[str, int]
     progress: float
+    at: str
+    seconds_in: float | None
     loops: int
     elapsed_s: float
     late_s: float
@@ -85,7 +92,8 @@ class PlaybackState:
 
     def summary(self) -> str:
         """One line."""
-        what = f"{sum(self.published.values())} messages, {self.progress:.0%} of {named(self.bag)}"
+        what = f"{sum(self.published.values())} messages, {self.progress:.0%} of {named(self.bag)}, at {self.at}"
+        what += f" ({self.seconds_in:g} s in)" if self.seconds_in is not None else ""
         return f"{self.playback_id} {self.state}: {what}. {self.note}".rstrip()
 
 
@@ -108,23 +116,34 @@ class Playback(Job):
     stopped_by = "ros2_bag_play_stop"
 
     def __init__(
-        self, robot: Robot, request: PlayRequest, *, bag: Bag, span: Span, topics: Mapping[str, StoredTopic]
+        self,
+        robot: Robot,
+        request: PlayRequest,
+        *,
+        store: BagStore,
+        bag: Bag,
+        span: Span,
+        topics: Mapping[str, StoredTopic],
     ) -> None:
         self._destinations = {name: request.remaps.get(name, name) for name in topics}
         super().__init__(owner=robot.principal, moves=list(self._destinations.values()))
         self._robot = robot
+        self._store = store
         self._bag = bag
         self._request = request
         self._span = span
         first_ns, last_ns = bag.times or (0, 1)
+        self._began_ns = first_ns
         self._start_ns = max(first_ns, span.start_ns)
         self._length_ns = max(min(last_ns, span.end_ns) - self._start_ns, 1)
         self._topics = topics
         self._fed = dict.fromkeys(topics, 0)
         self._published = dict.fromkeys(topics, 0)
         """Of the messages that were fed to the bridge, those that it has published."""
-        self._ended_by = ""
+        self._ended: dict[str, RelayCounts] = {}
+        """The bridge's last counts of the publishers that it has ended, which a feed under way does not know."""
         self._note = ""
+        self._guarded = ""
         self._progress = 0.0
         self._loops = 0
         self._late_s = 0.0
@@ -140,6 +159,9 @@ class Playback(Job):
                 await anyio.sleep(_DISCOVERED_S)
                 relays = await self._robot.graph.relays()
                 feeds = {self._destinations[name]: relays.get(self._relay_id(name)) for name in self._topics}
+                waited_s = max((relay.stopper_s for relay in feeds.values() if relay), default=0.0)
+                unguarded = next((relay.unguarded for relay in feeds.values() if relay and relay.unguarded), "")
+                self._guarded = guarded(waited_s, unguarded)
                 unheard = [topic for topic, relay in feeds.items() if relay and not relay.matched]
                 if unheard:
                     more = f" and {len(unheard) - _MOST_NAMED} more" if len(unheard) > _MOST_NAMED else ""
@@ -150,6 +172,15 @@ class Playback(Job):
         finally:
             self._bag.close()
 
+    async def wind_down(self) -> None:
+        """Lets the bridge end the publishers and answer with its last counts: what was just fed may have left."""
+        async with anyio.create_task_group() as group:
+            for name in self._topics:
+                group.start_soon(self._robot.end_relay, self._relay_id(name))
+        while self.is_running and len(self._ended) < len(self._topics):
+            await anyio.sleep(_POLL_S)
+        self.cancel()
+
     def report(self) -> PlaybackState:
         """How it stands."""
         note = self._note
@@ -159,22 +190,33 @@ class Playback(Job):
             note = str(self.failure)
         elif self.stop_reason and not self.is_running:
             note = ended_by(self.stop_reason)
-        refused = sum(self._fed.values()) - sum(self._published.values())
+        at_ns = self._start_ns + round(self._progress * self._length_ns)
+        ended = {name: self._counts_at_end(name) for name in self._topics}
+        published = {name: counts.passed if counts else self._published[name] for name, counts in ended.items()}
+        refused = sum(c.refused if c else self._fed[name] - published[name] for name, c in ended.items())
+        slower = sum(counts.limited for counts in ended.values() if counts)
+        told = (self._guarded, held_back(refused) if refused else "", limited(slower) if slower else "")
         return PlaybackState(
             playback_id=self.id,
             bag=self._request.bag,
             state="playing" if self.is_running else self.state,
-            published={self._destinations[name]: count for name, count in self._published.items()},
+            published={self._destinations[name]: count for name, count in published.items()},
             progress=round(self._progress, 4),
+            at=iso_time(at_ns),
+            seconds_in=seconds_in(at_ns, self._began_ns),
             loops=self._loops,
             elapsed_s=round(self.elapsed_s, 3),
             late_s=round(self._late_s, 3),
-            note=" ".join(filter(None, (note, held_back(refused) if refused else "", *self._bag.problems))),
+            note=" ".join(filter(None, (note, *told, *self._store.problems_of(self._bag)))),
         )
 
     def _relay_id(self, topic: str) -> str:
         """The id of the bridge's part that publishes a topic of the bag."""
         return f"{self.id}{topic}"
+
+    def _counts_at_end(self, topic: str) -> RelayCounts | None:
+        """The bridge's last counts of a topic's publisher; None while it goes on."""
+        return self._ended.get(topic) or self._robot.graph.relay_ended(self._relay_id(topic))
 
     async def _open(self, name: str, topic: StoredTopic) -> None:
         from ros2_mcp.bags.qos import is_latched  # imports rosbags: 55 ms that the start of the server need not take
@@ -187,10 +229,13 @@ class Playback(Job):
             qos=QoS("reliable", "transient_local" if is_latched(topic.qos) else "volatile", depth=_DEPTH),
             bag=self._request.bag,
             topic=name,
+            part=f"{iso_time(self._start_ns)} to {iso_time(self._start_ns + self._length_ns)}",
+            duration_s=0.0 if self._request.loop else self._length_ns / 1e9 / self._request.rate,
+            force=self._request.force,
+            speed=self._request.rate,
             wait_match_s=_MATCH_S,
         )
-        counts = await self._robot.do(play)
-        self._ended_by = REASONS.get(counts.ended_by, "")
+        self._ended[name] = await self._robot.do(play)
 
     async def _until_ready(self, name: str) -> None:
         """Returns when the topic's publisher can be fed; only a feed, even of no message, tells that."""
@@ -217,11 +262,22 @@ class Playback(Job):
                     return
                 loop_s = max(self._length_ns / 1e9 / self._request.rate, _SHORTEST_LOOP_S)
                 await anyio.sleep(max(0.0, begun + loop_s - monotonic()))
-        except (NotFound, Stopped):  # the bridge has ended its publishers, and its answer to that is under way
-            with anyio.move_on_after(_ANSWERED_S):
-                while not self._ended_by:
-                    await anyio.sleep(_POLL_S)
-            self.outcome, self.stop_reason = "stopped", self._ended_by or REASONS["stop"]
+        except Stopped as stopped:
+            self.outcome, self.stop_reason = "stopped", self.stop_reason or stopped.reason
+        except NotFound:  # the bridge has ended its publishers, and has answered that
+            self.outcome = "stopped"
+            if not self.is_stopping:
+                self.stop_reason = await self._ended_by() or "the bridge"
+
+    async def _ended_by(self) -> str:
+        """What has ended a publisher, as soon as the bridge has told it; empty where it has not."""
+        with anyio.move_on_after(_ANSWERED_S):
+            while True:
+                for counts in self._ended.values():
+                    if reason := reason_of(self._robot, counts.ended_by):
+                        return reason
+                await anyio.sleep(_POLL_S)
+        return ""
 
     async def _play_once(self, begun: float) -> None:
         """The messages of the span, in their recorded rhythm counted from `begun`; what is late is not waited for."""
@@ -268,7 +324,7 @@ async def play(
     robot.jobs.require_room(Playback)
     request = replace(request, remaps={names.absolute(a): names.absolute(b) for a, b in request.remaps.items()})
     bag, span, topics = await to_thread.run_sync(_prepare, store, request)
-    playback = Playback(robot, request, bag=bag, span=span, topics=topics)
+    playback = Playback(robot, request, store=store, bag=bag, span=span, topics=topics)
 
     async def tell() -> None:
         state = playback.report()
@@ -337,7 +393,7 @@ async def _check(robot: Robot, request: PlayRequest, topics: Mapping[str, Stored
         if publishers:
             busy.append(f"{destination} ({publishers[0]})")
         subscribers = [subscriber.node for subscriber in present.subscribers if subscriber.node not in own]
-        if subscribers and topic.type in VELOCITY_TYPES:
+        if subscribers and topic.type in MOTION_TYPES:
             driven.append(f"{subscribers[0]} listens to {destination}")
     hint = "Use remaps, choose topics, or give force."
     if busy and not request.force:

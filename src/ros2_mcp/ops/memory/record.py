@@ -6,14 +6,17 @@ and no other node.
 
 from __future__ import annotations
 
+import json
 import logging
+import math
 import shutil
-import time
-from collections.abc import Sequence
+import struct
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import anyio
 from anyio import to_thread
@@ -21,13 +24,18 @@ from anyio.abc import TaskGroup
 
 from ros2_mcp.bags.schema import schema_text
 from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.guard.consent import Auditing
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import SERVER, Principal, Record
-from ros2_mcp.model.errors import BadInput, LinkError, Refused, RobotError
-from ros2_mcp.model.samples import Counts
+from ros2_mcp.model.errors import BadInput, BridgeLost, LinkError, NotFound, Refused, RobotError
+from ros2_mcp.model.graph import TopicRow
+from ros2_mcp.model.qos import QoS
+from ros2_mcp.model.samples import Counts, Sample
+from ros2_mcp.model.text import named
+from ros2_mcp.model.times import Outage
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
-from ros2_mcp.ops.results import iso_time
+from ros2_mcp.ops.results import HIDDEN, iso_time
 from ros2_mcp.robot import Listening, Robot
 from ros2_mcp.robot.jobs import Job
 
@@ -53,8 +61,13 @@ _LEFT_S = 3.0
 """How long an end waits for the last samples of subscriptions, which a busy bridge may withhold."""
 _WAITING_BYTES = 64_000_000
 """What one topic may hold in memory while this server is busy: two seconds of a camera's raw pictures."""
+_TOLD = 3
+"""Topics that cannot be recorded and are told in the summary, which is one line; all are among the topics."""
 _MOST_NOTES = 20
 """Each topic may fail in its own way, and a result with hundreds of notes is read by nobody."""
+CALLS = "/agent/calls"
+"""The topic of a recording in which the lines of the audit stand, as JSON. Nobody publishes it."""
+_TEXT = "std_msgs/msg/String"
 _logger = logging.getLogger(__name__)
 
 
@@ -89,7 +102,8 @@ class TopicCounts:
     """One topic of a recording.
 
     `written` messages are in the file; `dropped` were discarded because the disk or this server was too slow; `lost`
-    never arrived (null where that cannot be known).
+    never arrived (null where that cannot be known). `other_types` are those of publishers that came later, and are not
+    recorded.
     """
 
     topic_name: str
@@ -98,6 +112,16 @@ class TopicCounts:
     dropped: int
     lost: int | None
     error: str = ""
+    other_types: Sequence[str] = ()
+
+    def trouble(self) -> str:
+        """The sentence that says why not all, or nothing, of it is in the file; empty where it is recorded."""
+        name = named(self.topic_name)
+        if not self.error:
+            others = ", ".join(map(named, self.other_types))
+            return f"Of {name} only {self.topic_type} is recorded, not what is sent as {others}." if others else ""
+        what = f"{name} is not recorded any more" if self.written else f"Nothing of {name} is recorded"
+        return f"{what}: {self.error}"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -115,15 +139,20 @@ class RecordingState:
     topics: Sequence[TopicCounts]
     reason: str
     notes: Sequence[str]
+    why_dropped: str = field(default="", metadata=HIDDEN)
 
     def summary(self) -> str:
         """One line."""
-        dropped = sum(topic.dropped for topic in self.topics)
-        lost = f", {dropped} dropped" if dropped else ""
-        return (
-            f"{self.recording_id} {self.state}: {self.messages} messages of {len(self.topics)} topics, "
-            f"{self.bytes} bytes{lost} in {self.elapsed_s:.1f} s. {self.reason}"
-        ).rstrip()
+        lost = f", {self.why_dropped}" if self.why_dropped else ""
+        troubles = [trouble for topic in self.topics if (trouble := topic.trouble())]
+        recorded = sum(bool(topic.written or not topic.error) for topic in self.topics)
+        more = [f"{len(troubles) - _TOLD} more topics have an error."] if len(troubles) > _TOLD else []
+        line = (
+            f"{self.recording_id} {self.state} as bag {named(self.bag)}: {self.messages} messages of "
+            f"{recorded} topics, {self.bytes} bytes{lost} in {self.elapsed_s:.1f} s from {self.started_at} on."
+        )
+        reason = f"{self.reason.rstrip('.')}." if self.reason and troubles else self.reason
+        return " ".join(filter(None, (line, reason, *troubles[:_TOLD], *more)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +171,7 @@ class _Joined:
     """A topic that is being recorded. `former` are the counts of the subscriptions that it has had before.
 
     `lost` is the subscription that ended with its bridge, to be made anew; `must_renew` says that the one that runs no
-    longer fits the topic's publishers.
+    longer fits the topic's publishers. `other_types` came later.
     """
 
     type: str
@@ -152,6 +181,7 @@ class _Joined:
     former: Counts = field(default_factory=Counts)
     error: str = ""
     must_renew: bool = False
+    other_types: Sequence[str] = ()
 
     def counts(self) -> Counts:
         """What became of the messages, over all subscriptions there were."""
@@ -173,22 +203,30 @@ class Recording(Job):
         self._robot = robot
         self._store = store
         self._request = request
+        self.at_most_s = request.max_duration_s or math.inf
         self._recorder: Recorder | None = None
         self._folder: Path | None = None
         self._topics: dict[str, _Joined] = {}
         self._notes: list[str] = []
+        self._told: Outage | None = None
         self._is_ending = False
-        self._started_ns = time.time_ns()
+        self._has_calls = False
+        self._began_at = monotonic()
+        self._started_ns = robot.now_ns()
 
     async def run(self) -> None:
         """Records until a limit is reached or it is told to end; however it ends, the files are closed."""
+        calls = ExitStack()
         try:
             # A thread cannot be cancelled: anyio waits for it, so that what it has opened is always closed again.
             self._folder, self._recorder = await to_thread.run_sync(self._open)
             recorder = self._recorder
-            self._store.writes(self._folder, lambda: not recorder.ended)
+            self._store.writes(self._folder, lambda: not recorder.ended, self._robot.now_ns)
             async with anyio.create_task_group() as topics:
+                calls.enter_context(self._with_calls(recorder))
                 await self._look(topics, recorder)
+                # After its first answer the robot's clock is known, by which the messages are stamped.
+                self._started_ns = self._robot.now_ns() - round((monotonic() - self._began_at) * 1e9)
                 with anyio.move_on_after(_JOINED_S):
                     while any(not (joined.listening or joined.error) for joined in self._topics.values()):
                         await anyio.sleep(_JOINED_POLL_S)
@@ -203,9 +241,34 @@ class Recording(Job):
                 topics.cancel_scope.deadline = anyio.current_time() + _LEFT_S
         finally:
             self._is_ending = True
+            calls.close()
             with anyio.CancelScope(shield=True):
                 if self._recorder:
                     await to_thread.run_sync(self._recorder.stop, "stopped")
+
+    @contextmanager
+    def _with_calls(self, recorder: Recorder) -> Generator[None, None, None]:
+        """While it is entered, what this server does to the robot is recorded, too: an incident shows it."""
+        auditing = self._robot.guard.audit
+        log = auditing.log if isinstance(auditing, Auditing) else None
+        if log is None or not self._request.chooses(CALLS) or self._is_forbidden(CALLS):
+            yield
+            return
+
+        def record(_at_ns: int, entry: Mapping[str, Any]) -> None:
+            at_ns = self._robot.now_ns()  # by the clock of the messages beside it
+            if not self._has_calls:
+                from ros2_mcp.bags.qos import qos_text  # as in `_describe`
+
+                profiles = qos_text([QoS("reliable", "volatile", depth=1)])
+                recorder.add_topic(
+                    StoredTopic(CALLS, _TEXT, encoding="ros2msg", definition="string data\n", qos=profiles)
+                )
+                self._has_calls = True
+            recorder.put(CALLS, [Sample(at_ns, at_ns, None, _text_message(json.dumps(entry, default=str)))])
+
+        with log.listened(record):
+            yield
 
     async def wind_down(self) -> None:
         """Lets the subscriptions hand over what they still have."""
@@ -220,13 +283,20 @@ class Recording(Job):
         has_failed = bool(self.failure or (recorder and recorder.failed))
         reason = str(self.failure) if self.failure else recorder.ended if recorder else "stopped"
         topics: list[TopicCounts] = []
+        busy = 0
         for name, joined in sorted(self._topics.items()):
             counts = joined.counts()
+            busy += counts.dropped
             dropped = counts.dropped + discarded.get(name, 0)
-            topics.append(TopicCounts(name, joined.type, written.get(name, 0), dropped, counts.lost, joined.error))
+            row = TopicCounts(name, joined.type, written.get(name, 0), dropped, counts.lost, joined.error)
+            topics.append(replace(row, other_types=joined.other_types))
+        if CALLS in written:
+            topics.append(TopicCounts(CALLS, _TEXT, written[CALLS], discarded.get(CALLS, 0), 0))
         absent = "nobody has published it so far; it joins within a second after somebody does."
         notes = [*self._notes, *(recorder.notes if recorder else ())]
-        notes += [f"{name}: {absent}" for name in self._request.topics if name not in self._topics]
+        why_dropped = drops_in_words(busy, sum(discarded.values()), is_remote=self._robot.is_remote)
+        notes += [f"{why_dropped}."] if why_dropped else []
+        notes += [f"{name}: {absent}" for name in self._request.topics if name not in self._topics and name != CALLS]
         return RecordingState(
             recording_id=self.id,
             state="recording" if not has_ended else "failed" if has_failed else "ended",
@@ -239,6 +309,7 @@ class Recording(Job):
             topics=topics,
             reason=reason if has_ended else "",
             notes=notes,
+            why_dropped=why_dropped,
         )
 
     def _open(self) -> tuple[Path, Recorder]:
@@ -273,18 +344,43 @@ class Recording(Job):
             for row in await self._robot.graph.topics():
                 if not row.publishers or self._is_ending or not self._request.chooses(row.name):
                     continue
+                if row.name == CALLS:
+                    self._note(f"{CALLS} is not recorded from the robot: here it has what this server does.")
+                    continue
                 joined = self._topics.get(row.name)
                 if joined is None:
-                    joined = self._topics[row.name] = _Joined(row.types[0], row.publishers)
-                    if len(row.types) > 1:
-                        joined.error = f"It has several types: {', '.join(row.types)}."
-                    else:
-                        topics.start_soon(self._record, row.name, joined, recorder)
-                elif joined.publishers != row.publishers and joined.listening:
+                    await self._join(row, topics, recorder)
+                    continue
+                if not joined.error and set(row.types) - {joined.type, *joined.other_types}:
+                    joined.other_types = sorted({*joined.other_types, *await self._sent_types(row)} - {joined.type})
+                if joined.publishers != row.publishers and joined.listening:
                     joined.publishers = row.publishers
                     joined.must_renew = not joined.listening.still_fits(await self._robot.graph.endpoints(row.name))
         except RobotError as error:
             self._note(str(error))
+
+    async def _join(self, row: TopicRow, topics: TaskGroup, recorder: Recorder) -> None:
+        """Begins to record a topic, if one type is sent on it; who only listens may want another one."""
+        if problem := self._is_forbidden(row.name):
+            self._topics[row.name] = _Joined(row.types[0], row.publishers, error=problem)
+            return
+        if not (types := await self._sent_types(row)):
+            return  # its publishers have left meanwhile
+        joined = self._topics[row.name] = _Joined(types[0], row.publishers)
+        if len(types) > 1:
+            joined.error = f"It has several types: {', '.join(map(named, types))}."
+        else:
+            topics.start_soon(self._record, row.name, joined, recorder)
+
+    async def _sent_types(self, row: TopicRow) -> Sequence[str]:
+        """The types that are published on a topic."""
+        if len(row.types) == 1:
+            return row.types
+        return sorted({one.type for one in (await self._robot.graph.endpoints(row.name)).publishers})
+
+    def _is_forbidden(self, topic: str) -> str:
+        """Why the policy does not let this topic be recorded, also where all are; empty where it does."""
+        return self._robot.policy.forbids_recording(topic) if self.owner != SERVER else ""
 
     async def _record(self, name: str, joined: _Joined, recorder: Recorder) -> None:
         """Until the recording ends: subscription after subscription, should the bridge be lost meanwhile."""
@@ -292,7 +388,10 @@ class Recording(Job):
             try:
                 await self._record_once(name, joined, recorder)
             except LinkError as error:
-                self._note(f"{name}: {error}")
+                if not self._robot.is_remote:
+                    self._note(f"{name}: {error}")
+                elif isinstance(error, BridgeLost):  # which all topics are told at once
+                    self._note(str(error))
                 await anyio.sleep(_TURN_S)
             except RobotError as error:
                 joined.error = str(error)
@@ -312,6 +411,8 @@ class Recording(Job):
         async with subscription as listening:
             if joined.lost is None:
                 self._describe(listening, recorder)
+            else:
+                self._note_outage()
             joined.listening, joined.lost = listening, None
             is_latched = listening.choice.qos.durability == "transient_local"
             largest = 0 if is_latched else self._request.largest
@@ -332,6 +433,18 @@ class Recording(Job):
         if recorder.ended:
             self._is_ending = True
 
+    def _note_outage(self) -> None:
+        """Tells the gap that the recording has, where the robot was out of reach."""
+        for outage in self._robot.outages[-1:]:
+            if outage is self._told:
+                return  # of another topic
+            self._told = outage
+            began_ns = self._robot.now_ns() - round((monotonic() - outage.began_at) * 1e9)
+            self._note(
+                f"The robot was out of reach from {iso_time(began_ns)} on, for {outage.lasted_s:.1f} s: nothing of "
+                "this time is recorded."
+            )
+
     def _describe(self, listening: Listening, recorder: Recorder) -> None:
         """Tells the recorder what the bag has to say of a topic: type, definition, QoS and hash."""
         from ros2_mcp.bags.qos import qos_text  # imports rosbags: 55 ms that the start of the server need not take
@@ -344,6 +457,19 @@ class Recording(Job):
     def _note(self, text: str) -> None:
         if text not in self._notes and len(self._notes) < _MOST_NOTES:
             self._notes.append(text)
+
+
+def _text_message(text: str) -> bytes:
+    """A `std_msgs/msg/String` as CDR: the encapsulation, the length with the final zero, the text."""
+    data = text.encode() + b"\0"
+    return b"\0\1\0\0" + struct.pack("<I", len(data)) + data
+
+
+def drops_in_words(busy: int, slow: int, *, is_remote: bool = False) -> str:
+    """In words, how many messages came and are not in the file, and why; empty if none."""
+    who = "the link was too slow, or this server too busy" if is_remote else "this server was too busy"
+    reasons = ((busy, f"dropped because {who}"), (slow, "dropped because the disk was too slow"))
+    return ", ".join(f"{count} {why}" for count, why in reasons if count)
 
 
 class BlackBox(Recording):
@@ -377,7 +503,8 @@ async def start(robot: Robot, store: BagStore, request: RecordRequest) -> Record
     bounded("max_bytes", request.max_bytes, 0, MAX_BYTES, "bytes")
     bounded("split_bytes", request.split_bytes, 0, MAX_BYTES, "bytes")
     request = replace(request, topics=[names.absolute(topic) for topic in request.topics])
-    await robot.do(Record(principal=robot.principal, name=request.name, topics=request.topics))
+    topics, patterns = request.topics, request.patterns
+    await robot.do(Record(principal=robot.principal, name=request.name, topics=topics, patterns=patterns))
     recording = Recording(robot, store, request)
     await robot.jobs.start(recording)
     return recording.report()
@@ -402,6 +529,26 @@ async def status(robot: Robot, recording_id: str = "") -> RecordingStates:
     return RecordingStates([recording.report() for recording in robot.jobs.chosen(Recording, recording_id)])
 
 
-async def stop(robot: Robot, recording_id: str) -> RecordingState:
-    """Ends a recording and closes its files."""
-    return (await robot.jobs.stop(Recording, recording_id)).report()
+async def stop(robot: Robot, recording_id: str = "") -> RecordingState:
+    """Ends a recording and closes its files; without an id the only one that runs, never the black box.
+
+    If none runs, it is the one that ended last, by its limits for one: what was recorded, and why it has ended.
+
+    Raises:
+        NotFound: if there is none of that id, or there was none.
+        BadInput: if several run and no id is given.
+    """
+    return (await robot.jobs.stop(Recording, recording_id or _only_one(robot).id)).report()
+
+
+def _only_one(robot: Robot) -> Recording:
+    begun = [job for job in robot.jobs.all(Recording) if not isinstance(job, BlackBox)]
+    running = [job for job in begun if job.is_running]
+    if not begun:
+        raise NotFound("No recording runs, and none has run.", "ros2_record_start begins one.")
+    if not running:
+        return begun[-1]
+    if len(running) > 1:
+        ids = ", ".join(recording.id for recording in running)
+        raise BadInput(f"{len(running)} recordings run: {ids}.", "Give the recording_id of one.")
+    return running[0]

@@ -5,19 +5,24 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
+from time import monotonic
 from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound, RobotError
-from ros2_mcp.model.graph import NamedTypes
+from ros2_mcp.model.graph import NamedTypes, NodeEndpoints
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import ask_node, service_of
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.translation import CHANGE_STATE
+from ros2_mcp_bridge.rules import CHANGE_STATE
 
 ANSWER_S = 0.4
 """A node that spins answers within milliseconds; what the graph knows of it must not wait for one that hangs."""
+_DISCOVERED_S = 2.0
+"""How long a node of which nothing is known is asked for again: discovery of what it has follows within a second."""
+_POLL_S = 0.1
+"""Between two such questions: each is a round trip to the bridge and costs less than a millisecond."""
 _PARAMETER_SERVICES = (
     "describe_parameters",
     "get_parameter_types",
@@ -39,9 +44,11 @@ class Offer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeInfo:
-    """What one node offers and uses; the six parameter services that every node has are left out.
+    """What one node offers and uses; `left_out` counts what is not shown: the services that every node
+    has for its parameters, and names that ROS hides, such as the parts of actions.
 
-    `parameters` is how many it has and `lifecycle_state` its state, null where it has none or did not answer at once.
+    `ours`: it is this server's own. `parameters` is how many it has and `lifecycle_state` its state, null where it has
+    none or did not answer at once. `settled` is false if discovery was still under way, or has told nothing of it.
     """
 
     node: str
@@ -55,14 +62,21 @@ class NodeInfo:
     is_lifecycle: bool
     parameters: int | None
     lifecycle_state: str | None
+    ours: bool = False
+    left_out: int = 0
+    settled: bool = True
 
     def summary(self) -> str:
         """One line."""
         has = "" if self.parameters is None else f" It has {self.parameters} parameters."
         state = f" Its lifecycle state is {named(self.lifecycle_state)}." if self.lifecycle_state else ""
+        hidden = f" Left out: {self.left_out} for its parameters and parts of actions; ros2_service_list shows them."
+        unsettled = " Discovery had not settled yet: there may be more, ask again."
+        who = f"{self.node} (this server)" if self.ours else self.node
         return (
-            f"{self.node} publishes {len(self.publishes)} and subscribes to {len(self.subscribes)} topics, "
+            f"{who} publishes {len(self.publishes)} and subscribes to {len(self.subscribes)} topics, "
             f"offers {len(self.services)} services and {len(self.actions)} actions.{has}{state}"
+            f"{hidden if self.left_out else ''}{'' if self.settled else unsettled}"
         )
 
 
@@ -74,10 +88,10 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
     """
     node = names.absolute(node, "node")
     try:
-        found = await robot.graph.node(node)
+        found, settled = await _discovered(robot, node)
     except NotFound as error:
         known = await list_nodes(robot, include_hidden=True)
-        hint = names.did_you_mean(node, known.nodes, "ros2_node_list shows what is there.")
+        hint = await robot.graph.near(node, known.nodes, "ros2_node_list")
         raise NotFound(f"There is no node {node}.", hint) from error
     served = {entry.name for entry in found.servers}
 
@@ -86,7 +100,7 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
         if service_of(node, kind) not in served:
             return None
         try:
-            return robot.fields_of(await ask_node(robot, node, kind, {}, timeout_s=ANSWER_S))
+            return await robot.fields_of(await ask_node(robot, node, kind, {}, timeout_s=ANSWER_S))
         except RobotError:
             return None
 
@@ -94,6 +108,7 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
         response("rcl_interfaces/srv/ListParameters"), response("lifecycle_msgs/srv/GetState")
     )
     own_parameters = {f"{node}/{service}" for service in _PARAMETER_SERVICES}
+    all_of_it = _all_of(found)
     return NodeInfo(
         node=node,
         publishes=_offers(found.publishers),
@@ -102,11 +117,28 @@ async def node_info(robot: Robot, node: str) -> NodeInfo:
         service_clients=_offers(found.clients),
         actions=_actions(found.servers),
         action_clients=_actions(found.clients),
+        ours=node in robot.graph.own_nodes,
+        settled=settled,
+        left_out=len(own_parameters & served) + sum(names.is_hidden(row.name) for row in all_of_it),
         has_parameters=own_parameters <= served,
         is_lifecycle=service_of(node, CHANGE_STATE) in served,
         parameters=None if listed is None else len(listed["result"]["names"]),
         lifecycle_state=None if current is None else current["current_state"]["label"],
     )
+
+
+async def _discovered(robot: Robot, node: str) -> tuple[NodeEndpoints, bool]:
+    """What is known of a node and whether discovery has settled; a node is seen before what it has."""
+    found, nodes = await asyncio.gather(robot.graph.node(node), robot.graph.nodes())
+    deadline = monotonic() + _DISCOVERED_S
+    while not _all_of(found) and monotonic() < deadline:
+        await asyncio.sleep(_POLL_S)
+        found = await robot.graph.node(node)
+    return found, nodes.settled and bool(_all_of(found))
+
+
+def _all_of(found: NodeEndpoints) -> Sequence[NamedTypes]:
+    return (*found.publishers, *found.subscribers, *found.servers, *found.clients)
 
 
 def _offers(rows: Sequence[NamedTypes]) -> list[Offer]:

@@ -15,7 +15,7 @@ from ros2_mcp.model.text import named
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
 from ros2_mcp.ops.results import or_error
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.translation import CHANGE_STATE
+from ros2_mcp_bridge.rules import CHANGE_STATE
 
 CHANGE_S = 30.0
 """A transition may start hardware: drivers take seconds to configure."""

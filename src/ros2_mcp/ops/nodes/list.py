@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ class NodeList:
 
 async def list_nodes(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> NodeList:
     """The nodes whose full names match the pattern, sorted; our own bridge is left out."""
-    found = await robot.graph.nodes()
+    found, absence = await asyncio.gather(robot.graph.nodes(), robot.graph.absence())
     others = [row.name for row in found if row.name not in robot.graph.own_nodes]
     visible = sorted(name for name in others if include_hidden or not names.is_hidden(name))
     chosen = names.matching(visible, pattern)
@@ -37,5 +38,5 @@ async def list_nodes(robot: Robot, pattern: str = "", include_hidden: bool = Fal
         total=len(visible),
         settled=found.settled,
         duplicates=[name for name, count in Counter(visible).items() if count > 1],
-        note=list_note(len(chosen), limit, found.settled),
+        note=list_note(len(chosen), limit, found.settled, absence),
     )

@@ -42,7 +42,7 @@ async def fields_of_answer(
         TimedOut: if it did not answer in time.
     """
     try:
-        return robot.fields_of(await answering)
+        return await robot.fields_of(await answering)
     except NotFound as error:
         raise await not_found(robot, node) from error
     except TimedOut as error:

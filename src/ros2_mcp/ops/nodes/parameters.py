@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, cast
 
 from ros2_mcp.model import names, parameters
 from ros2_mcp.model.commands import SetParameters
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
-from ros2_mcp.model.text import named, quoted
+from ros2_mcp.model.text import in_quotes, listed, named, quoted
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
-from ros2_mcp.ops.results import list_note, or_error
+from ros2_mcp.ops.results import HIDDEN, list_note, or_error
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.translation import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
+from ros2_mcp_bridge.rules import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
 _DISCOVERY_S = 6.0
 """How old a bridge is that has discovered the services of every node: they come up to 3 s after the nodes."""
@@ -27,6 +28,11 @@ _MAX_NAMED = 5
 """Parameters that are named in a summary, which is one line."""
 _LONG_HINT = "left_out says how long; ros2_parameter_get gives one by its name with whole=true."
 _WHOLE_HINT = "Ask for it by its name with whole=true."
+_OF_EVERY_NODE: Mapping[str, Any] = {"use_sim_time": False, "start_type_description_service": True}
+"""What rclcpp and rclpy declare for each node, with its default."""
+_OVERRIDES = "qos_overrides."
+"""Four to seven parameters for each topic that lets its QoS be changed at the start; nobody but its node knows which
+of them are at their defaults."""
 _MAX_TEXT = 500
 """Characters of a description, constraints, or a node's reason."""
 
@@ -82,10 +88,12 @@ class Dump:
     parameters: dict[str, Any]
     read_only: Sequence[str]
     left_out: dict[str, str]
+    note: str = ""
 
     def summary(self) -> str:
         """One line."""
-        line = f"{self.node}: {len(self.parameters)} parameter(s), {len(self.read_only)} of them read-only."
+        line = f"{self.node}: {len(self.parameters)} parameter(s), {len(self.read_only)} of them read-only. {self.note}"
+        line = line.rstrip()
         if not self.left_out:
             return line
         long = ", ".join(f"{named(name)} ({size})" for name, size in list(self.left_out.items())[:_MAX_NAMED])
@@ -96,7 +104,7 @@ class Dump:
 class SetOne:
     """Whether the node took one value, and what it said if not; `value` is read back afterwards.
 
-    `left_out` says of a value that is too long to be shown (and is null here) how long it is.
+    `left_out` says of a value that is too long to be shown (and is null here) how long it is. `before` is what it was.
     """
 
     name: str
@@ -104,6 +112,7 @@ class SetOne:
     reason: str
     value: Any
     left_out: str = ""
+    before: Any = field(default=None, metadata=HIDDEN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,16 +123,25 @@ class SetResult:
     successful: bool
     atomic: bool
     parameters: Sequence[SetOne]
+    note: str = ""
 
     def summary(self) -> list[str]:
         """One line, and one for each refusal."""
-        taken = sum(one.successful for one in self.parameters)
+        taken = [one for one in self.parameters if one.successful]
+        changes = [
+            f"{named(one.name)} = {one.left_out or in_quotes(one.value)} (was {in_quotes(one.before)})" for one in taken
+        ]
+        more = f" and {len(taken) - _MAX_NAMED} more" if len(taken) > _MAX_NAMED else ""
+        now = f": {', '.join(changes[:_MAX_NAMED])}{more}" if changes else ""
         refused = [
             f"{named(one.name)}: refused {f'because {quoted(one.reason)}' if one.reason else 'without a reason'}"
             for one in self.parameters
             if not one.successful
         ]
-        return [f"{self.node}: {taken} of {len(self.parameters)} parameter(s) set.", *refused]
+        return [
+            f"{self.node}: {len(taken)} of {len(self.parameters)} parameter(s) set{now}. {self.note}".rstrip(),
+            *refused,
+        ]
 
 
 class _Room:
@@ -163,11 +181,16 @@ def _cut(text: str) -> str:
 async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit: int = 200) -> ParameterList:
     """Parameters with values and descriptors, of several nodes at once; the `error` of one does not end the others.
 
-    Without nodes: of every node.
+    Without nodes: of every node. Without a pattern what every node has is left out, unless it is not at its default.
     """
+    left_out = 0
 
     async def described(node: str) -> NodeParameters:
-        return NodeParameters(node, await _read(robot, node, names.matching(await _names(robot, node), pattern)))
+        nonlocal left_out
+        found = await _read(robot, node, names.matching(await _names(robot, node), pattern))
+        meant = [one for one in found if pattern or not _is_usual(one)]
+        left_out += len(found) - len(meant)
+        return NodeParameters(node, meant)
 
     chosen = [names.absolute(node, "node") for node in nodes] or list((await list_nodes(robot)).nodes)
     found = await asyncio.gather(*(or_error(described(node), partial(NodeParameters, node)) for node in chosen))
@@ -180,8 +203,18 @@ async def describe(robot: Robot, nodes: Sequence[str], pattern: str = "", limit:
         shown.append(NodeParameters(node.node, [room.shown(one) for one in node.parameters[:left]], node.error))
         left = max(left - len(node.parameters), 0)
     long = [one.name for node in shown for one in node.parameters if one.left_out]
-    note = f"{len(long)} value(s) are too long to be shown: {_LONG_HINT}" if long else ""
-    return ParameterList(shown, " ".join(filter(None, (list_note(total, limit), note))))
+    notes = [await shared_names(robot, [node.node for node in shown]), list_note(total, limit)]
+    notes += [f"{len(long)} value(s) are too long to be shown: {_LONG_HINT}"] if long else []
+    if left_out:
+        usual = ", ".join((*(f"{name} at its default" for name in _OF_EVERY_NODE), f"{_OVERRIDES}*"))
+        notes.append(f"Left out: {left_out} that every node may have ({usual}); a pattern shows them.")
+    return ParameterList(shown, " ".join(filter(None, notes)))
+
+
+def _is_usual(parameter: Parameter) -> bool:
+    """Whether it says nothing of its node."""
+    is_default = parameter.name in _OF_EVERY_NODE and parameter.value is _OF_EVERY_NODE[parameter.name]
+    return is_default or parameter.name.startswith(_OVERRIDES)
 
 
 async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, whole: bool = False) -> Dump:
@@ -200,7 +233,8 @@ async def dump(robot: Robot, node: str, asked: Sequence[str] | None = None, *, w
     shown = found if whole else [room.shown(parameter) for parameter in found]
     values = {one.name: one.value for one in shown if one.type != "not_set" and not one.left_out}
     left_out = {one.name: one.left_out for one in shown if one.left_out}
-    return Dump(node, values, [parameter.name for parameter in found if parameter.read_only], left_out)
+    read_only = [parameter.name for parameter in found if parameter.read_only]
+    return Dump(node, values, read_only, left_out, await shared_names(robot, [node]))
 
 
 async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atomic: bool = False) -> SetResult:
@@ -217,7 +251,7 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
     if not values:
         raise BadInput("No parameters are given.", 'Give an object such as {"max_speed": 0.5}.')
     try:
-        messages = await _messages(robot, node, values)
+        messages, before = await _messages(robot, node, values)
     except BadValue as error:
         raise BadValue("", error.message, f"{error.hint} Nothing was set.".lstrip()) from error
     kind = SET_PARAMETERS_ATOMICALLY if atomic else SET_PARAMETERS
@@ -242,12 +276,17 @@ async def set_values(robot: Robot, node: str, values: Mapping[str, Any], *, atom
     for name in values:
         result = result_of.get(name, kept)
         value, left_out = (now[name].value, now[name].left_out) if name in now else (None, "")
-        ones.append(SetOne(name, result["successful"], _cut(result["reason"]), value, left_out))
-    return SetResult(node, all(one.successful for one in ones), atomic, ones)
+        was = before.get(name)
+        ones.append(SetOne(name, result["successful"], _cut(result["reason"]), value, left_out, before=was))
+    return SetResult(node, all(one.successful for one in ones), atomic, ones, await shared_names(robot, [node]))
 
 
-async def _messages(robot: Robot, node: str, values: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The values as `rcl_interfaces/msg/Parameter`, checked; without read-only ones that have their value already."""
+async def _messages(
+    robot: Robot, node: str, values: Mapping[str, Any]
+) -> tuple[list[dict[str, Any]], Mapping[str, Any]]:
+    """The values as `rcl_interfaces/msg/Parameter`, checked, without read-only ones that have their value already;
+    and the values that they have now.
+    """
     declared = await _names(robot, node)
     current = {found.name: found for found in await _read(robot, node, [name for name in values if name in declared])}
     messages: list[dict[str, Any]] = []
@@ -265,7 +304,7 @@ async def _messages(robot: Robot, node: str, values: Mapping[str, Any]) -> list[
             messages.append({"name": name, "value": message})
         elif value != parameter.value:
             raise BadValue(name, "it is read-only.", "It can be set only when the node starts.")
-    return messages
+    return messages, {name: parameter.value for name, parameter in current.items()}
 
 
 def _check_range(name: str, value: Any, allowed: Mapping[str, Any] | None) -> None:
@@ -273,6 +312,15 @@ def _check_range(name: str, value: Any, allowed: Mapping[str, Any] | None) -> No
         return
     if not float(allowed["from"]) <= value <= float(allowed["to"]):
         raise BadValue(name, f"{value} is out of range.", f"It takes {allowed['from']} to {allowed['to']}.")
+
+
+async def shared_names(robot: Robot, nodes: Sequence[str]) -> str:
+    """In words, which of these names several nodes have; empty if none."""
+    counts = Counter(row.name for row in await robot.graph.nodes())
+    shared = [node for node in nodes if counts[node] > 1]
+    most = max((counts[node] for node in shared), default=0)
+    how_many = f"{most} nodes have" if len(shared) < 2 else "Several nodes each have"
+    return f"{how_many} the name {listed(shared, _MAX_NAMED)}: which of them answers is not known." if shared else ""
 
 
 def _near(name: str, declared: Sequence[str]) -> str:
@@ -329,4 +377,4 @@ async def _not_found(robot: Robot, node: str) -> NotFound:
     if node in known:
         hint = "It was started without them, or has only just come up: then try again."
         return NotFound(f"{node} shows no parameter services.", hint)
-    return NotFound(f"There is no node {node}.", names.did_you_mean(node, known))
+    return NotFound(f"There is no node {node}.", await robot.graph.near(node, known, "ros2_node_list"))

@@ -8,10 +8,13 @@ from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
+from ros2_mcp.model.aside import load
 from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions
+from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
 from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
+from ros2_mcp.ops.sources.only import only_topic
 from ros2_mcp.ops.sources.source import Source
 
 
@@ -22,7 +25,8 @@ class CloudPicture(WithPictures):
     Pixel (`left_px` + column, `top_px` + row) begins at x = `x_min_m` + column · `metres_per_pixel`,
     y = `y_max_m` - row · `metres_per_pixel`; the rest are axes. Of `points`, `not_finite` have no place, and `shown`
     lie within the limits asked for, or without limits near the others. The robot's place is null where nobody says it.
-    `color_low` and `color_high` are the values at the ends of the colours; null for rgb.
+    `color_low` and `color_high` are the values at the ends of the colours; null for rgb. `seconds_in` counts from a
+    recording's beginning.
     """
 
     topic_name: str
@@ -47,6 +51,7 @@ class CloudPicture(WithPictures):
     robot_y_m: float | None
     robot_yaw_rad: float | None
     received_at: str
+    seconds_in: float | None
     source: str
     note: str
 
@@ -56,25 +61,28 @@ class CloudPicture(WithPictures):
 
 
 async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, report: Report = silent) -> CloudPicture:
-    """The next point cloud of a topic, from above.
+    """The next point cloud of a topic, or without one of the only topic with clouds, from above.
 
     Raises:
-        NotFound: if the topic is not there.
+        NotFound: if the topic is not there, or there is no cloud.
+        BadInput: if no topic is named, and there are several.
         TypeConflict: if it is no PointCloud2.
         TimedOut: if no cloud came.
         BadData: if its data does not fit its layout, or no point is left to show.
         BadValue: if the resolution is out of range.
     """
-    from ros2_mcp.codec.bird_eye import bird_eye  # with numpy: not before it is needed
+    await load("ros2_mcp.codec.bird_eye", "ros2_mcp.codec.clouds")  # with numpy: not before it is needed
+    from ros2_mcp.codec.bird_eye import bird_eye
     from ros2_mcp.codec.clouds import cloud_of
 
     bounded("resolution", options.resolution_m, 0.001, 100.0, "m")
+    topic, chosen = await only_topic(source, topic, POINT_CLOUD)
     found = await next_message(source, topic, POINT_CLOUD, report)
     cloud = await asyncio.to_thread(cloud_of, found.message)
-    robot = await robot_place(source, found.message.header.frame_id)
+    robot = await robot_place(source, found.message.header.frame_id, found.sample.received_ns)
     seen = await asyncio.to_thread(bird_eye, cloud, options, robot)
     numbers: dict[str, Any] = asdict(seen.numbers)
-    numbers["note"] = " ".join(filter(None, (numbers["note"], found.note)))
+    numbers["note"] = " ".join(filter(None, (numbers["note"], found.note, chosen)))
     return CloudPicture(
         topic_name=names.absolute(topic),
         frame_id=found.message.header.frame_id,
@@ -85,7 +93,8 @@ async def cloud_picture(source: Source, topic: str, options: BirdEyeOptions, rep
         robot_y_m=robot and robot.y_m,
         robot_yaw_rad=robot and robot.yaw_rad,
         received_at=iso_time(found.sample.received_ns),
-        source=source.words,
+        seconds_in=seconds_in(found.sample.received_ns, source.began_ns),
+        source=found.source,
         pictures=facts([seen.picture]),
         images=[seen.picture],
     )

@@ -18,7 +18,7 @@ from ros2_mcp.codec.select import FieldPath, measurable
 from ros2_mcp.codec.units import unit_of
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.ops.measure.columns import Columns, seconds
-from ros2_mcp.ops.measure.flow import GAP_FACTOR
+from ros2_mcp.ops.measure.flow import GAP_FACTOR, usual_s
 from ros2_mcp.ops.measure.signals import Numbers, pairs
 from ros2_mcp.ops.results import iso_time
 from ros2_mcp.ops.sources.source import Capture
@@ -80,19 +80,27 @@ def values_of(capture: Capture[Columns], fields: Sequence[FieldPath]) -> Iterato
 def breaks(times: Numbers) -> NDArray[np.bool_]:
     """True at each value that came after a gap."""
     periods = np.diff(times)
-    usual = float(np.median(periods)) if len(periods) > 2 else np.inf
+    usual = usual_s(periods) if len(periods) > 2 else np.inf
     return np.concatenate(([False], periods > GAP_FACTOR * usual))[: len(times)]
 
 
 def over_time(values: Sequence[FieldValues], capture: Capture[Columns], title: str) -> Figure:
-    """A panel for each unit, over the time of the capture."""
+    """A panel for each unit, over the time of the capture; of a recording in seconds from its beginning."""
     units = [value.unit for value in values]
+    zero_ns = capture.zero_ns
+    begin_s = (capture.start_ns - zero_ns) / 1e9
     panels = [
-        Panel([Curve(value.name, value.times, value.values, breaks(value.times)) for value in group], unit)
+        Panel([Curve(value.name, value.times + begin_s, value.values, breaks(value.times)) for value in group], unit)
         for unit, group in groupby(sorted(values, key=lambda value: units.index(value.unit)), lambda value: value.unit)
     ]
-    since = iso_time(capture.start_ns)[:-5].replace("T", " ")
-    return Figure(panels or [Panel([])], title, f"seconds since {since} UTC", Span(0.0, max(capture.duration_s, 1e-3)))
+    since = f"seconds since {iso_time(zero_ns)[:-5].replace('T', ' ')} UTC"
+    span = Span(begin_s, begin_s + max(capture.duration_s, 1e-3))
+    return Figure(
+        panels or [Panel([])],
+        title,
+        f"{since}, the recording's beginning" if capture.began_ns is not None else since,
+        span,
+    )
 
 
 def against_each_other(values: Sequence[FieldValues], title: str) -> Figure:
@@ -109,8 +117,7 @@ def against_each_other(values: Sequence[FieldValues], title: str) -> Figure:
     across, up = values[::2], values[1::2]
     curves: list[Curve] = []
     for x, y in zip(across, up, strict=True):
-        matched = pairs(x.times, y.times)
-        in_x, in_y = (np.array([pair[side] for pair in matched], np.intp) for side in (0, 1))
+        in_x, in_y = pairs(x.times, y.times)
         name = f"{y.name} over {x.field if x.topic == y.topic else x.name}"
         curves.append(Curve(name, x.values[in_x], y.values[in_y], breaks(x.times[in_x])))
     x_unit, y_unit = _common_unit(across), _common_unit(up)

@@ -6,10 +6,13 @@ import asyncio
 from dataclasses import asdict, dataclass
 
 from ros2_mcp.model import names
+from ros2_mcp.model.aside import load
 from ros2_mcp.model.pictures import BOUNDS, OCCUPANCY_GRID
+from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
 from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
+from ros2_mcp.ops.sources.only import only_topic
 from ros2_mcp.ops.sources.source import Source
 
 
@@ -19,7 +22,7 @@ class MapPicture(WithPictures):
     picture; `free`, `occupied` (50 % and more) and `unknown` are shares of all cells.
 
     The map's upper left pixel is at `left_px`, `top_px`, a pixel is `metres_per_pixel` wide; the rest are axes. Where
-    the robot is in `frame_id` is null where nobody says so.
+    the robot is in `frame_id` is null where nobody says so. `seconds_in` counts from a recording's beginning.
     """
 
     topic_name: str
@@ -40,6 +43,7 @@ class MapPicture(WithPictures):
     robot_y_m: float | None
     robot_yaw_rad: float | None
     received_at: str
+    seconds_in: float | None
     source: str
     note: str
 
@@ -49,20 +53,23 @@ class MapPicture(WithPictures):
 
 
 async def map_picture(source: Source, topic: str, report: Report = silent) -> MapPicture:
-    """The first map of a topic; a latched one comes at once.
+    """The first map of a topic, or without one of the only topic with maps; a latched one comes at once.
 
     Raises:
-        NotFound: if the topic is not there.
+        NotFound: if the topic is not there, or there is no map.
+        BadInput: if no topic is named, and there are several.
         TypeConflict: if it is no OccupancyGrid.
         TimedOut: if no map came.
         BadData: if the map is empty or does not fit its size.
     """
-    from ros2_mcp.codec.maps import map_drawing, map_facts  # with numpy: not before it is needed
+    await load("ros2_mcp.codec.maps", "ros2_mcp.codec.raster")  # with numpy: not before it is needed
+    from ros2_mcp.codec.maps import map_drawing, map_facts
     from ros2_mcp.codec.raster import finished
 
+    topic, chosen = await only_topic(source, topic, OCCUPANCY_GRID)
     found = await next_message(source, topic, OCCUPANCY_GRID, report)
     numbers = await asyncio.to_thread(map_facts, found.message)
-    robot = await robot_place(source, numbers.frame_id)
+    robot = await robot_place(source, numbers.frame_id, found.sample.received_ns)
     drawing = await asyncio.to_thread(map_drawing, found.message, BOUNDS, robot)
     picture = await asyncio.to_thread(finished, drawing.raster, BOUNDS)
     smaller = picture.width / drawing.raster.pixels.shape[1]
@@ -76,8 +83,9 @@ async def map_picture(source: Source, topic: str, report: Report = silent) -> Ma
         robot_y_m=robot and robot.y_m,
         robot_yaw_rad=robot and robot.yaw_rad,
         received_at=iso_time(found.sample.received_ns),
-        source=source.words,
-        note=found.note,
+        seconds_in=seconds_in(found.sample.received_ns, source.began_ns),
+        source=found.source,
+        note=" ".join(filter(None, (found.note, chosen))),
         pictures=facts([picture]),
         images=[picture],
     )

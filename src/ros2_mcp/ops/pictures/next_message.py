@@ -10,6 +10,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, TimedOut, TypeConflict
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
+from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.results import Report, reporting
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
@@ -20,11 +21,16 @@ _TRIED = 32
 
 @dataclass(frozen=True, slots=True)
 class Next:
-    """A message with its sample; `note` says how many were skipped because they are not what their type says."""
+    """A message with its sample, and in words where it is from.
+
+    `note` says when it was recorded, and how many were skipped as not of their type; `skipped` says the latter alone.
+    """
 
     message: Any
     sample: Sample
+    source: str
     note: str
+    skipped: str = ""
 
 
 async def next_message(source: Source, topic: str, type_name: str, report: Report) -> Next:
@@ -59,7 +65,12 @@ async def _next(source: Source, topic: str, type_name: str, limit: int) -> Next:
                 except BadData as error:
                     skipped, trouble = skipped + 1, error
                     continue
-                return Next(message, sample, undecodable(skipped, str(trouble)) if skipped else "")
+                left_out = undecodable(skipped, str(trouble)) if skipped else ""
+                recorded = (
+                    "" if source.is_live else f"Recorded at {recorded_time(sample.received_ns, source.began_ns)}."
+                )
+                note = " ".join(filter(None, (left_out, recorded)))
+                return Next(message, sample, source.words_after(stream.covered_s), note, left_out)
         if skipped:
             raise trouble
         hint = f"It is published by {', '.join(stream.nodes)}." if stream.publishers else "Nobody publishes on it."

@@ -11,6 +11,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.pictures import MAX_SIDE
+from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
@@ -60,11 +61,15 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Plot(WithPictures):
-    """What the picture shows. Times by the receiver's clock; `note` names what is not shown, and why."""
+    """What the picture shows. Times by the receiver's clock; `note` names what is not shown, and why.
+
+    `seconds_in` is `started_at` counted from a recording's beginning.
+    """
 
     source: str
     kind: str
     started_at: str
+    seconds_in: float | None
     duration: float
     series: Sequence[Series]
     note: str
@@ -154,7 +159,7 @@ def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: P
         by_name |= {value.name: value for value in curves.values_of(capture, fields)}
     values = list(by_name.values())
     for topic, capture in captures.items():
-        troubles = capture.kept.skipped, capture.kept.bounds("Drawn are those")
+        troubles = capture.kept.skipped, capture.kept.bounds("Drawn are those", capture.began_ns)
         notes += [f"{topic}: {trouble}" for trouble in troubles if trouble]
     if not is_xy and len(values) > curves.MAX_CURVES:
         shown = ([value for value in values if not value.is_constant] or values)[: curves.MAX_CURVES]
@@ -166,7 +171,7 @@ def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: P
         most = 2 * curves.MAX_CURVES
         raise BadInput(f"{len(values)} series are too many for one picture.", f"Give at most {most}.")
     series = [_series(value) for value in values]
-    notes += [f"{topic} was silent." for topic, capture in captures.items() if not capture.kept.count]
+    notes += [f"{topic} was silent." for topic, capture in captures.items() if not capture.kept.seen]
     notes += [
         f"{topic}: {one.dropped} messages were too much to keep." for topic, one in captures.items() if one.dropped
     ]
@@ -180,6 +185,7 @@ def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: P
         source=title,
         kind=request.kind,
         started_at=iso_time(first.start_ns),
+        seconds_in=seconds_in(first.start_ns, first.began_ns),
         duration=first.duration_s,
         series=series,
         note=" ".join(notes),

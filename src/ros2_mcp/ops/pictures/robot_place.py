@@ -2,36 +2,55 @@
 
 from __future__ import annotations
 
-import asyncio
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
+from ros2_mcp.codec.transforms import FrameTree, Located, pose_of
+from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.pictures import Place
-from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.sources.source import Source, Stream
+from ros2_mcp.ops.space.frames import frames_of
 
 _LISTEN_S = 0.6
 """Matching takes up to 0.2 s; what moves is sent at 5 Hz at least, what is static comes at once."""
+_BEFORE_NS, _AFTER_NS = 10_000_000_000, 200_000_000
+"""What is read around a time of a recording: what tf2 would keep, and one more message of a slow publisher."""
 _MOST = 200
-"""Messages of a recording that are looked at: of the largest robots, the transforms of a second."""
+"""Messages of a recording that are looked at: a localisation says the pose ten times a second."""
 _POSES = ("/amcl_pose", "/pose")
 """Where localisation says the robot's pose, as Nav2's and slam_toolbox do, with this type."""
-_TF = "tf2_msgs/msg/TFMessage"
 _POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
-async def robot_place(source: Source, frame: str) -> Place | None:
-    """Where the robot is in that frame; None where nobody says."""
-    from ros2_mcp.codec.transforms import Frames, place_of  # with numpy: not before it is needed
+async def robot_place(source: Source, frame: str, near_ns: int | None = None) -> Place | None:
+    """Where the robot is in that frame; None where nobody says.
 
-    static, moving = await asyncio.gather(*(_messages(source, topic, _TF) for topic in ("/tf_static", "/tf")))
-    if place := Frames([*static, *moving]).robot_in(frame):
-        return place
+    Of a recording that was asked for from a time on, it is the place when the picture was received, at `near_ns`.
+    """
+    await load("ros2_mcp.codec.cdr")  # with numpy: not before it is needed
+    if near_ns is not None and source.covers_ns and not source.from_end:
+        near_ns = max(near_ns, source.covers_ns[0])
+        source = source.part(near_ns - _BEFORE_NS, near_ns + _AFTER_NS)
+    frame = frame.lstrip("/")
+    with suppress(RobotError):
+        tree = await frames_of(source, until=lambda tree: _found(tree, frame) is not None, patience_s=_LISTEN_S)
+        if found := _found(tree, frame):
+            x_m, y_m, _ = found.pose.translation
+            return Place(x_m, y_m, found.pose.yaw_rad)
     for topic in _POSES:
         said = [message for message in await _messages(source, topic, _POSE) if message.header.frame_id == frame]
         if said:
-            return place_of(said[-1].pose.pose)
+            with suppress(ValueError):  # numbers that are not finite
+                pose = pose_of(said[-1].pose.pose)
+                return Place(*pose.translation[:2], pose.yaw_rad)
     return None
+
+
+def _found(tree: FrameTree, frame: str) -> Located | None:
+    return tree.newest(frame, tree.base) if tree.base and frame in tree.frames else None
 
 
 async def _messages(source: Source, topic: str, type_name: str) -> list[Any]:
@@ -41,5 +60,10 @@ async def _messages(source: Source, topic: str, type_name: str) -> list[Any]:
         if await source.type_of(topic) == type_name:
             async with source.lasting(_LISTEN_S).follow(topic, limit=_MOST) as stream:
                 async for batch in stream.batches:
-                    found += [stream.codec.decode(stream.type, sample.data) for sample in batch]
+                    size = sum(len(sample.data) for sample in batch)
+                    found += await aside(size, _decoded, stream, batch)
     return found
+
+
+def _decoded(stream: Stream, samples: Sequence[Sample]) -> list[Any]:
+    return [stream.codec.decode(stream.type, sample.data) for sample in samples]

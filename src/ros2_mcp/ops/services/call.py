@@ -9,7 +9,9 @@ from typing import Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import ServiceCall
-from ros2_mcp.model.errors import NotFound, TimedOut
+from ros2_mcp.model.errors import BadInput, NotFound, TimedOut
+from ros2_mcp.ops import flights
+from ros2_mcp.ops.defaults import left_at_default
 from ros2_mcp.ops.results import Report, in_words, reporting, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.limits import MAX_DURATION_S
@@ -42,16 +44,20 @@ async def call(
     robot: Robot,
     service: str,
     service_type: str,
-    request: Mapping[str, Any],
+    request: Mapping[str, Any] | None,
     *,
     force_call: bool = False,
     timeout_s: float = 10.0,
+    waits: bool = True,
     report: Report = silent,
 ) -> ServiceAnswer:
-    """Calls a service and waits for its answer; a server that appears within the time-out is used.
+    """Calls a service and waits for its answer; if it `waits`, a server that appears within the time-out is used.
+
+    A `request` that is None was not given: also with `force_call` only one that has no fields is sent then.
 
     Raises:
-        NotFound: if no server appeared, or it left before it answered.
+        BadInput: if it is forced, has fields, and no request was given.
+        NotFound: if no server is there (or none appeared), or it left before it answered.
         TypeConflict: if the service has another type.
         TimedOut: if it did not answer in time.
         BadValue: naming the path of a value that does not fit; nothing is sent.
@@ -59,13 +65,21 @@ async def call(
     bounded("timeout_sec", timeout_s, _LEAST_TIMEOUT_S, MAX_DURATION_S, "s")
     service = names.absolute(service, "service")
     service_type = await robot.types.service(service, service_type)
+    if absent := await robot.types.absent_service(service):
+        if not waits:
+            raise absent
+        await report(0.0, timeout_s, f"{service} is not there yet; waiting for it. {absent.hint}")
     await robot.values.learn(service_type)
-    missing = robot.values.missing_fields(f"{service_type}_Request", request)
+    missing = robot.values.missing_fields(f"{service_type}_Request", request or {})
+    if missing and force_call and request is None:
+        hint = "Give them in fields; {} calls with the defaults of all."
+        raise BadInput(f"No fields are given, and the request has {', '.join(missing)}.", hint)
+    request = request or {}
     if missing and not force_call:
         # Not an error: models leave fields out by mistake, and a default value may be a command that nobody meant.
         note = (
-            f"Missing request fields: {', '.join(missing)}. Give them, or set force_call to true to call with their "
-            "default values."
+            f"Missing request fields: {', '.join(missing)}. Give them, or set force_call to true to call without. "
+            + left_at_default(robot.values.definitions, f"{service_type}_Request", request)
         )
         return ServiceAnswer(
             service_name=service, service_type=service_type, called=False, missing_fields=missing, note=note
@@ -73,6 +87,7 @@ async def call(
     command = ServiceCall(
         principal=robot.principal, name=service, type=service_type, value=request, timeout_s=timeout_s
     )
+    sent_ns = robot.now_ns()
     try:
         async with reporting(report, timeout_s, f"waiting for {service}"):
             answer = await robot.do(command)
@@ -83,7 +98,10 @@ async def call(
     except TimedOut as error:
         hint = "It may still be working on it; a longer timeout_sec waits for longer."
         raise TimedOut(error.message, error.hint or hint) from error
-    shown = robot.values.render(answer.type, answer.body)
+    shown = await robot.values.render(answer.type, answer.body)
+    notes = [left_at_default(robot.values.definitions, f"{service_type}_Request", request)]
+    if flights.is_order(service, service_type, request):
+        notes.append(await flights.outcome(robot, service, service_type, request, shown.value, sent_ns))
     return ServiceAnswer(
         service_name=service,
         service_type=service_type,
@@ -92,4 +110,5 @@ async def call(
         missing_fields=missing,
         elapsed=answer.elapsed_s,
         truncated=shown.truncated,
+        note=" ".join(filter(None, notes)),
     )

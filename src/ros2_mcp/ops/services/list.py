@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model import names
-from ros2_mcp.model.errors import BadName, NotFound, UnknownInterface
+from ros2_mcp.model.errors import BadName, NotFound
 from ros2_mcp.ops.results import list_note
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
@@ -39,18 +39,30 @@ class ServiceList:
 
 
 async def list_services(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> ServiceList:
-    """The services whose names match the pattern. Those that every node has are shown only with `include_hidden`."""
-    found = await robot.graph.services()
+    """The services whose names or types match. Those that every node has are shown, last, only with a pattern or
+    `include_hidden`; parts of actions only with `include_hidden`.
+    """
+    found, absence = await asyncio.gather(robot.graph.services(), robot.graph.absence())
     types = {row.name: row.types for row in found}
-    visible = [name for name in sorted(types) if include_hidden or not is_infrastructure(name, types[name])]
-    matching = names.matching(visible, pattern)
-    chosen = [(name, types[name][0]) for name in matching[:limit]]
-    providers, fields = await asyncio.gather(_providers(robot), _request_fields(robot, {kind for _, kind in chosen}))
+    matching = names.matching(sorted(types), pattern, types.__getitem__)
+    matching.sort(key=lambda name: is_infrastructure(name, types[name]))  # a limit leaves those out first
+
+    def is_meant(name: str) -> bool:
+        return include_hidden or not (names.is_hidden(name) if pattern else is_infrastructure(name, types[name]))
+
+    visible = [name for name in matching if is_meant(name)]
+    chosen = [(name, types[name][0]) for name in visible[:limit]]
+    providers, (fields, unknown) = await asyncio.gather(
+        _providers(robot), robot.values.fields_of((kind for _, kind in chosen), "_Request")
+    )
     entries = [ServiceEntry(name, kind, fields[kind], providers.get(name, [])) for name, kind in chosen]
-    left_out = len(types) - len(visible)
-    note = f"{left_out} that every node has (for parameters, actions) are left out. " if left_out else ""
-    note += list_note(len(matching), limit, found.settled)
-    return ServiceList(entries, len(types), found.settled, note.rstrip())
+    note, left_out = "", len(matching) - len(visible)
+    if left_out and pattern:
+        note = f"{left_out} that are parts of actions are left out: include_hidden=true shows them. "
+    elif left_out:
+        note = f"{left_out} that every node or action has are left out: include_hidden=true shows them. "
+    note += list_note(len(visible), limit, found.settled, absence)
+    return ServiceList(entries, len(types), found.settled, " ".join(filter(None, (note.rstrip(), unknown))))
 
 
 async def _providers(robot: Robot) -> dict[str, list[str]]:
@@ -68,15 +80,3 @@ async def _providers(robot: Robot) -> dict[str, list[str]]:
         for service in services:
             providers.setdefault(service, []).append(node)
     return providers
-
-
-async def _request_fields(robot: Robot, types: Set[str]) -> dict[str, dict[str, Any]]:
-    """Type → name → type; nothing under a type that is not installed where the bridge runs: its service is listed."""
-    fields: dict[str, dict[str, Any]] = {}
-    for service_type in sorted(types):
-        try:
-            await robot.values.learn(service_type)
-            fields[service_type] = robot.values.field_types(f"{service_type}_Request")
-        except UnknownInterface:
-            fields[service_type] = {}
-    return fields

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import aclosing, asynccontextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Generic
@@ -19,6 +18,7 @@ from ros2_mcp.model.interfaces import DefinitionText
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
+from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore, OpenedBag
 from ros2_mcp.ops.results import Report, iso_time, silent
 from ros2_mcp.ops.sources.selection import MAX_BYTES
@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 _BATCH = 256
 _BATCH_BYTES = 8_000_000
 """Each batch is read in another thread: large enough that starting it does not count, small enough to be given up."""
+_WAITING_BYTES = 100_000
+"""Of one topic until its messages are passed on together; of 60 topics these are 6 MB."""
 _TO_DISK_NS = 1_000_000_000
 """Messages that are being recorded reach the disk up to a second after they came (`recorder.FLUSH_S`)."""
 _RECORDED = "(recorded)"
@@ -51,13 +53,16 @@ _RECORDED = "(recorded)"
 
 @dataclass(kw_only=True)
 class _BagStream(Stream):
-    """A topic of a bag, which knows what of it cannot be read."""
+    """A topic of a bag, which knows what of it cannot be read. `bag` is the one that it reads, once it has begun.
 
-    opened: OpenedBag
+    When the files change meanwhile, others open the bag anew, and what is found here is not known there.
+    """
+
+    bag: Bag | None = None
 
     @property
     def holes(self) -> Sequence[tuple[int, int]]:
-        bag, topics = self.opened.bag, (self.topic,)
+        bag, topics = self.bag, (self.topic,)
         return joined(hole for hole in bag.holes if hole.touches(topics, self.start_ns, self.until_ns)) if bag else ()
 
 
@@ -66,21 +71,33 @@ class _Part(Generic[K]):
     """What is kept of one of several topics that are read together, and how many messages that were."""
 
     stored: StoredTopic
-    stream: Stream
+    stream: _BagStream
     kept: K
     received: int = 0
+    _waiting: list[Sample] = field(default_factory=list[Sample])
+    _bytes: int = 0
 
     def add(self, samples: Sequence[Sample]) -> None:
+        """Takes in messages, as many at once as a batch has: one by one, arrays cost more than decoding."""
         self.received += len(samples)
-        if samples:
-            self.kept.add(samples)
+        self._waiting += samples
+        self._bytes += sum(len(sample.data) for sample in samples)
+        if len(self._waiting) >= _BATCH or self._bytes >= _WAITING_BYTES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Passes on what waits."""
+        if self._waiting:
+            self.kept.add(self._waiting)
+        self._waiting, self._bytes = [], 0
 
 
 @dataclass(kw_only=True)
 class BagSource(Source):
     """A part of a bag; get it with `open_bag`. `covers` are the times of the whole bag's beginning and end.
 
-    With `from_end`, a limit means the last messages.
+    With `from_end`, a limit means the last messages. `is_ring`: its beginning moves while it is recorded.
+    `begins_later` than the time from which on it was asked for.
     """
 
     opened: OpenedBag
@@ -90,12 +107,18 @@ class BagSource(Source):
     covers: tuple[int, int]
     robot: Robot | None
     from_end: bool
+    is_growing: bool = False
+    is_ring: bool = False
+    begins_later: bool = False
 
     def __post_init__(self) -> None:
         self.duration_s = (self.span.end_ns - self.span.start_ns) / 1e9
-        # Milliseconds: what a person reads; the exact times are in the results.
-        began = f"{iso_time(self.span.start_ns)[:-4]}Z"
-        self.words = f"bag {named(self.name)}, {self.duration_s:.4g} s from {began} on"
+        # The beginning of a black box moves: a second of now is no longer the same a minute later.
+        self.began_ns = None if self.is_ring else self.covers[0]
+        from_on = f"from {recorded_time(self.span.start_ns, self.began_ns)} on"
+        growing = ", still being recorded" if self.is_growing and not self.is_ring else ""
+        later = " (it begins later than start)" if self.begins_later else ""
+        self.words = f"bag {named(self.name)}{growing}, {self.duration_s:.4g} s {from_on}{later}"
         self._codec = self.opened.codec  # this one also when the bag's definitions change while it is read
 
     @property
@@ -112,17 +135,34 @@ class BagSource(Source):
         end_ns = min(self.span.end_ns, start_ns + longest_ns)
         return replace(self, span=replace(self.span, start_ns=start_ns, end_ns=end_ns))
 
+    @property
+    def covers_ns(self) -> tuple[int, int]:
+        """The times between which this part of it was received."""
+        return self.span.start_ns, self.span.end_ns
+
+    def part(self, start_ns: int, end_ns: int) -> BagSource:
+        """What of it was received between two times."""
+        start_ns, end_ns = max(self.span.start_ns, start_ns), min(self.span.end_ns, end_ns)
+        return replace(self, span=replace(self.span, start_ns=start_ns, end_ns=max(start_ns, end_ns)))
+
     async def type_of(self, topic: str) -> str:
         """The type of a topic; raises as `Source.type_of`."""
         return (await self._learn(topic)).type
 
     @asynccontextmanager
     async def follow(
-        self, topic: str, type_name: str = "", *, limit: int | None = None, every_n: int = 1, latched: bool = True
+        self,
+        topic: str,
+        type_name: str = "",
+        *,
+        limit: int | None = None,
+        every_n: int = 1,
+        latched: bool = True,
+        times_only: bool = False,  # noqa: ARG002 - as in `captures`
     ) -> AsyncGenerator[Stream, None]:
         """Every sample of a topic in order; raises as `Source.follow`."""
         stored = await self._learn(topic)
-        if type_name and names.interface_type(type_name, "msg") != stored.type:
+        if type_name and not names.is_type(type_name, stored.type):
             raise TypeConflict(
                 f"{stored.name} has the type {named(stored.type)}, not {type_name}.", "Leave the type out."
             )
@@ -154,6 +194,7 @@ class BagSource(Source):
         def begin() -> Iterator[tuple[str, Sample]]:
             with self.opened.reading() as bag:
                 for part in parts:
+                    part.stream.bag = bag
                     part.add(_latched_before(bag, part.stored, replace(self.span, topics=(part.stored.name,))))
                 return bag.messages(wanted)
 
@@ -163,6 +204,8 @@ class BagSource(Source):
                 batch = _batch(messages)
             for part in parts:
                 part.add([sample for topic, sample in batch if topic == part.stored.name])
+                if not batch:
+                    part.flush()
             return batch[-1][1].received_ns if batch else None
 
         messages = await asyncio.to_thread(begin)
@@ -183,7 +226,6 @@ class BagSource(Source):
             until_ns=self.span.end_ns,
             from_end=limited and self.from_end,
             thinned=limited,
-            opened=self.opened,
         )
 
     async def graph(self) -> GraphSnapshot:
@@ -207,13 +249,14 @@ class BagSource(Source):
         return topic
 
     async def _batches(
-        self, stream: Stream, stored: StoredTopic, limit: int | None, every_n: int, latched: bool
+        self, stream: _BagStream, stored: StoredTopic, limit: int | None, every_n: int, latched: bool
     ) -> AsyncGenerator[Sequence[Sample], None]:
         """Of the bag as it is at the beginning, although it may grow meanwhile."""
         span = replace(self.span, topics=(stored.name,))
 
         def begin() -> Iterator[tuple[str, Sample]]:
             with self.opened.reading() as bag:
+                stream.bag = bag
                 before = [(stored.name, one) for one in _latched_before(bag, stored, span)] if latched else []
                 messages = bag.messages(span, newest_first=stream.from_end)
                 ordered = chain(messages, before[::-1]) if stream.from_end else chain(before, messages)
@@ -246,10 +289,11 @@ async def open_bag(
     title: str = "",
     may_be_empty: bool = False,
     from_end: bool = False,
+    names: tuple[str, str] = ("start", "end"),
 ) -> BagSource:
     """A bag, or the part of it between two times (as `times.span_of` reads them), as a `Source`.
 
-    Without a start, or with `from_end`, a limit means the last messages.
+    Without a start, or with `from_end`, a limit means the last messages. `names` are the caller's arguments for both.
 
     Raises:
         NotFound: if there is no such bag.
@@ -261,12 +305,13 @@ async def open_bag(
         opened = store.opened(bag)
         with opened.reading() as found:
             first_ns, last_ns = times_of(store, found)
-            asked = span_of(start, end, first_ns, last_ns)
+            is_growing = store.is_growing(found)
+            asked = span_of(start, end, first_ns, last_ns, names)
         start_ns, end_ns = max(asked.start_ns, first_ns), min(asked.end_ns, last_ns + 1)
         if end_ns <= start_ns:
             if not may_be_empty:
-                covers = f"It goes from {iso_time(first_ns)} to {iso_time(last_ns)}."
-                raise BadValue("start" if start else "end", f"{named(bag)} has nothing in that time.", covers)
+                covers = f"It goes from {iso_time(first_ns)} to {recorded_time(last_ns, first_ns)}."
+                raise BadValue(names[0 if start else 1], f"{named(bag)} has nothing in that time.", covers)
             end_ns = start_ns
         return BagSource(
             opened=opened,
@@ -276,6 +321,9 @@ async def open_bag(
             covers=(first_ns, last_ns),
             robot=robot,
             from_end=from_end or not start.strip(),
+            is_growing=is_growing,
+            is_ring=is_growing and found.path.name == BLACK_BOX,
+            begins_later=bool(start.strip()) and not is_relative(start) and asked.start_ns < first_ns // 1000 * 1000,
         )
 
     return await asyncio.to_thread(opened)
@@ -289,10 +337,13 @@ class Bags(SourceKind):
         name = request.name or store.subject_name
         if not name and (request.start or request.end):
             if BLACK_BOX not in store.own:
-                hint = "Name it with bag; ros2_bag_list shows which there are."
-                raise BadInput("start and end are times in a recording, and none is named.", hint)
+                hint = f"Name it with bag. {await asyncio.to_thread(store.which)}"
+                asked = " and ".join(request.names)
+                raise BadInput(f"{asked} are times in a recording, and none is named.", hint)
             name = BLACK_BOX
-        return await open_bag(store, name, request.start, request.end, robot) if name else None
+        if not name:
+            return None
+        return await open_bag(store, name, request.start, request.end, robot, names=request.names)
 
     async def kept(
         self, robot: Robot, store: BagStore, request: SourceRequest
@@ -309,7 +360,16 @@ class Bags(SourceKind):
         def opening(name: str) -> Callable[[], Awaitable[Source]]:
             title = f"this server's recording {named(name)}" if name in own else f"the bag {named(name)}"
             return partial(
-                open_bag, store, name, request.start, request.end, robot, title=title, may_be_empty=True, from_end=True
+                open_bag,
+                store,
+                name,
+                request.start,
+                request.end,
+                robot,
+                title=title,
+                may_be_empty=True,
+                from_end=True,
+                names=request.names,
             )
 
         return [opening(name) for name in candidates]
@@ -349,8 +409,8 @@ def find_topic(bag: Bag, name: str) -> StoredTopic:
 
 
 def span_in(store: BagStore, bag: Bag, start: str, end: str) -> Span:
-    """The span between two times of a bag."""
-    return span_of(start, end, *times_of(store, bag))
+    """The span between two times that lie in a bag; raises `BadValue` for others."""
+    return span_of(start, end, *times_of(store, bag), within=True)
 
 
 def times_of(store: BagStore, bag: Bag) -> tuple[int, int]:
@@ -359,15 +419,16 @@ def times_of(store: BagStore, bag: Bag) -> tuple[int, int]:
     As messages are on their way to the disk for up to a second, now is a second ago where there is no later one.
     """
     first_ns, last_ns = bag.times or (0, 0)
-    if bag.times and store.is_growing(bag):
-        last_ns = max(last_ns, time.time_ns() - _TO_DISK_NS)
+    now_ns = store.recorded_until_ns(bag) if bag.times else None
+    if now_ns is not None:
+        last_ns = max(last_ns, now_ns - _TO_DISK_NS)
     return first_ns, last_ns
 
 
 def end_note(source: Source, *texts: str) -> str:
     """What `last 30 s` counted from, where that was asked for."""
     if isinstance(source, BagSource) and any(is_relative(text) for text in texts):
-        return f"Counted from its end, {iso_time(source.covers[1])}."
+        return f"Counted from its end, {recorded_time(source.covers[1], source.began_ns)}."
     return ""
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Sequence
 from dataclasses import dataclass
 
+from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.sources.bag import Bags
 from ros2_mcp.ops.sources.live import Robots
 from ros2_mcp.ops.sources.source import Source, SourceKind, SourceRequest
@@ -24,8 +26,17 @@ class Sources:
     store: BagStore
     kinds: Sequence[SourceKind] = OWN_KINDS
 
-    async def open(self, name: str = "", start: str = "", end: str = "") -> Source:
-        """The source of that name between two times.
+    async def open(
+        self,
+        name: str = "",
+        start: str = "",
+        end: str = "",
+        *,
+        names: tuple[str, str] = ("start", "end"),
+        waits: bool = True,
+        report: Report = silent,
+    ) -> Source:
+        """The source of that name between two times; the rest is as in `SourceRequest`.
 
         Without a name it is the recording that stands for the robot, else the robot itself.
 
@@ -33,7 +44,9 @@ class Sources:
             BadInput: if times are given, and no recording.
             NotFound, BadData, BadValue: as `open_bag`.
         """
-        request = SourceRequest(name.strip(), start.strip(), end.strip())
+        await load("ros2_mcp.codec.cdr", "ros2_mcp.codec.select")  # what reads decodes: with numpy, not at the start
+        times = start.strip(), end.strip()
+        request = SourceRequest(name.strip(), *times, names=names, waits=waits, report=report)
         for kind in self.kinds:
             if source := await kind.named(self.robot, self.store, request):
                 return source

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import TYPE_CHECKING
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp.model.samples import Counts, Sample
+from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE
+from ros2_mcp.model.qos import Endpoint
+from ros2_mcp.model.samples import STAMP_END, Counts, Sample
+from ros2_mcp.model.text import listed
 from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.nodes.own_services import ask_node, service_of
 from ros2_mcp.ops.results import Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.selection import Collector
 from ros2_mcp.ops.sources.source import (
@@ -30,6 +33,8 @@ from ros2_mcp.ops.sources.source import (
     captured,
 )
 from ros2_mcp.robot import Listening, Robot, TopicEndpoints
+from ros2_mcp.robot.seen import is_of_robot
+from ros2_mcp.robot.transforms import TransformListener
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 if TYPE_CHECKING:
@@ -37,28 +42,85 @@ if TYPE_CHECKING:
 
 _MATCHING_S = 0.5
 """Matching takes 20 to 200 ms on one host; a topic that is slower than 2 Hz would only keep the others waiting."""
+_BURST_NS = 1_000_000_000
+"""What was kept for late subscribers comes at once when they match; even large maps within a second."""
 _TURN_S = 1.0
 """The longest single wait for samples; the empty batch after it is the sign of life that a stream gives."""
-_NAMES_S = 1.0
-"""Fast DDS tells a node's name up to half a second after its endpoints."""
+_APPEARING_S = 1.0
+"""For a topic whose name is near no other: it may be coming up; discovery on one machine takes less."""
+_QUESTION = "rcl_interfaces/srv/GetParameterTypes"
+_ANSWER_S = 1.0
+"""A node that spins answers within milliseconds, also over a wireless network."""
+_ASKED_NODES, _AT_A_TIME = 20, 5
+"""One of them that answers is enough, and the question should not weigh on the robot. Some never answer, such as a node
+that nobody spins: so many of them there are not."""
 MAX_BYTES = 192_000_000
 """Of all topics that are measured together: a minute of a raw camera at 3 MB/s, and affordable beside a robot."""
 MAX_SAMPLES = 200_000
 """Of one topic: an IMU at 1 kHz for three minutes."""
 _TURN_SAMPLES = 200
 """Decoded in one go of a thread: some 10 ms, so that a cancelled call ends at once."""
-_UNNAMED = names.full_node_name("_NODE_NAME_UNKNOWN_", "/")
+_MAX_NAMED = 6
+"""Publishers in a sentence: robots of one name are few, and the result lists the nodes."""
+_OF_MANY = frozenset(
+    {
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "rcl_interfaces/msg/Log",
+        "rcl_interfaces/msg/ParameterEvent",
+        "tf2_msgs/msg/TFMessage",
+    }
+)
+"""Types whose messages say themselves of whom they are."""
 _ASKED_AT_ONCE = 32
 """Questions to the bridge that are under way together; it answers one after the other."""
 
 
 @dataclass(kw_only=True)
 class _LiveStream(Stream):
-    """A subscription; the call that made it began at the steady time `asked_at`, waiting for the topic included."""
+    """A subscription; the call that made it began at the steady time `asked_at`, waiting for the topic included.
+
+    `asked_ns` is the same as Unix time of the robot's clock.
+    """
 
     robot: Robot
     listening: Listening
     asked_at: float
+    asked_ns: int
+    _received_ns: tuple[int, int] | None = field(default=None, init=False)
+    _least_age_ns: int | None = field(default=None, init=False)
+
+    def look_at(self, samples: Sequence[Sample]) -> Sequence[Sample]:
+        """Learns from samples that have come how far the publisher's clock is from ours."""
+        for sample in samples if self.is_latched else ():
+            first_ns = self._received_ns[0] if self._received_ns else sample.received_ns
+            self._received_ns = first_ns, sample.received_ns
+            age_ns = sample.received_ns - sample.source_ns
+            if sample.source_ns and (self._least_age_ns is None or age_ns < self._least_age_ns):
+                self._least_age_ns = age_ns
+        return samples
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether it is given what was sent before."""
+        return self.listening.choice.qos.durability == "transient_local"
+
+    @property
+    def _keeps_coming(self) -> bool:
+        """Whether more came than the burst of what was kept for late subscribers."""
+        return self._received_ns is not None and self._received_ns[1] - self._received_ns[0] > _BURST_NS
+
+    @property
+    def tells_replayed(self) -> bool:
+        return not self.is_latched or self._keeps_coming
+
+    @property
+    def mixed(self) -> str:
+        return mixed(self.type, self.publishers)
+
+    @property
+    def left_behind(self) -> str:
+        left = self.counts.dropped if self.robot.is_remote else 0
+        return f"{left} message(s) were left on the robot: more than the link could carry in this time." if left else ""
 
     @property
     def counts(self) -> Counts:
@@ -70,9 +132,18 @@ class _LiveStream(Stream):
 
     @property
     def end_ns(self) -> int:
-        return time.time_ns()
+        return self.robot.now_ns()
+
+    def is_replayed(self, sample: Sample) -> bool:
+        """By the publisher's own time. Where messages keep coming, the youngest one tells how far its clock is off."""
+        if not self.is_latched:
+            return False
+        off_ns = self._least_age_ns if self._keeps_coming and self._least_age_ns is not None else 0
+        return 0 < sample.source_ns < self.asked_ns - off_ns or sample.received_ns < self.start_ns
 
     async def why_no_more(self, last: Sample | None) -> str:
+        if self.left_behind:
+            return ""  # which says it
         now = await self.robot.graph.endpoints(self.topic)
         if last is not None:
             left = len(self.publishers) - len(now.publishers)
@@ -83,40 +154,74 @@ class _LiveStream(Stream):
             return "Nobody publishes on it now." if not self.publishers else "Its publisher left during the read."
         if self.type not in {publisher.type for publisher in now.publishers}:
             return f"It is published with the type {', '.join(now.types)}."
-        nodes = ", ".join(sorted({publisher.node for publisher in now.publishers}))
-        return f"{len(now.publishers)} publisher(s) there, but no message came while this listened: {nodes}."
+        nodes = ", ".join(sorted({publisher.who for publisher in now.publishers}))
+        far = " Over this link a large message takes longer: give more time." if self.robot.is_remote else ""
+        return f"{len(now.publishers)} publisher(s) there, but no message came while this listened: {nodes}.{far}"
 
     async def take_until(self, deadline: float) -> AsyncGenerator[Sequence[Sample], None]:
         """What comes before that steady time."""
         while (left := deadline - monotonic()) > 0:
-            yield await self.listening.take(min(left, _TURN_S))
-        yield await self.listening.take(0.0)
+            yield self.look_at(await self.listening.take(min(left, _TURN_S)))
+        yield self.look_at(await self.listening.take(0.0))
+        if names.UNKNOWN_NODE in {publisher.node for publisher in self.publishers}:  # they had only just appeared
+            named = {one.gid: one for one in (await self.robot.graph.endpoints(self.topic)).publishers}
+            self.publishers = [named.get(one.gid, one) for one in self.publishers]
 
 
 class Live(Source):
     """What the robot does for `duration_s` from the call on.
 
     With `whole` that time begins when the topic is there, however long that took; else waiting for it counts too.
+    Unless it `waits`, a topic that is not there although discovery has settled is an error at once. With `judges` of
+    what was sent before it began only the newest counts: see `judging`.
     """
 
     title = "the robot"
     is_live = True
 
-    def __init__(self, robot: Robot, duration_s: float = 0.0, *, whole: bool = False) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        duration_s: float = 0.0,
+        *,
+        whole: bool = False,
+        waits: bool = True,
+        judges: bool = False,
+        report: Report = silent,
+    ) -> None:
         bounded("duration", duration_s, 0.0, MAX_DURATION_S, "s")
         self.words = f"live, {duration_s:g} s"
         self.duration_s = duration_s
         self._robot = robot
         self._whole = whole
+        self._waits = waits
+        self._judges = judges
+        self._report = report
 
     @property
     def codec(self) -> Codec:
         """Reads what the robot sends."""
         return self._robot.values.codec
 
-    def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> Live:  # noqa: ARG002
+    def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> Live:
         """The robot for so long from now on."""
-        return Live(self._robot, live_s, whole=whole)
+        waits = self._waits or recorded_s is not None
+        return Live(self._robot, live_s, whole=whole, waits=waits, judges=self._judges, report=self._report)
+
+    def judging(self) -> Live:
+        """The same, of which `follow` leaves out all but the newest of what a latched topic replays."""
+        return Live(
+            self._robot, self.duration_s, whole=self._whole, waits=self._waits, judges=True, report=self._report
+        )
+
+    def words_after(self, took_s: float) -> str:
+        """How long it took, and the bound apart."""
+        return f"live, {took_s:.2g} s of at most {self.duration_s:g} s" if took_s < self.duration_s else self.words
+
+    @property
+    def transforms(self) -> TransformListener:
+        """What listens to the robot's frames."""
+        return self._robot.transforms
 
     async def type_of(self, topic: str) -> str:
         """The type of a topic that is there now; raises as `Source.type_of`."""
@@ -129,9 +234,13 @@ class Live(Source):
     ) -> Sequence[Capture[K] | Missing]:
         """Listens to all topics over truly the same time, which begins when every subscription has been matched."""
 
+        head_bytes = STAMP_END if times_only else 0
+
         async def opened(topic: str) -> _LiveStream | Missing:
+            asked_at = monotonic()
             try:
-                return self._stream(await subscriptions.enter_async_context(self._robot.listen(topic)), monotonic())
+                listening = await subscriptions.enter_async_context(self._robot.listen(topic, head_bytes=head_bytes))
+                return self._stream(listening, asked_at)
             except RobotError as error:
                 return Missing(topic, error)
 
@@ -146,7 +255,9 @@ class Live(Source):
             results = await asyncio.gather(*map(opened, topics))
             streams = [result for result in results if isinstance(result, _LiveStream)]
             await _matched(streams)
-            start_ns, deadline = time.time_ns(), monotonic() + self.duration_s
+            start_ns, deadline = self._robot.now_ns(), monotonic() + self.duration_s
+            for stream in streams:
+                stream.start_ns = start_ns
             # By stream, not by topic: one topic may be asked for twice, and each is a capture of its own.
             most_bytes = MAX_BYTES // max(len(streams), 1)
             collectors = {
@@ -155,9 +266,9 @@ class Live(Source):
             }
             async with reporting(report, self.duration_s, progress):
                 await asyncio.gather(*map(collect, streams))
-            end_ns = time.time_ns()
+            end_ns = self._robot.now_ns()
         for stream in streams:  # what was received before the end and sent to us after it
-            collectors[id(stream)].add(await stream.listening.take(0.0))
+            collectors[id(stream)].add(stream.look_at(await stream.listening.take(0.0)))
         found: list[Capture[K] | Missing] = []
         for result in results:
             try:
@@ -176,16 +287,45 @@ class Live(Source):
         type_name: str = "",
         *,
         limit: int | None = None,  # noqa: ARG002 - the reader stops by itself
-        every_n: int = 1,  # noqa: ARG002
+        every_n: int = 1,
         latched: bool = True,  # noqa: ARG002 - the publishers decide
+        times_only: bool = False,
     ) -> AsyncGenerator[Stream, None]:
         """Every sample from now on; waits for the topic to appear."""
         asked_at = monotonic()
-        async with self._robot.listen(topic, type_name, wait_s=self.duration_s) as listening:
+        head_bytes = STAMP_END if times_only else 0
+        async with self._robot.listen(
+            topic,
+            type_name,
+            wait_s=self.duration_s,
+            absent=self._absent,
+            head_bytes=head_bytes,
+            every_n=every_n,
+            newest_of_old=self._judges,
+        ) as listening:
             stream = self._stream(listening, asked_at)
+            stream.thinned = every_n > 1
             stream.batches = stream.take_until((monotonic() if self._whole else asked_at) + self.duration_s)
             async with aclosing(stream.batches):
                 yield stream
+
+    async def lightest(self, topic: str) -> str:
+        """Over a network the compressed pictures of a camera, where somebody publishes them."""
+        topic = names.absolute(topic)
+        if not self._robot.is_remote:
+            return topic
+        raw, compressed = await asyncio.gather(
+            *(self._robot.graph.endpoints(name) for name in (topic, f"{topic}/compressed"))
+        )
+        has_both = IMAGE in raw.types and any(one.type == COMPRESSED_IMAGE for one in compressed.publishers)
+        return compressed.topic if has_both else topic
+
+    async def publishing(self, *types: str) -> list[str]:
+        """As `Source.publishing`; only those topics are looked at that have such a type."""
+        graph = self._robot.graph
+        rows = [row.name for row in await graph.topics() if not set(types).isdisjoint(row.types)]
+        found = await asyncio.gather(*map(graph.endpoints, rows))
+        return sorted(one.topic for one in found if any(end.type in types for end in one.publishers))
 
     async def graph(self) -> GraphSnapshot:
         """The graph now, without our own nodes."""
@@ -198,7 +338,7 @@ class Live(Source):
 
         async def endpoints(topic: str) -> TopicEndpoints:
             async with limit:
-                present = await self._named(topic)
+                present = await self._robot.graph.endpoints(topic)
             return TopicEndpoints(
                 topic,
                 [publisher for publisher in present.publishers if publisher.node not in own],
@@ -206,24 +346,52 @@ class Live(Source):
             )
 
         present = await asyncio.gather(*(endpoints(row.name) for row in topics))
+        by_name = {found.topic: found for found in present if found.types}
+        others = sorted(row.name for row in nodes if row.name not in own)
         return GraphSnapshot(
-            {found.topic: found for found in present if found.types},
-            sorted(row.name for row in nodes if row.name not in own),
+            by_name,
+            others,
             sorted(row.name for row in services),
             topics.settled and nodes.settled,
+            absence=await graph.absence(),
+            left=graph.seen.left(others, by_name),
         )
 
-    async def _named(self, topic: str) -> TopicEndpoints:
-        """The endpoints of a topic; waits for the names of nodes that have only just appeared, at most 1 s."""
-        deadline = monotonic() + _NAMES_S
-        found = await self._robot.graph.endpoints(topic)
-        while monotonic() < deadline and _UNNAMED in {one.node for one in (*found.publishers, *found.subscribers)}:
-            await asyncio.sleep(0.1)  # a tenth of the time: at most ten questions for each topic
-            found = await self._robot.graph.endpoints(topic)
-        return found
+    async def hung(self, nodes: Sequence[str]) -> Sequence[str]:
+        """Some of these nodes, if not one of them answers: the graph shows for 20 s who was killed or cut off."""
+        offered = {row.name for row in await self._robot.graph.services()}
+        asked = [node for node in dict.fromkeys(nodes) if is_of_robot(node) and service_of(node, _QUESTION) in offered]
+        asked = asked[:_ASKED_NODES]
+
+        async def answers(node: str) -> bool:
+            try:
+                question = ask_node(self._robot, node, _QUESTION, {"names": []}, timeout_s=_ANSWER_S, wait_s=_ANSWER_S)
+                await question
+            except RobotError:  # also what is not found: one that hangs is never matched with a new client
+                return False
+            return True
+
+        for first in range(0, len(asked), _AT_A_TIME):
+            if any(await asyncio.gather(*map(answers, asked[first : first + _AT_A_TIME]))):
+                return ()
+        return asked
+
+    async def _absent(self, present: TopicEndpoints) -> None:
+        """Says of a topic that is not there what is near: as an error, or as the first progress of a wait for it."""
+        graph, topic = self._robot.graph, present.topic
+        near = await graph.near_topic(topic)
+        if self._waits or not present.settled:
+            await self._report(0.0, self.duration_s, f"{topic} is not there yet; waiting for it. {near}".rstrip())
+            return
+        if not near:
+            present = await graph.wait_for(topic, publishers=1, timeout_s=_APPEARING_S, present=present)
+        if not present.types:
+            raise await graph.no_such_topic(topic)
 
     def _stream(self, listening: Listening, asked_at: float) -> _LiveStream:
         qos = listening.choice.qos
+        # Only now: before its first answer the robot's clock is not known.
+        asked_ns = self._robot.now_ns() - round((monotonic() - asked_at) * 1e9)
         return _LiveStream(
             topic=listening.topic,
             type=listening.type,
@@ -233,20 +401,31 @@ class Live(Source):
             robot=self._robot,
             listening=listening,
             asked_at=asked_at,
+            asked_ns=asked_ns,
         )
 
     async def _capture(
         self, stream: _LiveStream, kept: K, collector: Collector, start_ns: int, end_ns: int
     ) -> Capture[K]:
         """What was received between both times; of a latched topic also what was there before."""
-        latched = stream.listening.choice.qos.durability == "transient_local"
-        earliest_ns = 0 if latched else start_ns
+        earliest_ns = 0 if stream.is_latched else start_ns
         samples = [sample for sample in collector.samples if earliest_ns <= sample.received_ns <= end_ns]
         for begin in range(0, len(samples), _TURN_SAMPLES):
             await asyncio.to_thread(kept.add, samples[begin : begin + _TURN_SAMPLES])
         whole = captured(self, stream, kept, len(samples))
         dropped = whole.dropped + collector.dropped
         return replace(whole, start_ns=start_ns, end_ns=end_ns, received=len(samples) + dropped, dropped=dropped)
+
+
+def mixed(type_name: str, publishers: Sequence[Endpoint]) -> str:
+    """In words, whose messages are mixed; empty for one publisher, and for types that many are meant to publish.
+
+    What this server publishes itself is not counted: it keeps publishers that are silent.
+    """
+    others = [publisher.node for publisher in publishers if not publisher.ours]
+    if len(others) < 2 or type_name in _OF_MANY:
+        return ""
+    return f"{len(others)} publishers ({listed(sorted(others), _MAX_NAMED)}): their messages are mixed."
 
 
 async def _matched(streams: Sequence[_LiveStream]) -> None:
@@ -261,4 +440,4 @@ class Robots(SourceKind):
 
     async def named(self, robot: Robot, store: BagStore, request: SourceRequest) -> Source | None:  # noqa: ARG002
         """The robot now, if no other source is named."""
-        return None if request.name else Live(robot)
+        return None if request.name else Live(robot, waits=request.waits, report=request.report)

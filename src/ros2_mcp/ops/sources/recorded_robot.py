@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NoReturn
 
+from ros2_mcp.guard.guard import Guard
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.errors import RosNotFound, UnknownInterface
@@ -33,8 +34,8 @@ def recorded_robot(store: BagStore, result_bytes: int) -> Robot:
 
     bridge = Bridge(no_ros)
     graph = RecordedGraph(bridge, store)
-    policy = Policy(read_only=True, recorded=True)
-    return Robot(bridge, policy, result_bytes, graph=graph, values=RecordedValues(graph, store))
+    guard = Guard(Policy(read_only=True, recorded=True))
+    return Robot(bridge, guard, result_bytes, graph=graph, values=RecordedValues(graph, store))
 
 
 class RecordedGraph(Graph):
@@ -48,6 +49,10 @@ class RecordedGraph(Graph):
         """The recorded topics."""
         recorded = (await self._recorded_topics()).values()
         return Rows([TopicRow(found.topic, found.types, len(found.publishers), 0) for found in recorded], settled=True)
+
+    async def absence(self, within_s: float | None = None) -> str:  # noqa: ARG002 - as above
+        """It is there."""
+        return ""
 
     async def interfaces(self, within_s: float = REQUEST_S) -> list[str]:  # noqa: ARG002 - a file answers at once
         """The types of the recorded topics, with those that they refer to."""

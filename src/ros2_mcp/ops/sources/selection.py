@@ -6,14 +6,18 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
 
 from ros2_mcp.guard.policy import bounded
-from ros2_mcp.model.errors import BadData
-from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.errors import BadData, BadValue
+from ros2_mcp.model.samples import STAMP_END, Sample
+from ros2_mcp.model.text import named
+from ros2_mcp.model.times import iso_time
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.cdr import Codec, Message
     from ros2_mcp.codec.definitions import Definitions
+    from ros2_mcp.ops.sources.source import Source
 
 FIRST_MESSAGE_S = 5.0
 """How long the next message is waited for, if no limit is given: more than the slowest usual topics (1 s) take."""
@@ -22,6 +26,10 @@ LIMITED_S = 20.0
 MAX_MESSAGES = 100_000
 MAX_BYTES = 64_000_000
 """Memory for messages to be shown: sixty raw camera pictures. The result shows 32 kB of them in the end."""
+MAX_BYTES_IN_TOTAL = 192_000_000
+"""Of all that is collected at the same time, by all clients: as much as one measurement may have."""
+_LITTLE_BYTES = 1_000_000
+"""Who has less than that takes no part of it: a hundred of them are less than two cameras."""
 _BESIDE_BYTES = 60
 """What a message takes in the result beside its value: its time in ISO 8601, quotes and commas."""
 _LEAST_BYTES = 500
@@ -32,9 +40,9 @@ _LEAST_BYTES = 500
 class Selection:
     """What of a source's messages is read, and how much of them is shown.
 
-    `fields` are paths (none: all), arrays are shown up to `max_array` elements, only every `every_n`-th message is
-    kept. Reading ends after `duration_s` or `message_limit` kept messages; with neither, after the first message. The
-    result's text has at most `max_bytes`.
+    `fields` are paths (none: all); if they are `shared` by several topics, a type need not have all of them. Arrays are
+    shown up to `max_array` elements, only every `every_n`-th message is kept. Reading ends after `duration_s` or
+    `message_limit` kept messages; with neither, after the first message. The result's text has at most `max_bytes`.
     """
 
     fields: Sequence[str] = ()
@@ -43,6 +51,7 @@ class Selection:
     duration_s: float | None = None
     message_limit: int | None = None
     max_bytes: int = 32_000
+    shared: bool = False
 
     @property
     def live_s(self) -> float:
@@ -71,12 +80,59 @@ class Selection:
 
             parse_fields(definitions, type_name, self.fields)
 
+    def fitting(self, definitions: Definitions, type_name: str) -> tuple[Selection, str]:
+        """The same with those of its shared fields that the type has, and in words which it lacks.
 
-@dataclass(kw_only=True)
+        Raises:
+            BadValue: for a field that the type does not have; of shared ones only if it has none of them.
+        """
+        if not self.shared:
+            self.check_fields(definitions, type_name)
+            return self, ""
+        from ros2_mcp.codec.select import parse_field
+
+        lacking: list[BadValue] = []
+        kept: list[str] = []
+        for path in self.fields:
+            try:
+                parse_field(definitions, type_name, path)
+                kept.append(path)
+            except BadValue as error:
+                lacking.append(error)
+        if lacking and not kept:
+            raise lacking[0]
+        absent = ", ".join(named(path) for path in self.fields if path not in kept)
+        return replace(self, fields=kept), f"Left out, as {type_name} has no such field: {absent}." if absent else ""
+
+    @property
+    def has_filter(self) -> bool:
+        """Whether its fields ask for elements with a value: messages that have none are none of its messages."""
+        return any("==" in path for path in self.fields)
+
+    def wanted(self, codec: Codec, type_name: str, samples: Sequence[Sample]) -> Sequence[Sample]:
+        """The samples that pass its filters; what cannot be decoded passes, to be counted by whoever shows it."""
+        from ros2_mcp.codec.select import parse_fields
+
+        paths = [path for path in parse_fields(codec.definitions, type_name, self.fields) if "==" in path.path]
+
+        def passes(sample: Sample) -> bool:
+            try:
+                message = codec.decode(type_name, sample.data)
+                return not all(path.finds_none_in(message) for path in paths)
+            except (BadData, BadValue):
+                return True
+
+        return [sample for sample in samples if passes(sample)]
+
+
+@dataclass(kw_only=True, eq=False)
 class Collector:
     """Samples within bounds on their number and bytes: the oldest are `dropped`, and counted; `seen` counts all.
 
-    With `times_only` their bytes are not kept. It is full as soon as it has kept `enough` samples.
+    All that collect at the same time share `MAX_BYTES_IN_TOTAL`: each that has more than its part gives way.
+
+    With `times_only` no more of their bytes are kept than a header's stamp. It is full as soon as it has kept `enough`
+    samples.
     """
 
     max_samples: int = MAX_MESSAGES
@@ -89,19 +145,38 @@ class Collector:
     dropped: int = field(default=0, init=False)
     _bytes: int = field(default=0, init=False)
 
+    def __post_init__(self) -> None:
+        _collecting.add(self)
+
     def add(self, samples: Iterable[Sample]) -> bool:
         """Takes samples in; true as soon as there are enough."""
+        most_bytes = min(self.max_bytes, MAX_BYTES_IN_TOTAL // max(1, sum(one.is_large for one in _collecting)))
         for sample in samples:
             self.seen += 1
             if (self.seen - 1) % self.every_n == 0:
-                self.samples.append(replace(sample, data=b"") if self.times_only else sample)
-                self._bytes += len(self.samples[-1].data)
-            while len(self.samples) > self.max_samples or (self._bytes > self.max_bytes and len(self.samples) > 1):
-                self._bytes -= len(self.samples.popleft().data)
+                self.samples.append(_head_of(sample) if self.times_only else sample)
+                self._bytes += 0 if self.times_only else len(sample.data)
+            while len(self.samples) > self.max_samples or (self._bytes > most_bytes and len(self.samples) > 1):
+                gone = self.samples.popleft()
+                self._bytes -= 0 if self.times_only else len(gone.data)
                 self.dropped += 1
             if self.enough is not None and len(self.samples) >= self.enough:
                 return True
         return False
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it has so much that it takes a part of what all may have together."""
+        return self._bytes > _LITTLE_BYTES
+
+
+def _head_of(sample: Sample) -> Sample:
+    """No more of it than a header's stamp."""
+    return replace(sample, data=sample.data[:STAMP_END], whole_bytes=sample.size)
+
+
+_collecting: WeakSet[Collector] = WeakSet()
+"""Those of this process: memory is bounded for it as a whole, whoever reads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,14 +184,13 @@ class Fitted:
     """The messages that fit into a result: `values` as JSON, `messages` as they were decoded, for pictures.
 
     Of those that were chosen to be shown, `undecodable` are not what their type says, the first of them for the reason
-    `trouble`; `left_out` had no room. `truncated` names paths whose values are summaries, `hint` how to see them.
+    `trouble`; `left_out` had no room. `truncated` names paths whose values are summaries.
     """
 
     samples: Sequence[Sample] = ()
     values: Sequence[dict[str, Any]] = ()
     messages: Sequence[Message] = ()
     truncated: Sequence[str] = ()
-    hint: str = ""
     left_out: int = 0
     undecodable: int = 0
     trouble: str = ""
@@ -177,11 +251,21 @@ def fit(codec: Codec, type_name: str, samples: Sequence[Sample], selection: Sele
         values=[result.value for result in results],
         messages=[message for _, message in shown],
         truncated=sorted({path for result in results for path in result.truncated}),
-        hint=results[-1].hint,
         left_out=last + 1 - len(chosen),
         undecodable=len(troubles),
         trouble=troubles[0] if troubles else "",
     )
+
+
+def message_times(source: Source, samples: Sequence[Sample]) -> tuple[str, list[float]]:
+    """A time in ISO 8601, and how many seconds after it each sample was received, to the microsecond.
+
+    It is the beginning of the recording; live, or where that is not known, the time of the first sample.
+    """
+    if not samples:
+        return "", []
+    start_ns = samples[0].received_ns if source.began_ns is None else source.began_ns
+    return iso_time(start_ns), [(sample.received_ns // 1000 - start_ns // 1000) / 1e6 for sample in samples]
 
 
 def undecodable(count: int, trouble: str = "") -> str:

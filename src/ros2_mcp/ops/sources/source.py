@@ -18,6 +18,8 @@ from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.robot import Robot, TopicEndpoints
+from ros2_mcp.robot.seen import Left
+from ros2_mcp.robot.transforms import TransformListener
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.cdr import Codec
@@ -48,8 +50,9 @@ class Capture(Generic[K]):
     `start_ns` and `end_ns` are Unix times by the receiver's clock; only a latched message may be older.
     `received` counts all that came in that time, of which `dropped` were not looked at because of memory
     bounds; `lost` never came, or None where that cannot be known. `publishers` are names of nodes, empty where they
-    are not known. `source` says in words where the messages are from. `holes` are the times of which a recording
-    cannot be read: a silence or a step over one is none of the robot's.
+    are not known. `source` says in words where the messages are from; `began_ns` is that of the source, `mixed` that of
+    the stream. `holes` are the times of which a recording cannot be read: a silence or a step over one is none of the
+    robot's.
     """
 
     topic: str
@@ -63,12 +66,19 @@ class Capture(Generic[K]):
     lost: int | None = None
     publishers: Sequence[str] = ()
     source: str = ""
+    began_ns: int | None = None
     holes: Sequence[tuple[int, int]] = ()
+    mixed: str = ""
 
     @property
     def duration_s(self) -> float:
         """How long it is."""
         return (self.end_ns - self.start_ns) / 1e9
+
+    @property
+    def zero_ns(self) -> int:
+        """The time from which seconds count: the recording's beginning, live that of the capture."""
+        return self.start_ns if self.began_ns is None else self.began_ns
 
     @property
     def definitions(self) -> Definitions:
@@ -114,7 +124,17 @@ class Stream:
     @property
     def nodes(self) -> list[str]:
         """The names of the publishing nodes."""
-        return sorted({publisher.node for publisher in self.publishers})
+        return sorted({publisher.who for publisher in self.publishers})
+
+    @property
+    def mixed(self) -> str:
+        """In words, whose messages are mixed in it though one publisher is expected; who published is known live."""
+        return ""
+
+    @property
+    def left_behind(self) -> str:
+        """In words, how many of its messages a slow link has left on the robot; empty where there are none."""
+        return ""
 
     @property
     def counts(self) -> Counts:
@@ -136,6 +156,15 @@ class Stream:
         """The times of which nothing of it can be read, in order, as far as that is known when it has been read."""
         return ()
 
+    @property
+    def tells_replayed(self) -> bool:
+        """Whether enough has come for `is_replayed` to be sure; at the end it is as sure as it can be."""
+        return True
+
+    def is_replayed(self, sample: Sample) -> bool:
+        """Whether it was sent before the source's time, and came only because a late subscriber is given it, too."""
+        return sample.received_ns < self.start_ns
+
     async def why_no_more(self, last: Sample | None) -> str:
         """In words, why no sample came after `last`; None where none came at all."""
         return f"The recording has {'no more' if last else 'nothing'} of it in that part."
@@ -143,22 +172,35 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class GraphSnapshot:
-    """What a source knows of the graph. `nodes` has a name as often as nodes share it; None is not known."""
+    """What a source knows of the graph. `nodes` has a name as often as nodes share it; None is not known.
+
+    `absence` says in words that no robot is there; `left` is what was seen of it earlier in this session.
+    """
 
     topics: Mapping[str, TopicEndpoints]
     nodes: Sequence[str] | None = None
     services: Sequence[str] | None = None
     settled: bool = True
+    absence: str = ""
+    left: Left = field(default_factory=Left)
 
 
 @dataclass(frozen=True, slots=True)
 class SourceRequest:
-    """Which source is meant, in the caller's words: its name, a beginning and an end, the bucket of a database."""
+    """Which source is meant, in the caller's words: its name, a beginning and an end, the bucket of a database.
+
+    `names` are the caller's arguments for the beginning and the end, for errors and for how to read on. `waits`: the
+    caller has given a time to wait, so that a topic that is not there yet is waited for, which `report` is told; else
+    that is an error as soon as discovery has settled.
+    """
 
     name: str = ""
     start: str = ""
     end: str = ""
     bucket: str = ""
+    names: tuple[str, str] = ("start", "end")
+    waits: bool = True
+    report: Report = silent
 
 
 class Source(ABC):
@@ -173,8 +215,12 @@ class Source(ABC):
     """The same with its time, for results and people: `live, 5 s`."""
     duration_s: float
     """How much time it covers."""
+    began_ns: int | None = None
+    """For `model/times.recorded_time`: when a recording began, from which `12 s in` counts; None where it does not."""
     is_live: bool = False
     """Whether its messages have yet to come. Of what was kept, nothing has to be waited for."""
+    from_end: bool = False
+    """Whether a limit means the last messages."""
     keeps_types: bool = True
     """Whether it knows the types of its messages; if not, the caller has to give them."""
 
@@ -194,7 +240,14 @@ class Source(ABC):
 
     @abstractmethod
     def follow(
-        self, topic: str, type_name: str = "", *, limit: int | None = None, every_n: int = 1, latched: bool = True
+        self,
+        topic: str,
+        type_name: str = "",
+        *,
+        limit: int | None = None,
+        every_n: int = 1,
+        latched: bool = True,
+        times_only: bool = False,
     ) -> AbstractAsyncContextManager[Stream]:
         """Every sample of a topic in order, from the beginning of the source's time to its end.
 
@@ -203,8 +256,9 @@ class Source(ABC):
             type_name: needed only if the topic has several types, or live none yet.
             limit: how many samples are needed; of a recording without a start these are the last ones. A live stream
                 goes on: its reader stops.
-            every_n: with a limit, a recording gives only every n-th sample, counted from the first that is read.
+            every_n: live, and of a recording with a limit, only every n-th sample is given, counted from the first.
             latched: whether a recording also gives the earlier messages that a late subscriber would still have got.
+            times_only: no more of the samples is needed than their sizes and the bytes of a header's stamp.
 
         Raises:
             NotFound: if the topic does not appear in that time.
@@ -214,6 +268,7 @@ class Source(ABC):
     def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> Source:  # noqa: ARG002
         """The source for so long: live for `live_s` from now on, of a recording at most `recorded_s` (None: all of it).
 
+        `recorded_s` is what the caller has given, if anything: live, a topic that is not there is then waited for.
         Of a longer part of a recording it is the beginning if a start was given, else the end. `whole`: the time
         counts from when a topic is there, however long that takes; else waiting for it counts too.
 
@@ -222,9 +277,46 @@ class Source(ABC):
         """
         return self
 
+    def part(self, start_ns: int, end_ns: int) -> Source:  # noqa: ARG002 - what is live has no other time
+        """The part of it between two Unix times of receipt, as far as it has them; live it is the source itself."""
+        return self
+
+    @property
+    def covers_ns(self) -> tuple[int, int] | None:
+        """The Unix times of receipt between which it has messages, where that is known; None for what is live."""
+        return None
+
+    @property
+    def transforms(self) -> TransformListener | None:
+        """What has been listening to the frames of a robot; None for a recording, which is read when it is asked."""
+        return None
+
+    def judging(self) -> Source:
+        """The same for those who judge a state by its messages: live, of what was sent before only the newest counts.
+        A recording gives all that it has, in the order of its time.
+        """
+        return self
+
+    async def lightest(self, topic: str) -> str:
+        """The topic with the same pictures that is the least to read: itself, where that makes no difference."""
+        return topic
+
+    async def publishing(self, *types: str) -> list[str]:
+        """The names of the topics of one of these types that somebody publishes, or has published, in order."""
+        topics = (await self.graph()).topics
+        return sorted(name for name, found in topics.items() if any(one.type in types for one in found.publishers))
+
+    def words_after(self, took_s: float) -> str:  # noqa: ARG002 - what was kept is read in no time
+        """`words`, where reading may have ended before the source's time did: `live, 0.26 s of at most 5 s`."""
+        return self.words
+
     async def graph(self) -> GraphSnapshot:
         """What is known of the graph."""
         return GraphSnapshot({})
+
+    async def hung(self, nodes: Sequence[str]) -> Sequence[str]:  # noqa: ARG002 - a recording cannot be asked
+        """Some of these nodes, if they are asked a question that every node answers, and not one of them does."""
+        return ()
 
     async def captures(
         self,
@@ -236,7 +328,7 @@ class Source(ABC):
     ) -> Sequence[Capture[K] | Missing]:
         """What `keep` makes of every message of each topic, all over the same time.
 
-        With `times_only` the samples need no bytes.
+        With `times_only` the samples need no more bytes than those of a header's stamp.
         """
         found: list[Capture[K] | Missing] = []
         for number, topic in enumerate(topics):
@@ -285,7 +377,9 @@ def captured(source: Source, stream: Stream, kept: K, received: int) -> Capture[
         lost=counts.lost,
         publishers=stream.nodes if source.is_live else (),
         source=source.words,
+        began_ns=source.began_ns,
         holes=stream.holes,
+        mixed=stream.mixed,
     )
 
 

@@ -1,40 +1,86 @@
-"""Times in a recording, as people write them: ISO 8601 with a zone, or relative to the recording."""
+"""Times in a recording, as people and programs write them: ISO 8601, UNIX time, or relative to the recording."""
 
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from datetime import datetime, timezone
 
 from ros2_mcp.bags.stored import FOREVER, Span
 from ros2_mcp.model.errors import BadValue
+from ros2_mcp.model.times import iso_time, recorded_time
 
 _RELATIVE = re.compile(
-    r"(?P<before>first|last)?\s*(?P<number>\d+(?:\.\d+)?)\s*"
+    r"(?P<before>first|last)?\s*(?P<number>[0-9]+(?:\.[0-9]+)?)\s*"
     r"(?P<unit>ms|milliseconds?|s|sec|seconds?|min|minutes?|h|hours?)(?:\s+(?P<after>ago|in))?",
     re.IGNORECASE,
 )
 _SECONDS = {"ms": 0.001, "mi": 60.0, "m": 60.0, "s": 1.0, "h": 3600.0}
-_FRACTION = re.compile(r"[.,](\d{1,9})\d*")
+_FRACTION = re.compile(r"[.,]([0-9]{1,9})[0-9]*")
+_UNIX = re.compile(
+    r"(?P<whole>[0-9]{1,40})(?:\.(?P<fraction>[0-9]{1,40}))?(?:e\+?(?P<exponent>[0-9]{1,2}))?", re.IGNORECASE
+)
+"""Of a bounded length: Python refuses to read a number of more than 4300 digits."""
+_YEAR = re.compile(r"((?:19|20)[0-9]{2})(?:(0[1-9]|1[0-2])(0[1-9]|[12][0-9]|3[01]))?")
+"""A year, or a date in ISO's basic form: as a UNIX time it would be one of 1970."""
+_UNITS_NS = ((10**11, 10**9), (10**14, 10**6), (10**17, 1000))
+"""Below 10^11 a UNIX time is in seconds (until the year 5138), then in milliseconds, then in microseconds, and from
+10^17 on in nanoseconds, as stamps of bags and of Python programs are."""
+_NS_DIGITS = 17
+_NOT_AGO_S = 1e9
+"""A number of seconds ago that is as large (32 years) is a UNIX time: that of 2001 or later."""
+_MILLISECOND_NS = 1_000_000
+"""Times in a recording are written in whole milliseconds after its beginning."""
 _EARLIEST = -(2**63)
-_HINT = 'Write it like 2026-11-21T03:00:00Z, 2026-11-21T03:00:00.5+01:00, "last 30 s" or "2 min in".'
+_HINT = 'Write it like 2026-11-21T03:00:00Z, 2026-11-21T03:00:00.5+01:00, 1795230000.5, "last 30 s" or "2 min in".'
 
 
-def span_of(start: str, end: str, first_ns: int, last_ns: int) -> Span:
+def span_of(
+    start: str,
+    end: str,
+    first_ns: int,
+    last_ns: int,
+    names: tuple[str, str] = ("start", "end"),
+    *,
+    within: bool = False,
+) -> Span:
     """The span between two times of a recording from `first_ns` to `last_ns`; empty is its beginning or its end.
 
     `last 30 s` and `30 s ago` count back from the recording's end; `2 min in` is the time two minutes after its
-    beginning, and so is `first 2 min`. An end that is a time is part of the span: all of the microsecond it names.
+    beginning, and so is `first 2 min`. An end that is a moment is part of the span: all of the microsecond that a time
+    names, and of the millisecond that `2.5 s in` does. `names` are the caller's arguments for both. With `within`, a
+    time that is not in the recording is an error; without, only a number is that cannot be meant as a UNIX time.
 
     Raises:
-        BadValue: if one is not written like a time, or the end lies before the start.
+        BadValue: if one is not written like a time or is not in the recording, or the end lies before the start.
     """
-    start_ns = parsed_ns("start", start, first_ns, last_ns) if start.strip() else 0
+    times_ns: list[int] = []
+    for name, text in zip(names, (start, end), strict=True):
+        at_ns = parsed_ns(name, text, first_ns, last_ns) if text.strip() else 0
+        times_ns.append(at_ns)
+        if not text.strip() or is_relative(text) or not (within or _is_small(text)):
+            continue
+        if at_ns > last_ns or last_ns_of(text, at_ns) < first_ns:
+            raise _outside(name, text.strip(), at_ns, (first_ns, last_ns))
+    start_ns, end_ns = times_ns
     if not end.strip():
         return Span(None, start_ns)
-    end_ns = parsed_ns("end", end, first_ns, last_ns)
     if end_ns < start_ns:
-        raise BadValue("end", f"{end!r} is before {start!r}.")
-    return Span(None, start_ns, end_ns if is_relative(end) else last_ns_of(end, end_ns) + 1)
+        raise BadValue(names[1], f"{end!r} is before {start!r}.")
+    until_ns = last_ns_of(end, end_ns)
+    return Span(None, start_ns, end_ns if until_ns == end_ns and is_relative(end) else until_ns + 1)
+
+
+def _outside(name: str, text: str, at_ns: int, covers: tuple[int, int]) -> BadValue:
+    """The error of a time that is not in the recording, with what may have been meant."""
+    first_ns, last_ns = covers
+    meant = f'Write "{text} s in" for that long after its beginning. ' if _UNIX.fullmatch(text) else ""
+    until = recorded_time(last_ns, first_ns)
+    return BadValue(
+        name,
+        f"{text} is {iso_time(at_ns)}, which is not in the recording.",
+        f"{meant}It goes from {iso_time(first_ns)} to {until}.",
+    )
 
 
 def parsed_ns(name: str, text: str, first_ns: int | None, last_ns: int) -> int:
@@ -49,12 +95,42 @@ def is_relative(text: str) -> bool:
     return _RELATIVE.fullmatch(text.strip()) is not None
 
 
+def is_seconds_ago(text: str) -> bool:
+    """Whether it is a number so small that it can only be meant as seconds ago, and not as a UNIX time."""
+    return _UNIX.fullmatch(text.strip()) is not None and float(text) < _NOT_AGO_S
+
+
+def _is_small(text: str) -> bool:
+    """Whether it is a number that cannot be meant as a UNIX time, but of a recording of simulated time."""
+    return is_seconds_ago(text) and not _YEAR.fullmatch(text.strip())
+
+
 def last_ns_of(text: str, at_ns: int) -> int:
-    """The last nanosecond of what a text names: of a time the whole microsecond, unless it is written more exactly."""
-    if is_relative(text):
+    """The last nanosecond of what a text names: of a time the whole microsecond, unless it is written more exactly.
+
+    Of `12.3 s in` the whole millisecond, as which such times are written; any other relative one names none.
+    """
+    if relative := _RELATIVE.fullmatch(text.strip()):
+        return min(at_ns + _MILLISECOND_NS, FOREVER) - 1 if (relative["after"] or "").lower() == "in" else at_ns
+    unix = _UNIX.fullmatch(text.strip())
+    if unix and len(unix["whole"]) > _NS_DIGITS:
         return at_ns
     fraction = _FRACTION.search(text)
     return min(at_ns + 10 ** (9 - max(len(fraction[1]) if fraction else 0, 6)), FOREVER) - 1
+
+
+def taken_as(text: str) -> str:
+    """How a time is taken that does not say it all: without a zone, a UNIX time, `first 1 s`; else empty."""
+    text = text.strip()
+    relative = _RELATIVE.fullmatch(text)
+    if relative and (relative["before"] or "").lower() == "first":
+        return f"{text} is the moment so long after the beginning, which itself is 0 s in"
+    if _UNIX.fullmatch(text) or _YEAR.fullmatch(text):
+        return f"{text} is {iso_time(min(absolute_ns('', text), FOREVER))}"
+    with suppress(ValueError):
+        if _date(text, _FRACTION.search(text)).tzinfo is None:
+            return f"{text} has no time zone, UTC was taken"
+    return ""
 
 
 def _relative_ns(name: str, relative: re.Match[str], first_ns: int | None, last_ns: int) -> int:
@@ -72,20 +148,35 @@ def _relative_ns(name: str, relative: re.Match[str], first_ns: int | None, last_
     return first_ns + away_ns
 
 
-def absolute_ns(name: str, text: str, zone: timezone | None = None, hint: str = _HINT) -> int:
-    """A time in ISO 8601 as Unix time in nanoseconds; of `zone` where it names none.
+def absolute_ns(name: str, text: str, hint: str = _HINT) -> int:
+    """A time in ISO 8601 (UTC where it names no zone) or a UNIX time as Unix time in nanoseconds.
 
     Raises:
-        BadValue: if it is no such time, or names no zone and none is assumed.
+        BadValue: if it is no such time.
     """
-    whole, fraction = text, ""
-    if found := _FRACTION.search(text):
-        whole, fraction = text[: found.start()] + text[found.end() :], found[1]
+    if year := _YEAR.fullmatch(text):
+        text = "-".join(part or "01" for part in (year[1], year[2], year[3]))
+    elif unix := _UNIX.fullmatch(text):
+        return _unix_ns(unix)
+    fraction = _FRACTION.search(text)
     try:
-        date = datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", whole))
+        date = _date(text, fraction)
     except ValueError as error:
         raise BadValue(name, f"{text!r} is not a moment.", hint) from error
-    if date.tzinfo is None and zone is None:
-        raise BadValue(name, f"{text!r} has no time zone.", "Add Z for UTC, or an offset such as +01:00.")
-    date = date if date.tzinfo else date.replace(tzinfo=zone)
-    return round(date.timestamp()) * 1_000_000_000 + int(fraction.ljust(9, "0") or 0)
+    date = date if date.tzinfo else date.replace(tzinfo=timezone.utc)
+    return round(date.timestamp()) * 1_000_000_000 + int((fraction[1] if fraction else "").ljust(9, "0"))
+
+
+def _date(text: str, fraction: re.Match[str] | None) -> datetime:
+    """A time in ISO 8601 without its fraction of a second; raises `ValueError`."""
+    whole = text[: fraction.start()] + text[fraction.end() :] if fraction else text
+    return datetime.fromisoformat(re.sub(r"[zZ]$", "+00:00", whole))
+
+
+def _unix_ns(unix: re.Match[str]) -> int:
+    """A UNIX time in nanoseconds, in whatever unit its size says it is; exact, which a float would not be."""
+    fraction = unix["fraction"] or ""
+    digits, shift = int(unix["whole"] + fraction), int(unix["exponent"] or 0) - len(fraction)
+    size = digits * 10**shift if shift >= 0 else digits // 10**-shift
+    unit_ns = next((unit for below, unit in _UNITS_NS if size < below), 1)
+    return digits * unit_ns * 10**shift if shift >= 0 else digits * unit_ns // 10**-shift

@@ -6,28 +6,50 @@ Import it inside functions only: it needs NumPy.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from ros2_mcp.model.samples import Sample, header_stamp_ns
+from ros2_mcp.model.samples import STAMP_END, Sample, header_stamp_ns
 from ros2_mcp.ops.measure.columns import Arrivals, Room
 from ros2_mcp.ops.sources.source import Stream
 
-_STAMP_END = 12
-"""Bytes up to the end of a header's stamp: 4 of the CDR encapsulation, 4 of seconds, 4 of nanoseconds."""
+OLD_S = 1.0
+"""Stamps that are farther from now are of no use to tf2 and Nav2, which wait for tenths of a second. All messages of a
+span must be, so that one moment in which a machine stood still is none of the sensor's faults."""
+_OTHER_CLOCK_S = 1e6
+"""A stamp that is eleven days off is not of this clock: simulated time begins at zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ages:
+    """How old messages were when they came, by their header's stamp; negative where that lies in the future."""
+
+    min_s: float
+    mean_s: float
+    max_s: float
+
+    @property
+    def trouble(self) -> str:
+        """In words, what is wrong with all of them; empty where nothing is."""
+        if self.min_s > OLD_S:
+            return f"All its stamps are old, {self.mean_s:.3g} s in the mean: it is delayed, or its clock is behind."
+        if self.max_s < -OLD_S:
+            return f"All its stamps lie in the future, {-self.mean_s:.3g} s in the mean: its clock is ahead."
+        return ""
 
 
 class AgedArrivals(Arrivals):
-    """Of messages that begin with a header also their ages: how many, and of these the sum and the largest.
+    """Of messages that begin with a header also their ages: how many, and their mean, least and largest.
 
-    A latched message from before the stream's time is none of it.
+    Stamps of 0 are `unstamped`, those that are not of this clock are `of_other_clock`; neither have an age.
     """
 
     def __init__(self, stream: Stream, room: Room) -> None:
-        super().__init__(room)
+        super().__init__(room, stream.is_replayed)
         self.publishers = stream.publishers
-        self.aged = 0
+        self.aged = self.unstamped = self.of_other_clock = 0
+        self.age_min_s = float("inf")
         self.age_max_s = -float("inf")
         self._age_sum_s = 0.0
-        self._start_ns = stream.start_ns
         self._has_header = stream.codec.definitions.starts_with_header(stream.type)
 
     @property
@@ -35,13 +57,27 @@ class AgedArrivals(Arrivals):
         """The mean age."""
         return self._age_sum_s / self.aged if self.aged else 0.0
 
+    @property
+    def ages(self) -> Ages | None:
+        """The ages; None where there are none."""
+        if not self.aged:
+            return None
+        return Ages(self.age_min_s, self.age_mean_s, self.age_max_s)
+
     def add(self, samples: Sequence[Sample]) -> None:
         """Takes in messages, in the order of time."""
-        samples = [sample for sample in samples if sample.received_ns >= self._start_ns]
         super().add(samples)
         for sample in samples if self._has_header else ():
-            if len(sample.data) >= _STAMP_END:
-                age_s = (sample.received_ns - header_stamp_ns(sample.data)) / 1e9
-                self.aged += 1
-                self._age_sum_s += age_s
-                self.age_max_s = max(self.age_max_s, age_s)
+            if len(sample.data) >= STAMP_END and not self._is_replayed(sample):
+                self._add_age(sample.received_ns, header_stamp_ns(sample.data))
+
+    def _add_age(self, received_ns: int, stamp_ns: int) -> None:
+        age_s = (received_ns - stamp_ns) / 1e9
+        if not stamp_ns:
+            self.unstamped += 1
+        elif abs(age_s) >= _OTHER_CLOCK_S:
+            self.of_other_clock += 1
+        else:
+            self.aged += 1
+            self._age_sum_s += age_s
+            self.age_min_s, self.age_max_s = min(self.age_min_s, age_s), max(self.age_max_s, age_s)

@@ -13,7 +13,10 @@ from ros2_mcp.robot import Robot
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EndpointInfo:
-    """A publisher or subscriber with its QoS, which decides whether a pair matches; null if infinite or unknown."""
+    """A publisher or subscriber with its QoS, which decides whether a pair matches; null if infinite or unknown.
+
+    `ours`: it belongs to this server, which keeps what it publishes with ready for a while.
+    """
 
     node: str
     type: str
@@ -24,6 +27,8 @@ class EndpointInfo:
     deadline_s: float | None
     lifespan_s: float | None
     liveliness: str
+    liveliness_lease_s: float | None
+    ours: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,11 +44,12 @@ class TopicInfo:
 
     def summary(self) -> list[str]:
         """One line, and one for each mismatch."""
-        line = (
-            f"{self.topic_name} ({', '.join(map(named, self.topic_types))}): {len(self.publishers)} publisher(s), "
-            f"{len(self.subscribers)} subscriber(s)."
+        publishers, subscribers = (
+            f"{len(side)} {what}(s){_of_these_ours(side)}"
+            for side, what in ((self.publishers, "publisher"), (self.subscribers, "subscriber"))
         )
-        return [line, *self.mismatches]
+        types = ", ".join(map(named, self.topic_types))
+        return [f"{self.topic_name} ({types}): {publishers}, {subscribers}.", *self.mismatches]
 
 
 async def topic_info(robot: Robot, topic: str) -> TopicInfo:
@@ -71,7 +77,7 @@ def mismatches(publishers: Sequence[Endpoint], subscribers: Sequence[Endpoint]) 
     """One sentence for each pair that exchanges no messages."""
     pairs = [(publisher, subscriber) for publisher in publishers for subscriber in subscribers]
     reasons = [_pair_mismatch(publisher, subscriber) for publisher, subscriber in pairs]
-    return [f"{pair[0].node} → {pair[1].node}: {why}." for pair, why in zip(pairs, reasons, strict=True) if why]
+    return [f"{pair[0].who} → {pair[1].who}: {why}." for pair, why in zip(pairs, reasons, strict=True) if why]
 
 
 def _pair_mismatch(publisher: Endpoint, subscriber: Endpoint) -> str:
@@ -93,7 +99,19 @@ def _endpoint(endpoint: Endpoint) -> EndpointInfo:
         durability=policies.durability,
         history=policies.history,
         depth=policies.depth,
-        deadline_s=None if policies.deadline_ns is None else policies.deadline_ns / 1e9,
-        lifespan_s=None if policies.lifespan_ns is None else policies.lifespan_ns / 1e9,
+        deadline_s=_seconds(policies.deadline_ns),
+        lifespan_s=_seconds(policies.lifespan_ns),
         liveliness=policies.liveliness,
+        liveliness_lease_s=_seconds(policies.liveliness_lease_ns),
+        ours=endpoint.ours,
     )
+
+
+def _seconds(duration_ns: int | None) -> float | None:
+    return None if duration_ns is None else duration_ns / 1e9
+
+
+def _of_these_ours(side: Sequence[EndpointInfo]) -> str:
+    """How many of the endpoints are this server's own; empty if none is."""
+    count = sum(endpoint.ours for endpoint in side)
+    return f" ({count} of this server)" if count else ""

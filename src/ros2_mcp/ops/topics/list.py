@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from ros2_mcp.model import names
-from ros2_mcp.model.graph import OF_EVERY_NODE
-from ros2_mcp.ops.results import list_note
+from ros2_mcp.ops.results import ON_REQUEST, list_note
 from ros2_mcp.robot import Robot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicEntry:
-    """One topic; `topic_types` is filled only where there are several, which is a fault of the system."""
+    """One topic; `topic_types` is filled only where there are several, which is a fault of the system.
+
+    `request_fields` is name → type of a message, only where that was asked for.
+    """
 
     topic_name: str
     topic_type: str
     publishers: int
     subscribers: int
     topic_types: Sequence[str] = ()
+    request_fields: dict[str, Any] | None = field(default=None, metadata=ON_REQUEST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,19 +41,16 @@ class TopicList:
         return f"{len(self.topics)} of {self.total} topics. {self.note}".rstrip()
 
 
-async def list_topics(robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200) -> TopicList:
-    """The topics whose names match the pattern (a glob, or any part of a name), sorted by name."""
-    found = await robot.graph.topics()
+async def list_topics(
+    robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200, *, with_fields: bool = False
+) -> TopicList:
+    """The topics whose names or types match the pattern (a glob, or any part of one), sorted by name."""
+    found, absence = await asyncio.gather(robot.graph.topics(), robot.graph.absence())
     visible = {row.name: row for row in found if include_hidden or not names.is_hidden(row.name)}
-    chosen = names.matching(sorted(visible), pattern)
-    note = list_note(len(chosen), limit, found.settled)
-    if visible.keys() <= OF_EVERY_NODE:
-        # Only topics of ROS itself: most often the server is in another domain or network than the robot.
-        domain = "this domain" if robot.graph.domain_id is None else f"domain {robot.graph.domain_id}"
-        note = (
-            f"{note} No topic of a robot is seen in {domain}: is the robot on, in the same domain (ROS_DOMAIN_ID), and "
-            "reachable from here?"
-        ).strip()
+    chosen = names.matching(sorted(visible), pattern, lambda name: visible[name].types)
+    note = list_note(len(chosen), limit, found.settled, absence)
+    rows = [visible[name] for name in chosen[:limit]]
+    fields, unknown = await robot.values.fields_of(row.types[0] for row in rows) if with_fields else ({}, "")
     topics = [
         TopicEntry(
             topic_name=row.name,
@@ -56,7 +58,8 @@ async def list_topics(robot: Robot, pattern: str = "", include_hidden: bool = Fa
             publishers=row.publishers,
             subscribers=row.subscribers,
             topic_types=row.types if len(row.types) > 1 else (),
+            request_fields=fields.get(row.types[0]),
         )
-        for row in (visible[name] for name in chosen[:limit])
+        for row in rows
     ]
-    return TopicList(topics, len(visible), found.settled, note)
+    return TopicList(topics, len(visible), found.settled, " ".join(filter(None, (note, unknown))))

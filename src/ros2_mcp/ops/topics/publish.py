@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from time import monotonic
 from typing import Any
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
-from ros2_mcp.model.commands import Publish, Repeat
-from ros2_mcp.model.errors import BadInput, LinkError, Stopped
-from ros2_mcp.ops.endings import REASONS, ended_by
-from ros2_mcp.ops.results import Report, or_error, silent, unless_all_failed
+from ros2_mcp.model.commands import Move, Publish, Repeat
+from ros2_mcp.model.errors import BadInput, LinkError, RobotError, Stopped
+from ros2_mcp.ops.defaults import left_at_default
+from ros2_mcp.ops.endings import ended_by, guarded, limited, reason_of
+from ros2_mcp.ops.results import HIDDEN, Report, or_error, silent, unless_all_failed
 from ros2_mcp.ops.topics.info import mismatches
-from ros2_mcp.robot import VELOCITY_TYPES, Robot, Sent
+from ros2_mcp.robot import HOLD_TYPES, MOTION_TYPES, VELOCITY_TYPES, Robot, Sent
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp_bridge.limits import MAX_DURATION_S, MAX_RATE_HZ, MIN_RATE_HZ
 
@@ -55,12 +57,16 @@ class Published:
     qos: str = ""
     note: str = ""
     error: str = ""
+    ours: int = field(default=0, metadata=HIDDEN)
 
     def summary(self) -> str:
         """One line."""
         if self.error:
             return f"{self.topic_name}: {self.error}"
-        reached = f"reached {self.subscribers} subscriber(s)" if self.subscribers else "no subscriber was there"
+        others = self.subscribers - self.ours
+        reached = f"reached {others} subscriber(s)" if others else "no subscriber was there"
+        if self.ours:
+            reached += ", and this server itself" if others else " but this server itself"
         return f"{self.topic_name}: {self.sent} message(s) sent, {reached}. {self.note}".rstrip()
 
 
@@ -109,6 +115,10 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
         sent, reason = await _repeat(robot, command, report)
     else:
         sent = await robot.do(command)
+    definitions = robot.values.definitions
+    ours = await _ours(robot, sent)
+    own = f"{ours} of the {sent.matched} subscriber(s) are this server's own (it records, reads or relays it)."
+    notes = (await _note(robot, sent, reason), own if ours else "", left_at_default(definitions, to.type, request.data))
     return Published(
         status="published" if sent.matched else "nobody_listening",
         topic_name=sent.topic,
@@ -119,7 +129,8 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
         stopped_with_zero=sent.stopped_with_zero,
         elapsed=round(sent.elapsed_s, 6),
         qos=f"{sent.choice.qos.reliability}, {sent.choice.qos.durability}: {sent.choice.reason}",
-        note=await _note(robot, sent, reason),
+        note=" ".join(filter(None, notes)),
+        ours=ours,
     )
 
 
@@ -150,15 +161,16 @@ class Repetition(Job):
     patience_s = 1.0
     """`ros2_stop` ends repetitions in the bridge first and the jobs then; the bridge's answer is under way by then."""
 
-    def __init__(self, robot: Robot, command: Repeat) -> None:
+    def __init__(self, robot: Robot, command: Repeat | Move) -> None:
         super().__init__(owner=command.principal, moves=[command.name])
         self._robot = robot
-        self._command = replace(command, repeat_id=self.id)
-        self.is_motion = command.type in VELOCITY_TYPES
+        self._command = replace(command, repeat_id=self.id) if isinstance(command, Repeat) else None
+        self.is_motion = command.type in MOTION_TYPES
         self.sent: Sent | None = None
 
     async def run(self) -> None:
         """Publishes in the bridge until its time is over or the bridge ends it (`ros2_stop`)."""
+        assert self._command
         await self._robot.values.learn(self._command.type)  # as long as it is starting, a stop ends it at once
         self.begun()
         self.sent = await self._robot.do(self._command)
@@ -180,9 +192,20 @@ async def _repeat(robot: Robot, command: Repeat, report: Report) -> tuple[Sent, 
     repetition = Repetition(robot, command)
     topic, duration_s = command.name, command.duration_s
 
+    awaited = "a subscriber, and for the stopper, which sends the zero if the bridge dies"
+    waits = f"{topic}: nothing is sent yet, it waits for {awaited if repetition.is_motion else 'a subscriber'}"
+    said = ""
+
     async def progress() -> None:
-        elapsed_s = min(repetition.elapsed_s, duration_s)
-        await report(elapsed_s, duration_s, f"{topic}: publishing for {elapsed_s:.0f} of {duration_s:g} s")
+        nonlocal said
+        begun_at = robot.graph.repeat_begun_at(repetition.id)
+        if begun_at is None and not repetition.is_running:
+            return  # what became of it is told by its result
+        elapsed_s = 0.0 if begun_at is None else min(monotonic() - begun_at, duration_s)
+        line = waits if begun_at is None else f"{topic}: publishing for {elapsed_s:.0f} of {duration_s:g} s"
+        if line != said:
+            said = line
+            await report(elapsed_s, duration_s, line)
 
     await robot.jobs.run(repetition, every_second=progress)
     if repetition.sent is None:
@@ -190,13 +213,28 @@ async def _repeat(robot: Robot, command: Repeat, report: Report) -> tuple[Sent, 
             raise Stopped(f"{ended_by(repetition.stop_reason or 'a stop')} Nothing was published on {topic}.")
         raise LinkError(f"Publishing on {topic} was stopped, and the bridge has not said in time what was sent.")
     sent = repetition.sent
-    reason = repetition.stop_reason or REASONS.get(sent.ended_by, "a request to cancel it") if sent.ended_by else ""
+    reason = ""
+    if sent.ended_by:
+        reason = repetition.stop_reason or reason_of(robot, sent.ended_by) or "a request to cancel it"
     return sent, reason
+
+
+async def _ours(robot: Robot, sent: Sent) -> int:
+    """How many of the subscribers that were matched are this server's: its reads, recordings, relays, black box."""
+    if not sent.matched:
+        return 0
+    try:
+        subscribers = (await robot.graph.endpoints(sent.topic)).subscribers
+    except RobotError:  # what was sent is sent, and that is to be told
+        return 0
+    return min(sum(one.ours and one.type == sent.type for one in subscribers), sent.matched)
 
 
 async def _note(robot: Robot, sent: Sent, reason: str) -> str:
     notes = [ended_by(reason)] if reason else []
-    if not sent.matched:
+    if not sent.matched and reason:
+        notes.append("Nobody received it.")  # many may be stopped at once: no more is asked of the bridge for each
+    elif not sent.matched:
         found = await robot.graph.endpoints(sent.topic)
         ours = [publisher for publisher in found.publishers if publisher.node in robot.graph.own_nodes]
         reasons = mismatches(ours, found.subscribers)
@@ -209,8 +247,16 @@ async def _note(robot: Robot, sent: Sent, reason: str) -> str:
         notes.append("Not every subscriber has acknowledged it in time.")
     if sent.late:
         notes.append(f"{sent.late} period(s) were missed.")
+    if sent.limited:
+        notes.append(f"{limited(sent.limited)} Repeat it (frequency, duration) to get faster.")
+    notes.append(guarded(sent.stopper_s, sent.unguarded))
     if sent.stopped_with_zero:
-        notes.append("A zero command was sent at the end.")
+        is_held = sent.type in HOLD_TYPES
+        notes.append(f"A {'hold at the measured positions' if is_held else 'zero command'} was sent at the end.")
+    elif sent.hold_s and sent.matched:
+        notes.append(f"It holds for {sent.hold_s:g} s: unless another one follows, the bridge then sends the zero.")
+    elif sent.type in HOLD_TYPES and sent.matched:
+        notes.append("ros2_stop, or the end of this client, holds the joints where they are measured to be then.")
     elif sent.type in VELOCITY_TYPES and sent.matched:
         notes.append(
             "No zero command follows while this client stays: unless this was one, the robot moves until its own "

@@ -7,43 +7,76 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from ros2_mcp.model.errors import BadInput
-from ros2_mcp.ops.measure.flow import GAP_FACTOR, Silence, gaps, periods_s, rate_hz, silence_in
-from ros2_mcp.ops.results import HIDDEN, Report, iso_time, or_error, reporting, silent, unless_all_failed
+from ros2_mcp.model.errors import BadInput, NotFound
+from ros2_mcp.model.graph import OF_EVERY_NODE
+from ros2_mcp.model.names import absolute, is_hidden
+from ros2_mcp.model.text import listed, named
+from ros2_mcp.model.times import both_times, recorded_time
+from ros2_mcp.ops.measure.flow import (
+    GAP_FACTOR,
+    Silence,
+    burst_in_words,
+    gaps,
+    is_burst,
+    periods_s,
+    silence_in,
+    usual_s,
+)
+from ros2_mcp.ops.measure.health_check import LARGE_TYPES
+from ros2_mcp.ops.results import (
+    HIDDEN,
+    Report,
+    four_digits,
+    microseconds,
+    or_error,
+    reporting,
+    silent,
+    unless_all_failed,
+)
 from ros2_mcp.ops.sources.source import Capture, Missing, captured
 
 if TYPE_CHECKING:
     from ros2_mcp.model.qos import Endpoint
-    from ros2_mcp.ops.sources.source import Source
+    from ros2_mcp.model.samples import Sample
+    from ros2_mcp.ops.sources.source import GraphSnapshot, Source
     from ros2_mcp.ops.topics.arrivals import AgedArrivals
 
-MAX_TOPICS = 20
-"""Chosen: more than a person compares. Each is a subscription, which the bridge serves beside all others."""
+MAX_TOPICS = 64
+"""All of a usual robot. Each is a subscription, which the bridge serves beside all others."""
 _SILENCE_S = 0.5
 """A shorter silence at the end is not reported: a slow machine makes one now and then."""
-_OTHER_CLOCK_S = 1e6
-"""A stamp that is eleven days off is not of this clock: simulated time begins at zero."""
+_MAX_NODES = 3
+"""Publishers that are named in a line; all are in the table."""
+_IRREGULAR = 2.0
+"""Usual periods: a longest one of more is told, because a message was missing there or came very late."""
 _LEAST_S = 1e-3
-"""A recording of a single message has no duration; bytes per second are then counted over this."""
+"""A recording, or part of one, that is shorter has no rate of bytes: it is a single moment."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicStats:
     """The flow of one topic over a span. Times in seconds; null where there were too few messages to tell.
 
-    `jitter_s` is the standard deviation of the periods. `gaps` counts periods longer than three times the median one,
-    and the silence after the last message if it is that long and over half a second.
-    `age_mean_s` and `age_max_s` compare the header's stamp with the time of receipt.
+    `jitter_s` is the standard deviation of the periods. Rates have four significant digits, times microseconds. `gaps`
+    counts pauses by the times of receipt, whatever their cause: periods longer than three times the usual one (four of
+    five are not longer, so that publishers that send in pairs have no gaps), and the silence after the last message if
+    it is that long and over half a second. `lost` counts messages that the middleware knows not to have delivered, by
+    their numbers, and `dropped` those that came and were too many for this server: a pause of the sensor is a gap and
+    loses nothing, and a lost message between two others may be too short for a gap.
+    `age_mean_s` and `age_max_s` compare the header's stamp with the time of receipt. Of several `publishers` it is the
+    flow of all together; `publisher_nodes` names them where they are known. Latched messages from before are
+    `replayed`, and counted nowhere else.
     """
 
     topic_name: str
     topic_type: str = ""
     publishers: int = 0
+    publisher_nodes: Sequence[str] = ()
     count: int = 0
     rate_hz: float | None = None
     period_mean_s: float | None = None
@@ -52,45 +85,75 @@ class TopicStats:
     jitter_s: float | None = None
     gaps: int = 0
     longest_gap_s: float | None = None
-    bytes_per_second: float = 0.0
+    bytes_per_second: float | None = 0.0
     mean_size_bytes: float | None = None
     age_mean_s: float | None = None
     age_max_s: float | None = None
     lost: int | None = None
     dropped: int = 0
+    replayed: int = 0
     note: str = ""
     error: str = ""
+    longest_s: float = field(default=0.0, metadata=HIDDEN)
+    irregularity: float = field(default=0.0, metadata=HIDDEN)
 
     def summary(self) -> str:
         """One line."""
         if self.error:
-            return f"{self.topic_name}: {self.error}"
-        rate = "rate unknown" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"
-        return f"{self.topic_name}: {self.count} message(s), {rate}. {self.note}".rstrip()
+            return f"{named(self.topic_name)}: {self.error}"
+        facts = ["rate unknown" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz", _bytes(self.bytes_per_second)]
+        if self.age_mean_s is not None:
+            facts.append(f"age {self.age_mean_s:.3g} s")
+        if self.irregularity > _IRREGULAR:
+            facts.append(f"gaps {self.gaps}, longest {'' if self.gaps else 'period '}{self.longest_s:.3g} s")
+        facts.append(f"{self.count} message(s)")
+        if self.publisher_nodes:
+            further = len(self.publisher_nodes) - _MAX_NODES
+            more = [f"{further} more"] if further > 0 else []
+            facts.append(f"from {' and '.join([*map(named, self.publisher_nodes[:_MAX_NODES]), *more])}")
+        if self.publishers > 1:
+            facts.append(f"{self.publishers} publishers together")
+        return f"{named(self.topic_name)}: {', '.join(facts)}. {self.note}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
 class Stats:
-    """The flow of several topics over the same span: live, or the part of a recording that `source` names."""
+    """The flow of several topics over the same span: live, or the part of a recording that `source` names.
+
+    The topics with the most bytes per second come first.
+    """
 
     topics: Sequence[TopicStats]
     duration: float
     source: str
+    note: str = ""
     is_live: bool = field(default=True, metadata=HIDDEN)
 
     def summary(self) -> list[str]:
-        """A line for each topic, after one that names the recording."""
-        lines = [topic.summary() for topic in self.topics]
+        """A line for each topic, after one that names the recording; and one that names the least regular topic."""
+        lines = [*(topic.summary() for topic in self.topics), *([self.note] if self.note else [])]
+        worst = max(self.topics, key=lambda topic: topic.irregularity, default=None)
+        if worst and worst.irregularity > _IRREGULAR and len(self.topics) > 1:
+            usual_s = worst.longest_s / worst.irregularity
+            longest = f"{worst.longest_s:.3g} s, {worst.irregularity:.3g} times its usual period of {usual_s:.3g} s"
+            lines.append(f"Least regular: {named(worst.topic_name)}, nothing for {longest}.")
         return lines if self.is_live else [f"In {self.source}:", *lines]
 
 
-async def measure(source: Source, topics: Sequence[str], report: Report = silent) -> Stats:
+async def measure(source: Source, topics: Sequence[str] | None = None, report: Report = silent) -> Stats:
     """Measures several topics at once; the `error` of one does not end the others.
 
+    Without `topics` all are measured that somebody publishes, except hidden ones and those that every node has: the
+    first `MAX_TOPICS` in the order of their names, pictures and clouds before all others.
+
     Raises:
-        BadInput: if there are no topics, or too many.
+        BadInput: if no topic is given, or too many are.
+        NotFound: if none is given and nobody publishes on any.
         AllFailed: if none could be measured.
     """
+    note = ""
+    if topics is None:
+        topics, note = await _published(source)
     if not 1 <= len(topics) <= MAX_TOPICS:
         raise BadInput(f"{len(topics)} topics are given.", f"Give 1 to {MAX_TOPICS}.")
     started = monotonic()
@@ -100,7 +163,37 @@ async def measure(source: Source, topics: Sequence[str], report: Report = silent
     else:
         results = unless_all_failed(await _recorded(source, topics, report))
     duration_s = monotonic() - started if source.is_live else source.duration_s
-    return Stats(results, round(duration_s, 6), source.words, source.is_live)
+    if any(found.error for found in results):
+        results = _with_publishers(results, await source.graph())
+    results = sorted(results, key=lambda found: -(found.bytes_per_second or 0.0))
+    return Stats(results, round(duration_s, 6), source.words, note, source.is_live)
+
+
+def _with_publishers(results: Sequence[TopicStats], graph: GraphSnapshot) -> Sequence[TopicStats]:
+    """Those that could not be measured with who publishes on them, which may be why: with several types, for one."""
+
+    def known(found: TopicStats) -> TopicStats:
+        topic = graph.topics.get(absolute(found.topic_name)) if found.error else None
+        if not topic:
+            return found
+        who = sorted({one.who for one in topic.publishers})
+        return replace(found, topic_type=", ".join(topic.types), publishers=len(topic.publishers), publisher_nodes=who)
+
+    return list(map(known, results))
+
+
+async def _published(source: Source) -> tuple[list[str], str]:
+    """The topics to measure where none is named, and which of them were too many."""
+    graph = await source.graph()
+    published = [topic for topic in graph.topics.values() if topic.publishers]
+    published = [row for row in published if not is_hidden(row.topic) and row.topic not in OF_EVERY_NODE]
+    if not published:
+        raise NotFound(graph.absence or f"Nobody publishes on any topic in {source.title}.", "Name the topics.")
+    published.sort(key=lambda row: (not LARGE_TYPES.intersection(row.types), row.topic))
+    found = [row.topic for row in published]
+    left_out = found[MAX_TOPICS:]
+    note = f"Not measured, as {MAX_TOPICS} are the most: {listed(left_out, MAX_TOPICS)}." if left_out else ""
+    return found[:MAX_TOPICS], note
 
 
 async def _live(source: Source, topic: str, report: Report) -> TopicStats:
@@ -108,12 +201,18 @@ async def _live(source: Source, topic: str, report: Report) -> TopicStats:
     from ros2_mcp.ops.measure.columns import Room
     from ros2_mcp.ops.topics.arrivals import AgedArrivals
 
-    async with source.follow(topic, latched=False) as stream:
+    async with source.follow(topic, latched=False, times_only=True) as stream:
         kept = AgedArrivals(stream, Room())
         async with reporting(report, source.duration_s, lambda: f"{topic}: {kept.count} messages"):
+            held: list[Sample] = []
             async for batch in stream.batches:
-                kept.add(batch)
-        return _measured(source, captured(source, stream, kept, kept.count), stream.publishers)
+                held += batch
+                if stream.tells_replayed:
+                    kept.add(held)
+                    held = []
+            kept.add(held)
+        capture = captured(source, stream, kept, kept.count)
+        return await asyncio.to_thread(_measured, source, capture, stream.publishers)
 
 
 async def _recorded(source: Source, topics: Sequence[str], report: Report) -> list[TopicStats]:
@@ -123,12 +222,13 @@ async def _recorded(source: Source, topics: Sequence[str], report: Report) -> li
 
     room = Room()
     captures = await source.captures(topics, lambda stream: AgedArrivals(stream, room), report)
-    return [
-        TopicStats(topic_name=capture.topic, error=str(capture.error))
-        if isinstance(capture, Missing)
-        else _measured(source, capture, capture.kept.publishers)
-        for capture in captures
-    ]
+
+    def measured(capture: Capture[AgedArrivals] | Missing) -> TopicStats:
+        if isinstance(capture, Missing):
+            return TopicStats(topic_name=capture.topic, error=str(capture.error))
+        return _measured(source, capture, capture.kept.publishers)
+
+    return await asyncio.to_thread(lambda: list(map(measured, captures)))
 
 
 def _measured(source: Source, capture: Capture[AgedArrivals], publishers: Sequence[Endpoint]) -> TopicStats:
@@ -141,41 +241,68 @@ def _measured(source: Source, capture: Capture[AgedArrivals], publishers: Sequen
     silence = silence_in(times_ns, end_ns, GAP_FACTOR, _SILENCE_S, holes)
     breaks_s = [gap.duration_s for gap in gaps(times_ns, holes) if not gap.in_hole]
     breaks_s += [silence.duration_s] if silence and silence.is_end else []
-    same_clock = bool(kept.aged) and abs(kept.age_mean_s) < _OTHER_CLOCK_S
+    longest_s = max([float(periods.max(initial=0.0)), *breaks_s])
+    usual = usual_s(periods) if len(periods) else 0.0
+    ages = kept.ages
     if not publishers and not kept.count:
         notes = ["Nobody publishes on it."]
     elif not kept.count:
-        notes = [f"Published by {publishers[0].node}, but silent for {source.duration_s:g} s."]
+        notes = [f"Published by {publishers[0].who}, but silent for {source.duration_s:g} s."]
     else:
-        notes = [_in_words(silence)] if silence else []
-        if kept.aged and not same_clock:
-            notes.append("Its stamps are not from this clock (simulated time?), so ages are left out.")
+        notes = [_in_words(silence, capture.zero_ns)] if silence else []
+        if kept.of_other_clock:
+            whose = f"{kept.of_other_clock} of its stamps" if ages else "Its stamps"
+            notes.append(f"{whose} are not from this clock (simulated time?), so ages are left out.")
+        if kept.unstamped:
+            notes.append(f"{kept.unstamped} of {kept.count} stamps are empty (0).")
+    notes += [ages.trouble] if ages and ages.trouble else []
+    if kept.replayed:
+        notes.append(f"{kept.replayed} latched message(s) from before are not counted.")
     if not kept.all_kept:
-        notes.append(f"Periods and gaps are those up to {iso_time(end_ns)}: more times were too much to keep.")
+        until = recorded_time(end_ns, capture.began_ns)
+        notes.append(f"Periods and gaps are those up to {until}: more times were too much to keep.")
     over_s = capture.duration_s if not source.is_live else source.duration_s
+    rate = kept.rate_hz(holes)
+    if rate and is_burst(kept.count, rate, over_s):
+        notes.insert(0, burst_in_words(kept.count, rate))
+        rate = None
     return TopicStats(
         topic_name=capture.topic,
         topic_type=capture.type,
         publishers=len(publishers),
+        publisher_nodes=sorted({one.who for one in publishers}) if source.is_live else (),
         count=kept.count,
-        rate_hz=rate_hz(times_ns, holes) if kept.all_kept else kept.rate_hz,
-        period_mean_s=float(periods.mean()) if len(periods) else None,
-        period_min_s=float(periods.min()) if len(periods) else None,
-        period_max_s=float(periods.max()) if len(periods) else None,
-        jitter_s=float(np.std(periods)) if len(periods) > 1 else None,
+        rate_hz=four_digits(rate),
+        period_mean_s=microseconds(float(periods.mean()) if len(periods) else None),
+        period_min_s=microseconds(float(periods.min()) if len(periods) else None),
+        period_max_s=microseconds(float(periods.max()) if len(periods) else None),
+        jitter_s=microseconds(float(np.std(periods)) if len(periods) > 1 else None),
         gaps=len(breaks_s),
-        longest_gap_s=max(breaks_s, default=None),
-        bytes_per_second=kept.bytes / max(over_s, _LEAST_S),
-        mean_size_bytes=kept.bytes / kept.count if kept.count else None,
-        age_mean_s=kept.age_mean_s if same_clock else None,
-        age_max_s=kept.age_max_s if same_clock else None,
+        longest_gap_s=microseconds(max(breaks_s, default=None)),
+        bytes_per_second=four_digits(kept.bytes / over_s if over_s >= _LEAST_S else None),
+        mean_size_bytes=four_digits(kept.bytes / kept.count if kept.count else None),
+        age_mean_s=microseconds(ages.mean_s if ages else None),
+        age_max_s=microseconds(ages.max_s if ages else None),
         lost=capture.lost,
         dropped=capture.dropped,
+        replayed=kept.replayed,
         note=" ".join(notes),
+        longest_s=longest_s,
+        irregularity=longest_s / usual if usual and not (silence and silence.is_end) else 0.0,  # it has ended
     )
 
 
-def _in_words(silence: Silence) -> str:
+def _in_words(silence: Silence, zero_ns: int) -> str:
+    since = f"from {both_times(silence.from_ns, zero_ns)} on"
     if silence.is_end:
-        return f"It has stopped: nothing came in the last {silence.duration_s:.3g} s."
-    return f"The longest silence is {silence.duration_s:.3g} s from {iso_time(silence.from_ns)} on."
+        return f"It has stopped: nothing came in the last {silence.duration_s:.3g} s, {since}."
+    return f"The longest silence is {silence.duration_s:.3g} s, {since}."
+
+
+def _bytes(per_second: float | None) -> str:
+    if per_second is None:
+        return "bytes/s unknown"
+    for unit, size in (("MB/s", 1e6), ("kB/s", 1e3)):
+        if per_second >= size:
+            return f"{per_second / size:.3g} {unit}"
+    return f"{per_second:.3g} B/s"

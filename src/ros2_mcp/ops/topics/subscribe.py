@@ -13,10 +13,16 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.errors import BadData, BadInput, RobotError
+from ros2_mcp.model.meanings import Meaning
+from ros2_mcp.model.names import absolute
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Picture
 from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import named
+from ros2_mcp.model.times import seconds_in
+from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.results import (
     HIDDEN,
+    ON_REQUEST,
     Report,
     WithPictures,
     exact_time,
@@ -27,7 +33,17 @@ from ros2_mcp.ops.results import (
     silent,
     unless_all_failed,
 )
-from ros2_mcp.ops.sources.selection import Collector, Fitted, Selection, fit, spread_indices, undecodable
+from ros2_mcp.ops.sources.selection import (
+    MAX_MESSAGES,
+    Collector,
+    Fitted,
+    Selection,
+    fit,
+    message_times,
+    spread_indices,
+    undecodable,
+)
+from ros2_mcp.ops.space.meaning import meaning_of_newest
 
 if TYPE_CHECKING:
     from ros2_mcp.ops.sources.source import Source, Stream
@@ -44,15 +60,19 @@ _LEAST_BYTES = 1000
 class Reading(WithPictures):
     """The messages of one topic.
 
-    `count` messages are shown, of `received` ones; `dropped` were discarded by this server's memory bounds, `lost`
-    never arrived (null where that cannot be known). `truncated` names paths whose values are summaries. `source` says
-    whether they are live, or of which part of which recording; `duration` is its length.
+    `count` messages are shown, of `received` ones; `dropped` were discarded by this server's memory bounds, or left on
+    the robot by a slow link, `lost` never arrived (null where that cannot be known). `truncated` names paths whose
+    values are summaries. `source` says whether they are live, or of which part of which recording; `duration` is its
+    length, or how long the read took. `meaning` is that of the newest message of a laser scan, a point cloud or a depth
+    image, seen from the robot's base. Each message was received `times_s` seconds after `start`: the recording's
+    beginning, or live the first message.
     """
 
     topic_name: str
     topic_type: str = ""
     messages: Sequence[dict[str, Any]] = ()
-    received_at: Sequence[str] = ()
+    start: str = ""
+    times_s: Sequence[float] = ()
     count: int = 0
     duration: float = 0.0
     received: int = 0
@@ -64,15 +84,18 @@ class Reading(WithPictures):
     note: str = ""
     error: str = ""
     source: str = ""
+    meaning: Meaning | None = field(default=None, metadata=ON_REQUEST)
     is_live: bool = field(default=True, metadata=HIDDEN)
+    received_ns: Sequence[int] = field(default=(), metadata=HIDDEN)
 
     def summary(self) -> str:
         """One line."""
         if self.error:
             return f"{self.topic_name}: {self.error}"
         shown = "" if self.count == self.received else f", {self.count} shown"
-        where = f"{self.duration:.2f} s" if self.is_live else self.source
-        return f"{self.topic_name}: {self.received} message(s) in {where}{shown}. {self.note}".rstrip()
+        where = "" if self.is_live else "in "
+        said = f"{self.note} {self.meaning or ''}".strip()
+        return f"{self.topic_name}: {self.received} message(s) {where}{self.source}{shown}. {said}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,32 +112,39 @@ class Readings(WithPictures):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Echo(WithPictures):
-    """The next message of a topic, or `received` false and the reason; `waited` is how long this took, in seconds."""
+    """The next message of a topic, or `received` false and the reason; `waited` is how long this took, in seconds.
+
+    `seconds_in` counts from the beginning of the recording; null live, and of a black box.
+    """
 
     topic_name: str
     topic_type: str
     received: bool
     message: dict[str, Any] | None
     received_at: str
+    seconds_in: float | None
     waited: float
     publishers: Sequence[str]
     truncated: Sequence[str]
     note: str
     source: str
+    meaning: Meaning | None = field(default=None, metadata=ON_REQUEST)
     is_live: bool = field(metadata=HIDDEN)
 
     def summary(self) -> str:
         """One line."""
         what = "a message" if self.received else "no message"
         where = f"after {self.waited:.2f} s" if self.is_live else f"in {self.source}"
-        return f"{self.topic_name}: {what} {where}. {self.note}".rstrip()
+        said = f"{self.note} {self.meaning or ''}".strip()
+        return f"{self.topic_name}: {what} {where}. {said}".rstrip()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Collected:
     """What was read of a topic, still as bytes.
 
-    `received` counts all messages that came; `dropped` of them are not among the samples because of memory bounds.
+    `received` counts all messages that came; `dropped` of them are not among the samples because of memory bounds, or
+    because a link was too slow for them, which `left_behind` says in words.
     `more` says in words how to read on where there are more; `why_no_more` why fewer came than were asked for.
     """
 
@@ -126,6 +156,7 @@ class Collected:
     covered_s: float
     why_no_more: str
     more: str
+    left_behind: str
 
 
 async def collect(
@@ -146,41 +177,64 @@ async def collect(
         BadValue: if a limit is out of range, or a field is not in the type.
     """
     selection.check()
-    limit, every_n = selection.enough, selection.every_n
-    async with source.follow(topic, type_name, limit=limit, every_n=every_n, latched=latched) as stream:
+    limit, every_n, filtered = selection.enough, selection.every_n, selection.has_filter
+    # A source cannot count what passes a filter: then it gives all, and the first or the last ones are kept here.
+    asked, asked_n = (None, 1) if filtered else (limit, every_n)
+    async with source.follow(topic, type_name, limit=asked, every_n=asked_n, latched=latched) as stream:
         if stream.type:
-            selection.check_fields(stream.codec.definitions, stream.type)
+            selection, lacking = selection.fitting(stream.codec.definitions, stream.type)
+            stream.note = f"{stream.note} {lacking}".strip()
         collector = Collector(every_n=1 if stream.thinned else every_n, enough=limit)
-        is_full = False
+        if filtered and source.from_end:
+            collector = Collector(every_n=every_n, max_samples=limit or MAX_MESSAGES)
+        is_full, others = False, 0
         async with reporting(report, source.duration_s, lambda: f"{stream.topic}: {collector.seen} messages"):
             async for batch in stream.batches:
+                if filtered:
+                    passed = await asyncio.to_thread(selection.wanted, stream.codec, stream.type, batch)
+                    others += len(batch) - len(passed)
+                    batch = passed  # noqa: PLW2901
                 if is_full := collector.add(batch):
                     break
         samples = list(collector.samples)
         counts, further = stream.counts, stream.further
-        ended_early = not samples or (limit is not None and not is_full and further is None)
+        if others:
+            stream.note = f"{stream.note} {others} other message(s) have no such element.".lstrip()
+        was_limited = filtered and not source.is_live and len(samples) == limit
+        dropped = 0 if filtered and len(samples) == limit else collector.dropped
+        ended_early = not samples or (limit is not None and not (is_full or was_limited) and further is None)
         more = ""
-        if further and stream.from_end:
+        if was_limited and not source.from_end:
+            more = f"There may be later ones: for those, give {names[0]} {exact_time(samples[-1].received_ns + 1)}."
+        elif (was_limited and collector.dropped) or (further and stream.from_end):
             more = f"There are earlier ones too: for those, give {names[1]} {exact_time(samples[0].received_ns - 1)}."
         elif further:
             more = f"There are later ones too: for those, give {names[0]} {exact_time(further.received_ns)}."
+        # Those between every n-th are counted where they stayed; the robot's count has those that were dropped, too.
+        received = counts.received if stream.thinned else collector.seen
+        received += 0 if stream.thinned and source.is_live else counts.dropped
         return Collected(
             stream=stream,
             samples=samples,
-            received=(counts.received if stream.thinned else collector.seen) + counts.dropped,
-            dropped=collector.dropped + counts.dropped,
+            received=received,
+            dropped=dropped + counts.dropped,
             lost=counts.lost,
             covered_s=stream.covered_s,
             why_no_more=await stream.why_no_more(samples[-1] if samples else None) if ended_early else "",
             more=more,
+            left_behind=stream.left_behind,
         )
 
 
 async def read(source: Source, topic: str, type_name: str, selection: Selection, report: Report = silent) -> Reading:
-    """Messages of one topic, for as long as the selection says; raises as `collect`."""
+    """Messages of one topic, for as long as the selection says; raises as `collect`.
+
+    Pictures are read compressed over a network, unless a type or fields are asked for.
+    """
     source = source.lasting(selection.live_s, recorded_s=selection.duration_s)
-    collected = await collect(source, topic, type_name, selection, report)
-    return await _shown(source, collected, selection)
+    chosen = topic if type_name or selection.fields else await source.lightest(topic)
+    collected = await collect(source, chosen, type_name, selection, report)
+    return _told(await _shown(source, collected, selection), topic)
 
 
 async def read_several(
@@ -209,11 +263,14 @@ async def read_several(
 
 
 async def echo(source: Source, topic: str, topic_type: str, selection: Selection) -> Echo:
-    """The next message of a topic, waiting for the topic and for the message as long as the source lasts."""
-    started = monotonic()
+    """The next message of a topic, waiting for the topic and for the message as long as the source lasts; of those that
+    a latched topic replays the newest.
+    """
+    started, source = monotonic(), source.judging()
     selection = replace(selection, message_limit=1)
-    collected = await collect(source, topic, topic_type, selection)
-    reading = await _shown(source, collected, selection)
+    chosen = topic if topic_type or selection.fields else await source.lightest(topic)
+    collected = await collect(source, chosen, topic_type, selection)
+    reading = _told(await _shown(source, collected, selection), topic)
     if collected.samples and not reading.messages and not source.is_live:  # the next one that is what its type says
         several = await collect(source, topic, topic_type, replace(selection, message_limit=_TRIED))
         found, note = await asyncio.to_thread(_first_readable, several)
@@ -225,16 +282,26 @@ async def echo(source: Source, topic: str, topic_type: str, selection: Selection
         topic_type=reading.topic_type,
         received=bool(reading.messages),
         message=reading.messages[0] if reading.messages else None,
-        received_at=reading.received_at[0] if reading.received_at else "",
+        received_at=iso_time(reading.received_ns[0]) if reading.received_ns else "",
+        seconds_in=seconds_in(reading.received_ns[0], source.began_ns) if reading.received_ns else None,
         waited=round(monotonic() - started, 6),
         publishers=reading.publishers,
         truncated=reading.truncated,
         note=reading.note,
         source=reading.source,
+        meaning=reading.meaning,
         is_live=source.is_live,
         pictures=reading.pictures,
         images=reading.images,
     )
+
+
+def _told(reading: Reading, topic: str) -> Reading:
+    """With a note, if another topic was read than the one that was asked for."""
+    if reading.topic_name == absolute(topic):
+        return reading
+    note = f"A network lies between: {named(reading.topic_name)} was read, the same pictures compressed. {reading.note}"
+    return replace(reading, note=note.rstrip())
 
 
 def _first_readable(collected: Collected) -> tuple[Sample | None, str]:
@@ -253,19 +320,26 @@ def _first_readable(collected: Collected) -> tuple[Sample | None, str]:
 
 async def _shown(source: Source, collected: Collected, selection: Selection) -> Reading:
     stream = collected.stream
+    if stream.type:
+        selection, _ = selection.fitting(stream.codec.definitions, stream.type)
     fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
-    images, problem = await asyncio.to_thread(pictures_of, stream.type, fitted)
+    images, said = await asyncio.to_thread(pictures_of, stream.type, fitted)
+    start, times_s = message_times(source, fitted.samples)
+    # Who sees the picture needs no advice on how to read its bytes.
+    hint = summarised([path for path in fitted.truncated if not images or path != "data"])
     # Fewer than were asked for, and there are more: they were too much to keep.
     cut = collected.more if len(collected.samples) < (selection.enough or 0) else ""
-    if collected.dropped and collected.samples:
+    if collected.dropped and collected.samples and not collected.left_behind:
         since = exact_time(collected.samples[0].received_ns)
         kept = f"Only the newest {len(collected.samples)} are looked at, from {since} on: more were too much to keep."
         cut = f"{kept} {cut}".rstrip()
+    notes = (stream.mixed, stream.note, collected.left_behind, collected.why_no_more, cut, fitted.note, hint, said)
     return Reading(
         topic_name=stream.topic,
         topic_type=stream.type,
         messages=fitted.values,
-        received_at=[iso_time(sample.received_ns) for sample in fitted.samples],
+        start=start,
+        times_s=times_s,
         count=len(fitted.values),
         duration=round(collected.covered_s, 6),
         received=collected.received,
@@ -274,22 +348,31 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
         publishers=stream.nodes,
         qos=stream.qos,
         truncated=fitted.truncated,
-        note=" ".join(filter(None, (stream.note, collected.why_no_more, cut, fitted.note, fitted.hint, problem))),
-        source=source.words,
+        note=" ".join(filter(None, notes)),
+        source=source.words_after(collected.covered_s),
+        meaning=await meaning_of_newest(source, stream, fitted),
         is_live=source.is_live,
+        received_ns=[sample.received_ns for sample in fitted.samples],
         pictures=facts(images),
         images=images,
     )
 
 
 def pictures_of(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
-    """Pictures of the shown messages, from what is already decoded: each is decoded once. Or why there are none."""
+    """Pictures of the shown messages, from what is already decoded, and of which; or why there are none."""
     if type_name not in (IMAGE, COMPRESSED_IMAGE):
         return [], ""
     from ros2_mcp.codec.pictures import picture_of  # numpy: not at the start of the server
 
     try:
         chosen = spread_indices(len(fitted.messages), MAX_PICTURES)
-        return [picture_of(type_name, fitted.messages[index]) for index in chosen], ""
+        images = [picture_of(type_name, fitted.messages[index]) for index in chosen]
     except RobotError as error:
         return [], f"No picture: {error}"
+    if len(chosen) == len(fitted.messages):
+        return images, ""
+    which = ", ".join(str(index + 1) for index in chosen)
+    return images, (
+        f"Pictures of {len(chosen)} of the {len(fitted.messages)} messages are shown (numbers {which}), as each costs "
+        f"much to look at: a message_limit of {MAX_PICTURES} shows them all."
+    )

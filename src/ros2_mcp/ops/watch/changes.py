@@ -10,11 +10,10 @@ from time import monotonic
 from typing import Any
 
 from ros2_mcp.model.errors import NotFound
-from ros2_mcp.model.goals import TERMINAL, goal_id_hex
+from ros2_mcp.model.goals import STATUS_TYPE, TERMINAL, goal_id_hex
 from ros2_mcp.model.names import is_hidden
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops import log
-from ros2_mcp.ops.actions.status import STATUS_TYPE
 from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, DiagnosticTable
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.protocol import Keep
@@ -117,10 +116,10 @@ class WorseDiagnostics:
         table = DiagnosticTable()
         async with aclosing(_samples(robot, DIAGNOSTICS, "all")) as arrivals:
             type_name, samples = await anext(arrivals)
-            table.add_all(robot, type_name, samples)
+            await asyncio.to_thread(table.add_all, robot, type_name, samples)
             yield table
             async for type_name, samples in arrivals:
-                if table.add_all(robot, type_name, samples):
+                if await asyncio.to_thread(table.add_all, robot, type_name, samples):
                     yield table
 
 
@@ -136,7 +135,7 @@ class ParametersOf:
             await anext(arrivals)
             yield None
             async for type_name, samples in arrivals:
-                messages: list[Any] = [robot.values.decode(type_name, sample) for sample in samples]
+                messages: list[Any] = await robot.values.decode_all(type_name, samples)
                 if any(message.node == self.node for message in messages):
                     yield None
 
@@ -208,11 +207,11 @@ async def _goals(robot: Robot, action: str, ended: asyncio.Event, begun: asyncio
     try:
         with suppress(NotFound):
             async with robot.listen(f"{action}/_action/status", STATUS_TYPE, keep="latest") as listening:
-                before = _ended_goals(robot, await listening.take(_LATCHED_S))
+                before = await _ended_goals(robot, await listening.take(_LATCHED_S))
                 begun.set()
                 while True:
                     if samples := await listening.take(_APPEARS_S):
-                        now = _ended_goals(robot, samples)
+                        now = await _ended_goals(robot, samples)
                         if now - before:
                             ended.set()
                         before = now
@@ -220,11 +219,11 @@ async def _goals(robot: Robot, action: str, ended: asyncio.Event, begun: asyncio
         begun.set()
 
 
-def _ended_goals(robot: Robot, samples: Sequence[Sample]) -> set[str]:
+async def _ended_goals(robot: Robot, samples: Sequence[Sample]) -> set[str]:
     """The goals that the newest status says have ended."""
     if not samples:
         return set()
-    message: Any = robot.values.decode(STATUS_TYPE, samples[-1])
+    message: Any = (await robot.values.decode_all(STATUS_TYPE, samples[-1:]))[0]
     return {
         goal_id_hex([int(byte) for byte in status.goal_info.goal_id.uuid])
         for status in message.status_list

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,8 +46,16 @@ def test_where_the_room_ends_is_said() -> None:
     kept = columns(NUMBER, samples_of(NUMBER, range(1000)), Room(times=20, values=50))
     assert (kept.count, kept.decoded, len(kept.times_ns), len(kept.read_ns)) == (1000, 1000, 20, 21)
     assert kept.columns[0].values.tolist() == list(range(21))
-    assert kept.rate_hz == pytest.approx(100.0)
+    assert kept.rate_hz() == pytest.approx(100.0)
     assert kept.bounds("Drawn are those").startswith("Drawn are those of the first 21 of 1000 messages only, up to 20")
+
+
+@pytest.mark.parametrize("room", [Room(), Room(times=20)], ids=["room", "little room"])
+def test_the_time_of_a_hole_does_not_lower_the_rate(room: Room) -> None:
+    before, after = samples_of(NUMBER, range(1000)), samples_of(NUMBER, range(1000))
+    after = [replace(sample, received_ns=sample.received_ns + 50_000_000_000) for sample in after]
+    hole = (before[-1].received_ns + 1, after[0].received_ns - 1)
+    assert columns(NUMBER, before + after, room).rate_hz([hole]) == pytest.approx(100.0)
 
 
 def test_of_lists_the_mean_of_each_message_or_all_elements_are_kept() -> None:
@@ -54,7 +64,8 @@ def test_of_lists_the_mean_of_each_message_or_all_elements_are_kept() -> None:
     (means,) = columns(ARRAY, samples, Room()).columns
     assert (means.rows.tolist(), means.values.tolist()) == ([0, 2, 4], [2.0, 2.0, 6.0])
     (whole,) = columns(ARRAY, samples, Room(), whole_lists=True).columns
-    assert [part.tolist() for part in whole.by_row(5)][:3] == [[1.0, 3.0], [], [2.0]]
+    assert [part.tolist() for part in whole.by_row(5)] == [[0, 2, 2, 3, 4], [2, 0, 1, 1, 3]]
+    assert whole.values[:3].tolist() == [1.0, 3.0, 2.0]
     assert whole.totals.count == 5 and whole.totals.nan == 2
 
 
@@ -74,4 +85,11 @@ def test_a_message_that_is_not_what_its_type_says_is_counted_and_told() -> None:
 
 def test_a_column_without_a_message_is_empty() -> None:
     column = Column(measurable(CODEC.definitions, NUMBER, ["data"])[0])
-    assert (len(column.values), column.by_row(0), column.totals.count) == (0, [], 0)
+    assert (len(column.values), len(column.by_row(0)[0]), column.totals.count) == (0, 0, 0)
+
+
+def test_times_count_from_the_first_message_although_it_came_at_0() -> None:
+    kept = Columns(CODEC, "std_msgs/msg/Float64", measurable(CODEC.definitions, "std_msgs/msg/Float64"), Room())
+    for at_s in range(3):
+        kept.add([Sample(at_s * 10**9, 0, None, encoded("std_msgs/msg/Float64", {"data": float(at_s)}))])
+    assert (kept.origin_ns, kept.columns[0].highest.at_s) == (0, 2.0)

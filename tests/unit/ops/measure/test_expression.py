@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import string
 import time
@@ -32,6 +33,26 @@ SICK = {
 ARM = {"name": ["shoulder", "elbow"], "position": [0.5, -1.25], "velocity": [float("nan"), 3.0]}
 
 
+@pytest.mark.parametrize("degrees", [-170, -90, 0, 30, 179])
+@pytest.mark.parametrize("length", [1.0, 0.5])
+def test_the_heading_of_a_quaternion_is_known(definitions: Definitions, degrees: int, length: float) -> None:
+    half = math.radians(degrees) / 2
+    quaternion = {"z": length * math.sin(half), "w": length * math.cos(half)}
+    turned = decoded(ODOMETRY, {"pose": {"pose": {"orientation": quaternion}}})
+    asked = condition(definitions, ODOMETRY, "yaw(pose.pose.orientation) > 0")
+    assert asked.values(turned) == {"yaw(pose.pose.orientation)": pytest.approx(math.radians(degrees))}
+    assert (asked.holds(turned), list(asked.fields)) == (degrees > 0, [])
+
+
+def test_a_heading_is_asked_of_a_quaternion_only(definitions: Definitions) -> None:
+    zeros = decoded(ODOMETRY, {"pose": {"pose": {"orientation": dict.fromkeys("xyzw", 0.0)}}})
+    assert condition(definitions, ODOMETRY, "yaw(pose.pose.orientation) > 0").holds(zeros) is None
+    for other in ("pose.pose.position", "pose.pose.position.x", "pose.pose.orientation, 1"):
+        with pytest.raises(BadInput, match="does not take") as refused:
+            condition(definitions, ODOMETRY, f"yaw({other}) > 0")
+        assert "yaw(pose.pose.orientation)" in refused.value.hint
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -43,6 +64,9 @@ ARM = {"name": ["shoulder", "elbow"], "position": [0.5, -1.25], "velocity": [flo
         ("(pose.pose.position.x + pose.pose.position.y) * 2 == -1", True),
         ("abs(pose.pose.position.y) / 4 == 0.5", True),
         ("hypot(pose.pose.position.x - 1.5, pose.pose.position.y) <= 2", True),
+        ("sqrt(pose.pose.position.x * 6) == 3", True),
+        ("sqrt(pose.pose.position.y) == 3", None),
+        ("abs(atan2(pose.pose.position.y, 0) + 1.5707963) < 1e-6", True),
         ("min(pose.pose.position.x, pose.pose.position.y, 7) == -2", True),
         ("max(pose.covariance) == 0 and len(pose.covariance) == 36", True),
         ("pose.covariance[-1] == 0", True),
@@ -192,7 +216,7 @@ def test_what_is_no_condition_is_refused_with_what_would_be_right(
 _TOKENS = r"""
 pose.pose.position.x pose pose.covariance pose.covariance[3] child_frame_id header.stamp.sec x 1 0 -7 1e308
 18446744073709551615 'text' true nan inf None ... 1j b'x' f'{x}' and or not in is if else lambda for await yield := * **
-/ // + - < <= == != > @ % ~ ^ | & ( ) [ ] , : . { } abs( min( max( len( hypot( any( all(
+/ // + - < <= == != > @ % ~ ^ | & ( ) [ ] , : . { } abs( min( max( len( hypot( sqrt( atan2( yaw( any( all(
 [*] eval( __class__ .__init__ # é \
 """
 WORDS = [*_TOKENS.split(), "\n", "\t", "\0", "\ud800"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,9 +12,12 @@ from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.measure.health_check import Expectations, Health, check_health, to_measure
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.robot import TopicEndpoints
-from support.made_windows import Make, Recorded, Window
+from ros2_mcp.robot.seen import Left
+from support.made_windows import START_NS, Make, Recorded, Window
 
 SCAN = "sensor_msgs/msg/LaserScan"
+IMU = "sensor_msgs/msg/Imu"
+ODOMETRY = "nav_msgs/msg/Odometry"
 TWIST = "geometry_msgs/msg/Twist"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -33,8 +37,44 @@ async def check(present: Sequence[TopicEndpoints], windows: Sequence[Window], **
     return await check_health(source, Expectations(**expected))
 
 
+def state_of(found: Health, name: str) -> str:
+    rows: dict[str, str] = {row.topic_name: row.state for row in found.topics}
+    return rows[name] if name in rows else found.in_short[name].partition(",")[0]
+
+
 def at(rate_hz: float, duration_s: float = 3.0) -> list[tuple[float, dict[str, Any]]]:
     return [(0.05 + i / rate_hz, {}) for i in range(int((duration_s - 0.05) * rate_hz) + 1)]
+
+
+async def test_where_no_robot_is_seen_it_is_critical_and_what_was_there_is_named() -> None:
+    absence = "No robot is seen in domain 7. Seen earlier in this session, and gone: nodes /lidar; topics /scan."
+    gone = GraphSnapshot({}, [], [], absence=absence, left=Left(["/lidar"], {"/scan": ["/lidar"]}))
+    found = await check_health(Recorded([], gone), Expectations())
+    assert (found.verdict, [row.subject for row in found.findings]) == ("CRITICAL", ["robot"])
+    assert found.findings[0].problem == absence
+
+
+async def test_what_was_published_in_this_session_and_has_no_publisher_any_more_is_critical() -> None:
+    types = {"/imu": "sensor_msgs/msg/Imu", "/scan": "sensor_msgs/msg/LaserScan", "/pose": "nav_msgs/msg/Odometry"}
+    left = Left(["/camera", "/lidar"], {"/imu": ["/lidar"], "/scan": ["/lidar"], "/pose": ["/nav"]}, types)
+    found = await check_health(Recorded([], GraphSnapshot({}, ["/nav"], [], left=left)), Expectations())
+    assert found.verdict == "CRITICAL"
+    assert [(row.severity, row.subject, row.problem) for row in found.findings] == [
+        ("critical", "/lidar", "/lidar has left: nobody publishes any more on /imu, /scan."),
+        ("critical", "/nav", "/nav is there, but nobody publishes any more on /pose."),
+        ("warning", "/camera", "It was there earlier in this session, and has left."),
+    ]
+
+
+async def test_what_may_have_been_closed_on_purpose_or_is_not_yet_discovered_is_a_warning() -> None:
+    types = {"/goal_pose": "geometry_msgs/msg/PoseStamped"}
+    closed = GraphSnapshot({}, ["/nav"], [], left=Left(["/rviz"], {"/goal_pose": ["/rviz"]}, types))
+    found = await check_health(Recorded([], closed), Expectations())
+    assert (found.verdict, [row.subject for row in found.findings]) == ("DEGRADED", ["/rviz"])
+    assert (await check_health(Recorded([], closed), Expectations(["/goal_pose"]))).verdict == "CRITICAL"
+    absence = "No robot is seen in domain 7 yet: discovery is still under way, ask again."
+    early = GraphSnapshot({}, [], [], False, absence=absence)
+    assert (await check_health(Recorded([], early), Expectations())).verdict == "DEGRADED"
 
 
 PASSING = [(1.0, 0, "fine"), (2.0, 2, "no data"), (3.0, 0, "fine")]
@@ -47,7 +87,26 @@ LIDAR = topic("/scan", [endpoint("/lidar", SCAN)])
 )
 async def test_a_sensor_slower_than_expected_degrades(window: Make, rate_hz: float, verdict: str, state: str) -> None:
     found = await check([LIDAR], [window("/scan", SCAN, at(rate_hz), 3.0)])
-    assert (found.verdict, found.topics[0].state) == (verdict, state)
+    assert (found.verdict, state_of(found, "/scan")) == (verdict, state)
+
+
+async def test_topics_that_are_as_they_should_be_are_told_in_short(window: Make) -> None:
+    present = [topic(f"/scan{i}", [endpoint("/lidar", SCAN)]) for i in range(20)]
+    windows = [window(one.topic, SCAN, at(9.87654321), 3.0) for one in present]
+    found = await check([LIDAR, *present], [*windows, window("/scan", SCAN, [], 3.0)], topics=["/scan3"])
+    assert [(row.topic_name, row.state, row.rate_hz) for row in found.topics] == [
+        ("/scan", "SILENT", None),
+        ("/scan3", "OK", 9.877),
+    ]
+    assert len(found.in_short) == 19 and set(found.in_short.values()) == {"OK, 9.877 Hz"}
+    short = len(json.dumps(found.in_short))
+    assert short < 700
+
+
+async def test_a_sensor_that_comes_in_pairs_has_not_stopped(window: Make) -> None:
+    pairs = [(at + shift, {}) for at in range(1, 6) for shift in (0.0, 0.015)]
+    found = await check([LIDAR], [window("/scan", SCAN, pairs, 6.9)])
+    assert (found.verdict, state_of(found, "/scan")) == ("HEALTHY", "OK")
 
 
 async def test_a_single_message_tells_how_slow_it_is_at_least(window: Make) -> None:
@@ -62,6 +121,31 @@ async def test_a_sensor_that_stopped_degrades_and_an_expected_one_is_critical(wi
     assert found.findings[0].problem.startswith("It has stopped: nothing in the last 3.0 s, from ")
     assert (await check([LIDAR], [stopped], topics=["scan"])).verdict == "CRITICAL"
     assert (await check([LIDAR], [window("/scan", SCAN, at(20, 5.1), 6.0)])).verdict == "HEALTHY"
+
+
+@pytest.mark.parametrize(
+    ("age_s", "verdict", "state"),
+    [
+        (0.1, "HEALTHY", "OK"),
+        (47.0, "DEGRADED", "OLD STAMPS"),
+        (-5.0, "DEGRADED", "OLD STAMPS"),
+        (1.7e9, "HEALTHY", "OK"),
+    ],
+)
+async def test_a_sensor_with_old_stamps_degrades(window: Make, age_s: float, verdict: str, state: str) -> None:
+    stamps = [(time, START_NS + round((time - age_s) * 1e9)) for time, _ in at(10)]
+    headers = [(time, {"header": {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}}}) for time, ns in stamps]
+    found = await check([LIDAR], [window("/scan", SCAN, headers, 3.0)])
+    assert (found.verdict, state_of(found, "/scan")) == (verdict, state)
+    if state != "OK":
+        assert found.topics[0].age_s == pytest.approx(age_s)
+    assert ("47 s in the mean" in found.summary()[-1]) == (age_s == 47.0)
+
+
+async def test_one_young_message_among_old_ones_is_no_fault_of_the_clock(window: Make) -> None:
+    times = [(time, START_NS + round((time - (0.0 if i == 3 else 2.0)) * 1e9)) for i, (time, _) in enumerate(at(10))]
+    headers = [(time, {"header": {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}}}) for time, ns in times]
+    assert (await check([LIDAR], [window("/scan", SCAN, headers, 3.0)])).verdict == "HEALTHY"
 
 
 async def test_a_sensor_that_was_interrupted_degrades_and_it_is_told_when(window: Make) -> None:
@@ -83,10 +167,11 @@ async def test_of_a_recording_it_is_told_what_a_component_said_that_is_well_agai
     source = Recorded([window("/diagnostics", DIAGNOSTICS, said, 4.0)], GraphSnapshot({"/diagnostics": there}))
     source.is_live = True
     assert (await check_health(source, Expectations())).verdict == "HEALTHY"
-    source.is_live = False
+    source.is_live, source.began_ns = False, START_NS - 60 * 10**9
     found = await check_health(source, Expectations())
     assert (found.verdict, found.diagnostics[0].level) == ("DEGRADED", "OK")
-    assert "said ERROR at" in found.findings[0].problem and "no data" in found.findings[0].problem
+    problem = found.findings[0].problem
+    assert "said ERROR at 2023-11-14T22:13:22.000000Z (62 s in)" in problem and "no data" in problem
 
 
 async def test_a_silent_sensor_degrades_and_an_expected_one_is_critical(window: Make) -> None:
@@ -127,6 +212,91 @@ async def test_what_is_expected_and_not_there_is_critical_with_the_nearest_name(
     ]
 
 
+async def test_what_is_expected_is_listed_whether_it_is_there_or_not(window: Make) -> None:
+    expected = {"topics": ["/scan"], "services": ["/rest", "/reset"], "nodes": ["/nav", "/odd"]}
+    found = await check([LIDAR], [window("/scan", SCAN, at(10), 3.0)], **expected)
+    assert [row.topic_name for row in found.topics] == ["/scan"]
+    assert found.services == {"/rest": "MISSING", "/reset": "OK"} and found.nodes == {"/nav": "OK", "/odd": "MISSING"}
+    recorded = GraphSnapshot({"/scan": LIDAR}, None, None)
+    found = await check_health(Recorded([window("/scan", SCAN, at(10), 3.0)], recorded), Expectations(**expected))
+    assert set(found.services.values()) == set(found.nodes.values()) == {"UNKNOWN"}
+
+
+@pytest.mark.parametrize("is_expected", [False, True])
+async def test_odometry_that_is_not_a_number_is_a_fault_with_its_fields_and_time(
+    window: Make, is_expected: bool
+) -> None:
+    bad = {"pose": {"pose": {"position": {"x": float("nan")}}}, "twist": {"covariance": [float("inf")] * 36}}
+    messages = [(time, bad if 1.0 < time < 1.3 else {}) for time, _ in at(10)]
+    odometry = topic("/odom", [endpoint("/base", ODOMETRY)])
+    found = await check([odometry], [window("/odom", ODOMETRY, messages, 3.0)], topics=["/odom"] if is_expected else [])
+    [finding] = found.findings
+    assert (found.verdict, state_of(found, "/odom")) == ("CRITICAL" if is_expected else "DEGRADED", "NOT FINITE")
+    told = "3 of 30 messages have NaN or infinite values, in pose.pose, twist.covariance, first at 1.050 s (2023"
+    assert finding.problem.startswith(told) and finding.subject == "/odom"
+
+
+@pytest.mark.parametrize(
+    ("message", "verdict"),
+    [
+        ({"orientation": {"x": float("nan")}}, "DEGRADED"),
+        ({"angular_velocity": {"z": float("-inf")}}, "DEGRADED"),
+        ({"orientation": {"x": float("nan")}, "orientation_covariance": [-1.0] + [0.0] * 8}, "HEALTHY"),
+        ({"header": {"frame_id": "a frame"}}, "HEALTHY"),
+    ],
+)
+async def test_an_imu_may_send_anything_where_it_says_that_it_does_not_know(
+    window: Make, message: dict[str, Any], verdict: str
+) -> None:
+    imu = topic("/imu", [endpoint("/base", IMU)])
+    found = await check([imu], [window("/imu", IMU, [(time, message) for time, _ in at(10)], 3.0)])
+    assert found.verdict == verdict
+
+
+async def test_what_has_one_cause_is_one_finding_of_that_node(window: Make) -> None:
+    status = {"status": [{"name": "lidar: status", "level": 2, "message": "no data"}]}
+    present = [LIDAR, topic("/diagnostics", [endpoint("/watch", DIAGNOSTICS)])]
+    windows = [window("/scan", SCAN, [], 3.0), window("/diagnostics", DIAGNOSTICS, [(1.0, status)], 3.0)]
+    found = await check(present, windows)
+    [finding] = found.findings
+    assert (finding.severity, finding.subject, found.counts["findings"]) == ("critical", "/lidar", 1)
+    assert finding.problem == (
+        "«lidar: status»: Diagnostics say ERROR: «no data». /scan: Published by /lidar, but nothing came."
+    )
+
+
+async def test_a_node_that_left_is_one_finding_with_what_is_missing_without_it(window: Make) -> None:
+    left = Left(["/lidar"], {"/scan": ["/lidar"]}, {"/scan": SCAN})
+    waits = topic("/scan", (), [endpoint("/nav", SCAN)])
+    gone = GraphSnapshot({"/scan": waits}, ["/nav"], [], left=left)
+    found = await check_health(Recorded([], gone), Expectations(topics=["/scan"], nodes=["/lidar", "/other"]))
+    assert [finding.subject for finding in found.findings] == ["/lidar", "/other"]
+    problem = found.findings[0].problem
+    assert problem.startswith("/lidar has left: nobody publishes any more on /scan. /scan: Nobody publishes on")
+    assert "The expected node is not there." in problem and "/nav waits for it" in problem
+
+
+class Hanging(Recorded):
+    """A robot of which no node answers."""
+
+    async def hung(self, nodes: Sequence[str]) -> Sequence[str]:
+        return nodes
+
+
+async def test_whether_nodes_answer_is_asked_also_where_no_rates_are_checked(window: Make) -> None:
+    source = Hanging([window("/scan", SCAN, at(10), 3.0)], GraphSnapshot({"/scan": LIDAR}, ["/lidar"], []))
+    source.is_live = True
+    found = await check_health(source, Expectations(check_rates=False))
+    assert (found.verdict, found.findings[0].problem) == ("CRITICAL", "None of /lidar answers.")
+    assert (await check_health(source, Expectations())).verdict == "HEALTHY"
+
+
+async def test_a_burst_is_no_rate_and_slow(window: Make) -> None:
+    found = await check([LIDAR], [window("/scan", SCAN, [(1.0, {}), (1.00002, {})], 3.0)])
+    assert (state_of(found, "/scan"), found.topics[0].rate_hz) == ("SLOW", None)
+    assert "too few messages came to tell its rate" in found.findings[0].problem
+
+
 async def test_a_mismatch_of_qos_degrades(window: Make) -> None:
     pair = topic("/scan", [endpoint("/lidar", SCAN, reliability="best_effort")], [endpoint("/nav", SCAN)])
     found = await check([pair], [window("/scan", SCAN, at(10), 3.0)])
@@ -140,11 +310,34 @@ async def test_a_node_that_waits_for_a_sensor_that_nobody_publishes_degrades(win
     assert found.subscribers_without_publishers == ["/scan"]
 
 
+@pytest.mark.promise("ros2_health_check", "duplicate nodes")
+async def test_several_types_on_one_topic_degrade_and_are_critical_where_it_is_expected() -> None:
+    rivals = [endpoint("/base", "nav_msgs/msg/Odometry"), endpoint("/odd", "std_msgs/msg/String")]
+    graph = GraphSnapshot({"/odom": TopicEndpoints("/odom", rivals, ())}, ["/base", "/odd"], [])
+    found = await check_health(Recorded([], graph), Expectations())
+    told = "Several types on one topic: /base publishes nav_msgs/msg/Odometry; /odd publishes std_msgs/msg/String."
+    assert (found.verdict, [row.problem for row in found.findings]) == ("DEGRADED", [told])
+    assert (await check_health(Recorded([], graph), Expectations(["/odom"]))).verdict == "CRITICAL"
+
+
+async def test_an_empty_recording_is_not_called_healthy() -> None:
+    found = await check_health(Recorded([], GraphSnapshot({}, None, None)), Expectations())
+    assert (found.verdict, found.findings[0].subject) == ("DEGRADED", "made")
+    assert "nothing can be judged" in found.findings[0].problem
+
+
 async def test_two_nodes_of_one_name_degrade() -> None:
     found = await check_health(Recorded([], GraphSnapshot({}, ["/nav", "/nav"], [])), Expectations())
     assert (found.verdict, found.findings[0].problem) == ("DEGRADED", "2 nodes have this name.")
 
 
+async def test_a_second_robot_of_the_same_names_is_one_finding() -> None:
+    found = await check_health(Recorded([], GraphSnapshot({}, ["/nav", "/lidar", "/map"] * 2, [])), Expectations())
+    [finding] = found.findings
+    assert finding.problem == "3 names are shared by several nodes each: /nav, /lidar, /map."
+
+
+@pytest.mark.promise("ros2_health_check", "diagnostics")
 @pytest.mark.parametrize(
     ("level", "verdict"), [(b"\x00", "HEALTHY"), (b"\x01", "DEGRADED"), (b"\x02", "CRITICAL"), (b"\x03", "DEGRADED")]
 )
@@ -180,7 +373,7 @@ async def test_a_very_broken_robot_still_gives_a_short_report(window: Make) -> N
     ]
     found = await check(pairs, [window("/x", SCAN, [], 3.0)])
     assert found.counts["findings"] == 200
-    assert len(found.findings) == 40 and len(found.topics) == 60
+    assert len(found.findings) == 40 and len({*(row.topic_name for row in found.topics), *found.in_short}) == 60
 
 
 async def test_an_expected_latched_topic_needs_its_one_message_and_no_rate(window: Make) -> None:

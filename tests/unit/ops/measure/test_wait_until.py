@@ -6,7 +6,7 @@ import pytest
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.ops.measure.wait_until import wait_until
-from support.made_windows import Make, Recorded
+from support.made_windows import START_NS, Make, Recorded
 
 FLOAT = "std_msgs/msg/Float64"
 
@@ -15,6 +15,8 @@ def ramp(window: Make) -> Recorded:
     return Recorded([window("/x", FLOAT, [(i / 1000, {"data": float(i)}) for i in range(1000)])])
 
 
+@pytest.mark.promise("ros2_wait_until", "Wait until a message of a topic meets a condition")
+@pytest.mark.promise("ros2_wait_until", "In a recording: the first one that met it")
 async def test_the_first_message_that_meets_the_condition_is_returned(window: Make) -> None:
     found = await wait_until(ramp(window), "/x", "data > 400")
     assert (found.met, found.looked_at, found.message, dict(found.values)) == (
@@ -43,6 +45,47 @@ async def test_messages_without_an_answer_are_counted(window: Make) -> None:
     assert (found.met, found.looked_at, found.undecided) == (True, 2, 1)
 
 
+async def test_why_a_message_has_no_answer_is_told_with_the_indices_that_there_are(window: Make) -> None:
+    scans = [(i / 10, {"ranges": [1.0, 2.0, 3.0]}) for i in range(4)]
+    source = Recorded([window("/scan", "sensor_msgs/msg/LaserScan", scans)])
+    found = await wait_until(source, "/scan", "ranges[5] < 1.0")
+    assert (found.met, found.undecided) == (False, 4)
+    said = "Of 4 of 4 message(s) it cannot be said: ranges[5]: there is no element [5], only [0] to [2]."
+    assert found.note == said
+    empty = Recorded([window("/scan", "sensor_msgs/msg/LaserScan", [(0.0, {})])])
+    assert (await wait_until(empty, "/scan", "ranges[0] < 1.0")).note.endswith("there is no element [0], it is empty.")
+    assert (await wait_until(empty, "/scan", "min(ranges) < 1.0")).note.endswith(
+        "the list is empty, or all in it are NaN."
+    )
+    assert (await wait_until(empty, "/scan", "1 / angle_min < 1.0")).note.endswith("division by zero.")
+
+
+async def test_an_index_that_no_message_can_have_is_refused_before_waiting(window: Make) -> None:
+    odometry = Recorded([window("/odom", "nav_msgs/msg/Odometry", [(0.0, {})])])
+    with pytest.raises(BadInput, match=r"there is no element \[36\], only \[0\] to \[35\]\."):
+        await wait_until(odometry, "/odom", "pose.covariance[36] > 1")
+
+
+async def test_a_time_in_a_recording_also_counts_from_its_beginning(window: Make) -> None:
+    source = ramp(window)
+    source.began_ns = START_NS - 2_000_000_000
+    found = await wait_until(source, "/x", "data > 400")
+    assert found.seconds_in == 2.401
+    assert "is met in made, at 2023-11-14T22:13:20.401000Z (2.401 s in) (data = 401)." in found.summary()
+    assert (
+        "the last at 2023-11-14T22:13:20.999000Z (2.999 s in)" in (await wait_until(source, "/x", "data < 0")).summary()
+    )
+
+
 async def test_a_bad_condition_is_refused_before_waiting(window: Make) -> None:
     with pytest.raises(BadInput, match="dat"):
         await wait_until(ramp(window), "/x", "dat > 1")
+
+
+async def test_what_a_condition_computes_is_told_instead_of_the_list(window: Make) -> None:
+    scans = [(0.0, {"ranges": [1.5, 3.0, 2.0], "range_max": 5.0})]
+    source = Recorded([window("/scan", "sensor_msgs/msg/LaserScan", scans)])
+    found = await wait_until(source, "/scan", "min(ranges) < 1.0 and abs(range_max) > 4 or len(ranges) == 2")
+    assert found.values == {"min(ranges)": 1.5, "abs(range_max)": 5, "range_max": 5, "len(ranges)": 3}
+    assert "(range_max = 5, min(ranges) = 1.5, abs(range_max) = 5, len(ranges) = 3)" in found.summary()
+    assert (await wait_until(source, "/scan", "min(ranges[5:]) < 1")).values == {"min(ranges[5:])": None}

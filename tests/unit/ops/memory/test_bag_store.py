@@ -55,6 +55,8 @@ def without_privileges() -> Iterator[None]:
             os.seteuid(0)
 
 
+@pytest.mark.promise("ros2_bag_list", "List the bags (recordings) that can be read")
+@pytest.mark.promise("README", "--bag-dir DIR opens the bags that are there")
 async def test_loose_files_and_links_are_listed_as_far_as_they_can_be_read(
     tmp_path: Path, remember: Callable[..., BagStore]
 ) -> None:

@@ -65,7 +65,8 @@ class Asker:
 
     async def get(self, topic: str = "/count", number: int = 0, **asked: str) -> StoredMessages:
         selection = Selection(message_limit=number or None)
-        return await history.get_messages(Sources(self.robot, self.store), topic, "", SourceRequest(**asked), selection)
+        request = SourceRequest(**asked, names=("time_start", "time_end"))
+        return await history.get_messages(Sources(self.robot, self.store), topic, "", request, selection)
 
     async def read(self, bag: str, topic: str, limit: int = 20, every_n: int = 1, **asked: str) -> bags.BagMessages:
         selection = Selection(message_limit=limit, every_n=every_n)
@@ -111,6 +112,20 @@ async def test_the_black_box_of_a_former_server_is_silent_until_it_is_opened(
         await agent.get()
     await agent.open("black box")
     assert "the bag" in (await agent.get()).source
+
+
+async def test_how_messages_could_be_kept_is_told_as_far_as_it_is_not_so_already(
+    tmp_path: Path, asker: Callable[..., Asker]
+) -> None:
+    agent = asker()
+    with pytest.raises(NotFound) as refused:
+        await agent.get()
+    assert "The option --black-box keeps" in refused.value.hint
+    box = agent.records(tmp_path / BLACK_BOX)
+    with pytest.raises(NotFound) as refused:
+        await agent.get("/other")
+    assert "The black box of this server is on and has none of it" in refused.value.hint
+    box.stop()
 
 
 async def test_a_bag_that_is_the_robot_answers_before_an_old_black_box(

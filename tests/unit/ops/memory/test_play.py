@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
-from itertools import pairwise
 from pathlib import Path
 
 import anyio
@@ -12,22 +11,18 @@ import pytest
 
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
+from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import play as playing
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.memory.play import Playback, PlaybackState, PlayRequest, status, stop
 from ros2_mcp.robot import Robot
-from support.made_bridge import NUMBER, MadeBridge, robot_of
+from support.made_bridge import NUMBER, MadeBridge
 from support.tasks import soon
 
 START_NS = 1_700_000_000_000_000_000
 GOAL = PlayRequest(bag="run", topics=["/goal"])
 Play = Callable[..., Awaitable[PlaybackState]]
-
-
-@pytest.fixture
-def bridge() -> MadeBridge:
-    return MadeBridge()
 
 
 @pytest.fixture
@@ -46,14 +41,6 @@ async def store(tmp_path: Path, bridge: MadeBridge) -> AsyncIterator[BagStore]:
 
 
 @pytest.fixture
-async def robot(bridge: MadeBridge) -> AsyncIterator[Robot]:
-    robot = robot_of(bridge)
-    yield robot
-    await robot.jobs.close()
-    assert not bridge.relays
-
-
-@pytest.fixture
 def play(robot: Robot, store: BagStore) -> Play:
     async def play(request: PlayRequest, wait_s: float = 5.0) -> PlaybackState:
         return await playing.play(robot, store, request, wait_s)
@@ -68,9 +55,12 @@ def times_of(bridge: MadeBridge) -> list[float]:
 async def test_a_loop_lasts_as_long_as_the_bag_even_if_its_topic_has_one_message(
     bridge: MadeBridge, play: Play
 ) -> None:
+    begun = asyncio.get_running_loop().time()
     state = await play(PlayRequest(bag="run", rate=2.0, topics=["/goal"], loop=True), 0.75)
-    assert state.state == "playing" and 2 <= len(times_of(bridge)) <= 3
-    assert min(b - a for a, b in pairwise(times_of(bridge))) > 0.25
+    assert state.at.startswith("2023-11-14T22:13:20.") and 0 <= (state.seconds_in or 0) <= 0.6
+    assert f"of run, at {state.at} ({state.seconds_in:g} s in)." in state.summary()
+    assert state.state == "playing" and len(times_of(bridge)) >= 2
+    assert all(at >= begun + loop * 0.3 for loop, at in enumerate(times_of(bridge))), "no loop is shorter"
 
 
 async def test_the_loop_of_a_single_moment_lasts_a_tenth_of_a_second(bridge: MadeBridge, play: Play) -> None:
@@ -84,6 +74,12 @@ async def test_a_play_of_nothing_ends_and_says_so(bridge: MadeBridge, play: Play
         state = await play(PlayRequest(bag="run", topics=["/goal"], start="0.3 s in", loop=loop))
         assert state.state == "ended" and not bridge.heard
         assert "Nothing was published" in state.note and "Nothing was published" in state.summary()
+
+
+async def test_a_playback_says_of_how_many_messages_less_was_sent(bridge: MadeBridge, play: Play) -> None:
+    bridge.limited = 7
+    state = await play(PlayRequest(bag="run", rate=10.0, topics=["/odom"]))
+    assert state.state == "ended" and "7 message(s) were sent slower than they were" in state.note
 
 
 async def test_a_playback_says_at_once_what_of_its_bag_is_lost(
@@ -153,3 +149,24 @@ async def test_a_playback_whose_bridge_is_lost_has_failed_and_is_not_called_stop
     bridge.lose_relays()
     await soon(lambda: not playback.is_running)
     assert (playback.report().state, playback.report().note) == ("failed", "The bridge was lost.")
+
+
+async def test_a_bag_that_is_still_being_recorded_is_not_called_damaged_when_it_is_played(
+    play: Play, store: BagStore, tmp_path: Path
+) -> None:
+    (tmp_path / "growing").mkdir()
+    writer = BagWriter(tmp_path / "growing", "growing")
+    writer.add_topic(StoredTopic("/goal", NUMBER, None, "ros2msg", "int32 data\n"))
+    writer.write("/goal", Sample(START_NS, 0, None, b"\0\1\0\0\0\0\0\0"))
+    writer.flush()
+    store.writes(tmp_path / "growing", lambda: True)
+    try:
+        assert (await play(PlayRequest(bag="growing"))).note == ""
+    finally:
+        writer.close()
+
+
+@pytest.mark.parametrize("times", [{"start": "3"}, {"end": "2020-01-01"}])
+async def test_nothing_is_played_for_a_time_that_is_not_in_the_bag(play: Play, times: dict[str, str]) -> None:
+    with pytest.raises(BadValue, match="not in the recording"):
+        await play(PlayRequest(bag="run", **times))

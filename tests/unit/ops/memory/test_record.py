@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,9 @@ from ros2_mcp.bags.bag import Bag
 from ros2_mcp.bags.recorder import Recorder
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
-from ros2_mcp.model.errors import BadInput, TimedOut
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp.guard.policy_file import compiled, document_of
+from ros2_mcp.model.errors import BadInput, NotFound, TimedOut
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import bags
 from ros2_mcp.ops.memory import record as recording
@@ -37,18 +39,6 @@ SECOND = 1_000_000_000
 def no_thread_records_on() -> Iterator[None]:
     yield
     assert not [each for each in threading.enumerate() if each.name.startswith("recording")]
-
-
-@pytest.fixture
-def bridge() -> MadeBridge:
-    return MadeBridge()
-
-
-@pytest.fixture
-async def robot(bridge: MadeBridge) -> AsyncIterator[Robot]:
-    robot = robot_of(bridge)
-    yield robot
-    await robot.jobs.close()
 
 
 async def test_a_recording_that_is_cancelled_before_it_began_is_ended(
@@ -114,11 +104,66 @@ async def test_the_black_box_looks_again_if_its_first_look_fails(
             raise answers.pop()
         return [["/said", ["a/msg/One", "a/msg/Other"], 1, 0]]
 
-    bridge.topics = topics
+    bridge.topics, bridge.sent = topics, ("a/msg/One", "a/msg/Other")
     await keep_black_box(robot, BagStore(tmp_path), Settings(black_box=()))
     [box] = robot.jobs.running(BlackBox)
     assert box.report().bag == BLACK_BOX and list(box.report().notes) == ["The bridge is busy."]
     await soon(lambda: [topic.topic_name for topic in box.report().topics] == ["/said"])
+
+
+async def test_a_topic_with_two_types_is_told_in_words_at_start_in_status_and_at_the_end(
+    tmp_path: Path, bridge: MadeBridge, robot: Robot
+) -> None:
+    bridge.topics, bridge.sent = lambda: [["/scan", ["a/msg/One", "a/msg/Other"], 2, 0]], ("a/msg/One", "a/msg/Other")
+    told = "Nothing of /scan is recorded: It has several types: a/msg/One, a/msg/Other."
+    begun = await recording.start(robot, BagStore(tmp_path), RecordRequest(topics=["/scan"]))
+    assert begun.summary().endswith(f"on. {told}") and " 0 messages of 0 topics" in begun.summary()
+    assert (await recording.status(robot)).summary()[0].endswith(told)
+    assert (await recording.stop(robot, begun.recording_id)).summary().endswith(f"stopped. {told}")
+
+
+async def test_a_type_that_only_a_subscriber_wants_keeps_nothing_from_being_recorded(
+    tmp_path: Path, bridge: MadeBridge, robot: Robot
+) -> None:
+    bridge.topics, bridge.sent = lambda: [["/scan", ["a/msg/Other", NUMBER], 1, 1]], (NUMBER,)
+    begun = await recording.start(robot, BagStore(tmp_path), RecordRequest(topics=["/scan"]))
+    [scan] = begun.topics
+    assert scan.topic_type == NUMBER and "several types" not in scan.error and not scan.other_types
+
+
+async def test_a_topic_of_the_robot_with_the_name_of_our_own_is_told_as_not_recorded(
+    tmp_path: Path, bridge: MadeBridge, robot: Robot
+) -> None:
+    bridge.topics = lambda: [["/agent/calls", [NUMBER], 1, 0]]
+    begun = await recording.start(robot, BagStore(tmp_path), RecordRequest())
+    assert begun.notes == ["/agent/calls is not recorded from the robot: here it has what this server does."]
+
+
+async def test_the_only_recording_that_runs_is_stopped_without_its_id_and_never_the_black_box(
+    tmp_path: Path, robot: Robot
+) -> None:
+    store = BagStore(tmp_path)
+    await keep_black_box(robot, store, Settings(black_box=()))
+    with pytest.raises(NotFound, match="No recording runs"):
+        await recording.stop(robot)
+    first, second = [await recording.start(robot, store, RecordRequest(name=name)) for name in ("one", "two")]
+    with pytest.raises(BadInput, match=f"{first.recording_id}, {second.recording_id}"):
+        await recording.stop(robot)
+    await recording.stop(robot, first.recording_id)
+    stopped = await recording.stop(robot)
+    assert (stopped.recording_id, stopped.state) == (second.recording_id, "ended")
+    assert len(robot.jobs.running(BlackBox)) == 1
+
+
+async def test_a_recording_that_has_ended_at_its_limit_is_told_by_who_wants_to_stop_it(
+    tmp_path: Path, robot: Robot
+) -> None:
+    begun = await recording.start(robot, BagStore(tmp_path), RecordRequest(max_duration_s=0.05))
+    await soon(lambda: not robot.jobs.running(Recording))
+    for named in ("", begun.recording_id):
+        found = await recording.stop(robot, named)
+        assert (found.recording_id, found.state) == (begun.recording_id, "ended")
+        assert "The time of 0.05 s is over." in found.summary()
 
 
 def is_on_the_disk(folder: Path) -> bool:
@@ -162,3 +207,26 @@ async def test_what_is_still_being_recorded_is_not_called_damaged(tmp_path: Path
     await robot.jobs.close()
     await store.close()
     assert (await bags.info(BagStore(tmp_path), "run")).problems == []
+
+
+def test_a_recording_says_why_messages_are_missing_in_it() -> None:
+    assert recording.drops_in_words(0, 0) == ""
+    assert recording.drops_in_words(3, 2) == (
+        "3 dropped because this server was too busy, 2 dropped because the disk was too slow"
+    )
+    assert recording.drops_in_words(3, 0, is_remote=True) == (
+        "3 dropped because the link was too slow, or this server too busy"
+    )
+
+
+async def test_what_the_policy_forbids_is_left_out_also_where_everything_is_recorded(
+    tmp_path: Path, bridge: MadeBridge, robot: Robot
+) -> None:
+    document = document_of("policy: 1\nname: p\nallow: [{record: /**}]\nforbid: [{record: /camera/**}]", "p.yaml")
+    robot.guard.policy = Policy(documents=[document], rules=compiled([document]))
+    types = ["a/msg/One", "a/msg/Other"]
+    bridge.topics, bridge.sent = lambda: [["/camera/image", types, 1, 0], ["/said", types, 1, 0]], tuple(types)
+    begun = await recording.start(robot, BagStore(tmp_path), RecordRequest())
+    camera, said = begun.topics
+    assert camera.error == "The policy: recording /camera/image is forbidden (p line 4: forbid record /camera/**)."
+    assert "several types" in said.error  # it was taken

@@ -35,6 +35,7 @@ def floats(window: Make, topic: str, values, times=TIMES):
     return window(topic, FLOAT, [(t, {"data": v}) for t, v in zip(times, values, strict=True)])
 
 
+@pytest.mark.promise("ros2_plot", "with minimum, maximum and mean of each")
 async def test_a_field_is_drawn_with_the_numbers_beside_it(window: Make) -> None:
     found = await plotted([odometry(window)], ["/odom:twist.twist.angular.z"])
     (series,) = found.series
@@ -141,6 +142,7 @@ GROUND = {"header": {"frame_id": "map"}, "info": {"resolution": 0.5, "width": 2,
 TF = "tf2_msgs/msg/TFMessage"
 
 
+@pytest.mark.promise("ros2_get_map_as_image", "axes in metres, origin and robot")
 @pytest.mark.parametrize("prefix", ["", "robot1/"])
 async def test_a_map_tells_where_the_robot_is_by_its_transforms(window: Make, prefix: str) -> None:
     odom, base = f"{prefix}odom", f"{prefix}base_link"

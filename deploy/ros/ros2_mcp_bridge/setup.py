@@ -1,0 +1,23 @@
+"""The bridge as a ROS package; its version is that of package.xml."""
+
+from xml.etree import ElementTree
+
+from setuptools import setup
+
+NAME = "ros2_mcp_bridge"
+package = ElementTree.parse("package.xml")
+
+setup(
+    name=NAME,
+    version=package.findtext("version"),
+    description=" ".join(package.findtext("description").split()),
+    license=package.findtext("license"),
+    packages=[NAME],
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=True,
+    entry_points={"console_scripts": [f"bridge = {NAME}.__main__:main"]},
+)

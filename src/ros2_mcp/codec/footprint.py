@@ -1,0 +1,124 @@
+"""The outline of a robot seen from above, out of its description."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from ros2_mcp.codec.urdf import Geometry, Mount, Urdf
+
+_CORNERS = 24
+"""Of a circle: the outline of a round robot is then 1 % of its radius too small at most."""
+_LARGEST_M = 20.0
+"""A shape that is larger is a mistake of units, or a floor that somebody has put into the description."""
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How far an outline goes from the base's origin in metres: along x, against x, along y, against y, at most."""
+
+    front_m: float
+    rear_m: float
+    left_m: float
+    right_m: float
+    radius_m: float
+
+
+def outline(urdf: Urdf, base: str) -> Sequence[Point]:
+    """The convex hull of what is fixed to the base and of its wheels: counter-clockwise, in metres of the frame `base`.
+
+    Shapes of collision count; of a link that has none, those that are seen. Meshes have no size in a description. Empty
+    where the description has no such link, or nothing with a size.
+    """
+    if base not in urdf.links:
+        return ()
+    body = urdf.fixed_to(base)
+    base_in_body = urdf.mount(base, body)
+    if base_in_body is None:
+        return ()
+    points: list[Point] = []
+    for name, link in urdf.links.items():
+        mount = urdf.mount(name, body) if _belongs(urdf, name, body) else None
+        if mount is None:
+            continue
+        for shape in link.collisions or link.visuals:
+            points += [_in_base(at, base_in_body) for at in _corners(shape, mount)]
+    return _hull(points)
+
+
+def reach(points: Sequence[Point]) -> Reach | None:
+    """How far an outline goes; None of no outline."""
+    if not points:
+        return None
+    x, y = [point[0] for point in points], [point[1] for point in points]
+    return Reach(max(x), -min(x), max(y), -min(y), max(math.hypot(*point) for point in points))
+
+
+def _belongs(urdf: Urdf, link: str, body: str) -> bool:
+    """Whether it is part of the body, or a wheel on it: what turns without end."""
+    top = urdf.fixed_to(link)
+    if top == body:
+        return True
+    joint = urdf.above(top)
+    return joint is not None and joint.kind == "continuous" and urdf.fixed_to(joint.parent) == body
+
+
+def _in_base(at: tuple[float, float, float], base: Mount) -> Point:
+    """A point of the body in the frame of the base, which is fixed to it."""
+    dx, dy, dz = (one - other for one, other in zip(at, base.xyz, strict=True))
+    axes = [Mount(rpy=base.rpy).of(Mount(axis)).xyz for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))]
+    x, y = (dx * axis[0] + dy * axis[1] + dz * axis[2] for axis in axes)
+    return x, y
+
+
+def _corners(shape: Geometry, link: Mount) -> Iterator[tuple[float, float, float]]:
+    """The corners of a shape in the body's frame; round ones have many."""
+    size = [abs(one) for one in shape.size]
+    if shape.kind == "mesh" or not all(0 < one <= _LARGEST_M for one in size):
+        return
+    mount = link.of(shape.mount)
+    if shape.kind == "sphere":  # looks the same however it is turned
+        mount = Mount(mount.xyz)
+    for at in _own_corners(shape.kind, size):
+        yield mount.of(Mount(at)).xyz
+
+
+def _own_corners(kind: str, size: Sequence[float]) -> Iterator[tuple[float, float, float]]:
+    if kind == "box":
+        for number in range(8):
+            x, y, z = (size[axis] / 2 * (1 if number >> axis & 1 else -1) for axis in range(3))
+            yield x, y, z
+        return
+    turns = [2 * math.pi * number / _CORNERS for number in range(_CORNERS)]
+    if kind == "sphere":
+        yield from ((size[0] * math.cos(turn), size[0] * math.sin(turn), 0.0) for turn in turns)
+        return
+    radius, half = size[0], size[1] / 2 + (size[0] if kind == "capsule" else 0.0)
+    for turn in turns:
+        for z in (-half, half):
+            yield radius * math.cos(turn), radius * math.sin(turn), z
+
+
+def _hull(points: Sequence[Point]) -> Sequence[Point]:
+    """The convex hull by Andrew's monotone chain: the lower side from left to right, then the upper one back."""
+    ordered = sorted(set(points))
+    if len(ordered) < 3:
+        return ()
+
+    def side(along: Sequence[Point]) -> list[Point]:
+        kept: list[Point] = []
+        for point in along:
+            while len(kept) > 1 and _turn(kept[-2], kept[-1], point) <= 0:
+                kept.pop()
+            kept.append(point)
+        return kept[:-1]
+
+    return [*side(ordered), *side(ordered[::-1])]
+
+
+def _turn(one: Point, two: Point, three: Point) -> float:
+    """More than 0 where the way over the three points turns left."""
+    return (two[0] - one[0]) * (three[1] - one[1]) - (two[1] - one[1]) * (three[0] - one[0])

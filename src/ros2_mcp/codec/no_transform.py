@@ -1,0 +1,220 @@
+"""Why there is no transform between two frames, in words, from what was told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from ros2_mcp.codec.transforms import Edge, FrameTree, Located
+from ros2_mcp.model.errors import NoTransform
+from ros2_mcp.model.names import nearest
+from ros2_mcp.model.text import listed, named
+from ros2_mcp.model.times import recorded_time
+
+_MOST_NAMED = 8
+"""Frames in a sentence."""
+UNIX_FROM_NS = 10**18
+"""A stamp before 2001 is of another clock, such as that of a simulation: it is written in seconds."""
+
+
+def stamp_in_words(stamp_ns: int, began_ns: int | None = None) -> str:
+    """A stamp as a time, of a recording with the seconds in it; or in seconds where it is none of our calendar."""
+    return recorded_time(stamp_ns, began_ns) if stamp_ns >= UNIX_FROM_NS else f"{stamp_ns / 1e9:.3f} s of its clock"
+
+
+def seconds_in_words(away_ns: int) -> str:
+    """A duration as people read it."""
+    away_s = abs(away_ns) / 1e9
+    return f"{away_s * 1000:.3g} ms" if away_s < 0.1 else f"{away_s:.3g} s" if away_s < 1000 else f"{away_s:.0f} s"
+
+
+def located(tree: FrameTree, target: str, frame: str, at_ns: int | None = None) -> Located:
+    """Where a frame is in the target, at a time, or (None) as late as all edges between them allow.
+
+    Raises:
+        NoTransform: if that is not known, with the reason.
+    """
+    target, frame = target.lstrip("/"), frame.lstrip("/")
+    found = tree.find(target, frame, at_ns)
+    if found is None:
+        raise why_none(tree, target, frame, at_ns)
+    return found
+
+
+def why_none(tree: FrameTree, target: str, frame: str, at_ns: int | None) -> NoTransform:
+    """The error of a look-up that found nothing, or nothing that can be trusted."""
+    for name in (frame, target):
+        if name not in tree.frames:
+            return _unknown(tree, name)
+    up = [*tree.way_up(frame), *tree.way_up(target)]
+    edges = tree.connected(target, frame)
+    for edge in up if edges is None else edges:
+        if edge.two_parents:
+            return _two_parents(edge)
+    for edge in up:
+        if circle := tree.circle_of(edge.child):
+            return _circle(circle)
+    if edges is None:
+        roots = {tree.root_of(target), tree.root_of(frame)}
+        for edge in tree.edges.values():
+            if edge.two_parents and roots <= {tree.root_of(parent) for parent in edge.parents}:
+                return _two_parents(edge)
+        return _two_trees(tree, target, frame)
+    sought_ns = tree.common_ns(target, frame) if at_ns is None else at_ns
+    lacking = [edge for edge in edges if edge.moving and sought_ns is not None and edge.at(sought_ns) is None]
+    if not lacking or sought_ns is None:
+        return NoTransform("not connected", f"{named(frame)} and {named(target)} were not connected at that time.")
+    return _no_common_time(edges, lacking, sought_ns) if at_ns is None else _not_then(lacking, sought_ns)
+
+
+def _unknown(tree: FrameTree, name: str) -> NoTransform:
+    if not tree.frames:
+        heard = sum(tree.messages.values())
+        said = f"{heard} message(s) came, with no transform in them." if heard else "Nothing came on /tf or /tf_static."
+        return NoTransform("never published", f"No transform is known at all. {said}")
+    near = nearest(name, list(tree.frames))
+    blank = " (told with a blank before or behind its name)" if near != near.strip() else ""
+    hint = f"Did you mean {named(near)}{blank}? " if near else ""
+    known = listed(sorted(tree.frames), _MOST_NAMED)
+    message = f"No transform names the frame {named(name)}."
+    return NoTransform("unknown frame", message, f"{hint}Known are {known}.")
+
+
+def _two_parents(edge: Edge) -> NoTransform:
+    parts = [f"{named(parent)} ({_how_told(edge, parent)})" for parent in edge.parents]
+    message = f"{named(edge.child)} is told to have {len(parts)} parents at the same time: {' and '.join(parts)}."
+    hint = "A frame has one parent: tf2 jumps between them. Look one edge up, or end one of the publishers."
+    return NoTransform("two parents", message, hint)
+
+
+def _how_told(edge: Edge, parent: str) -> str:
+    of_it = [told for told in edge.moving if told.parent == parent]
+    if not of_it:
+        return "static"
+    span_ns = of_it[-1].received_ns - of_it[0].received_ns
+    return f"{(len(of_it) - 1) / span_ns * 1e9:.3g} Hz" if len(of_it) > 1 and span_ns > 0 else "told once"
+
+
+def _circle(frames: Sequence[str]) -> NoTransform:
+    around = " → ".join(map(named, [*frames, frames[0]]))
+    message = f"The frames go in a circle, each told to be in the next: {around}."
+    return NoTransform("circle", message, "One edge is wrong.")
+
+
+def _two_trees(tree: FrameTree, target: str, frame: str) -> NoTransform:
+    parts: list[str] = []
+    for name in (frame, target):
+        root = tree.root_of(name)
+        others = sorted(other for other in tree.frames if other != root and tree.root_of(other) == root)
+        with_others = f", with {listed(others, _MOST_NAMED)}" if others else ", alone"
+        parts.append(
+            f"{named(name)} is in the tree of {named(root)}{with_others}"
+            if name != root
+            else f"{named(name)} is the root of a tree{with_others}"
+        )
+    refused = [edge for edge in (tree.edges.get(tree.root_of(frame)), tree.edges.get(tree.root_of(target))) if edge]
+    why = " ".join(
+        f"What is told of {f'{named(edge.refused_parent)} → ' if edge.refused_parent else ''}{named(edge.child)} "
+        f"is refused: {edge.refused}."
+        for edge in refused
+        if edge.refused
+    )
+    message = f"Two trees, and no transform between them: {'; '.join(parts)}."
+    hint = "" if why else _missing_edge(tree, target, frame)
+    return NoTransform("not valid" if why else "two trees", f"{message} {why}".rstrip(), hint)
+
+
+def _missing_edge(tree: FrameTree, target: str, frame: str) -> str:
+    """Which edge is missing, where the names of REP 105 tell who publishes it."""
+    roots = {tree.root_of(target), tree.root_of(frame)}
+    last = {root.rpartition("/")[2]: root for root in roots}
+    if "map" in last and "odom" in last:
+        return f"A localisation (amcl, slam_toolbox) tells {named(last['map'])} → {named(last['odom'])}: none does now."
+    if "odom" in last and set(last) & {"base_link", "base_footprint"}:
+        return "The base's controller or a state estimation tells odom → base: none does now."
+    one, other = sorted(roots)
+    return f"Nobody tells where {named(one)} is in {named(other)}, or the other way round."
+
+
+def _no_common_time(edges: Iterable[Edge], lacking: Sequence[Edge], common_ns: int) -> NoTransform:
+    """Of edges that have no time in common: one of them has ended, or stamps with another clock."""
+    moving = [edge for edge in edges if edge.moving]
+    oldest = min(moving, key=lambda edge: edge.stamps[-1])
+    newest = max(moving, key=lambda edge: edge.stamps[-1])
+    behind_ns = newest.stamps[-1] - oldest.stamps[-1]
+    silent_ns = newest.last_received_ns - oldest.last_received_ns
+    ends = f"{edge_in_words(oldest)} ends {seconds_in_words(behind_ns)} before {edge_in_words(newest)}"
+    if abs(behind_ns - silent_ns) > max(_CLOCKS_NS, silent_ns // 2):
+        jumped = [f"the stamps of {edge_in_words(edge)} {_jump_of(edge)}" for edge in (oldest, newest) if edge.jumps]
+        reason = "clock jump" if jumped else "two clocks"
+        clocks = f"they are stamped by different clocks: {_clock_of(oldest)}, {_clock_of(newest)}"
+        message = (
+            f"No time in common: by its stamps {ends}, although both were told within {seconds_in_words(silent_ns)}"
+        )
+        hint = "Set use_sim_time alike everywhere, and mind the clocks of all computers."
+        return NoTransform(reason, f"{message}: {' and '.join(jumped) or clocks}.", hint)
+    if silent_ns > _STALE_NS:
+        message = f"Stale: {ends} ({stamp_in_words(common_ns)}), and nothing of it has come since."
+        return NoTransform("stale", message, "Its publisher has ended or hangs; ros2_topic_stats measures /tf.")
+    begins = lacking[0]
+    message = (
+        f"{edge_in_words(begins)} begins {seconds_in_words(begins.stamps[0] - common_ns)} after that: nothing yet."
+    )
+    return NoTransform("not at that time", f"No time in common: {ends}, and {message}", "Ask again.")
+
+
+def _jump_of(edge: Edge) -> str:
+    jump = edge.jumps[-1]
+    back = "back" if jump.to_ns < jump.from_ns else "forward"
+    ago = seconds_in_words(edge.last_received_ns - jump.received_ns)
+    return f"jumped {back} by {seconds_in_words(jump.to_ns - jump.from_ns)}, {ago} before the last of it"
+
+
+def _clock_of(edge: Edge) -> str:
+    """By which clock an edge is stamped, as far as its stamps differ from when it came."""
+    ahead_ns = edge.stamps[-1] - edge.last_received_ns
+    if abs(ahead_ns) <= _CLOCKS_NS:
+        return f"{edge_in_words(edge)} by the robot's"
+    if edge.stamps[-1] < UNIX_FROM_NS:
+        return f"{edge_in_words(edge)} by simulated time"
+    away = f"{seconds_in_words(ahead_ns)} {'in the future' if ahead_ns > 0 else 'in the past'}"
+    return f"{edge_in_words(edge)} {away} (another computer's clock?)"
+
+
+_CLOCKS_NS = 5_000_000_000
+"""Between stamps and receipts: no delay, and no tolerance of a localisation, is as long."""
+_SLOW_NS = 1_500_000_000
+"""Between two transforms; the slowest usual publishers send once a second."""
+_STALE_NS = 1_000_000_000
+"""Without a message of what moves; the slowest usual publishers send once a second."""
+
+
+def _not_then(lacking: Sequence[Edge], sought_ns: int) -> NoTransform:
+    edge = max(lacking, key=lambda one: min(abs(one.stamps[0] - sought_ns), abs(one.stamps[-1] - sought_ns)))
+    first_ns, last_ns = edge.stamps[0], edge.stamps[-1]
+    is_later = sought_ns > last_ns
+    nearest_ns = last_ns if is_later else first_ns
+    away = seconds_in_words(sought_ns - nearest_ns)
+    message = (
+        f"Nothing of {edge_in_words(edge)} at {stamp_in_words(sought_ns)}: the nearest is {away} "
+        f"{'earlier' if is_later else 'later'}, at {stamp_in_words(nearest_ns)}."
+    )
+    if len(edge.stamps) > 1:
+        message += f" What is kept reaches from {stamp_in_words(first_ns)} to {stamp_in_words(last_ns)}."
+        period_ns = (last_ns - first_ns) // (len(edge.stamps) - 1)
+        if period_ns > _SLOW_NS:
+            message += f" It is told every {seconds_in_words(period_ns)} only."
+    if edge.jumps:
+        jump = edge.jumps[-1]
+        back = "back" if jump.to_ns < jump.from_ns else "forward"
+        told = (
+            f" Its stamps jumped {back} by {seconds_in_words(jump.to_ns - jump.from_ns)}; before that nothing counts."
+        )
+        return NoTransform("clock jump", message + told, "A bag or a simulation began again, or a clock was set.")
+    older = "Ask a recording (bag) for what is older; a server with --black-box always keeps one."
+    hint = "Leave time out for the latest." if is_later else older
+    return NoTransform("not at that time", message, hint)
+
+
+def edge_in_words(edge: Edge) -> str:
+    """An edge: parent → child."""
+    return f"{named(edge.newest.parent) if edge.newest else '?'} → {named(edge.child)}"

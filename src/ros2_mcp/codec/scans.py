@@ -1,0 +1,139 @@
+"""sensor_msgs/msg/LaserScan as what it means: the nearest obstacle, and how far each side is free, from the base."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.meanings import SECTOR_RAD, SECTORS, ScanMeaning
+from ros2_mcp.model.poses import Pose, rotated
+
+_COVERED = 0.5
+"""A sector is told as free only where the valid beams cover this share of it: of less, too little is known."""
+_TILTED_DEG = 10.0
+"""A scan plane that is tilted more than that meets the floor: at a height of 0.3 m in less than 2 m."""
+_MOST_BEAMS = 1_000_000
+"""More than any scanner has in a turn; so large a message is broken."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPoints:
+    """The beams of a scan in its own frame, in metres: where each ended, and whether at something (`hit`).
+
+    Beams without an echo end at the scan's greatest range. `invalid` beams, which tell nothing, are left out;
+    `too_close` ones ended at something nearer than the least range, where they stand.
+    """
+
+    xy: NDArray[np.float64]
+    hit: NDArray[np.bool_]
+    beams: int
+    invalid: int
+    too_close: int
+    reach_m: float
+    step_rad: float
+
+    @property
+    def hits(self) -> NDArray[np.float64]:
+        """Where something is, n × 2."""
+        return self.xy[self.hit]
+
+
+def scan_points(message: Any) -> ScanPoints:
+    """The beams of a LaserScan, as REP 117 has them: +inf (or more than `range_max`) is no echo, -inf too close, NaN
+    and what is less than `range_min` invalid. Many drivers write 0 where they saw nothing: that is invalid, too.
+
+    Raises:
+        BadData: if its angles are no numbers, or it has too many beams.
+    """
+    ranges = np.asarray(message.ranges, np.float64)
+    angle, step = float(message.angle_min), float(message.angle_increment)
+    if len(ranges) > _MOST_BEAMS or not (math.isfinite(angle) and math.isfinite(step)):
+        raise BadData(f"The scan has {len(ranges)} beams from {angle} rad in steps of {step} rad.")
+    least, most = float(message.range_min), float(message.range_max)
+    least = least if math.isfinite(least) and least > 0 else 0.0
+    echoed = np.isfinite(ranges) & (ranges > 0) & (ranges >= least)
+    if not (math.isfinite(most) and most > 0):  # not filled in: as far as it saw
+        most = float(ranges[echoed].max(initial=0.0))
+    too_close = np.isneginf(ranges)
+    nothing = np.isposinf(ranges) | (np.isfinite(ranges) & (ranges > most))
+    hit = (echoed & ~nothing) | too_close
+    metres = np.where(nothing, most, np.where(too_close, least, ranges))
+    valid = hit | nothing
+    angles = angle + step * np.arange(len(ranges))
+    xy = np.stack((metres * np.cos(angles), metres * np.sin(angles)), axis=1)
+    return ScanPoints(
+        xy=xy[valid],
+        hit=hit[valid],
+        beams=len(ranges),
+        invalid=len(ranges) - int(valid.sum()),
+        too_close=int(too_close.sum()),
+        reach_m=most,
+        step_rad=abs(step),
+    )
+
+
+def scan_meaning(message: Any, mount: Pose | None = None, base: str = "") -> ScanMeaning:
+    """What a scan says; `mount` is the pose of its frame in the frame `base`, None where it is not known.
+
+    Raises:
+        BadData: as `scan_points`.
+    """
+    points = scan_points(message)
+    pose = mount or Pose()
+    seen = moved(points.xy, pose)[:, :2]
+    distances, bearings = np.hypot(seen[:, 0], seen[:, 1]), np.arctan2(seen[:, 1], seen[:, 0])
+    nearest = int(np.argmin(np.where(points.hit, distances, np.inf))) if points.hit.any() else None
+    return ScanMeaning(
+        frame_id=message.header.frame_id if mount is None else base,
+        is_base=mount is not None,
+        nearest_m=None if nearest is None else round(float(distances[nearest]), 3),
+        nearest_bearing_deg=None if nearest is None else round(math.degrees(bearings[nearest]), 1),
+        nearest_x_m=None if nearest is None else round(float(seen[nearest, 0]), 3),
+        nearest_y_m=None if nearest is None else round(float(seen[nearest, 1]), 3),
+        free_m=_free(distances, bearings, points.step_rad),
+        reach_m=round(points.reach_m, 3),
+        beams=points.beams,
+        invalid=points.invalid,
+        note=_note(points, pose, mount is not None),
+    )
+
+
+def moved(xy: NDArray[np.float64], pose: Pose) -> NDArray[np.float64]:
+    """Points of a plane (n × 2) or of space (n × 3) of one frame in another, n × 3."""
+    xyz = np.hstack((xy, np.zeros((len(xy), 1)))) if xy.shape[1] == 2 else xy
+    axes = np.array([rotated(pose.rotation, axis) for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1))])
+    return np.asarray(xyz @ axes) + np.array(pose.translation)
+
+
+def _free(distances: NDArray[np.float64], bearings: NDArray[np.float64], step_rad: float) -> dict[str, float | None]:
+    """The least distance in each sector, as beams without an echo count with the scanner's reach."""
+    sectors = _sector(bearings)
+    free: dict[str, float | None] = {}
+    for index, name in enumerate(SECTORS):
+        within = distances[sectors == index]
+        covered = len(within) * step_rad >= _COVERED * SECTOR_RAD
+        free[name] = round(float(within.min()), 3) if covered and len(within) else None
+    return free
+
+
+def _sector(bearings: NDArray[np.float64]) -> NDArray[np.int64]:
+    return np.floor(bearings / SECTOR_RAD + 0.5).astype(np.int64) % len(SECTORS)
+
+
+def _note(points: ScanPoints, pose: Pose, is_base: bool) -> str:
+    notes: list[str] = []
+    if not is_base:
+        notes.append("Seen from the scanner in its own frame, as its mount on the base is not known.")
+    if points.too_close:
+        notes.append(f"{points.too_close} beam(s) end at something nearer than the scanner can measure.")
+    if points.invalid * 10 > points.beams:
+        notes.append(f"{points.invalid} of {points.beams} beams are invalid.")
+    tilt = math.degrees(math.acos(min(1.0, abs(rotated(pose.rotation, (0, 0, 1))[2]))))
+    if tilt > _TILTED_DEG:
+        notes.append(f"The scan plane is tilted by {tilt:.0f}°: the floor may be among the obstacles.")
+    return " ".join(notes)

@@ -1,0 +1,337 @@
+"""URDF: a robot's links, its joints with their limits, and where everything sits; read from text that a robot sends.
+
+The format and its defaults: http://wiki.ros.org/urdf/XML. What cannot be read is left out and told in `problems`, for
+descriptions in the wild are seldom perfect; only what is no URDF at all is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+from xml.etree import ElementTree
+
+from ros2_mcp.model.errors import BadData
+from ros2_mcp.model.text import quoted
+
+MOST_BYTES = 10_000_000
+"""Of one description. A humanoid's with all its meshes by name has 0.2 MB; the rest is for those with data inside."""
+_DEEPEST = 500
+"""Joints from a link to the root; deeper trees go in circles."""
+MOVING = ("revolute", "continuous", "prismatic", "planar", "floating")
+KINDS = ("fixed", *MOVING)
+
+Triple = tuple[float, float, float]
+Rotation = tuple[Triple, Triple, Triple]
+_NOWHERE: Triple = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """Where something sits in another frame: `xyz` in m, `rpy` in rad about the fixed axes x, y, z, in that order."""
+
+    xyz: Triple = _NOWHERE
+    rpy: Triple = _NOWHERE
+
+    def of(self, inner: Mount) -> Mount:
+        """Where `inner`, which is told in this frame, sits in the frame in which this one is."""
+        rotation = _matrix(self.rpy)
+        x, y, z = (sum(row[i] * inner.xyz[i] for i in range(3)) for row in rotation)
+        turned = _product(rotation, _matrix(inner.rpy))
+        return Mount((self.xyz[0] + x, self.xyz[1] + y, self.xyz[2] + z), _angles(turned))
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """A shape of a link, `size` in m: a box's x, y, z; a cylinder's or capsule's radius and length; a sphere's radius;
+    a mesh's scale. `mesh` is the file that a mesh names.
+    """
+
+    kind: Literal["box", "cylinder", "sphere", "capsule", "mesh"]
+    size: Sequence[float]
+    mount: Mount
+    mesh: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A rigid body: how it looks, where it collides, and its mass in kg (None where that is not told)."""
+
+    name: str
+    visuals: Sequence[Geometry] = ()
+    collisions: Sequence[Geometry] = ()
+    mass: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Of one joint: positions in rad (m for a prismatic one), `velocity` per s, `effort` in N m (N).
+
+    A position is None where it has no bound, the others where the description does not tell them. Where a
+    `safety_controller` has soft limits, the positions are these.
+    """
+
+    lower: float | None = None
+    upper: float | None = None
+    velocity: float | None = None
+    effort: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Mimic:
+    """A joint that follows another: `multiplier` times its position, and `offset`."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """Where `child` sits in `parent`, and about or along which `axis` (in the joint's frame) it moves."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    mount: Mount = Mount()
+    axis: Triple = (1.0, 0.0, 0.0)
+    limits: Limits = Limits()
+    mimic: Mimic | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is moved on its own: not fixed, and following no other."""
+        return self.kind in MOVING and self.mimic is None
+
+    @property
+    def unit(self) -> str:
+        """Of its position."""
+        return "m" if self.kind == "prismatic" else "rad"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Urdf:
+    """A robot's description. `root` is the link that has no parent; "" where several have none, or all have one."""
+
+    name: str
+    links: Mapping[str, Link]
+    joints: Mapping[str, Joint]
+    root: str
+    problems: Sequence[str] = ()
+    controlled: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
+    """Joints of `<ros2_control>` with their command interfaces, such as `position`."""
+
+    @property
+    def moving(self) -> Sequence[Joint]:
+        """The joints that are moved, in the order of the description."""
+        return [joint for joint in self.joints.values() if joint.moves]
+
+    def above(self, link: str) -> Joint | None:
+        """The joint that holds a link; None for a root."""
+        return next((joint for joint in self.joints.values() if joint.child == link), None)
+
+    def mount(self, link: str, within: str = "") -> Mount | None:
+        """Where a link sits in another one above it (default: the root), every joint at 0; None if not below it."""
+        mount, at = Mount(), link
+        for _ in range(_DEEPEST):
+            joint = self.above(at)
+            if at == within or (not within and joint is None):
+                return mount if at in self.links else None
+            if joint is None:
+                return None
+            mount, at = joint.mount.of(mount), joint.parent
+        return None
+
+    def fixed_to(self, link: str) -> str:
+        """The link that this one is rigidly part of: the highest above it with nothing that moves between."""
+        for _ in range(_DEEPEST):
+            joint = self.above(link)
+            if joint is None or joint.kind != "fixed":
+                break
+            link = joint.parent
+        return link
+
+
+def parse(text: str) -> Urdf:
+    """Reads a description.
+
+    Raises:
+        BadData: if it is no URDF: no XML, with a document type (whose entities could grow without bound), too long, or
+            without a single link.
+    """
+    if len(text) > MOST_BYTES:
+        raise BadData(f"The robot description has {len(text)} characters, more than {MOST_BYTES} are not read.")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise BadData("The robot description declares a document type, which no URDF needs: it is not read.")
+    try:
+        root = ElementTree.fromstring(text.encode(errors="replace"))
+    except ElementTree.ParseError as error:
+        raise BadData(f"The robot description is no XML: {error}.") from error
+    if root.tag != "robot":
+        raise BadData(f"The robot description begins with {quoted(root.tag)}, a URDF begins with robot.")
+    problems: list[str] = []
+    links = {link.name: link for element in root.findall("link") if (link := _link(element, problems))}
+    if not links:
+        raise BadData("The robot description has no link.")
+    joints = {joint.name: joint for element in root.findall("joint") if (joint := _joint(element, links, problems))}
+    children = [joint.child for joint in joints.values()]
+    problems += [f"{quoted(name)} has several parents" for name in links if children.count(name) > 1]
+    roots = [name for name in links if name not in children]
+    if len(roots) != 1:
+        shown = ", ".join(map(quoted, roots[:5]))
+        problems.append(f"{len(roots)} links have no parent: {shown}" if roots else "every link has a parent")
+    return Urdf(
+        name=root.get("name", ""),
+        links=links,
+        joints=joints,
+        root=roots[0] if len(roots) == 1 else "",
+        problems=problems,
+        controlled=dict(_controlled(root)),
+    )
+
+
+def _link(element: ElementTree.Element, problems: list[str]) -> Link | None:
+    name = element.get("name", "")
+    if not name:
+        problems.append("a link has no name")
+        return None
+    mass = element.find("inertial/mass")
+    return Link(
+        name,
+        [shape for part in element.findall("visual") if (shape := _geometry(part, name, problems))],
+        [shape for part in element.findall("collision") if (shape := _geometry(part, name, problems))],
+        None if mass is None else _number(mass, "value", name, problems),
+    )
+
+
+def _geometry(part: ElementTree.Element, link: str, problems: list[str]) -> Geometry | None:
+    mount = _mount(part, link, problems)
+    for shape in part.findall("geometry/*"):
+        if shape.tag == "box":
+            return Geometry("box", _triple(shape, "size", _NOWHERE, link, problems), mount)
+        if shape.tag in ("cylinder", "capsule"):
+            radius, length = (_number(shape, each, link, problems) or 0.0 for each in ("radius", "length"))
+            return Geometry("cylinder" if shape.tag == "cylinder" else "capsule", (radius, length), mount)
+        if shape.tag == "sphere":
+            return Geometry("sphere", (_number(shape, "radius", link, problems) or 0.0,), mount)
+        if shape.tag == "mesh":
+            scale = _triple(shape, "scale", (1.0, 1.0, 1.0), link, problems)
+            return Geometry("mesh", scale, mount, shape.get("filename", ""))
+    problems.append(f"a shape of {quoted(link)} is of no known kind")
+    return None
+
+
+def _joint(element: ElementTree.Element, links: Mapping[str, Link], problems: list[str]) -> Joint | None:
+    name, kind = element.get("name", ""), element.get("type", "")
+    parent, child = (
+        "" if end is None else end.get("link", "") for end in (element.find("parent"), element.find("child"))
+    )
+    if not name or kind not in KINDS:
+        problems.append(f"the joint {quoted(name)} has the type {quoted(kind)}, which there is not")
+        return None
+    if missing := [end for end in (parent, child) if end not in links]:
+        problems.append(f"the joint {quoted(name)} leads to {quoted(missing[0])}, which is no link")
+        return None
+    follows = element.find("mimic")
+    mimic = None
+    if follows is not None:
+        factor, offset = (_number(follows, each, name, problems) for each in ("multiplier", "offset"))
+        mimic = Mimic(follows.get("joint", ""), 1.0 if factor is None else factor, offset or 0.0)
+    axis = element.find("axis")
+    return Joint(
+        name,
+        kind,
+        parent,
+        child,
+        _mount(element, name, problems),
+        (1.0, 0.0, 0.0) if axis is None else _triple(axis, "xyz", (1.0, 0.0, 0.0), name, problems),
+        _limits(element, kind, name, problems),
+        mimic,
+    )
+
+
+def _limits(element: ElementTree.Element, kind: str, name: str, problems: list[str]) -> Limits:
+    """A bound that is not written is 0, as the format says; a continuous joint has none."""
+    limit, soft = element.find("limit"), element.find("safety_controller")
+    if limit is None:
+        if kind in ("revolute", "prismatic"):
+            problems.append(f"the joint {quoted(name)} has no limits")
+        return Limits()
+    velocity, effort = (_number(limit, each, name, problems) for each in ("velocity", "effort"))
+    if kind not in ("revolute", "prismatic"):
+        return Limits(velocity=velocity, effort=effort)
+    lower, upper = (_number(limit, each, name, problems) or 0.0 for each in ("lower", "upper"))
+    if soft is not None:
+        softest = [_number(soft, f"soft_{each}_limit", name, problems) for each in ("lower", "upper")]
+        lower = lower if softest[0] is None else max(lower, softest[0])
+        upper = upper if softest[1] is None else min(upper, softest[1])
+    if lower > upper:
+        problems.append(f"the joint {quoted(name)} has a lower limit above its upper one")
+    return Limits(lower, upper, velocity, effort)
+
+
+def _controlled(root: ElementTree.Element) -> Iterator[tuple[str, Sequence[str]]]:
+    for joint in root.findall("ros2_control/joint"):
+        yield joint.get("name", ""), [each.get("name", "") for each in joint.findall("command_interface")]
+
+
+def _mount(element: ElementTree.Element, name: str, problems: list[str]) -> Mount:
+    origin = element.find("origin")
+    if origin is None:
+        return Mount()
+    return Mount(*(_triple(origin, each, _NOWHERE, name, problems) for each in ("xyz", "rpy")))
+
+
+def _triple(element: ElementTree.Element, key: str, default: Triple, name: str, problems: list[str]) -> Triple:
+    words = (element.get(key) or "").split()
+    if not words:
+        return default
+    numbers = [_float(word) for word in words]
+    if len(numbers) != 3 or None in numbers:
+        problems.append(f"{key} of {quoted(name)} is {quoted(' '.join(words))}, not three numbers")
+        return default
+    x, y, z = (number or 0.0 for number in numbers)
+    return x, y, z
+
+
+def _number(element: ElementTree.Element, key: str, name: str, problems: list[str]) -> float | None:
+    word = element.get(key)
+    if word is None:
+        return None
+    number = _float(word)
+    if number is None:
+        problems.append(f"{key} of {quoted(name)} is {quoted(word)}, no number")
+    return number
+
+
+def _float(word: str) -> float | None:
+    try:
+        number = float(word)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _matrix(rpy: Triple) -> Rotation:
+    """Rz(yaw) Ry(pitch) Rx(roll)."""
+    (a, b, c), (d, e, f) = map(math.sin, rpy), map(math.cos, rpy)
+    return (
+        (f * e, f * b * a - c * d, f * b * d + c * a),
+        (c * e, c * b * a + f * d, c * b * d - f * a),
+        (-b, e * a, e * d),
+    )
+
+
+def _product(left: Rotation, right: Rotation) -> Rotation:
+    rows = [tuple(sum(row[k] * right[k][column] for k in range(3)) for column in range(3)) for row in left]
+    return rows[0], rows[1], rows[2]  # pyright: ignore[reportReturnType] - three of three
+
+
+def _angles(rotation: Rotation) -> Triple:
+    """Roll, pitch and yaw of a rotation; with the pitch at ±90° the roll is taken as 0."""
+    pitch = math.atan2(-rotation[2][0], math.hypot(rotation[0][0], rotation[1][0]))
+    if math.hypot(rotation[0][0], rotation[1][0]) < 1e-9:  # yaw and roll turn about the same axis
+        return 0.0, pitch, math.atan2(-rotation[0][1], rotation[1][1])
+    return math.atan2(rotation[2][1], rotation[2][2]), pitch, math.atan2(rotation[1][0], rotation[0][0])

@@ -1,0 +1,65 @@
+"""The client's end of a server at a Unix socket: what a client writes goes there, and what comes is the client's."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import threading
+from pathlib import Path
+
+from ros2_mcp.model.errors import LinkError
+
+_READ_BYTES = 1 << 16
+"""A pipe's room."""
+
+
+def connect(path: Path) -> int:
+    """Carries stdin and stdout to the server at that socket until one of them ends; 1 if the server did first.
+
+    Raises:
+        LinkError: if nobody listens there, or this user may not connect.
+    """
+    if sys.platform == "win32":
+        raise LinkError(
+            "Python knows no Unix sockets on Windows, so that no server is reached at one.",
+            "Start one that serves over HTTP: ros2-mcp --transport streamable-http.",
+        )
+    connection = socket.socket(socket.AF_UNIX)
+    try:
+        connection.connect(str(path.expanduser()))
+    except OSError as error:
+        raise LinkError(
+            f"No server is reached at {path}: {error.strerror or error}.",
+            f"Start one there (ros2-mcp --socket {path}), and be its user or in the group of the socket.",
+        ) from error
+    client_has_ended = threading.Event()
+    threading.Thread(target=_carry_out, args=(connection, client_has_ended), daemon=True).start()
+    while data := _received(connection):
+        _write(data)
+    if not client_has_ended.is_set():
+        print(f"ros2-mcp: the server at {path} has ended the connection.", file=sys.stderr, flush=True)  # noqa: T201
+        os._exit(1)  # a read from stdin cannot be interrupted
+    return 0
+
+
+def _carry_out(connection: socket.socket, client_has_ended: threading.Event) -> None:
+    try:
+        while data := os.read(0, _READ_BYTES):
+            connection.sendall(data)
+        client_has_ended.set()
+        connection.shutdown(socket.SHUT_WR)  # the client has ended; what it was not told yet may still come
+    except OSError:
+        return  # the server has gone, which the other direction notices
+
+
+def _received(connection: socket.socket) -> bytes:
+    try:
+        return connection.recv(_READ_BYTES)
+    except ConnectionError:
+        return b""
+
+
+def _write(data: bytes) -> None:
+    while data:
+        data = data[os.write(1, data) :]

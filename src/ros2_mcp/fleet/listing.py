@@ -1,0 +1,71 @@
+"""The tools of several robots as one list: each once, with the argument `robot`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mcp.types import Tool, ToolAnnotations
+
+from ros2_mcp.fleet.about_all import ROBOTS, STOP, RobotStates, StoppedRobots
+from ros2_mcp.fleet.member import Member
+from ros2_mcp.tools import TOOLS
+from ros2_mcp.tools.schema import result_schema
+
+ROBOT = "robot"
+_MOST_IN_ENUM = 15
+"""Each name costs the model a token or two in every tool; beyond this ros2_robots lists them."""
+_STOP_ALL = "Without robot it stops all robots of this server, at the same time."
+
+
+def listed_tools(members: Sequence[Member]) -> list[Tool]:
+    """Every tool that at least one robot offers, in the order of `tools/list`; `ros2_robots` stands first.
+
+    A tool's `robot` allows those robots that offer it: where one is read-only, tools that write are not offered for it.
+    """
+    found = [_robots_tool()]
+    for declared in TOOLS:
+        offering = [member for member in members if declared.name in member.toolset.by_name]
+        if not offering:
+            continue
+        # Descriptions leave out sentences about tools that are not offered: the longest one has them all.
+        tools = [member.toolset.by_name[declared.name].listed for member in offering]
+        tool = max(tools, key=lambda tool: len(tool.description or ""))
+        found.append(_with_robot(tool, [member.name for member in offering], is_stop=declared.name == STOP))
+    return found
+
+
+def _with_robot(tool: Tool, names: Sequence[str], *, is_stop: bool) -> Tool:
+    taken: Mapping[str, Any] = tool.input_schema
+    argument: dict[str, Any] = {"type": "string", "description": f"Which robot, as {ROBOTS} shows them."}
+    if len(names) <= _MOST_IN_ENUM:
+        argument = {"type": "string", "enum": list(names), "description": "Which robot."}
+    if is_stop:
+        argument["description"] += " Default: all."
+    required = [*(() if is_stop else (ROBOT,)), *taken.get("required", ())]
+    schema = {**taken, "properties": {ROBOT: argument, **taken["properties"]}}
+    if required:
+        schema["required"] = required
+    if is_stop:
+        description = f"{tool.description} {_STOP_ALL}"
+        update = {"description": description, "output_schema": result_schema(StoppedRobots)}
+    else:
+        given: Mapping[str, Any] = tool.output_schema or {}
+        properties = {ROBOT: {"type": "string"}, **given.get("properties", {})}
+        update = {"output_schema": {**given, "properties": properties, "required": [ROBOT, *given.get("required", ())]}}
+    return tool.model_copy(update={"input_schema": schema, **update})
+
+
+def _robots_tool() -> Tool:
+    title = "The robots of this server"
+    return Tool(
+        name=ROBOTS,
+        title=title,
+        description="Show the robots of this server: where each is, whether it can be reached, what may be done to it. "
+        "Connects to those that nobody has asked anything of yet, and waits for them for a moment.",
+        input_schema={"type": "object", "properties": {}, "additionalProperties": False},
+        output_schema=result_schema(RobotStates),
+        annotations=ToolAnnotations(
+            title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=True
+        ),
+    )

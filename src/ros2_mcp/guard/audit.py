@@ -1,0 +1,261 @@
+"""The audit: what was asked, decided and done, written before and after each act (decision 31).
+
+What is done under a policy is not done unless its line is written. Without a policy the line is written beside the act,
+and a disk that takes nothing is told once in the log. What stops never waits for a line.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import time
+from collections.abc import Callable, Generator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from ros2_mcp.guard.audit_file import FILE_BYTES, KEEP_BYTES, ROOM_BYTES, AuditFile
+from ros2_mcp.guard.chain import HEAD, Head, parse_head
+from ros2_mcp.model.errors import Refused, RobotError
+from ros2_mcp.model.times import iso_time
+
+_ASKED = ("act", "waits", "refused", "refused part")
+"""Kinds of lines about what a client has asked for."""
+VALUE_CHARACTERS = 1000
+"""Of the value in a line. A longer one is cut; its digest stands for all of it."""
+_TEXT_CHARACTERS = 300
+"""Of any other text in a line, such as the reason of a refusal."""
+COPIED_EVERY_S = 60.0
+"""Under a policy the head is copied so often to the log, which of a service is the journal: out of reach of who can
+write in the folder of the audit. Lines before a copy cannot be cut off or written anew unseen."""
+MOST_QUEUED = 10_000
+"""Lines that wait for a disk that hangs, 30 MB at most; what comes then is counted, and not written."""
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class CallOfTool:
+    """A call of a tool, where in a program it is made (`program_0f3a9c21, line 3`), and whether a line tells of it."""
+
+    tool: str = ""
+    has_line: bool = False
+    program: str = ""
+
+
+_call: ContextVar[CallOfTool] = ContextVar("call", default=CallOfTool())  # noqa: B039 - of none, which is never read
+
+Line = Future[Head]
+"""A line that is being written: its result is the head after it."""
+Listener = Callable[[int, Mapping[str, Any]], None]
+"""Is told of each entry: when it was made (UNIX time in ns), and what it says. Must neither wait nor raise."""
+
+
+@contextmanager
+def called_through(tool: str, program: str = "") -> Generator[CallOfTool, None, None]:
+    """While it is entered, what is done is done by a call of this tool: its audit lines say so."""
+    token = _call.set(call := CallOfTool(tool, program=program))
+    try:
+        yield call
+    finally:
+        _call.reset(token)
+
+
+class Audit:
+    """The audit of one robot. Without a folder nothing is written, and only listeners are told.
+
+    `folder` gives the folder, made if it was not there; it is called when the first line is written.
+    `path` is where that is, to read it.
+    `required`: an act is refused if its line cannot be written. `failed` says why the last line could not be, and is
+    empty while all is well; `head` is the end of the chain, as far as this server has written it.
+    """
+
+    def __init__(
+        self,
+        folder: Callable[[], Path] | None,
+        *,
+        path: Path | None = None,
+        policy: str = "",
+        required: bool = False,
+        file_bytes: int = FILE_BYTES,
+        keep_bytes: int = KEEP_BYTES,
+    ) -> None:
+        self.path = path
+        self.keep_bytes = keep_bytes
+        self.required = required
+        self.failed = ""
+        self._policy = policy
+        self._listeners: list[Listener] = []
+        self._unwritten = 0
+        self._queued = self._taken = 0
+        self._folder = folder
+        self._open = partial(AuditFile, file_bytes=file_bytes, keep_bytes=keep_bytes)
+        self._file: AuditFile | None = None
+        # One thread: lines leave in the order in which they were made, and a slow disk never holds up the event loop.
+        self._writer = ThreadPoolExecutor(1, "audit")
+        self._syncer = ThreadPoolExecutor(1, "audit-sync")
+        self._syncing: Future[None] | None = None
+        self._copied, self._copied_at = 0, monotonic()
+
+    @property
+    def head(self) -> Head:
+        """The end of the chain, as far as this server knows it; before its first line, what others have written."""
+        if self._file:
+            return self._file.head
+        try:
+            return (self.path and parse_head((self.path / HEAD).read_bytes())) or Head()
+        except OSError:
+            return Head()
+
+    async def before(self, fields: Mapping[str, Any], *, stops: bool = False) -> Line | None:
+        """Writes what will be done, and gives the line, for `after`. Under a policy it is waited for, unless it stops.
+
+        Raises:
+            Refused: if it cannot be written and must be.
+        """
+        line = self._queue("act", fields, 0 if stops else ROOM_BYTES)
+        if self._folder is None or stops or not (self.required or self._policy):
+            return line
+        try:
+            if line is None:
+                raise OSError("it is closed")
+            await asyncio.wrap_future(line)
+        except (OSError, RobotError) as error:
+            if self.required:
+                raise Refused(
+                    f"Nothing is done: the audit cannot be written ({self.failed or error}), and the policy wants it.",
+                    "Tell the operator. ros2_stop still stops.",
+                ) from error
+        return line
+
+    def after(self, line: Line | None, outcome: str, **more: Any) -> None:
+        """Queues what became of the act of that line; does not wait for it."""
+        self._queue("outcome", {"of": _number_of(line), "outcome": outcome, **more}, of=line)
+
+    def note(self, kind: str, **fields: Any) -> None:
+        """Queues one line about what happened, such as a stop or an approval; does not wait for it."""
+        self._queue(kind, fields)
+
+    async def written(self) -> None:
+        """Waits until what is queued now is written, or was given up."""
+        with suppress(RuntimeError):  # the audit is closed
+            await asyncio.wrap_future(self._writer.submit(lambda: None))
+
+    @contextmanager
+    def listened(self, listener: Listener) -> Generator[None, None, None]:
+        """While it is entered, `listener` is told of every entry, written or not."""
+        self._listeners.append(listener)
+        try:
+            yield
+        finally:
+            self._listeners.remove(listener)
+
+    def close(self) -> None:
+        """Writes what is queued, and has the disk keep it."""
+        self._writer.shutdown()
+        self._syncer.shutdown()
+        if self._file:
+            self._copy_head(self._file.head)
+            self._file.close()
+
+    def _entry(self, kind: str, fields: Mapping[str, Any]) -> Mapping[str, Any]:
+        now_ns = time.time_ns()
+        entry: dict[str, Any] = {"kind": kind, "time": iso_time(now_ns), "monotonic": round(monotonic(), 6)}
+        if kind in _ASKED:
+            call = _call.get()
+            call.has_line = True
+            entry |= {"tool": call.tool, "policy": self._policy}
+            if call.program:
+                entry["program"] = call.program
+        entry |= {name: _bounded(name, value) for name, value in fields.items() if value not in (None, "")}
+        for listener in self._listeners:
+            listener(now_ns, entry)
+        return entry
+
+    def _queue(self, kind: str, fields: Mapping[str, Any], room_bytes: int = 0, of: Line | None = None) -> Line | None:
+        """The line in the queue of the thread; None where it is not written."""
+        entry = self._entry(kind, fields)
+        if self._folder is None:
+            return None
+        if self._queued - self._taken >= MOST_QUEUED and not self.required:
+            self._unwritten += 1
+            return None
+        try:
+            line = self._writer.submit(self._append, entry, room_bytes, of)
+        except RuntimeError:  # the audit is closed: the server ends
+            return None
+        self._queued += 1
+        line.add_done_callback(self._note_outcome)
+        return line
+
+    def _note_outcome(self, line: Line) -> None:
+        if line.cancelled():  # with the call that waited for it: nothing is done
+            return
+        error = line.exception()
+        if isinstance(error, (OSError, RobotError)):
+            self._unwritten += 1
+            self._note_failure(error)
+        elif error:
+            _logger.error("a line of the audit was not written: %r", error)
+
+    def _note_failure(self, error: OSError | RobotError) -> None:
+        why = str((isinstance(error, OSError) and error.strerror) or error)
+        if not self.failed:
+            _logger.warning("the audit cannot be written: %s", why)
+        self.failed = why.rstrip(".")
+
+    # ── in the threads ─────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _append(self, entry: Mapping[str, Any], room_bytes: int, of: Line | None) -> Head:
+        self._taken += 1
+        if self._file is None:
+            assert self._folder
+            self._file = self._open(self._folder())
+        if of:
+            entry = {**entry, "of": _number_of(of)}
+        if self._unwritten:  # of acts that were done when the disk had become full: their outcomes are missing
+            entry = {**entry, "unwritten_before": self._unwritten}
+        head = self._file.append(entry, room_bytes)
+        self.failed, self._unwritten = "", 0
+        if monotonic() - self._copied_at >= COPIED_EVERY_S:
+            self._copy_head(head)
+        if self._syncing is None or self._syncing.done():  # one at a time: what comes meanwhile is synced with the next
+            self._syncing = self._syncer.submit(partial(_fsync, self._file.descriptor()))
+        return head
+
+    def _copy_head(self, head: Head) -> None:
+        if self._policy and head.seq != self._copied:
+            _logger.warning("the head of the audit is %s", head.short)
+        self._copied, self._copied_at = head.seq, monotonic()
+
+
+def _number_of(line: Line | None) -> int:
+    """The number of a line; 0 as long as it is not written."""
+    return line.result().seq if line and line.done() and not line.exception() else 0
+
+
+def _bounded(name: str, value: Any) -> Any:
+    """A field as it is written: what is long is cut, and says so."""
+    if isinstance(value, str):
+        return value if len(value) <= _TEXT_CHARACTERS else f"{value[: _TEXT_CHARACTERS - 1]}…"
+    if name != "value":
+        return value
+    text = json.dumps(value, default=str)
+    return value if len(text) <= VALUE_CHARACTERS else {"cut_after": VALUE_CHARACTERS, "json": text[:VALUE_CHARACTERS]}
+
+
+def _fsync(descriptor: int | None) -> None:
+    if descriptor is None:
+        return
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        _logger.warning("the disk may not keep the audit: %s", error.strerror or error)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,174 @@
+"""How clients come in over HTTP: where is listened, under which names, with which login. Checked before the start."""
+
+from __future__ import annotations
+
+import ipaddress
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from ros2_mcp.guard.state import state_home
+from ros2_mcp.guard.tokens import Tokens, own_token, own_tokens, read_tokens
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.shell import typed
+from ros2_mcp.settings import OPTIONS, Settings
+
+NO_LOGIN = (
+    "No login is asked for (--no-login): every program and every user of this machine can use this server and move the "
+    "robot."
+)
+_EVERYWHERE = ("0.0.0.0", "::")
+_USUAL_PORTS = {"http": 80, "https": 443}
+"""Which nobody writes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entrance:
+    """What was asked for, checked. `tokens` are None without a login; `told` is what a person has to know at the start.
+
+    `hosts` and `origins` are the values of these headers that are accepted.
+    """
+
+    url: str
+    tokens: Tokens | None
+    hosts: tuple[str, ...]
+    origins: tuple[str, ...]
+    told: str
+
+
+def entrance_of(settings: Settings) -> Entrance:
+    """How clients come in, with the token of the server made if it is the first start.
+
+    Raises:
+        BadInput: for a combination of settings that would let in strangers, and tokens that cannot be used.
+    """
+    _check(settings)
+    if settings.no_login:
+        tokens, told = None, f"Warning: {NO_LOGIN}"
+    elif settings.token_file:
+        tokens, told = read_tokens(settings.token_file.expanduser()), f"A token of {settings.token_file} is asked for."
+    else:
+        folder = state_home()
+        token, is_new = own_token(folder)
+        tokens, told = own_tokens(folder), _told_of_own(folder, token if is_new else "", settings)
+    hosts = _hosts(settings)
+    origins = tuple(f"{_scheme(settings)}://{host}" for host in hosts)
+    if settings.public_url:
+        public = urlsplit(settings.public_url)
+        hosts += _as_written(public.netloc.lower(), public.scheme)
+        origins += tuple(f"{public.scheme}://{host}" for host in _as_written(public.netloc.lower(), public.scheme))
+    elif settings.host.strip("[]") in _EVERYWHERE:
+        told += "\nClients of other machines are refused (421) until --public-url says at which address they find it."
+    return Entrance(url=url_of(settings), tokens=tokens, hosts=hosts, origins=origins, told=told)
+
+
+def check_tls(settings: Settings) -> None:
+    """Tells before the start whether TLS can be spoken.
+
+    Raises:
+        BadInput: for a certificate and a key with which it cannot.
+    """
+    if not settings.tls_cert or not settings.tls_key:
+        return
+    import ssl  # of no use to stdio
+
+    certificate, key = settings.tls_cert.expanduser(), settings.tls_key.expanduser()
+    try:
+        # With no password given, OpenSSL would ask for one at the terminal.
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key, password=lambda: b"")
+    except OSError as error:
+        reason = "OpenSSL does not take them" if isinstance(error, ssl.SSLError) else error.strerror
+        raise BadInput(
+            f"TLS cannot be spoken with {certificate} and {key}: {reason}.",
+            "Both are PEM files that this user can read; the key belongs to the certificate and has no password.",
+        ) from error
+
+
+def warnings_of(settings: Settings) -> list[str]:
+    """What `ros2_status` says of it."""
+    return [NO_LOGIN] if settings.no_login and settings.is_http else []
+
+
+def url_of(settings: Settings) -> str:
+    """Where clients find this server."""
+    path = "/sse" if settings.transport == "sse" else "/mcp"
+    if settings.public_url:
+        url = settings.public_url.rstrip("/")
+        return url if urlsplit(url).path else url + path
+    host = settings.host.strip("[]")
+    written = f"[{host}]" if ":" in host else host
+    return f"{_scheme(settings)}://{written}:{settings.port}{path}"
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach that address."""
+    try:
+        return ipaddress.ip_address(host.strip("[]").partition("%")[0]).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
+
+
+def _check(settings: Settings) -> None:
+    if settings.socket:
+        raise BadInput("--socket and --transport contradict each other.", "Give one of them.")
+    title = {name: option.flag for name, option in OPTIONS.items()}
+    if bool(settings.tls_cert) != bool(settings.tls_key):
+        raise BadInput(f"{title['tls_cert']} and {title['tls_key']} belong together.", "Give both.")
+    is_local = is_loopback(settings.host)
+    if settings.no_login and (not is_local or settings.behind_proxy or settings.public_url):
+        raise BadInput(
+            "--no-login would let everybody in who reaches this server from elsewhere.",
+            "It is for this machine alone (--host 127.0.0.1, no proxy). Leave it out: a token is made by itself.",
+        )
+    if settings.no_login and settings.token_file:
+        raise BadInput("--no-login and --token-file contradict each other.", "Give one of them.")
+    if not is_local and not settings.tls_cert and not settings.behind_proxy:
+        raise BadInput(
+            f"--host {settings.host} is reached from other machines: the token would cross the network in the open.",
+            "Give --tls-cert and --tls-key, or --behind-proxy if a proxy speaks TLS in front of this server, or listen "
+            "on 127.0.0.1.",
+        )
+
+
+def _hosts(settings: Settings) -> tuple[str, ...]:
+    """As clients write this machine's own names and the address that is listened on."""
+    names = ["127.0.0.1", "localhost", "[::1]"]
+    host = settings.host.strip("[]")
+    if host not in _EVERYWHERE:
+        written = f"[{host}]" if ":" in host else host
+        names += [written, written.lower()]  # browsers write names in lower case
+    at = [f"{name}:{settings.port}" for name in dict.fromkeys(names)]
+    return (*at, *(names if settings.port == _USUAL_PORTS[_scheme(settings)] else ()))
+
+
+def _as_written(netloc: str, scheme: str) -> tuple[str, ...]:
+    """The ways to write where a public address leads: its usual port may be written."""
+    usual = f":{_USUAL_PORTS[scheme]}"
+    bare = netloc.removesuffix(usual)
+    return (netloc,) if urlsplit(f"//{bare}").port else (bare, bare + usual)
+
+
+def _scheme(settings: Settings) -> str:
+    return "https" if settings.tls_cert else "http"
+
+
+def _told_of_own(folder: Path, new_token: str, settings: Settings) -> str:
+    configures = (
+        f"What configures a client with it:  {_config_command(settings)}  (such as claude-code, vscode, cursor)"
+    )
+    if not new_token:
+        return f"A token is asked for: that of {folder / 'http-token'}.\n{configures}"
+    return (
+        f"A token is asked for. It was made now, is kept in {folder / 'http-token'}, and is shown this once:\n"
+        f"  Authorization: Bearer {new_token}\n{configures}"
+    )
+
+
+def _config_command(settings: Settings) -> str:
+    """With the options that decide how clients reach this server."""
+    words, usual = ["ros2-mcp"], Settings()
+    for name in ("host", "port", "tls_cert", "tls_key", "behind_proxy", "public_url"):
+        value = getattr(settings, name)
+        if value != getattr(usual, name):
+            words += [OPTIONS[name].flag, *([] if value is True else [str(value)])]
+    return f"{typed(words)} config CLIENT --http"

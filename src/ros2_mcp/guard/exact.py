@@ -1,0 +1,271 @@
+"""One act as the audit writes it down, as approvals are bound to it, and as an operator reads it.
+
+The sentences are fixed. What comes from a model or a robot stands in them as a name that can only be a name, as a
+number, or within «» as ASCII: nothing in it can look like a sentence of ours.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, cast
+
+from ros2_mcp.guard.policy import verb_of
+from ros2_mcp.model.commands import Command, Principal
+from ros2_mcp.model.text import is_name
+from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+
+_SENTENCES: Mapping[str, str] = {
+    "publish": "Publish on {name}",
+    "relay": "Relay what comes on {source} to {name}",
+    "play": "Play {topic} of the bag {bag}, its part {part}, on {name}",
+    "record": "Record {topics}{patterns}",
+    "call": "Call the service {name}",
+    "set": "Set parameters of {name}",
+    "transition": "Make the transition {transition} of {name}",
+    "goal": "Send a goal to {name}",
+    "cancel": "Cancel goals of {name}",
+}
+_NOT_BOUND = frozenset({"principal", "name", "type", "value", "rate_hz", "duration_s", "risk", "choice", "qos"})
+_NOT_SAID = frozenset(
+    {"messages", "goal_id", "repeat_id", "motion_id", "relay_id", "wait_match_s", "wait_ack_s", "timeout_s", "wait_s"}
+)
+"""Fields of commands that are bound by themselves, are made anew for each call, or say how long one waits. Every other
+field, also one that somebody adds, is part of what was approved."""
+_SHOWN = 12
+"""Values in a summary, which is read in a second; `operate show` has all."""
+_TEXT = 80
+"""Characters of a text within a summary: about a line."""
+_ROW = 8
+"""Longer lists of numbers are told by their bounds."""
+_DIGEST_GROUPS = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExactCommand:
+    """A command, resolved: what is approved is exactly this. `value` is decoded in full, with no default left out.
+
+    `digest` is SHA-256 over the type and the bytes (CDR) that are sent, `more` the other fields of the command that say
+    what happens, `policy` the hash of the policies, `epoch` the stop epoch in which it was asked for.
+    """
+
+    principal: Principal
+    verb: str
+    name: str
+    type: str
+    value: Any
+    digest: str
+    rate_hz: float | None
+    duration_s: float | None
+    more: Mapping[str, Any]
+    policy: str = ""
+    epoch: str = ""
+
+    @classmethod
+    def of(
+        cls, command: Command[Any], value: object = None, body: bytes = b"", *, policy: str = "", epoch: str = ""
+    ) -> ExactCommand:
+        """The act that a command is.
+
+        Args:
+            command: as it was resolved (`robot/translation.py`).
+            value: its value, decoded in full from what is sent; without it, what the command has.
+            body: its bytes; without them, the digest is of the value as JSON, which says the same.
+            policy: the hash of the policies in force.
+            epoch: the stop epoch in which it was accepted.
+        """
+        value = command.value if value is None else value
+        of = body or canonical(value).encode()
+        more = {
+            each.name: getattr(command, each.name)
+            for each in fields(command)
+            if each.name not in _NOT_BOUND | _NOT_SAID
+        }
+        return cls(
+            principal=command.principal,
+            verb=verb_of(command),
+            name=command.name,
+            type=command.type,
+            value=value,
+            digest=hashlib.sha256(canonical(command.type).encode() + of).hexdigest(),
+            rate_hz=command.rate_hz,
+            duration_s=command.duration_s,
+            more={name: found for name, found in more.items() if found not in (None, "", 0)},
+            policy=policy,
+            epoch=epoch,
+        )
+
+    @property
+    def subject(self) -> str:
+        """What a grant is for: who does what with what, but for value, rate and duration."""
+        parts = [
+            self.principal.transport,
+            self.principal.name,
+            self.principal.login,
+            self.verb,
+            self.name,
+            self.type,
+            self.policy,
+        ]
+        return canonical([*parts, self.more])
+
+    @property
+    def key(self) -> str:
+        """All of it: two acts are the same one if they have the same key."""
+        parts = [self.subject, self.digest, self.rate_hz, self.duration_s, self.epoch]
+        return hashlib.sha256(canonical(parts).encode()).hexdigest()
+
+    def line(self, **more: Any) -> dict[str, Any]:
+        """The fields of its line in the audit, and these others."""
+        return {
+            "principal": self.principal.name,
+            "transport": self.principal.transport,
+            "login": self.principal.login,
+            "verb": self.verb,
+            "name": self.name,
+            "type": self.type,
+            "digest": self.digest,
+            "rate_hz": self.rate_hz,
+            "duration_s": self.duration_s,
+            "epoch": self.epoch,
+            **{
+                name: found if isinstance(found, (str, int, float)) else canonical(found)
+                for name, found in more.items()
+            },
+            **({"more": canonical(self.more)} if self.more else {}),
+            "value": self.value,
+        }
+
+    def summary(self) -> list[str]:
+        """For an operator, in fixed sentences of printable ASCII and «»: what it does, with what, for whom; digest."""
+        groups = [self.digest[4 * place : 4 * place + 4] for place in range(_DIGEST_GROUPS)]
+        return [
+            f"{self._effect()}{self._type()}, {self._often()}.",
+            self._values(),
+            *self._motion(),
+            f"For the client {_text(self.principal.name)} ({word(self.principal.transport)}). "
+            f"Digest {' '.join(groups)}.",
+        ]
+
+    def _effect(self) -> str:
+        topics = cast("Sequence[str]", self.more.get("topics", ()))
+        shown = ", ".join(map(word, topics[:_SHOWN])) + (f" and {len(topics) - _SHOWN} more" * (len(topics) > _SHOWN))
+        patterns = cast("Sequence[str]", self.more.get("patterns", ()))
+        given = {name: word(str(found)) for name, found in self.more.items() if name != "topics"}
+        given |= {"name": word(self.name), "topics": shown or "all topics"}
+        given |= {"patterns": f" of the patterns {', '.join(map(_text, patterns))}" if patterns else ""}
+        return _SENTENCES[self.verb].format_map(_Given(given))
+
+    def _type(self) -> str:
+        return f" ({word(self.type)})" if self.type else ""
+
+    def _often(self) -> str:
+        if self.rate_hz is None and self.duration_s is None:
+            return "once" if self.verb not in ("relay", "play", "record") else "until it ends or is stopped"
+        rate = "at the rate of its source" if self.rate_hz is None else f"at {number(self.rate_hz)} Hz"
+        lasting = f"for {number(self.duration_s)} s" if self.duration_s else "without end"
+        return f"{rate} {lasting}"
+
+    def _values(self) -> str:
+        parameters: Mapping[str, Any] | None = self.more.get("parameters")
+        if parameters is None:
+            leaves = [(path, leaf) for path, leaf in leaves_of(self.value) if not is_default(leaf)]
+            others, none = "every other value is 0 or empty", "Every value is 0 or empty."
+        else:  # all of them: what is switched off or emptied becomes so by this
+            leaves = [
+                leaf for name, value in parameters.items() for leaf in [*leaves_of(value, name)] or [(name, None)]
+            ]
+            others, none = "every other parameter stays as it is", "No parameter."
+        if not leaves:
+            return none
+        told = ", ".join(f"{_path(path)} {self._leaf(path, leaf)}" for path, leaf in leaves[:_SHOWN])
+        rest = len(leaves) - _SHOWN
+        return f"{told}, and {rest} more." if rest > 0 else f"{told}; {others}."
+
+    def _motion(self) -> list[str]:
+        """That a motion sends no more than these values, and what decides about it."""
+        controller: Mapping[str, Any] | None = self.more.get("controller")
+        if not controller:
+            return []
+        leaves = [(path, leaf) for path, leaf in leaves_of(controller) if not is_default(leaf)]
+        told = ", ".join(f"{_path(path)} {self._leaf(path, leaf)}" for path, leaf in leaves[:_SHOWN])
+        return [f"By feedback, with at most these values: {told}."]
+
+    def _leaf(self, path: str, leaf: Any) -> str:
+        if isinstance(leaf, list):
+            numbers = cast("list[float]", leaf)
+            return f"{len(numbers)} numbers from {number(min(numbers))} to {number(max(numbers))}"
+        if isinstance(leaf, bool):
+            return "true" if leaf else "false"
+        if isinstance(leaf, (int, float)):
+            return number(leaf) + _unit(self.type, path)
+        if leaf is None:
+            return "empty"
+        return _text(leaf) if isinstance(leaf, str) else _text(canonical(leaf))
+
+
+class _Given(dict[str, str]):
+    """Fields of a sentence; what is not given is said so."""
+
+    def __missing__(self, name: str) -> str:
+        return f"(no {name})"
+
+
+def canonical(value: Any) -> str:
+    """A JSON value as the one text that stands for it: keys in order, ASCII, nothing between."""
+    return json.dumps(value, sort_keys=True, ensure_ascii=True, separators=(",", ":"), default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    return [*cast("Sequence[Any]", value)] if isinstance(value, Sequence) else str(value)
+
+
+def word(name: str) -> str:
+    """A name as it is where it can only be a name, else as quoted ASCII."""
+    return name if is_name(name) else _text(name)
+
+
+def number(value: float) -> str:
+    """A number with all its digits: two that differ by the last bit are shown as two."""
+    return repr(value)
+
+
+def leaves_of(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Paths and values below; a long list of numbers is one leaf."""
+    if isinstance(value, Mapping):
+        for name, below in cast("Mapping[str, Any]", value).items():
+            yield from leaves_of(below, f"{path}.{name}" if path else name)
+    elif isinstance(value, (list, tuple)):
+        items = cast("Sequence[Any]", value)
+        if len(items) > _ROW and all(isinstance(item, (int, float)) and math.isfinite(item) for item in items):
+            yield path, list(items)
+            return
+        for place, below in enumerate(items):
+            yield from leaves_of(below, f"{path}[{place}]")
+    else:
+        yield path, value
+
+
+def is_default(leaf: Any) -> bool:
+    """Whether a leaf is what ROS has where nothing is given."""
+    return leaf is None or leaf is False or leaf == "" or (isinstance(leaf, (int, float)) and leaf == 0)
+
+
+def _path(path: str) -> str:
+    return word(path) if path else "value"
+
+
+def _unit(type_name: str, path: str) -> str:
+    if type_name not in VELOCITY_TYPES:
+        return ""
+    parts = path.split(".")
+    return " m/s" if "linear" in parts or path.endswith("speed") else " rad/s" if "angular" in parts else ""
+
+
+def _text(text: str) -> str:
+    """Any text within «», as ASCII on one line, cut where it is long."""
+    inner = json.dumps(text[: 2 * _TEXT], ensure_ascii=True)[1:-1].replace("\x7f", "\\u007f")
+    return f"«{inner}»" if len(inner) <= _TEXT and len(text) <= 2 * _TEXT else f"«{inner[: _TEXT - 3]}...»"

@@ -1,0 +1,222 @@
+"""The operator's way in: a socket in the state folder, with a line of JSON for each request and each answer.
+
+Who may come in says `operators.py`. An agent has no way to it but a shell of the same user: then the server says that
+its policy is advisory.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import secrets
+import socket
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+from ros2_mcp.guard.approvals import Approvals, Grant, Request
+from ros2_mcp.guard.audit import Audit
+from ros2_mcp.guard.exact import word
+from ros2_mcp.guard.modes import Modes
+from ros2_mcp.guard.operators import SHOWN_S, OperatorSocket, listen_at, may_operate, name_of
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp.guard.state import StateFolder
+from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp_bridge.latch import Latch, ResetRefused
+
+RESET = "The latch is reset: what acts may act again. Nothing was started."
+_PREFIX, _SUFFIX = "operate-", ".sock"
+_LINE_BYTES = 65_536
+"""Of a request; the longest of ours has some hundred."""
+_MOST_CLIENTS = 16
+"""Terminals and scripts at a time: an operator has one or two."""
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Operated:
+    """What an operator works on. `stop` stops the robot on behalf of a name, and says in words what was observed.
+
+    `status` has what else the list says: `moves`, the topics and actions that this server moves the robot by now.
+    """
+
+    robot: str
+    policy: Policy
+    approvals: Approvals
+    modes: Modes
+    audit: Audit
+    latch: Latch
+    stop: Callable[[str], Awaitable[str]]
+    status: Callable[[], Mapping[str, Any]] = field(default=dict[str, Any])
+
+
+@asynccontextmanager
+async def operating(
+    folder: StateFolder, operated: Operated, usual: StateFolder | None = None
+) -> AsyncGenerator[None, None]:
+    """While it is entered, operators can connect. Where that cannot be, it is logged, and the robot works without.
+
+    `usual` is the folder where an operator looks who names no policy: a link to the socket is there, too.
+    """
+    path: Path | None = None
+    link: Path | None = None
+    server: asyncio.Server | None = None
+    clients: _Clients | None = None
+    try:
+        path = folder.make() / f"{_PREFIX}{secrets.token_hex(4)}{_SUFFIX}"
+        at = listen_at(path, _logger.warning)
+        clients = _Clients(operated, at)
+        server = await asyncio.start_server(clients.serve, sock=at.listener, limit=_LINE_BYTES)
+        link = _linked(path, usual) if usual and usual != folder else None
+    except (OSError, RobotError) as error:
+        _logger.warning("no operator can connect: %s", error)
+    try:
+        yield
+    finally:
+        if server and clients:
+            server.close()
+            await clients.end()
+        for made in filter(None, (link, path)):
+            made.unlink(missing_ok=True)
+
+
+def _linked(path: Path, usual: StateFolder) -> Path | None:
+    """The link to a socket in the usual folder; None where it cannot be made, which is logged."""
+    try:
+        link = usual.make() / path.name
+        link.symlink_to(path.absolute())
+    except (OSError, RobotError) as error:
+        _logger.warning("operators have to name the policy or its state folder: %s", error)
+        return None
+    return link
+
+
+def sockets_of(folder: Path) -> list[Path]:
+    """The sockets of servers that may be there, and links to those of robots with a folder of their own."""
+    return sorted(folder.glob(f"{_PREFIX}*{_SUFFIX}"))
+
+
+class _Clients:
+    """Answers operators' requests."""
+
+    def __init__(self, operated: Operated, at: OperatorSocket) -> None:
+        self._operated = operated
+        self._socket = at
+        self._serving: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """One connection, until it is closed."""
+        peer: socket.socket = writer.get_extra_info("socket")
+        task = cast("asyncio.Task[None]", asyncio.current_task())
+        self._serving[task] = writer
+        try:
+            uid = await self._socket.user(reader, peer)
+            if not may_operate(uid):
+                with suppress(asyncio.TimeoutError):  # what is closed with a request unread loses its answer
+                    await asyncio.wait_for(reader.readline(), SHOWN_S)
+                self._operated.audit.note("operator refused", by=name_of(uid), uid=uid)
+                await _send(writer, {"ok": False, "error": f"{name_of(uid)} is no operator of this robot."})
+            elif len(self._serving) > _MOST_CLIENTS:
+                await _send(writer, {"ok": False, "error": "Too many operators are connected."})
+            else:
+                await self._answer_all(reader, writer, f"operator {name_of(uid)}")
+        except (ConnectionError, ValueError, asyncio.LimitOverrunError):
+            pass
+        finally:
+            del self._serving[task]
+            writer.close()
+
+    async def end(self) -> None:
+        """Ends all connections."""
+        tasks = [*self._serving]
+        for writer in self._serving.values():
+            writer.close()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _answer_all(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, by: str) -> None:
+        while line := await reader.readline():
+            try:
+                answer = {"ok": True, **await self._answer(json.loads(line), by)}
+            except (RobotError, ResetRefused) as error:
+                answer = {"ok": False, "error": str(error)}
+            except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+                answer = {"ok": False, "error": f"this request cannot be read: {type(error).__name__}: {error}"}
+            await _send(writer, answer)
+
+    async def _answer(self, request: Mapping[str, Any], by: str) -> Mapping[str, Any]:
+        approvals, what = self._operated.approvals, request["do"]
+        if what == "list":
+            return self._listed()
+        if what == "show":
+            found = approvals.find(str(request["id"]))
+            return {"request": self._request(found), "value": found.exact.value, "more": found.exact.line()}
+        nonce = str(request.get("nonce", ""))
+        if what == "approve":
+            return {"done": f"{approvals.approve(str(request['id']), nonce, by=by).id} is approved, once."}
+        if what == "deny":
+            return {"done": f"{approvals.deny(str(request['id']), nonce, by=by).id} is denied."}
+        if what == "grant":
+            bounds = {str(path): float(most) for path, most in dict(request.get("most") or {}).items()}
+            for_s = float(request["for_s"])
+            grant = approvals.grant(str(request["id"]), for_s, bounds, nonce=nonce, by=by)
+            return {"done": f"{grant.id} is granted for {for_s:g} s: {grant.in_words()}."}
+        if what == "revoke":
+            return {"done": f"The grant {approvals.revoke(str(request['id']), by=by).id} has ended."}
+        return await self._change(request, by)
+
+    async def _change(self, request: Mapping[str, Any], by: str) -> Mapping[str, Any]:
+        """What concerns the whole robot."""
+        operated, what = self._operated, request["do"]
+        if what == "mode":
+            before = operated.modes.set(str(request["mode"]))
+            operated.audit.note("mode", by=by, before=before, now=operated.modes.now)
+            return {"done": f"The mode is {operated.modes.now}; it was {before}."}
+        if what == "stop":
+            operated.audit.note("stop", by=by)
+            return {"done": await operated.stop(by)}
+        if what == "reset":
+            state = operated.latch.look()
+            if not state.is_set:
+                return {"done": "The latch is not set."}
+            await asyncio.to_thread(operated.latch.reset, by=by, seen=int(request.get("seen", state.count)))
+            operated.audit.note("reset", by=by, was=state.reason, count=state.count)
+            return {"done": RESET}
+        raise BadInput(f"There is nothing called {word(str(what))} to do.")
+
+    def _listed(self) -> Mapping[str, Any]:
+        operated = self._operated
+        latch = operated.latch.look()
+        return {
+            "robot": operated.robot,
+            "mode": operated.modes.now if operated.policy.in_force else "",
+            "policy": operated.policy.digest,
+            "latch": {"by": latch.by, "reason": latch.reason, "since": latch.since, "count": latch.count}
+            if latch.is_set
+            else None,
+            "audit": {"head": operated.audit.head.short, "failed": operated.audit.failed},
+            "waiting": [self._request(request) for request in operated.approvals.waiting()],
+            "grants": [self._grant(grant) for grant in operated.approvals.grants()],
+            **operated.status(),
+        }
+
+    def _request(self, request: Request) -> Mapping[str, Any]:
+        approvals = self._operated.approvals
+        return {
+            "id": request.id,
+            "nonce": request.nonce,
+            "age_s": round(approvals.age_s(request), 1),
+            "left_s": round(approvals.seconds_left(request), 1),
+            "summary": request.summary(),
+        }
+
+    def _grant(self, grant: Grant) -> Mapping[str, Any]:
+        left_s = round(self._operated.approvals.seconds_left(grant), 1)
+        return {"id": grant.id, "left_s": left_s, "by": grant.by, "what": grant.in_words()}
+
+
+async def _send(writer: asyncio.StreamWriter, answer: Mapping[str, Any]) -> None:
+    writer.write(json.dumps(answer, default=str).encode() + b"\n")
+    await writer.drain()

@@ -1,0 +1,258 @@
+"""A policy asked about commands that nobody sends: for `ros2-mcp policy explain` and `test`, without a robot.
+
+A trial is one row of a table: `tests/unit/guard/profiles/FORMAT.md` says what its columns are.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, cast
+
+from ros2_mcp.guard.exact import leaves_of
+from ros2_mcp.guard.policy import ALLOWED, VERBS, Decision, Facts, Policy
+from ros2_mcp.model import commands, names
+from ros2_mcp.model.commands import LOCAL, Command
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.qos import Choice, QoS
+from ros2_mcp_bridge.checks import Checks
+from ros2_mcp_bridge.rules import CHANGE_STATE, SET_PARAMETERS, Ruling, Verb, judged_part, meaning
+
+DECISIONS: Mapping[str, str] = {"allowed": "allow", "refused": "refuse", "consent": "consent"}
+"""What tables call the verdicts."""
+_COLUMNS = ("verb", "name", "type", "value", "rate_hz", "duration_s", "facts", "decision")
+_TYPED = ("publish", "relay", "play", "call", "goal")
+"""Verbs of which a rule asks for the type."""
+_REQUESTS: Mapping[str, Sequence[str]] = {"set": ("parameters",), "goal": ("goal_id", "goal")}
+"""The fields of requests that are judged as something else than a call."""
+_Fields = dict[str, Any]
+_CHOICE = Choice(QoS(), "a trial")
+_GOAL_ID = "0" * 31 + "1"
+_HEADED: Mapping[str, str] = {
+    "geometry_msgs/msg/TwistStamped": "twist",
+    "geometry_msgs/msg/PoseStamped": "pose",
+    "ackermann_msgs/msg/AckermannDriveStamped": "drive",
+}
+"""Types of a header and one field, whose name paths may leave out, with that field."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One command as somebody writes it: what is left out of `value` has its default.
+
+    `publishers` are the robot's nodes that publish on the topic; `own` says of a cancellation that the goal is ours.
+    """
+
+    verb: str
+    name: str
+    type: str = ""
+    value: Any = field(default_factory=dict[str, Any])
+    rate_hz: float | None = None
+    duration_s: float | None = None
+    publishers: Sequence[str] = ()
+    own: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """A trial with what its writer expects, and where it stands."""
+
+    line: int
+    trial: Trial
+    expected: str
+
+
+def rows_of(path: Path) -> Iterator[Row]:
+    """The rows of a table.
+
+    Raises:
+        BadInput: with file and line, if it is no table of trials.
+    """
+    with path.open(encoding="utf-8", newline="") as file:
+        reader = csv.DictReader(file)
+        if missing := [name for name in _COLUMNS if name not in (reader.fieldnames or ())]:
+            raise BadInput(f"{path}: there is no column {missing[0]}.", f"The first row names: {', '.join(_COLUMNS)}.")
+        for row in reader:
+            try:
+                expected = row["decision"].strip()
+                if expected not in DECISIONS.values():
+                    raise BadInput(f"{expected!r} is no decision.", f"It is {', '.join(DECISIONS.values())}.")
+                yield Row(line=reader.line_num, trial=trial_of(row), expected=expected)
+            except BadInput as error:
+                raise BadInput(f"{path}:{reader.line_num}: {error}") from error
+            except AttributeError as error:
+                raise BadInput(f"{path}:{reader.line_num}: this row has not as many columns as the first.") from error
+
+
+def trial_of(row: Mapping[str, str]) -> Trial:
+    """The trial of one row. Raises `BadInput`."""
+    verb = row["verb"].strip()
+    if verb not in VERBS:
+        raise BadInput(f"There is no verb {verb!r}.", names.did_you_mean(verb, VERBS, f"It is {', '.join(VERBS)}."))
+    if verb in _TYPED and not row["type"].strip():
+        raise BadInput(f"No type is given: what {verb} means to a policy depends on it.")
+    found = _json(row, "facts")
+    if not isinstance(found, dict):
+        raise BadInput("Column facts is no JSON object.", 'Such as {"publishers": ["/controller_server"]}.')
+    facts = cast("Mapping[str, Any]", found)
+    return Trial(
+        verb=verb,
+        name=row["name"].strip() if verb == "record" else names.absolute(row["name"]),
+        type=row["type"].strip(),
+        value=_json(row, "value"),
+        rate_hz=_number(row, "rate_hz"),
+        duration_s=_number(row, "duration_s"),
+        publishers=tuple(facts.get("publishers", ())),
+        own=bool(facts.get("own", False)),
+    )
+
+
+def decided(policy: Policy, trial: Trial) -> Decision:
+    """What the policy says to it; what stops something of our own is never asked about."""
+    if trial.verb == "cancel" and trial.own:
+        return ALLOWED
+    command = _command(trial)
+    trial = _as_meant(trial)
+    ruling = policy.ruling(command)
+    value = _filled(trial, ruling) if ruling else trial.value
+    return policy.decide(command, Facts(value=value, publishers=trial.publishers), policy.mode)
+
+
+def _as_meant(trial: Trial) -> Trial:
+    """A goal or parameters in a call are judged as what they are."""
+    if trial.verb != "call":
+        return trial
+    meant = meaning(trial.name, trial.type)
+    return replace(trial, verb=meant.verb, value=_judged(meant.verb, trial.value))
+
+
+def _judged(verb: Verb, request: Any) -> Any:
+    """What of a request is judged. Raises `BadInput` for one that nothing can be said of."""
+    if wrong := [name for name in request if name not in _REQUESTS.get(verb, request)]:
+        raise BadInput(f"That service takes no {wrong[0]!r}.", f"It takes {' and '.join(_REQUESTS[verb])}.")
+    given: dict[str, Any] = {"goal": {}, "parameters": [], **request}
+    try:
+        return judged_part(verb, given) if verb in ("goal", "set") else request
+    except Exception as error:  # the judge's own: a parameter without a name or a value
+        raise BadInput(f"This is no request of that service: {error}.") from error
+
+
+def _json(row: Mapping[str, str], column: str) -> Any:
+    try:
+        return json.loads(row[column] or "{}")
+    except ValueError as error:
+        raise BadInput(f"Column {column} is no JSON: {error}.", 'A text needs quotation marks: "activate".') from error
+
+
+def _number(row: Mapping[str, str], column: str) -> float | None:
+    text = row[column].strip()
+    try:
+        return float(text) if text else None
+    except ValueError as error:
+        raise BadInput(f"Column {column} is no number: {text!r}.") from error
+
+
+def unbounded(policy: Policy, trial: Trial) -> list[str]:
+    """The paths in the value that no rule or limit looks at: also a misspelt one is among them, for without the robot
+    nobody knows which fields a type has.
+    """
+    ruling = policy.ruling(_command(trial))
+    trial = _as_meant(trial)
+    if ruling is None or trial.verb not in _TYPED:
+        return []
+    only = _HEADED.get(trial.type, "")
+    looked_at = [
+        path.replace("[]", "").removeprefix(f"{only}." if only else "")
+        for part in (*ruling.allowances, *ruling.limits)
+        for path, _ in _defaults(part.checks)
+    ]
+    written = [re.sub(r"\[\d+\]", "", path) for path, _ in leaves_of(trial.value)]
+    inner = [path.removeprefix(f"{only}." if only else "") for path in written]
+    return [
+        path
+        for path, plain in dict(zip(written, inner, strict=True)).items()
+        if not any(f"{plain}.".startswith(f"{known}.") for known in looked_at)
+    ]
+
+
+def _command(trial: Trial) -> Command[Any]:
+    common = _Fields(principal=LOCAL, name=trial.name, type=trial.type, value=trial.value)
+    timed = _Fields(common, rate_hz=trial.rate_hz, duration_s=trial.duration_s or 0.0, wait_match_s=0.0)
+    asked = _Fields(common, timeout_s=5.0)
+    match trial.verb:
+        case "publish" if trial.rate_hz is None and trial.duration_s is None:
+            return commands.Publish(**common, choice=_CHOICE, wait_match_s=0.0)
+        case "publish":
+            return commands.Repeat(**_Fields(timed, rate_hz=trial.rate_hz or 1.0), choice=_CHOICE)
+        case "relay":
+            return commands.Relay(**timed, relay_id="", qos=QoS(), source="/elsewhere")
+        case "play":
+            return commands.Play(**timed, relay_id="", qos=QoS(), bag="trial", topic=trial.name)
+        case "record":
+            return commands.Record(principal=LOCAL, name="trial", topics=tuple(trial.name.split()))
+        case "set":
+            asked |= {"type": SET_PARAMETERS, "through": f"{trial.name}/set_parameters"}
+            return commands.SetParameters(**asked, parameters=dict(trial.value))
+        case "transition":
+            asked |= {"type": CHANGE_STATE, "through": f"{trial.name}/change_state"}
+            return commands.ChangeState(**asked, transition=str(trial.value))
+        case "goal":
+            return commands.SendGoal(**asked, goal_id=_GOAL_ID)
+        case "cancel":
+            return commands.CancelGoals(**_Fields(asked, type=commands.CANCEL_TYPE))
+        case _:
+            return commands.ServiceCall(**asked)
+
+
+# ── defaults, as far as the rules ask for them ─────────────────────────────────────────────────────────────────────
+
+
+def _filled(trial: Trial, ruling: Ruling) -> Any:
+    """The value with every field that a rule looks at; those that were left out have their default."""
+    copied: Any = json.loads(json.dumps(trial.value))
+    if trial.verb in ("set", "transition") or not isinstance(copied, dict):
+        return copied  # parameters that are not set have no default here
+    value = cast("dict[str, Any]", copied)
+    if only := _HEADED.get(trial.type):
+        value = {"header": {"frame_id": ""}, only: {}} | value
+    for checks in (part.checks for part in (*ruling.allowances, *ruling.limits)):
+        for path, default in _defaults(checks):
+            steps = [step for step in path.replace("[]", ".[]").split(".") if step]
+            if only and steps and steps[0] not in (only, "header"):
+                steps.insert(0, only)
+            _fill(value, steps, default)
+    return value
+
+
+def _defaults(checks: Checks) -> Iterator[tuple[str, Any]]:
+    """The paths that are looked at, each with what a field of that kind has by default."""
+    vector = {"x": 0.0, "y": 0.0, "z": 0.0}
+    yield from ((path, vector) for path in (*checks.norm, *checks.zone))
+    yield from ((path, 0.0) for path in (*checks.zero, *checks.range))
+    yield from ((path, type(choices[0])()) for path, choices in checks.one_of.items())
+    yield from ((path, list[Any]()) for path in checks.count)
+    for path in checks.pace:
+        yield path, list[Any]()
+        yield f"{path}[].positions", list[Any]()
+        yield from ((f"{path}[].time_from_start.{part}", 0) for part in ("sec", "nanosec"))
+
+
+def _fill(value: Any, steps: Sequence[str], default: Any) -> None:
+    """Adds one field, and objects and lists on the way to it, where they are not there."""
+    if not isinstance(value, (dict, list)) or not steps:
+        return
+    step, rest = steps[0], steps[1:]
+    if step == "[]":
+        for element in cast("list[Any]", value) if isinstance(value, list) else ():
+            _fill(element, rest, default)
+        return
+    if isinstance(value, dict):
+        fields = cast("dict[str, Any]", value)
+        if not rest and isinstance(default, dict) and isinstance(fields.get(step), dict):
+            fields[step] = default | fields[step]
+        fields.setdefault(step, json.loads(json.dumps(default)) if not rest else [] if rest[0] == "[]" else {})
+        _fill(fields[step], rest, default)

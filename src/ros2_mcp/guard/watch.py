@@ -1,0 +1,42 @@
+"""What the watchdog of the bridge is told: the feedback and the pose of the policies, with the limits that they set."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp_bridge.feedback import PARTS
+from ros2_mcp_bridge.rules import Limit
+from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+
+
+def watch_of(policy: Policy) -> Mapping[str, Any]:
+    """As `feedback.rules_of` of the bridge reads it; the first policy that names a feedback, or a pose, says it."""
+    watch: dict[str, Any] = {}
+    if feedback := next((found.feedback for found in policy.documents if found.feedback), None):
+        watch["feedback"] = {**asdict(feedback), "most": most_of(policy)}
+    named = next(((found.pose, found.rules.zones) for found in policy.documents if found.pose), None)
+    if named and named[0]:
+        pose, zones = named
+        watch["pose"] = {**asdict(pose), "zone": asdict(zones[pose.zone]) if pose.zone else None}
+    return watch
+
+
+def most_of(policy: Policy) -> Mapping[str, float]:
+    """The strictest limit on the length of each part of a velocity, in m/s and rad/s."""
+    most: dict[str, float] = {}
+    for limit in _limits(policy):
+        for path, bound in limit.checks.norm.items():
+            part = path.rpartition(".")[2]
+            if part in PARTS:
+                most[part] = min(bound, most.get(part, bound))
+    return most
+
+
+def _limits(policy: Policy) -> Iterator[Limit]:
+    for document in policy.documents:
+        for limit in document.rules.limits:
+            if any(limit.covers("/cmd_vel", kind) or kind in limit.types for kind in VELOCITY_TYPES):
+                yield limit

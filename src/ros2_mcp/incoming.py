@@ -1,0 +1,161 @@
+"""What a client sends: a message, or the refusals of what is none, so that nobody waits for ever for an answer."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, cast
+
+from mcp.types import INVALID_PARAMS, INVALID_REQUEST, PARSE_ERROR, JSONRPCMessage, JSONRPCNotification
+from mcp_types import jsonrpc_message_adapter
+from pydantic import ValidationError
+
+from ros2_mcp.model.aside import LARGE
+from ros2_mcp.model.text import is_unicode, visible
+
+RequestId = str | int | float | None
+
+_SCANNED = re.compile(r'"(?:[^"\\]|\\.)*"?|[{}\[\]:]|-?\d[\d.eE+-]*|[^\s,]', re.DOTALL)
+"""As much of JSON's grammar as finds the members of the outermost object in damaged text. It never goes back."""
+_ESCAPES = re.compile(rb"\\(?:u[dD][89abAB]..\\u[dD][c-fC-F]|(u[dD][89a-fA-F])|.)", re.DOTALL)
+"""The escapes of JSON from left to right; the group is half a surrogate pair, which is no character."""
+_VALUE_ENDS = re.compile(r"\s*[,}]")
+"""What follows a value of which no part is missing."""
+_RESPONSE = ("result", "error")
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """The answer to a request that cannot be read: its id where that can be, and else null, as JSON-RPC wants it."""
+
+    id: RequestId
+    code: int
+    message: str
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """As JSON-RPC."""
+        return {"jsonrpc": "2.0", "id": self.id, "error": {"code": self.code, "message": visible(self.message)}}
+
+
+def read_message(data: bytes) -> JSONRPCMessage | list[Refusal]:
+    """The message that was sent, or the answers to it if it cannot be read: none if it asked for none."""
+    if len(data) > LARGE and any(escape[1] for escape in _ESCAPES.finditer(data)):
+        return _refusals(data, "Invalid JSON: half a surrogate pair is no character")  # Python's parser would take it
+    try:
+        message = _parsed(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        return _refusals(data, first["msg"] if first["type"] == "json_invalid" else "")
+    # The SDK would take a request whose id it does not know for a notification, and not answer it.
+    if isinstance(message, JSONRPCNotification) and "id" in (members := _loads(data)):
+        return [_refusal(members)]
+    return message
+
+
+def _parsed(data: bytes) -> JSONRPCMessage:
+    """The message in JSON; raises `ValidationError`.
+
+    pydantic keeps the interpreter from all other threads until it is done, 0.1 s for a megabyte. What is large is
+    parsed by Python's own parser, which lets them run whenever it calls something of Python: after each object.
+    """
+    if len(data) > LARGE:
+        try:
+            value = _loads(data)
+        except (ValueError, RecursionError):
+            pass  # pydantic says what is wrong with it
+        else:
+            return jsonrpc_message_adapter.validate_python(value, by_name=False)
+    return jsonrpc_message_adapter.validate_json(data, by_name=False)
+
+
+def _loads(data: bytes) -> Any:
+    """The value in JSON, which is UTF-8 and nothing else; raises `ValueError` or `RecursionError`."""
+    return json.loads(data.decode(), object_hook=lambda members: members)
+
+
+def _refusals(data: bytes, why: str) -> list[Refusal]:
+    """The answers to what is no message; `why` it cannot be read, where its parser said."""
+    try:
+        whole = _loads(data)
+    except (ValueError, RecursionError):
+        members = _members(data.decode(errors="surrogateescape"))
+        own_id = _id_of(members)
+        if _is_response(members):
+            return []
+        return [Refusal(own_id, PARSE_ERROR if own_id is None else INVALID_REQUEST, why or "Invalid JSON")]
+    if isinstance(whole, list) and whole:
+        return [
+            Refusal(_id_of(one), INVALID_REQUEST, "A list of messages is not taken: send each by itself")
+            for one in cast("list[Any]", whole)
+            if not _asks_nothing(one)
+        ]
+    return [] if _asks_nothing(whole) else [_refusal(whole, why)]
+
+
+def _asks_nothing(message: Any) -> bool:
+    """Whether it is a response or a notification, however damaged: JSON-RPC answers neither."""
+    if not isinstance(message, dict):
+        return False
+    return _is_response(message) or ("id" not in message and isinstance(message.get("method"), str))  # pyright: ignore
+
+
+def _is_response(members: dict[str, Any]) -> bool:
+    return "method" not in members and any(name in members for name in _RESPONSE)
+
+
+def _refusal(message: Any, why: str = "") -> Refusal:
+    """What is wrong with JSON that is no message; `why` it cannot be read, where its parser said."""
+    if not isinstance(message, dict):
+        return Refusal(None, INVALID_REQUEST, "A message is an object")
+    members = cast("dict[str, Any]", message)
+    own_id = _id_of(members)
+    if why:
+        return Refusal(own_id, INVALID_REQUEST, why)
+    if members.get("jsonrpc") != "2.0":
+        return Refusal(own_id, INVALID_REQUEST, 'A message says "jsonrpc": "2.0"')
+    if not isinstance(members.get("method"), str):
+        return Refusal(own_id, INVALID_REQUEST, "A request has a method, which is text")
+    if not isinstance(members.get("params", {}), dict):
+        return Refusal(own_id, INVALID_PARAMS, "params is an object")
+    return Refusal(own_id, INVALID_REQUEST, "The id of a request is text or a whole number")
+
+
+def _id_of(message: Any) -> RequestId:
+    """The id with which to answer; None where there is none that an answer can have."""
+    own_id = cast("dict[str, Any]", message).get("id") if isinstance(message, dict) else None
+    if isinstance(own_id, str):
+        return own_id if is_unicode(own_id) else None  # half a surrogate pair no client could read
+    if isinstance(own_id, bool) or not isinstance(own_id, (int, float)):
+        return None
+    return own_id if math.isfinite(own_id) else None
+
+
+def _members(text: str) -> dict[str, Any]:
+    """The members of the outermost object of text that is no JSON: those that are text or a number as such."""
+    depth, name, last = 0, "", ""
+    members: dict[str, Any] = {}
+    for match in _SCANNED.finditer(text):
+        word = match[0]
+        if word == ":":
+            name = last if depth == 1 and last.startswith('"') else ""
+            if name:
+                members[name[1:-1]] = None
+        elif word in "{[":
+            depth, name = depth + 1, ""
+        elif word in "}]":
+            depth, name = depth - 1, ""
+        elif name:
+            members[name[1:-1]] = _value(word) if _VALUE_ENDS.match(text, match.end()) else None
+            name = ""
+        last = word
+    return members
+
+
+def _value(word: str) -> Any:
+    try:
+        return json.loads(word)
+    except ValueError:
+        return None

@@ -1,0 +1,253 @@
+"""Starting a bridge where nothing of ours is installed: what to execute and send, and what is heard before the stream.
+
+A way in is a program that gives the standard streams of a shell somewhere else: ssh, a container engine's client, any
+other. Its words are completed by two programs in single quotes, which every login shell takes as they are: a shell
+script that looks for python3, and a line of Python that executes stage 1 (`ros2_mcp_bridge/stage1.py`), which comes on
+stdin with the bridge as a zip. See docs/decisions/0034-the-bridge-is-sent-and-not-installed.md.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import secrets
+import zipfile
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import ros2_mcp_bridge
+from ros2_mcp.model.errors import LinkError
+from ros2_mcp.model.text import quoted
+from ros2_mcp_bridge.finding import Search
+from ros2_mcp_bridge.stage1 import MARKER
+
+PACKAGE = ros2_mcp_bridge.__name__
+_SOURCES = Path(ros2_mcp_bridge.__file__).parent
+_NO_PYTHON, _IS_TERMINAL = 97, 96
+# 126 and 127 are what shells say of a program that they cannot execute or find.
+_NO_SHELL = (126, 127)
+# Without a single quote, a backslash, an exclamation mark or a line's end: so these two stand in single quotes for
+# every shell. `python3 -IS`: neither the folder it starts in nor anything that is installed gets in the way of stage 1.
+# One that is not the system's is tried first: shims of version switchers are there for versions that are not switched
+# on, too, and fail with 127. That takes as long as a Python starts, 20 ms.
+_SCRIPT = (
+    f"[ -t 0 ] && exit {_IS_TERMINAL}; "
+    "for p in python3 /usr/bin/python3 ~/*conda3/bin/python3 ~/*forge3/bin/python3 /opt/*conda*/bin/python3; do "
+    'p=$(command -v "$p" 2>/dev/null) || continue; '
+    'case $p in */shims/*) "$p" -ISc "" </dev/null >/dev/null 2>&1 || continue;; esac; '
+    f'exec "$p" -ISc "$0"; done; exit {_NO_PYTHON}'
+)
+# The alarm ends it where nothing ever comes (in seconds, as in stage 1, which goes on with it).
+_PYTHON = (
+    "import base64,signal,sys,zlib;signal.alarm(30);"
+    "line=sys.stdin.buffer.raw.readline();exec(zlib.decompress(base64.b64decode(line)))"
+)
+WORDS = ("sh", "-c", f":; exec sh -c '{_SCRIPT}' '{_PYTHON}'")
+"""What completes a way in. One that executes words (docker, kubectl) runs `sh` with this script. One that joins them
+for a shell (ssh, adb) runs `sh -c :`, which does nothing and reads nothing, and then the rest, which is the same."""
+
+# What logins print before the marker; a program that sends more than this without it is not ours. Chosen.
+_MOST_NOISE_BYTES = 64 * 1024
+# Characters of a sentence of stage 1: it lists what is there. Chosen.
+_MOST_SENTENCE = 600
+# Of one line of stage 1; a path may have 4 kB. Chosen.
+_MOST_REPORT_BYTES = 64 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """One line of stage 1: what was reached (`reached`, `container`, `found`, `bridge`), in words of the far side."""
+
+    stage: str
+    details: dict[str, str]
+
+
+@dataclass(slots=True)
+class Arrival:
+    """Takes what comes back from the far side, and tells noise, reports of stage 1, and the stream apart."""
+
+    nonce: str
+    reports: list[Report] = field(default_factory=list[Report])
+    noise: bytes = b""
+    is_through: bool = False
+    """Whether what comes now is the bridge's stream."""
+    failure: LinkError | None = None
+    """Why there will be no stream, as stage 1 said it."""
+    _waiting: bytes = b""
+
+    @property
+    def heard(self) -> str:
+        """What came before the first marker, as text: the noise, and what may yet become a marker."""
+        return (self.noise if self.reports else self.noise + self._waiting).decode(errors="replace").strip()
+
+    def feed(self, piece: bytes) -> bytes:
+        """What of this piece belongs to the stream; nothing until the last marker has come."""
+        if self.is_through:
+            return piece
+        self._waiting += piece
+        marker = MARKER + self.nonce.encode() + b" "
+        while not self.is_through and not self.failure:
+            noise, found, rest = self._waiting.partition(marker)
+            line, ended, behind = rest.partition(b"\n")
+            if not found:
+                kept = len(marker) - 1  # of which more may come
+                self._hear(noise[:-kept])
+                self._waiting = noise[-kept:]
+                return b""
+            if not ended:
+                if len(line) > _MOST_REPORT_BYTES:
+                    self._fail("What answers does not end its first line.")
+                return b""
+            self._hear(noise)
+            self._waiting = behind
+            self._take_in(line)
+        stream, self._waiting = self._waiting, b""
+        return stream if self.is_through else b""
+
+    def _hear(self, noise: bytes) -> None:
+        self.noise = (self.noise + noise)[: _MOST_NOISE_BYTES + 1]
+        if len(self.noise) > _MOST_NOISE_BYTES:
+            self._fail(f"What answers there writes more than {_MOST_NOISE_BYTES // 1024} kB and never begins.")
+
+    def _fail(self, message: str) -> None:
+        self.failure = LinkError(
+            message,
+            "A start-up file of that login (.bashrc, .zshenv, …) goes on for ever, or starts a program that does.",
+        )
+
+    def _take_in(self, line: bytes) -> None:
+        try:
+            told: dict[str, Any] = json.loads(line)
+            details = {str(name): str(value) for name, value in told.items()}
+            stage = details.pop("stage")
+        except (ValueError, KeyError, AttributeError):
+            self._fail("What answers there is not what was sent.")
+            return
+        if stage == "failed":
+            self.failure = LinkError(_on_one_line(details.get("message", "")), _on_one_line(details.get("hint", "")))
+            return
+        self.reports.append(Report(stage, details))
+        self.is_through = stage == "bridge"
+
+    def explain(self, exit_code: int | None, log_tail: Sequence[str] = ()) -> LinkError | None:
+        """Why the way in ended before the stream; None if it is not known here.
+
+        Args:
+            exit_code: of the program that is the way in; None if it was not told.
+            log_tail: the last lines of its stderr.
+        """
+        if self.failure:
+            return self.failure
+        said = next((line for line in reversed(log_tail) if line.strip()), "")
+        if "found" in (report.stage for report in self.reports):
+            return None  # the bridge itself, or the setup file before it: its own last words say more
+        if exit_code == _IS_TERMINAL:
+            return LinkError(
+                "The way in gives a terminal, which is no place for a stream of bytes.",
+                "Leave out what asks for one: -t of ssh, docker or kubectl.",
+            )
+        if exit_code == _NO_PYTHON:
+            return LinkError(
+                "There is no python3 there.", "ROS 2 needs one: is this the right machine, and the right container?"
+            )
+        if known := _of_an_engine(said):
+            return known
+        if exit_code in _NO_SHELL:
+            return LinkError(
+                f"What is there cannot execute a shell: {quoted(said)}",
+                "The way in must end in one, as ssh and docker exec do.",
+            )
+        if exit_code == 0:
+            return LinkError(
+                "The way in ended without a word of ours.",
+                "A start-up file of that login (.bashrc, .zshenv, …) may end it, or only certain commands be allowed.",
+            )
+        return None
+
+
+def _on_one_line(text: str) -> str:
+    """A sentence of stage 1, which has names of the far side in it."""
+    return " ".join(text.split())[:_MOST_SENTENCE]
+
+
+def _of_an_engine(said: str) -> LinkError | None:
+    """What the sentence of a container engine's client means."""
+    lower = said.lower()
+    if "no such container" in lower or "no such exec" in lower:
+        return LinkError(f"There is no such container: {quoted(said)}", "docker ps lists those that run.")
+    if "is not running" in lower or "container state improper" in lower:
+        return LinkError(f"The container does not run: {quoted(said)}", "Start it: docker start NAME.")
+    if "cannot connect to the docker daemon" in lower:
+        return LinkError(
+            f"The container engine is not reached: {quoted(said)}", "Start it, or say with DOCKER_HOST where it is."
+        )
+    if "permission denied" in lower and ("docker" in lower or "podman" in lower):
+        return LinkError(
+            f"The container engine denies it: {quoted(said)}", "Add this user to the group docker, and log in again."
+        )
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Bootstrap:
+    """One start: what to execute, what to write to its stdin before anything else, and what takes what comes back."""
+
+    argv: tuple[str, ...]
+    sent: bytes
+    arrival: Arrival
+
+
+def bootstrap(way: Sequence[str], search: Search, *, container: str = "", options: Sequence[str] = ()) -> Bootstrap:
+    """How to start a bridge through this way in.
+
+    Args:
+        way: the words of the way in, such as `ssh -- me@robot` or `docker exec -i NAME`.
+        search: which ROS is looked for there.
+        container: the name of a container on the machine that the way leads to, in which ROS is; empty if in none.
+        options: those of the bridge.
+    """
+    nonce = secrets.token_hex(8)
+    sent = _sent(nonce, search, "", options)
+    if container:
+        sent = _sent(nonce, search, container, ()) + sent
+    return Bootstrap((*way, *WORDS), sent, Arrival(nonce))
+
+
+def installed(way: Sequence[str], options: Sequence[str] = ()) -> Bootstrap:
+    """How to start a bridge that is installed where it runs (the ROS package): nothing is sent.
+
+    Args:
+        way: words that start it, and take further ones, such as `ssh me@robot ros2 run ros2_mcp_bridge bridge`.
+        options: those of the bridge.
+    """
+    nonce = secrets.token_hex(8)
+    return Bootstrap((*way, "--arrival", nonce, *options), b"", Arrival(nonce))
+
+
+def _sent(nonce: str, search: Search, container: str, options: Sequence[str]) -> bytes:
+    archive = b"" if container else packed_bridge()
+    head = {
+        "nonce": nonce,
+        "size": len(archive),
+        "container": container,
+        "words": WORDS if container else (),
+        "search": search.as_json(),
+        "options": tuple(options),
+    }
+    stage1 = base64.b64encode(zlib.compress((_SOURCES / "stage1.py").read_bytes(), 9))
+    return stage1 + b"\n" + json.dumps(head).encode() + b"\n" + archive
+
+
+@cache
+def packed_bridge() -> bytes:
+    """The bridge as a zip, from which Python imports it; compressed as a whole, a fifth smaller than file by file."""
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as file:
+        for source in sorted(_SOURCES.glob("*.py")):
+            file.write(source, f"{_SOURCES.name}/{source.name}")
+    return zlib.compress(archive.getvalue(), 9)

@@ -1,0 +1,240 @@
+"""A child process whose pipes carry the stream: the bridge itself, or the program that reaches the one elsewhere.
+
+Only this module of the link deals with processes: signals, exit codes, `/proc`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from ros2_mcp.link.installation import Command
+from ros2_mcp.link.threaded import ThreadedReader, ThreadedWriter
+from ros2_mcp_bridge.limits import BATCH_BYTES
+
+# Enough for a traceback; error texts show the last few lines of it, `doctor` and the log all.
+_KEPT_LINES = 50
+# A line without end (a dump of bytes) must not fill the memory. Chosen.
+_MAX_LINE_BYTES = 2000
+# More than this waiting for a bridge that does not read holds up the next body: memory stays bounded. Chosen.
+_WRITE_BUFFER_BYTES = 1024 * 1024
+# A packet of samples fits: fewer wake-ups for pictures than with the 64 kB that a pipe has otherwise.
+_PIPE_BYTES = BATCH_BYTES
+# Popen has no way to await an exit without a thread or a child watcher; an exit is noticed within this time. Chosen.
+_POLL_S = 0.01
+# The end of the pipe usually comes shortly before the exit code can be had: error texts wait for it this long. Chosen.
+_EXIT_CODE_S = 0.5
+# From SIGTERM, on which a bridge leaves as at the end of its stdin, to SIGKILL. Chosen: it had its time in `close`.
+_TERMINATE_S = 0.3
+if sys.platform == "win32":
+    # No Ctrl+C of our terminal reaches it, and a client with windows of its own shows none for it.
+    _CREATION_FLAGS = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
+else:
+    _CREATION_FLAGS = 0
+_SET_PIPE_SIZE = 1031  # F_SETPIPE_SZ of Linux; the fcntl module knows it by name from Python 3.10 on Linux only
+
+
+class Child:
+    """A process in a session of its own, so that a Ctrl-C in our terminal does not reach it."""
+
+    def __init__(
+        self, command: Command, *, pass_stderr: bool = False, threaded: bool = sys.platform == "win32"
+    ) -> None:
+        """Starts it without waiting for anything.
+
+        Args:
+            command: what to execute.
+            pass_stderr: whether its stderr is shown on ours.
+            threaded: whether threads wait for its pipes, as they must on Windows.
+
+        Raises:
+            OSError: if it cannot be executed.
+        """
+        self._process = subprocess.Popen(
+            command.argv,
+            env=command.env,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            bufsize=0,
+            start_new_session=True,
+            creationflags=_CREATION_FLAGS,
+        )
+        self._is_threaded = threaded
+        self.pid = self._process.pid
+        self._errors = ErrorLines(pass_stderr)
+        self._input = _Pipe(lambda _: None)
+        self._pipes: list[asyncio.BaseTransport] = []
+        self._writer: asyncio.WriteTransport | None = None
+
+    async def open(self, received: Callable[[bytes], None], ended: Callable[[], None]) -> None:
+        """Connects the pipes to the running event loop."""
+        loop = asyncio.get_running_loop()
+        process = self._process
+        assert process.stdin and process.stdout and process.stderr
+        _enlarge(process.stdout.fileno())
+        _enlarge(process.stdin.fileno())
+        if self._is_threaded:
+            self._writer = ThreadedWriter(process.stdin, self._input, _WRITE_BUFFER_BYTES)
+            errors = ThreadedReader(process.stderr, _Pipe(self._errors.feed))
+            self._pipes += [self._writer, errors, ThreadedReader(process.stdout, _Pipe(received, ended))]
+            return
+        self._writer, _ = await loop.connect_write_pipe(lambda: self._input, process.stdin)
+        self._writer.set_write_buffer_limits(high=_WRITE_BUFFER_BYTES)
+        self._pipes.append(self._writer)
+        errors, _ = await loop.connect_read_pipe(lambda: _Pipe(self._errors.feed), process.stderr)
+        self._pipes.append(errors)
+        output, _ = await loop.connect_read_pipe(lambda: _Pipe(received, ended), process.stdout)
+        self._pipes.append(output)
+
+    def write(self, data: bytes) -> None:
+        """Queues bytes for its stdin, in order; what a dead child no longer reads is discarded."""
+        if self._writer and not self._writer.is_closing():
+            self._writer.write(data)
+
+    async def writable(self) -> None:
+        """Waits while more than a megabyte is queued."""
+        await self._input.writable.wait()
+
+    async def ending(self) -> str:
+        """How the process ended, from its exit code, as the rest of a sentence."""
+        code = await self.exit_code(_EXIT_CODE_S)
+        if code is None:
+            return "closed its stream"
+        if code >= 0:
+            return f"exited with code {code}"
+        names = {number.value: number.name for number in signal.Signals}
+        return f"died with signal {names.get(-code, -code)}"
+
+    def log_tail(self) -> list[str]:
+        """The last lines of its stderr."""
+        return self._errors.tail
+
+    def kill(self) -> None:
+        """SIGKILL to all of its session; on Windows it alone is ended."""
+        if sys.platform == "win32":
+            self._process.kill()
+        else:
+            self._signal(signal.SIGKILL)
+
+    async def close(self, grace_s: float) -> None:
+        """Ends its stdin and waits that long for it to leave; then SIGTERM, then SIGKILL. Leaves no zombie."""
+        self._close_input()
+        try:
+            if await self.exit_code(grace_s) is None:
+                self._signal(signal.SIGTERM)
+                await self.exit_code(_TERMINATE_S)
+        finally:
+            self.kill()
+            self._close_pipes()
+            self._process.wait()
+        await asyncio.sleep(0)  # lets the transports close their file descriptors
+
+    async def exit_code(self, timeout_s: float = _EXIT_CODE_S) -> int | None:
+        """None if it still runs after that time; negative is the signal that ended it."""
+        deadline = time.monotonic() + timeout_s
+        while self._process.poll() is None and time.monotonic() < deadline:
+            await asyncio.sleep(_POLL_S)
+        return self._process.poll()
+
+    def _signal(self, number: signal.Signals) -> None:
+        if self._process.poll() is not None:
+            return
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            if sys.platform == "win32":
+                self._process.send_signal(number)
+            else:
+                os.killpg(self.pid, number)
+
+    def _close_input(self) -> None:
+        if self._writer:
+            self._writer.close()
+        elif self._process.stdin:
+            self._process.stdin.close()
+
+    def _close_pipes(self) -> None:
+        # Closing ends the writer once it is empty; aborting it then, too, would end it twice. What a dead child did not
+        # read would keep it open for ever.
+        if self._writer and self._writer.get_write_buffer_size():
+            self._writer.abort()
+        for pipe in self._pipes:
+            pipe.close()
+        if not self._pipes:
+            for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
+                if pipe:
+                    pipe.close()
+
+
+class ErrorLines:
+    """The last lines of a child's stderr, in plain characters."""
+
+    def __init__(self, pass_on: bool) -> None:
+        self._pass_on = pass_on
+        self._lines: deque[str] = deque(maxlen=_KEPT_LINES)
+        self._begun = b""
+
+    def feed(self, piece: bytes) -> None:
+        """Takes what arrived; passes it on to our own stderr if asked to."""
+        if self._pass_on:
+            sys.stderr.write(piece.decode(errors="replace"))
+        *whole, self._begun = (self._begun + piece).split(b"\n")
+        self._lines.extend(_plain(line) for line in whole if line.strip())
+        self._begun = self._begun[-_MAX_LINE_BYTES:]
+
+    @property
+    def tail(self) -> list[str]:
+        """The lines so far, the oldest first; at most 50."""
+        return [*self._lines, *([_plain(self._begun)] if self._begun.strip() else [])]
+
+
+class _Pipe(asyncio.Protocol):
+    """Hands on what arrives on a pipe, and its end; `writable` is set while it takes more."""
+
+    def __init__(self, on_bytes: Callable[[bytes], None], on_end: Callable[[], None] = lambda: None) -> None:
+        self.writable = asyncio.Event()
+        self.writable.set()
+        self._on_bytes = on_bytes
+        self._on_end = on_end
+
+    def data_received(self, data: bytes) -> None:
+        self._on_bytes(data)
+
+    def pause_writing(self) -> None:
+        self.writable.clear()
+
+    def resume_writing(self) -> None:
+        self.writable.set()
+
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002
+        self.writable.set()
+        self._on_end()
+
+
+def thread_states(pid: int) -> set[str]:
+    """The states of a process's threads as /proc tells them: R running, S sleeping, D disk, T stopped, Z dead."""
+    states: set[str] = set()
+    for stat in Path(f"/proc/{pid}/task").glob("*/stat"):
+        with contextlib.suppress(OSError):
+            states.add(stat.read_text(errors="replace").rpartition(")")[2].split()[0])
+    return states
+
+
+def _plain(line: bytes) -> str:
+    return line[-_MAX_LINE_BYTES:].decode(errors="replace").rstrip()
+
+
+def _enlarge(pipe: int) -> None:
+    """A pipe of a megabyte instead of 64 kB means fewer wake-ups for pictures; where that is refused, so be it."""
+    if sys.platform == "linux":
+        import fcntl
+
+        with contextlib.suppress(OSError):
+            fcntl.fcntl(pipe, _SET_PIPE_SIZE, _PIPE_BYTES)

@@ -1,0 +1,55 @@
+"""What the costs of a costmap mean, as Nav2 publishes it in nav_msgs/msg/OccupancyGrid.
+
+0 is free, 1 to 98 nearer and nearer to something; 99 where the robot's middle is so near that it touches; 100 occupied,
+-1 unknown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+TOUCHING, OCCUPIED = 99, 100
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Whether one can get to a goal, and the place nearest to it that one can get to, `short_m` from it."""
+
+    is_reached: bool
+    x_m: float
+    y_m: float
+    short_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Narrowest:
+    """How narrow a way is: `clearance_m` is the least distance of it (the robot's middle) from what is occupied, at the
+    point `clearance_at`; `gap_m` the narrowest gap that it leads through, with its middle `gap_at` (None: none below
+    3 m)."""
+
+    clearance_m: float
+    clearance_at: tuple[float, float]
+    gap_m: float | None
+    gap_at: tuple[float, float] | None
+
+    def __str__(self) -> str:
+        x, y = self.clearance_at
+        near = f"{self.clearance_m:.2f} m from its middle line to what is occupied, at ({x:.2f}, {y:.2f})"
+        if self.gap_m is None or self.gap_at is None:
+            return f"nearest: {near}"
+        return (
+            f"narrowest: a gap of {self.gap_m:.2f} m at ({self.gap_at[0]:.2f}, {self.gap_at[1]:.2f}); nearest: {near}"
+        )
+
+
+def cost_in_words(cost: int | None) -> str:
+    """What a cost means, such as `free` or `occupied (cost 100)`; None is outside."""
+    if cost is None:
+        return "outside of the costmap"
+    if cost < 0:
+        return "unknown"
+    if cost == 0:
+        return "free"
+    if cost >= OCCUPIED:
+        return f"occupied (cost {cost})"
+    return f"so near to an obstacle that the robot touches it (cost {cost})" if cost == TOUCHING else f"free ({cost})"

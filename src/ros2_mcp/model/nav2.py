@@ -1,0 +1,119 @@
+"""What Nav2's interfaces mean: its types, which server an error code is of, and the codes in words.
+
+Codes are those of the actions' definitions (nav2_msgs, from Iron to Kilted; Humble has none). Where Nav2 runs several
+servers, a goal of `NavigateToPose` ends with the code of the one that failed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+NAVIGATE = "nav2_msgs/action/NavigateToPose"
+COMPUTE_PATH = "nav2_msgs/action/ComputePathToPose"
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+PATH = "nav_msgs/msg/Path"
+
+SERVERS: Mapping[range, str] = {
+    range(100, 200): "controller_server",
+    range(200, 400): "planner_server",
+    range(400, 500): "route_server",
+    range(500, 600): "smoother_server",
+    range(600, 700): "waypoint_follower",
+    range(700, 800): "behavior_server",
+    range(900, 1000): "docking_server",
+    range(9000, 9200): "bt_navigator",
+}
+"""Which server a code is of."""
+
+NAVIGATION_NODES = (
+    *("bt_navigator", "planner_server", "controller_server", "smoother_server", "behavior_server", "route_server"),
+    *("global_costmap", "local_costmap", "velocity_smoother", "collision_monitor", "map_server", "amcl"),
+    *("waypoint_follower", "lifecycle_manager_navigation", "lifecycle_manager_localization", "slam_toolbox"),
+)
+"""What Nav2's nodes are called."""
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorCode:
+    """One code: its name in the definitions, what it means, and what would help."""
+
+    name: str
+    meaning: str
+    helps: str
+
+
+_SEE_LOG = "Read the last log lines of that server (here, or ros2_log_read)."
+_LOCALISE = "Check localisation: ros2_tf_lookup of the base in map; set the initial pose, or restart localisation."
+_OCCUPIED_GOAL = "Choose a goal farther from obstacles; if nothing is there, clear the costmap."
+_OUTSIDE = "Give a pose on the map: ros2_get_map_as_image shows its extent."
+_FREE_START = "Drive the robot away from the obstacle; if nothing is there, clear the costmap."
+_NO_WAY = "Open the way, choose a goal on this side, or clear the costmap if what blocks it has gone."
+_MOVES = "See whether something blocks the base, whether its motors are on, and who else commands it."
+
+_PLANNING: Mapping[int, ErrorCode] = {
+    0: ErrorCode("UNKNOWN", "planning failed for a reason without a code", _SEE_LOG),
+    1: ErrorCode("INVALID_PLANNER", "there is no planner of that name", "Leave planner_id out."),
+    2: ErrorCode("TF_ERROR", "the planner did not get a transform that it needs", _LOCALISE),
+    3: ErrorCode("START_OUTSIDE_MAP", "the robot is outside of the costmap", _LOCALISE),
+    4: ErrorCode("GOAL_OUTSIDE_MAP", "the goal is outside of the costmap", _OUTSIDE),
+    5: ErrorCode("START_OCCUPIED", "the robot is in an occupied cell of the costmap", _FREE_START),
+    6: ErrorCode("GOAL_OCCUPIED", "the goal is in an occupied cell of the costmap", _OCCUPIED_GOAL),
+    7: ErrorCode("TIMEOUT", "planning took too long", "Try a nearer goal, or allow the planner more time."),
+    8: ErrorCode("NO_VALID_PATH", "the planner found no way to the goal", _NO_WAY),
+    9: ErrorCode("NO_VIAPOINTS_GIVEN", "no poses were given", "Give at least one pose."),
+}
+CODES: Mapping[int, ErrorCode] = {
+    1: ErrorCode("GOAL_REJECTED", "a server rejected the goal that it was sent", _SEE_LOG),
+    2: ErrorCode("SEND_GOAL_FAILURE", "a server could not be sent its goal", "See whether all servers are active."),
+    100: ErrorCode("UNKNOWN", "following the path failed for a reason without a code", _SEE_LOG),
+    101: ErrorCode("INVALID_CONTROLLER", "there is no controller of that name", "Check the behaviour tree."),
+    102: ErrorCode("TF_ERROR", "the controller did not get a transform that it needs", _LOCALISE),
+    103: ErrorCode("INVALID_PATH", "the path that was to be followed is not valid", _SEE_LOG),
+    104: ErrorCode("PATIENCE_EXCEEDED", "no valid velocity was found for too long", _MOVES),
+    105: ErrorCode("FAILED_TO_MAKE_PROGRESS", "the robot did not get on", _MOVES),
+    106: ErrorCode("NO_VALID_CONTROL", "every velocity would lead into an obstacle, or off the path", _MOVES),
+    107: ErrorCode("CONTROLLER_TIMED_OUT", "the costmap was not updated in time", "See whether the sensors send."),
+    108: ErrorCode("TIMEOUT", "following the path took too long", _MOVES),
+    **{200 + code: meaning for code, meaning in _PLANNING.items()},
+    **{300 + code: meaning for code, meaning in _PLANNING.items()},
+    400: ErrorCode("UNKNOWN", "routing failed for a reason without a code", _SEE_LOG),
+    401: ErrorCode("TF_ERROR", "the route server did not get a transform that it needs", _LOCALISE),
+    402: ErrorCode("NO_VALID_GRAPH", "there is no valid graph of routes", "Load one into the route server."),
+    403: ErrorCode("INDETERMINANT_NODES_ON_GRAPH", "start or goal is not clear on the graph", "Name its nodes."),
+    404: ErrorCode("TIMEOUT", "routing took too long", "Try a nearer goal."),
+    405: ErrorCode("NO_VALID_ROUTE", "the graph has no route to the goal", _NO_WAY),
+    500: ErrorCode("UNKNOWN", "smoothing failed for a reason without a code", _SEE_LOG),
+    501: ErrorCode("INVALID_SMOOTHER", "there is no smoother of that name", "Check the behaviour tree."),
+    502: ErrorCode("TIMEOUT", "smoothing took too long", "Allow the smoother more time."),
+    503: ErrorCode("SMOOTHED_PATH_IN_COLLISION", "the smoothed path touches an obstacle", _NO_WAY),
+    504: ErrorCode("FAILED_TO_SMOOTH_PATH", "the path could not be smoothed", _SEE_LOG),
+    505: ErrorCode("INVALID_PATH", "the path that was to be smoothed is not valid", _SEE_LOG),
+    700: ErrorCode("UNKNOWN", "a turn on the spot failed for a reason without a code", _SEE_LOG),
+    701: ErrorCode("TIMEOUT", "a turn on the spot took too long", _MOVES),
+    702: ErrorCode("TF_ERROR", "a turn on the spot did not get a transform that it needs", _LOCALISE),
+    703: ErrorCode("COLLISION_AHEAD", "a turn on the spot would touch an obstacle", _FREE_START),
+    711: ErrorCode("TIMEOUT", "backing up took too long", _MOVES),
+    712: ErrorCode("TF_ERROR", "backing up did not get a transform that it needs", _LOCALISE),
+    714: ErrorCode("COLLISION_AHEAD", "backing up would touch an obstacle", _FREE_START),
+    721: ErrorCode("TIMEOUT", "driving on took too long", _MOVES),
+    723: ErrorCode("COLLISION_AHEAD", "driving on would touch an obstacle", _FREE_START),
+    9000: ErrorCode("UNKNOWN", "navigation failed for a reason without a code", _SEE_LOG),
+    9001: ErrorCode("FAILED_TO_LOAD_BEHAVIOR_TREE", "the behaviour tree cannot be loaded", "Check its file."),
+    9002: ErrorCode("TF_ERROR", "the navigator did not get a transform that it needs", _LOCALISE),
+    9003: ErrorCode("TIMEOUT", "a server did not answer the navigator in time", "See whether all servers are active."),
+}
+"""Code → what it means. 0 is none."""
+
+
+def server_of(code: int) -> str:
+    """The server that a code is of; empty where that is not known."""
+    return next((server for codes, server in SERVERS.items() if code in codes), "")
+
+
+def in_words(code: int) -> str:
+    """A code in words, such as `GOAL_OCCUPIED (206): the goal is in an occupied cell of the costmap`; empty for 0."""
+    if not code:
+        return ""
+    known = CODES.get(code)
+    return f"{known.name} ({code}): {known.meaning}" if known else f"error code {code}, which Nav2 does not define"

@@ -1,0 +1,137 @@
+"""Goals that are cancelled as soon as a condition holds, which the bridge asks beside the robot."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+
+import anyio
+
+from ros2_mcp.model.aside import load
+from ros2_mcp.model.commands import Principal
+from ros2_mcp.model.errors import BadInput, RobotError, TimedOut
+from ros2_mcp.model.text import quoted
+from ros2_mcp.ops.results import told_values
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.goals import CANCELLED_S, CancelWhen, Goal, WhenMet
+from ros2_mcp.robot.jobs import Job
+
+_TOPIC = re.compile(r"\s*(?P<topic>/[\w/]+)\s*:(?P<condition>.*)", re.DOTALL | re.ASCII)
+_BEGUN_POLL_S = 0.01
+"""The bridge says within milliseconds that it asks; a goal is not sent before."""
+_BEGUN_S = 10.0
+"""For a bridge that loads the type of a topic: mostly milliseconds, a second where its package is large."""
+
+
+class ConditionalCancel(Job):
+    """A condition that is asked while a goal runs; its id is that of the goal with a prefix. `met` once it was met.
+
+    It moves nothing: what the goal moves is stopped with the goal.
+    """
+
+    kind = "cancel_when"
+    most_running = 100
+    """As many goals as one client may follow at once, several times over."""
+
+    def __init__(self, robot: Robot, owner: Principal, asked: CancelWhen) -> None:
+        super().__init__(owner=owner, job_id=job_id(asked.goal_id))
+        self._robot = robot
+        self.asked = asked
+        self.met: WhenMet | None = None
+        self.problem = ""
+
+    async def run(self) -> None:
+        """Has the bridge ask until the condition is met or the goal has ended."""
+        async with anyio.create_task_group() as group:
+            group.start_soon(self._ask)
+            while self._robot.graph.repeat_begun_at(self.id) is None and not self.met:
+                await asyncio.sleep(_BEGUN_POLL_S)
+            self.begun()
+            while not (goal := self._robot.jobs.get(Goal, self.asked.goal_id)):
+                await asyncio.sleep(_BEGUN_POLL_S)
+            await goal.wait()
+            group.cancel_scope.cancel()
+
+    async def _ask(self) -> None:
+        try:
+            self.met = await self._robot.cancel_when(self.asked, self.id)
+        except RobotError as error:
+            if not self.has_begun:
+                raise
+            self.problem = str(error)
+            if goal := self._robot.jobs.get(Goal, self.asked.goal_id):
+                await goal.request_cancel(CANCELLED_S)  # nobody asks the condition any more
+
+    def note(self) -> str:
+        """What became of it, as a sentence; empty while it was not met."""
+        if self.problem:
+            return f"It was cancelled because its condition could not be asked any more: {quoted(self.problem)}."
+        if not self.met:
+            return ""
+        shown = told_values(self.met.report["values"])
+        was = "It was cancelled" if self.met.was_taken else "Its server was asked to cancel it, and refused,"
+        return f"{was} when {self.asked.condition} was met on {self.asked.topic} ({shown})."
+
+
+def job_id(goal_id: str) -> str:
+    """The id of the job that asks a condition for this goal."""
+    return f"{ConditionalCancel.kind}_{goal_id}"
+
+
+async def asked_for(robot: Robot, action: str, action_type: str, goal_id: str, text: str) -> CancelWhen:
+    """What `cancel_when` asks for: a condition on the goal's feedback, or `/topic: condition` on any other topic.
+
+    Raises:
+        BadInput: if it is no condition.
+        BadValue: for a field that is not there, with the nearest that is.
+        NotFound: if nobody publishes on that topic.
+    """
+    found = _TOPIC.fullmatch(text)
+    if found is None:
+        topic, message_type = f"{action}/_action/feedback", f"{action_type}_FeedbackMessage"
+        condition, of = text, f"{action_type}_Feedback"
+        await robot.values.learn(action_type)
+    else:
+        topic, condition = found["topic"], found["condition"]
+        present = await robot.graph.endpoints(topic)
+        message_type = of = await robot.types.topic(present, "")
+        await robot.values.learn(of)
+    await load("ros2_mcp.ops.measure.expression")
+    from ros2_mcp.ops.measure.expression import condition as checked
+
+    try:
+        read = checked(robot.values.definitions, of, condition)
+    except BadInput as error:
+        error.hint = f"{error.hint} It is about {topic} ({of}); for another topic: /topic: condition.".lstrip()
+        raise
+    return CancelWhen(
+        action=action,
+        goal_id=goal_id,
+        topic=topic,
+        topic_type=message_type,
+        condition=read.text,
+        is_of_feedback=found is None,
+    )
+
+
+async def begin(robot: Robot, asked: CancelWhen) -> ConditionalCancel:
+    """Begins to ask, and returns when the bridge asks: the goal is to be sent then.
+
+    Raises:
+        TimedOut: if the bridge has not begun in time.
+        RobotError: whatever keeps it from asking, such as a type that is not installed there.
+    """
+    job = ConditionalCancel(robot, robot.principal, asked)
+    await robot.jobs.start(job, within_s=_BEGUN_S)
+    if not job.has_begun:
+        await job.stop()
+        raise TimedOut(
+            f"The bridge did not ask the condition on {asked.topic} within {_BEGUN_S:g} s.", "Nothing was sent."
+        )
+    return job
+
+
+def note_on(robot: Robot, goal_id: str) -> str:
+    """What became of the condition of a goal, as a sentence; empty where it has none, or it was not met."""
+    job = robot.jobs.get(ConditionalCancel, job_id(goal_id))
+    return job.note() if job else ""

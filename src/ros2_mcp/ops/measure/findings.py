@@ -1,0 +1,45 @@
+"""What is wrong with a robot, and which of it has one cause: a lidar that is off is one fault and not four."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.results import HIDDEN
+
+Severity = Literal["critical", "warning"]
+
+_MOST_JOINED = 6
+"""Findings in one sentence; of a node that publishes a hundred topics the table has all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something that is wrong, and what to do about it. Those of one node's `cause`, a node's name, are one."""
+
+    severity: Severity
+    subject: str
+    problem: str
+    recommendation: str
+    cause: str = field(default="", metadata=HIDDEN)
+
+
+def joined(findings: Sequence[Finding]) -> list[Finding]:
+    """The findings, the critical ones first, and those of one node as one finding of that node."""
+    by_cause: dict[str, list[Finding]] = {}
+    for number, finding in enumerate(sorted(findings, key=lambda finding: finding.severity)):
+        by_cause.setdefault(finding.cause or f"#{number}", []).append(finding)
+    return [group[0] if len(group) == 1 else _as_one(group) for group in by_cause.values()]
+
+
+def _as_one(findings: Sequence[Finding]) -> Finding:
+    worst, cause = findings[0], findings[0].cause
+    told = [
+        finding.problem if finding.subject == cause else f"{named(finding.subject)}: {finding.problem}"
+        for finding in findings[:_MOST_JOINED]
+    ]
+    more = len(findings) - _MOST_JOINED
+    told += [f"And {more} more of its topics."] if more > 0 else []
+    return Finding(worst.severity, cause, " ".join(told), worst.recommendation, cause)

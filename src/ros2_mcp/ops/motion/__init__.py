@@ -1,0 +1,1 @@
+"""Motion that is closed by feedback beside the robot."""

@@ -1,0 +1,245 @@
+"""Driving a distance, an angle or an arc: what the robot drives by is found, the bridge does it, this tells of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model.commands import Move, Moved
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.endings import ended_by, guarded, limited
+from ros2_mcp.ops.motion.body import body_of
+from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of, scan_of
+from ros2_mcp.ops.motion.held import others_on, why_it_stands
+from ros2_mcp.ops.motion.job import run_motion
+from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.robot import Robot
+from ros2_mcp_bridge.drive import STEER_MOST
+
+MATCH_S = 1.0
+"""As of a publication (`ops/topics/publish.py`)."""
+RATE_HZ = 20.0
+"""Of commands: as fast as most bases follow, and well above the time-outs of their drivers."""
+DEFAULT_MPS, DEFAULT_DEGPS = 0.2, 25.0
+"""Within the limits of the profiles of policies, and what any small robot can do."""
+MAX_M, MAX_DEG, MAX_RADIUS_M = 100.0, 3600.0, 100.0
+MIN_MPS, MAX_MPS, MIN_DEGPS, MAX_DEGPS = 0.01, 3.0, 2.0, 180.0
+MIN_GUARD_M, MAX_GUARD_M = 0.1, 5.0
+"""Below the first the noise of a scan, and the way that a robot still rolls, are no distance any more."""
+_SETTLES_S = 3.0
+"""After its time limit it stands and is looked at (`drive.STANDS_WITHIN_S`) before the bridge would end it."""
+_PATIENCE = 1.5
+"""The time limit is so many times what the course takes at that speed, and `_ROOM_S` for ramps and corrections."""
+_ROOM_S = 15.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveRequest:
+    """How to drive: `distance_m` (negative: back) or `angle_deg` (positive: to the left), which with `radius_m` is an
+    arc ahead. `speed` is in m/s, on the spot in degrees per second. With `guard_m` so much stays free ahead of the
+    body. Topics that are not given are found.
+    """
+
+    distance_m: float | None = None
+    angle_deg: float | None = None
+    radius_m: float | None = None
+    speed: float | None = None
+    guard_m: float | None = None
+    topic_name: str = ""
+    odometry: str = ""
+    scan: str = ""
+
+    @property
+    def is_turn(self) -> bool:
+        """Whether it turns on the spot."""
+        return self.angle_deg is not None and not self.radius_m
+
+    @property
+    def rate(self) -> float:
+        """How fast: m/s, on the spot degrees per second."""
+        return self.speed or (DEFAULT_DEGPS if self.is_turn else DEFAULT_MPS)
+
+    @property
+    def length(self) -> float:
+        """How far: m, on the spot degrees."""
+        if self.distance_m is not None:
+            return abs(self.distance_m)
+        angle_deg = abs(self.angle_deg or 0.0)
+        return math.radians(angle_deg) * self.radius_m if self.radius_m else angle_deg
+
+    def check(self) -> None:
+        """Raises `BadInput` or `BadValue` for what is no drive."""
+        if (self.distance_m is None) == (self.angle_deg is None):
+            raise BadInput("Give either distance_m or angle_deg.", "With angle_deg, radius_m makes an arc of it.")
+        if self.distance_m is not None:
+            bounded("distance_m", self.distance_m, -MAX_M, MAX_M, "m")
+            if self.radius_m:
+                raise BadInput("radius_m goes with angle_deg: an arc is told by its angle.", "Leave distance_m out.")
+        bounded("angle_deg", self.angle_deg or 0.0, -MAX_DEG, MAX_DEG, "°")
+        bounded("radius_m", self.radius_m or 0.0, 0.0, MAX_RADIUS_M, "m")
+        if self.speed is not None and self.is_turn:
+            bounded("speed", self.speed, MIN_DEGPS, MAX_DEGPS, "°/s")
+        elif self.speed is not None:
+            bounded("speed", self.speed, MIN_MPS, MAX_MPS, "m/s")
+        if self.guard_m is not None:  # 0 is no guard, and who asks for it meant one
+            bounded("guard_m", self.guard_m, MIN_GUARD_M, MAX_GUARD_M, "m")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Driven:
+    """What a drive came to.
+
+    `outcome` is `reached`, or what ended it: `guard`, `silent` (odometry or scan), `stuck`, `jumped`, `missed`,
+    `time_out`, `refused` (by the policy on the way), `nobody_listens`, `ended` (by a stop or the like; `note` says by
+    what). `measured` is what odometry says of the way, and `error` what is missing, both in `unit`, `m` or `deg`;
+    `aside_m` how far it stands to the left of its course, `heading_deg` how its heading differs. Null where nothing was
+    measured. `free_m` is what the scan showed free at the end.
+    """
+
+    outcome: str
+    asked: float
+    measured: float | None
+    error: float | None
+    unit: str
+    aside_m: float | None = None
+    heading_deg: float | None = None
+    free_m: float | None = None
+    elapsed_s: float
+    topic_name: str
+    odometry: str
+    scan: str = ""
+    note: str = ""
+
+    def summary(self) -> str:
+        """One line."""
+        unit = "°" if self.unit == "deg" else " m"
+        if self.measured is None:
+            return f"{self.outcome}: nothing was driven. {self.note}".rstrip()
+        error = "" if self.error is None else f" (error {self.error:+.3g}{unit})"
+        went = f"{self.measured:.3f}{unit} of {self.asked:g}{unit}{error} by {named(self.odometry)}"
+        return f"{self.outcome}: {went} in {self.elapsed_s:.1f} s. {self.note}".rstrip()
+
+
+async def drive(robot: Robot, request: DriveRequest, report: Report = silent) -> Driven:
+    """Drives, and returns when the robot stands.
+
+    Raises:
+        BadInput: for what is no drive, or where it is not clear what drives the robot.
+        NotFound: if there is no command input, no odometry, no scan to keep `guard_m`.
+        Refused: if the policy forbids it, or another motion drives by the same command input.
+        Stopped: if a stop came before anything was sent.
+    """
+    request.check()
+    to = await command_input(robot, request.topic_name)
+    odometry = await odometry_of(robot, request.odometry, to.topic)
+    scan = await scan_of(robot, request.scan, to.topic) if request.guard_m else None
+    base, notes = await _base_frame(robot, odometry) if scan or to.type.endswith("Stamped") else "", list[str]()
+    controller: dict[str, Any] = {
+        "kind": "drive",
+        "speed": math.radians(request.rate) if request.is_turn else request.rate,
+        "odometry": odometry.feed,
+        "distance_m": request.distance_m,
+        "angle": None if request.angle_deg is None else math.radians(request.angle_deg),
+        "radius_m": request.radius_m,
+    }
+    if scan:
+        body, known_by = await body_of(robot, base, to.topic)
+        mount = await mount_of(robot, header_frame(await first_message(robot, scan)), base)
+        controller |= {"scan": scan.feed, "guard_m": request.guard_m, "body": body, "mount": mount}
+        notes.append(known_by)
+    hears = [odometry.type, *([scan.type] if scan else [])]
+    move = Move(
+        principal=robot.principal,
+        name=to.topic,
+        type=to.type,
+        value=_fastest(request, to.type, base),
+        choice=to.choice,
+        controller=controller,
+        hears=hears,
+        wait_match_s=MATCH_S,
+    )
+    move = _within_policy(robot, request, move)
+    moved, reason = await run_motion(robot, move, report, lambda told: _line(told, request))
+    notes.append(await others_on(robot, move.name))
+    if moved.outcome == "stuck":
+        notes += await why_it_stands(robot, move.name, scan.topic if scan else request.scan)
+    return _driven(request, moved, reason, odometry, scan, notes)
+
+
+async def _base_frame(robot: Robot, odometry: Found) -> str:
+    """The frame whose motion the odometry tells."""
+    return str((await first_message(robot, odometry)).get("child_frame_id", "")) or "base_link"
+
+
+def _fastest(request: DriveRequest, type_name: str, base: str) -> Mapping[str, Any]:
+    """The fastest command that it may send."""
+    if request.is_turn:
+        linear, angular = 0.0, math.radians(request.rate)
+    else:
+        linear = request.rate * (-1 if (request.distance_m or 0.0) < 0 else 1)
+        angular = STEER_MOST + (request.rate / request.radius_m if request.radius_m else 0.0)
+    if (request.angle_deg or 0.0) < 0:
+        angular = -angular
+    twist = {"linear": {"x": linear}, "angular": {"z": angular}}
+    return {"header": {"frame_id": base}, "twist": twist} if type_name.endswith("Stamped") else twist
+
+
+def _within_policy(robot: Robot, request: DriveRequest, move: Move) -> Move:
+    """With a rate and a time limit that fit the course, and no more than the policy allows."""
+    limit_s = _PATIENCE * request.length / request.rate + _ROOM_S
+    rate_hz = move.rate_hz
+    if ruling := robot.policy.ruling(move):
+        rate_hz = min(rate_hz, ruling.most("rate_hz") or rate_hz)
+        limit_s = min(limit_s, max(1.0, (ruling.most("for_s") or math.inf) - _SETTLES_S))
+    controller = {**move.controller, "time_limit_s": limit_s}
+    return replace(move, rate_hz=rate_hz, duration_s=limit_s + _SETTLES_S, controller=controller)
+
+
+def _line(told: Mapping[str, Any], request: DriveRequest) -> tuple[float, float, str]:
+    unit = "°" if request.is_turn else " m"
+    done, whole = abs(float(told.get("done", 0.0))), abs(float(told.get("whole", 0.0)))
+    paused = f", stood still for {told['paused_s']:.1f} s" if told.get("paused_s") else ""
+    return done, whole, f"driven {done:.2f}{unit} of {whole:g}{unit}{paused}"
+
+
+def _driven(
+    request: DriveRequest, moved: Moved, reason: str, odometry: Found, scan: Found | None, notes: list[str]
+) -> Driven:
+    told, sent = moved.report, moved.sent
+    has_moved = bool(told) and sent.sent > 0
+    sign = -1.0 if (request.distance_m if request.distance_m is not None else request.angle_deg or 0.0) < 0 else 1.0
+    corrections = int(told.get("corrections", 0))
+    notes = [
+        ended_by(reason) if reason else "",
+        moved.why,
+        f"Corrected {corrections} time(s)." if corrections else "",
+        f"It stood for {told['paused_s']:g} s, as a topic was late." if told.get("paused_s") else "",
+        limited(sent.limited) if sent.limited else "",
+        guarded(sent.stopper_s, sent.unguarded),
+        "" if scan else "Nothing looked out for obstacles: guard_m was not given.",
+        *notes,
+    ]
+    is_arc = bool(request.radius_m)
+
+    def measured(name: str) -> float | None:
+        return cast("float", told[name]) if has_moved and told.get(name) is not None else None
+
+    return Driven(
+        outcome=moved.outcome or "ended",
+        asked=round(request.length if is_arc else sign * request.length, 4),
+        measured=measured("done"),
+        error=measured("error"),
+        unit="deg" if request.is_turn else "m",
+        aside_m=measured("aside_m"),
+        heading_deg=None if request.is_turn else measured("heading_deg"),
+        free_m=measured("nearest_m"),
+        elapsed_s=round(sent.elapsed_s, 2) if sent.sent else 0.0,
+        topic_name=sent.topic,
+        odometry=odometry.topic,
+        scan=scan.topic if scan else "",
+        note=" ".join(filter(None, notes)),
+    )

@@ -1,0 +1,448 @@
+"""Moving joints by name through a trajectory controller, within the URDF's limits, until the joint states agree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from time import monotonic
+from typing import Any
+
+import anyio
+
+from ros2_mcp.codec.urdf import Joint, Urdf
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model.commands import Publish, SendGoal
+from ros2_mcp.model.errors import LEASE, BadInput, LinkError, Refused, RobotError, Stopped
+from ros2_mcp.model.goals import new_goal_id
+from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.model.text import listed, named, quoted
+from ros2_mcp.ops.actions.result import result_of
+from ros2_mcp.ops.actions.status import SERVER_S
+from ros2_mcp.ops.description import described
+from ros2_mcp.ops.endings import ended_by, reason_of
+from ros2_mcp.ops.motion.controllers import FOLLOW, TRAJECTORY, Controller, controller_for
+from ros2_mcp.ops.motion.joint_states import JointStates, joint_states
+from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.goals import Goal
+from ros2_mcp.robot.jobs import Job
+
+DEFAULT_SPEED = 0.3
+"""Of a joint's own velocity limit: slow enough to be watched."""
+MIN_SPEED, MAX_JOINTS = 0.01, 64
+MIN_TOLERANCE, MAX_TOLERANCE, DEFAULT_TOLERANCE = 0.0005, 0.5, 0.02
+"""In rad or m. Controllers hold to about a hundredth."""
+MIN_S, MAX_S = 0.3, 600.0
+"""A move takes at least the first: even a small step is no jerk."""
+_PEAK = 1.5
+"""A cubic from standing to standing is, in the middle of its way, so many times as fast as on average."""
+_ACCEPT_S = 10.0
+"""As of any goal (`ops/actions/send_goal.py`)."""
+_MATCH_S = 1.0
+"""As of a publication (`ops/topics/publish.py`)."""
+_LOOK_S, _STILL_LOOKS = 0.05, 4
+"""A joint has arrived when it was near enough, and stood, for four looks."""
+_SLEPT_S = 0.5
+"""A look that comes so late: this process was stopped, or its machine slept. Half of the link lease."""
+_SILENT_S = 1.0
+"""Joint states that stay away for so long: it is not known any more where the joints are. Ten of them at 10 Hz."""
+_PATIENCE, _ROOM_S = 1.5, 3.0
+"""The time limit is so many times the planned time, and that for settling."""
+_END_S = 3.0
+"""For ending what was begun; a bridge and a controller that are alive need milliseconds."""
+_SETTLES_S = 1.0
+_ROUNDED = 1e-6
+_CODES: Mapping[int, str] = {
+    -1: "invalid goal",
+    -2: "invalid joints",
+    -3: "its time stamp is in the past",
+    -4: "a path tolerance was violated",
+    -5: "a goal tolerance was violated",
+}
+"""`error_code` of control_msgs/action/FollowJointTrajectory."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointRequest:
+    """Where joints are to go: rad, m for prismatic ones; with `relative` from where they are. `speed` is the share of
+    each joint's velocity limit; `duration_s` how long it takes instead.
+    """
+
+    joints: Mapping[str, float]
+    relative: bool = False
+    speed: float | None = None
+    duration_s: float | None = None
+    tolerance: float = DEFAULT_TOLERANCE
+    controller: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class JointResult:
+    """One joint: where it was, was to go, and is; `error` is what is missing. In `unit`, rad or m."""
+
+    name: str
+    start: float
+    target: float
+    measured: float
+    error: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointsMoved:
+    """What a move of joints came to.
+
+    `outcome` is `reached`, or what ended it: `silent` (joint states), `time_out`, `failed` (the controller gave up),
+    `rejected`, `nobody_listens`, `ended` (by a stop or the like); `note` says why. `way` is the action or topic that it
+    went through.
+    """
+
+    outcome: str
+    joints: Sequence[JointResult]
+    controller: str
+    way: str
+    planned_s: float
+    elapsed_s: float
+    note: str = ""
+
+    def summary(self) -> str:
+        """One line."""
+        moved = ", ".join(
+            f"{named(one.name)} {one.measured:.3f} of {one.target:.3f} {one.unit}" for one in self.joints[:8]
+        )
+        return f"{self.outcome}: {moved} in {self.elapsed_s:.1f} s. {self.note}".rstrip()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """A move that was checked: `targets` of the joints that are asked for, `all_targets` of those of the controller."""
+
+    controller: Controller
+    starts: Mapping[str, float]
+    targets: Mapping[str, float]
+    all_targets: Mapping[str, float]
+    units: Mapping[str, str]
+    planned_s: float
+    tolerance: float
+
+    @property
+    def trajectory(self) -> Mapping[str, Any]:
+        """A trajectory_msgs/msg/JointTrajectory of one point, at which the joints stand."""
+        seconds = int(self.planned_s)
+        at = {"sec": seconds, "nanosec": int((self.planned_s - seconds) * 1e9)}
+        point = {
+            "positions": list(self.all_targets.values()),
+            "velocities": [0.0] * len(self.all_targets),
+            "time_from_start": at,
+        }
+        return {"joint_names": list(self.all_targets), "points": [point]}
+
+
+async def move_joints(robot: Robot, request: JointRequest, report: Report = silent) -> JointsMoved:
+    """Moves joints, and returns when they have arrived, or what ended it.
+
+    Raises:
+        BadInput: for joints that there are not, or positions or speeds beyond the limits of the URDF.
+        NotFound: if there is no description, no controller, or nothing tells where the joints are.
+        Refused: if the policy forbids it, or the controller is moved already.
+        Stopped: if a stop came before anything was sent.
+    """
+    check_request(request)
+    urdf = await described(robot)
+    wanted = [joint_of(urdf, name) for name in request.joints]
+    controller = await controller_for(robot, [joint.name for joint in wanted], request.controller)
+    async with joint_states(robot) as states:
+        plan = await planned_move(request, wanted, controller, states)
+        motion = JointMotion(robot, plan, states)
+
+        async def progress() -> None:
+            if motion.is_running:
+                await report(min(motion.elapsed_s, plan.planned_s), plan.planned_s, motion.line())
+
+        await robot.jobs.run(motion, every_second=progress)
+        if not (motion.has_left or motion.outcome_word):
+            if motion.is_stopping:
+                raise Stopped(
+                    f"{ended_by(motion.stop_reason or 'a stop')} Nothing was sent to {named(controller.name)}."
+                )
+            raise LinkError(f"The move by {named(controller.name)} ended, and it is not known how.")
+        return motion.result()
+
+
+def check_request(request: JointRequest) -> None:
+    """Raises `BadInput` for what is no move of joints."""
+    if not request.joints:
+        raise BadInput("No joints are given.", 'Such as {"elbow_joint": 0.5}, in rad or m.')
+    bounded("joints", len(request.joints), 1, MAX_JOINTS, "joints")
+    if request.speed is not None and request.duration_s is not None:
+        raise BadInput("Give either speed or duration_s.", "The one follows from the other.")
+    if request.speed is not None:
+        bounded("speed", request.speed, MIN_SPEED, 1.0, "of the velocity limit")
+    if request.duration_s is not None:
+        bounded("duration_s", request.duration_s, MIN_S, MAX_S, "s")
+    bounded("tolerance", request.tolerance, MIN_TOLERANCE, MAX_TOLERANCE, "rad or m")
+
+
+def joint_of(urdf: Urdf, name: str) -> Joint:
+    """A joint that is moved on its own; raises `BadInput`."""
+    moving = [joint.name for joint in urdf.moving]
+    joint = urdf.joints.get(name)
+    if joint is None:
+        shown = f"The joints are {listed(moving, 16)}."
+        raise BadInput(f"The robot has no joint {quoted(name)}.", did_you_mean(name, moving, shown))
+    if joint.mimic:
+        raise BadInput(f"{named(name)} follows {named(joint.mimic.joint)}: move that.")
+    if not joint.moves:
+        raise BadInput(f"{named(name)} is fixed: it cannot be moved.", f"The joints are {listed(moving, 16)}.")
+    return joint
+
+
+async def planned_move(
+    request: JointRequest, wanted: Sequence[Joint], controller: Controller, states: JointStates
+) -> Plan:
+    """The move, checked against limits and speed; raises `BadInput` or `NotFound`."""
+    every = list(dict.fromkeys((*controller.joints, *request.joints)))
+    await states.wait_for(every)
+    here = dict(zip(every, states.of(every), strict=True))
+    targets = {name: here[name] * request.relative + value for name, value in request.joints.items()}
+    least_s, planned_s = MIN_S, MIN_S
+    for joint in wanted:
+        gap, limits = abs(targets[joint.name] - here[joint.name]), joint.limits
+        _check_limits(joint, targets[joint.name])
+        if limits.velocity:
+            least_s = max(least_s, _PEAK * gap / limits.velocity)
+            planned_s = max(planned_s, _PEAK * gap / limits.velocity / (request.speed or DEFAULT_SPEED))
+        elif request.duration_s is None and gap > request.tolerance:
+            raise BadInput(f"The URDF gives no velocity limit of {named(joint.name)}.", "Give duration_s.")
+    if request.duration_s is not None:
+        planned_s = request.duration_s
+        if planned_s < least_s - _ROUNDED:
+            raise BadInput(
+                f"{planned_s:g} s is faster than the joints' velocity limits.", f"Give at least {least_s:.2f} s."
+            )
+    if planned_s > MAX_S:
+        raise BadInput(f"At this speed it takes {planned_s:.0f} s, more than {MAX_S:g} s.", "Give more speed.")
+    return Plan(
+        controller=controller,
+        starts={name: here[name] for name in targets},
+        targets=targets,
+        all_targets={**{name: here[name] for name in every}, **targets},
+        units={joint.name: joint.unit for joint in wanted},
+        planned_s=planned_s,
+        tolerance=request.tolerance,
+    )
+
+
+def _check_limits(joint: Joint, target: float) -> None:
+    lower = -math.inf if joint.limits.lower is None else joint.limits.lower
+    upper = math.inf if joint.limits.upper is None else joint.limits.upper
+    if not lower - _ROUNDED <= target <= upper + _ROUNDED:
+        bounds = f"{lower:g} to {upper:g} {joint.unit}"
+        raise BadInput(
+            f"{named(joint.name)}: {target:g} {joint.unit} is beyond its limits.", f"The URDF allows {bounds}."
+        )
+
+
+@dataclass(slots=True)
+class _Watched:
+    """How near the joints are, look by look."""
+
+    positions: list[float] = field(default_factory=list[float])
+    arrived: int = 0
+
+
+class JointMotion(Job):
+    """A move whose call waits for its end. While it runs, no other may move the same controller."""
+
+    kind = "motion"
+    most_running = 16
+    """A robot has few controllers; each takes one motion at a time."""
+
+    def __init__(self, robot: Robot, plan: Plan, states: JointStates) -> None:
+        super().__init__(owner=robot.principal, moves=[plan.controller.way])
+        self._robot = robot
+        self._plan = plan
+        self._states = states
+        self._goal_id = new_goal_id()
+        self._failed = ""
+        self.has_left = False
+        self.outcome_word = ""
+        self.why = ""
+
+    def check_beside(self, running: Sequence[Job]) -> None:
+        """Raises `Refused` where another motion moves this controller."""
+        for job in running:
+            if isinstance(job, JointMotion) and job._plan.controller.name == self._plan.controller.name:
+                raise Refused(
+                    f"{job.id} moves {named(job._plan.controller.name)} already.",
+                    "Wait for its end, or end it with ros2_stop.",
+                )
+
+    async def run(self) -> None:
+        """Commands the controller, and watches the joints until they have arrived, or it has to end."""
+        self.begun()
+        try:
+            if self._plan.controller.action:
+                await self._by_action()
+            else:
+                await self._by_topic()
+        finally:
+            if self.has_left and self.outcome_word != "reached":
+                with anyio.CancelScope(shield=True), anyio.move_on_after(_END_S):
+                    await self._hold()
+
+    def line(self) -> str:
+        """How far it is, in words."""
+        worst = max(self._plan.targets, key=self._gap)
+        return f"{named(worst)} is {self._gap(worst):.3f} {self._plan.units[worst]} from its target"
+
+    def result(self) -> JointsMoved:
+        """What it came to."""
+        plan = self._plan
+        rows = [
+            JointResult(
+                name, plan.starts[name], target, measured := self._measured(name), target - measured, plan.units[name]
+            )
+            for name, target in plan.targets.items()
+        ]
+        word, why = self.outcome_word, self.why
+        if not word:
+            word, why = "ended", ended_by(self.stop_reason or "a request to cancel it")
+        return JointsMoved(
+            outcome=word,
+            joints=rows,
+            controller=plan.controller.name,
+            way=plan.controller.way,
+            planned_s=round(plan.planned_s, 3),
+            elapsed_s=round(self.elapsed_s, 3),
+            note=why,
+        )
+
+    async def _by_action(self) -> None:
+        action, robot = self._plan.controller.action, self._robot
+        command = SendGoal(
+            principal=robot.principal,
+            name=action,
+            type=FOLLOW,
+            value={"trajectory": self._plan.trajectory},
+            goal_id=self._goal_id,
+            timeout_s=_ACCEPT_S,
+            wait_s=SERVER_S,
+        )
+        await robot.values.learn(FOLLOW)
+        self.has_left = True
+        answer = await robot.fields_of(await robot.do(command))
+        if not answer["accepted"]:
+            self._end("rejected", "The controller rejected the goal; ros2_log_read may tell why.")
+            return
+        async with anyio.create_task_group() as group:
+            group.start_soon(self._await_result, action)
+            await self._watch()
+            group.cancel_scope.cancel()
+
+    async def _await_result(self, action: str) -> None:
+        """Notes why the controller gave up, if it did."""
+        try:
+            ended = await result_of(self._robot, action, FOLLOW, self._goal_id, MAX_S * 2)
+        except RobotError as error:
+            self._failed = str(error)
+            return
+        if ended.status != "SUCCEEDED":
+            told: Mapping[str, Any] = ended.result or {}
+            code, text = int(told.get("error_code", 0)), str(told.get("error_string", ""))
+            reason = ", ".join(filter(None, (_CODES.get(code, ""), quoted(text) if text else "")))
+            self._failed = f"The controller ended the goal as {ended.status}{': ' + reason if reason else ''}."
+
+    async def _by_topic(self) -> None:
+        to = await self._robot.types.destination(self._plan.controller.topic, TRAJECTORY)
+        command = Publish(
+            principal=self._robot.principal,
+            name=to.topic,
+            type=to.type,
+            value=self._plan.trajectory,
+            choice=to.choice,
+            wait_match_s=_MATCH_S,
+        )
+        self.has_left = True
+        sent = await self._robot.do(command)
+        if not sent.matched:
+            self._end("nobody_listens", f"Nobody received the trajectory on {named(to.topic)}.")
+            return
+        await self._watch()
+        if self.outcome_word == "reached":
+            self._robot.failsafes.settled(to.topic, to.type)
+
+    async def _watch(self) -> None:
+        """Looks at the joints until they have arrived, or something is wrong."""
+        names, watched = list(self._plan.targets), _Watched()
+        began = looked = awake = monotonic()
+        deadline = began + _PATIENCE * self._plan.planned_s + _ROOM_S
+        while not self.outcome_word:
+            await anyio.sleep(_LOOK_S)
+            looked, before = monotonic(), looked
+            awake = looked if looked - before > _SLEPT_S else awake
+            age_s = min(self._states.age_s(names), looked - awake)  # nobody was there to hear the rest
+            if self._robot.guard.latch.look().is_set:  # the bridge has ended what moves
+                self._end("ended", ended_by(reason_of(self._robot, "latch")))
+            elif self._robot.graph.lapsed_at > began:
+                self._end("ended", ended_by(LEASE))
+            elif age_s > _SILENT_S:
+                self._end("silent", f"Nothing was heard of the joints for {age_s:.1f} s: they were told to hold.")
+            elif self._failed:
+                self._end("failed", f"{self._failed} {self._where()}")
+            elif self._has_arrived(watched, names):
+                self._end("reached", "")
+            elif monotonic() > deadline:
+                self._end("time_out", f"{self._where()} They were told to hold.")
+
+    def _has_arrived(self, watched: _Watched, names: Sequence[str]) -> bool:
+        positions = self._states.of(names)
+        moved = max(
+            (abs(now - then) for now, then in zip(positions, watched.positions, strict=False)), default=math.inf
+        )
+        watched.positions = positions
+        is_there = all(self._gap(name) <= self._plan.tolerance for name in names)
+        watched.arrived = watched.arrived + 1 if is_there and moved < self._plan.tolerance / 4 else 0
+        return watched.arrived >= _STILL_LOOKS
+
+    async def _stood(self) -> None:
+        """Until the joints stand, so that it is told where; at most a second: a hold brakes within tenths of one."""
+        names, before = list(self._plan.targets), list[float]()
+        with anyio.move_on_after(_SETTLES_S):
+            while (now := self._states.of(names)) != before:
+                near = [abs(here - there) < self._plan.tolerance / 4 for here, there in zip(now, before, strict=False)]
+                if near and all(near):
+                    return
+                before = now
+                await anyio.sleep(2 * _LOOK_S)
+
+    def _where(self) -> str:
+        """Which joint is farthest, and whether it has moved at all."""
+        worst = max(self._plan.targets, key=self._gap)
+        moved = abs(self._measured(worst) - self._plan.starts[worst])
+        how = "has not moved" if moved < self._plan.tolerance / 4 else f"has moved by {moved:.3f}"
+        unit = self._plan.units[worst]
+        return f"{named(worst)} {how} and is {self._gap(worst):.3f} {unit} from its target: it may be blocked."
+
+    def _gap(self, name: str) -> float:
+        return abs(self._plan.targets[name] - self._measured(name))
+
+    def _measured(self, name: str) -> float:
+        return self._states.positions[name].position
+
+    def _end(self, word: str, why: str) -> None:
+        self.outcome_word, self.why = word, why
+
+    async def _hold(self) -> None:
+        """Ends what may still be moving: the goal is cancelled, on a topic the joints are held where they are."""
+        try:
+            if self._plan.controller.action:
+                goal = self._robot.jobs.get(Goal, self._goal_id)
+                if goal and goal.is_running:
+                    await goal.request_cancel(_END_S)
+            else:
+                await self._robot.zero([self._plan.controller.topic])
+            await self._stood()
+        except RobotError as error:
+            self.why = f"{self.why} NOT confirmed that the joints stand: {error}".strip()

@@ -1,0 +1,223 @@
+"""`ros2_move_until`: a velocity that lasts until a condition on a topic holds, asked beside the robot by the bridge."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model.aside import load
+from ros2_mcp.model.commands import Move, Moved
+from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.model.poses import Pose
+from ros2_mcp.model.text import named, quoted
+from ros2_mcp.ops.endings import ended_by, guarded, limited
+from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of
+from ros2_mcp.ops.motion.held import others_on, why_it_stands
+from ros2_mcp.ops.motion.job import run_motion
+from ros2_mcp.ops.results import Report, silent, told_values
+from ros2_mcp.robot import Robot
+from ros2_mcp_bridge.limits import MAX_DURATION_S
+from ros2_mcp_bridge.scans import LASER_SCAN
+
+_RATE_HZ = 20.0
+"""Of the commands: what velocity controllers expect. The zero of the end leaves at once."""
+_TURNED_DEG = 5.0
+"""Less is how a scanner was screwed on; more is a direction of its own."""
+_STOOD_M = 0.01
+"""A motion that came no further did not move: so much odometry trembles."""
+_ANGLES = re.compile(r"\b(nearest|range_at)\s*\(")
+_MATCH_S = 1.0
+"""As of a publish: a running node matches within milliseconds."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UntilRequest:
+    """What moves until when: `velocity` has numbers by their names, such as `linear.x` (m/s) and `angular.z` (rad/s).
+
+    `is_event` for a topic that tells of events alone, and so may be silent. Empty topics are found.
+    """
+
+    topic_name: str
+    condition: str
+    velocity: Mapping[str, float]
+    timeout_s: float
+    max_distance_m: float | None = None
+    is_event: bool = False
+    command_topic: str = ""
+    odometry_topic: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MovedUntil:
+    """What ended a motion: `outcome` is `met`, `distance`, `time_out`, `silent`, `nobody_listens`, `refused`, or
+    `ended` by something else, which `note` names.
+
+    `values` are those of the last message that was looked at, which met the condition if one did; of `undecided` ones
+    it could not be said. `distance_m` is the way by odometry until the end of the commands, null without odometry.
+    """
+
+    outcome: str
+    met: bool
+    topic_name: str
+    topic_type: str
+    condition: str
+    values: Mapping[str, Any]
+    looked_at: int
+    undecided: int
+    command_topic: str
+    velocity: Mapping[str, float]
+    sent: int
+    elapsed: float
+    distance_m: float | None
+    odometry_topic: str = ""
+    stopped_with_zero: bool = False
+    note: str = ""
+
+    def summary(self) -> str:
+        """One line."""
+        way = "" if self.distance_m is None else f" It moved {self.distance_m:.2f} m by {named(self.odometry_topic)}."
+        outcome = f"{'is met' if self.met else 'was not met'} after {self.elapsed:.2f} s ({told_values(self.values)})"
+        return f"{named(self.topic_name)}: {self.condition} {outcome}.{way} {self.note}".rstrip()
+
+
+async def move_until(robot: Robot, request: UntilRequest, report: Report = silent) -> MovedUntil:
+    """Moves until a message meets the condition, a limit is reached, or a topic that is needed goes silent.
+
+    Raises:
+        BadInput: without a velocity, or if the text is no condition.
+        BadValue: for a field that does not exist, or a limit that is out of range.
+        NotFound: for a topic that is not there.
+        Refused: if the policy forbids it, or another motion drives by the same command input.
+        Stopped: if a stop came before anything was sent.
+    """
+    bounded("timeout", request.timeout_s, 0.0, MAX_DURATION_S, "s")
+    velocity = {name: speed for name, speed in request.velocity.items() if speed}
+    if not velocity or not all(map(math.isfinite, velocity.values())):
+        raise BadInput(
+            "No velocity is given.", "Give linear_x (m/s) or another one; ros2_wait_until waits without moving."
+        )
+    present = await robot.graph.endpoints(request.topic_name)
+    topic_type = await robot.types.topic(present, "")
+    await robot.values.learn(topic_type)
+    await load("ros2_mcp.ops.measure.expression")
+    from ros2_mcp.ops.measure.expression import condition
+
+    text = condition(robot.values.definitions, topic_type, request.condition).text
+    to = await command_input(robot, request.command_topic)
+    odometry = await _odometry(robot, request, to.topic)
+    command = Move(
+        principal=robot.principal,
+        name=to.topic,
+        type=to.type,
+        value=_command(velocity, to.type),
+        choice=to.choice,
+        controller={
+            "kind": "until",
+            "topic": present.topic,
+            "type": topic_type,
+            "condition": text,
+            "velocity": velocity,
+            "may_be_silent": request.is_event,
+            "odometry": {"topic": odometry.topic, "type": odometry.type} if odometry else None,
+            "max_distance_m": request.max_distance_m,
+        },
+        hears=[topic_type, *([odometry.type] if odometry else [])],
+        rate_hz=_RATE_HZ,
+        duration_s=request.timeout_s,
+        wait_match_s=_MATCH_S,
+    )
+
+    def line(told: Mapping[str, Any]) -> tuple[float, float, str]:
+        way = "" if told["distance_m"] is None else f", {told['distance_m']:.2f} m"
+        return told["elapsed_s"], request.timeout_s, f"{present.topic}: not met{way}, {told_values(told['values'])}"
+
+    turned = await _turned(robot, present.topic, topic_type, text, odometry)
+    if ruling := robot.policy.ruling(command):
+        command = replace(command, rate_hz=min(_RATE_HZ, ruling.most("rate_hz") or _RATE_HZ))
+    moved, reason = await run_motion(robot, command, report, line)
+    held = [await others_on(robot, to.topic)]
+    if odometry and moved.sent.sent and moved.outcome != "met" and (moved.report["distance_m"] or 0.0) < _STOOD_M:
+        held += await why_it_stands(robot, to.topic)
+    return _result(command, moved, reason, " ".join(filter(None, [turned, *held])))
+
+
+async def _turned(robot: Robot, topic: str, topic_type: str, text: str, odometry: Found | None) -> str:
+    """How the scan's frame is turned on the robot, as a sentence, where its angles are asked for and it is turned."""
+    if topic_type != LASER_SCAN or not odometry or not _ANGLES.search(text):
+        return ""
+    try:
+        frame = header_frame(await first_message(robot, Found(topic, topic_type)))
+        base = str((await first_message(robot, odometry)).get("child_frame_id", ""))
+        mount = await mount_of(robot, frame, base)
+    except RobotError:  # a robot need not tell it
+        return ""
+    x, y, z, w = mount["rotation"]
+    return turned_by(Pose(rotation=(x, y, z, w)), frame, base)
+
+
+def turned_by(mount: Pose, frame: str, base: str) -> str:
+    """The sentence about a scan's frame that is turned in the base's; empty where it is not."""
+    turned_deg = math.degrees(mount.yaw_rad)
+    if abs(turned_deg) < _TURNED_DEG:
+        return ""
+    return f"Angles count from the x axis of {named(frame)}, which is turned by {turned_deg:.0f}° in {named(base)}."
+
+
+async def _odometry(robot: Robot, request: UntilRequest, beside: str) -> Found | None:
+    """What the way is measured by; None where nothing is asked of it, and none is found."""
+    try:
+        return await odometry_of(robot, request.odometry_topic, beside)
+    except RobotError:
+        if request.odometry_topic or request.max_distance_m is not None:
+            raise
+        return None
+
+
+def _command(velocity: Mapping[str, float], type_name: str) -> Mapping[str, Any]:
+    """The velocity as a message; that of a robot is told in the frame of its base."""
+    twist: dict[str, dict[str, float]] = {"linear": {}, "angular": {}}
+    for name, speed in velocity.items():
+        part, _, axis = name.partition(".")
+        twist[part][axis] = speed
+    return {"header": {"frame_id": "base_link"}, "twist": twist} if type_name.endswith("Stamped") else twist
+
+
+def _result(command: Move, moved: Moved, reason: str, known: str) -> MovedUntil:
+    told, sent, asked = moved.report, moved.sent, command.controller
+    notes = [ended_by(reason) if reason else moved.why]
+    if told["met"] and not sent.sent:
+        notes.append("It was met already: nothing was sent.")
+    if told["undecided"]:
+        of = f"Of {told['undecided']} of {told['looked_at']} message(s) it cannot be said"
+        notes.append(f"{of}: {quoted(told['why_undecided'])}." if told["why_undecided"] else f"{of}.")
+    if told["paused_s"]:
+        notes.append(f"It stood for {told['paused_s']:.1f} s, while a topic was late.")
+    if sent.limited:
+        notes.append(limited(sent.limited))
+    notes.append(known)
+    notes.append(guarded(sent.stopper_s, sent.unguarded))
+    if sent.stopped_with_zero:
+        notes.append("A zero command was sent at the end.")
+    odometry = asked["odometry"]
+    return MovedUntil(
+        outcome="ended" if reason else moved.outcome,
+        met=told["met"],
+        topic_name=asked["topic"],
+        topic_type=asked["type"],
+        condition=asked["condition"],
+        values=told["values"],
+        looked_at=told["looked_at"],
+        undecided=told["undecided"],
+        command_topic=command.name,
+        velocity=asked["velocity"],
+        sent=sent.sent,
+        elapsed=told["elapsed_s"],
+        distance_m=told["distance_m"],
+        odometry_topic=odometry["topic"] if odometry else "",
+        stopped_with_zero=sent.stopped_with_zero,
+        note=" ".join(filter(None, notes)),
+    )

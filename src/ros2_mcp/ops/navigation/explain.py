@@ -1,0 +1,285 @@
+"""Why a goal failed: one cause in a sentence, what it is known by, and what would help."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from ros2_mcp.model.aside import aside
+from ros2_mcp.model.costs import OCCUPIED, TOUCHING, Reach, cost_in_words
+from ros2_mcp.model.nav2 import CODES, in_words, server_of
+from ros2_mcp.model.text import listed, named, quoted
+from ros2_mcp.ops.log import LogLine
+from ros2_mcp.ops.navigation.situation import Situation, is_of_navigation, line_in_words, look_around
+from ros2_mcp.ops.navigation.targets import Target
+from ros2_mcp.ops.navigation.whereabouts import in_frame, why_not_in_frame
+from ros2_mcp.robot import Robot
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.costmap import CostGrid
+
+_MOST_LINES = 6
+"""Of the log in an answer: the last words of those that failed."""
+_TF_CODES = {102, 202, 302, 401, 702, 712, 722, 732, 9002, 9102}
+_NO_PROGRESS = {104, 105, 106, 108}
+_NO_VALID_CONTROL = 106
+_COSTMAP_LATE = {107}
+_WOULD_TOUCH = {703, 714, 723}
+"""Recoveries that ended before they touched something."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """What is known of the end of a goal: whether it was rejected, and its result's code and text."""
+
+    is_rejected: bool
+    code: int = 0
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Explanation:
+    """Why a goal failed. `cause` and `helps` are sentences, the rest is what they stand on.
+
+    `goal_cost` and `start_cost` say what the costmap has there; `is_feasible` whether there is a way on it from the
+    robot to the goal (null: not known); `local_costmap` what stands nearest to the robot on the local one;
+    `health` are findings on localisation, transforms, sensors, servers and
+    components; `log` the last lines of the nodes concerned.
+    """
+
+    cause: str
+    server: str
+    error_code: int
+    error: str
+    goal_cost: str
+    start_cost: str
+    is_feasible: bool | None
+    feasibility: str
+    local_costmap: str
+    health: Sequence[str]
+    log: Sequence[str]
+    helps: Sequence[str]
+    notes: Sequence[str] = ()
+
+
+@dataclass(slots=True)
+class _Findings:
+    """What is being found out; the first cause that is found is the one that is told. `beside`: what else is wrong."""
+
+    causes: list[str] = field(default_factory=list[str])
+    beside: list[str] = field(default_factory=list[str])
+    helps: list[str] = field(default_factory=list[str])
+
+    def add(self, cause: str, helps: str = "") -> None:
+        self.causes.append(cause)
+        if helps and helps not in self.helps:
+            self.helps.append(helps)
+
+
+async def explain(robot: Robot, action: str, target: Target, failure: Failure, since_s: float) -> Explanation:
+    """Looks for the cause of a failure that has just happened; takes up to some seconds. Raises no `RobotError`."""
+    situation = await look_around(robot, "map" if target.frame != "odom" else target.frame, since_s, action)
+    grid, where = situation.grid, situation.where
+    goal: tuple[float, float] | None = None
+    reach: Reach | None = None
+    why_not = ""
+    if grid:
+        goal = await in_frame(robot, target.frame, target.x_m, target.y_m, grid.frame_id)
+        here = (where.x_m, where.y_m) if where.x_m is not None and where.y_m is not None else None
+        if goal and here and grid.frame_id == where.frame:
+            reach = await aside(grid.cells.size, grid.reach, here, goal)
+        why_not = "" if goal else await why_not_in_frame(robot, target.frame, grid.frame_id)
+    return judged(situation, target, failure, goal, reach, why_not)
+
+
+def judged(
+    situation: Situation,
+    target: Target,
+    failure: Failure,
+    goal: tuple[float, float] | None,
+    reach: Reach | None,
+    why_not: str = "",
+) -> Explanation:
+    """The explanation, out of what was found; `goal` is the target in the frame of the costmap, or `why_not` says why
+    that is not known.
+    """
+    grid, where = situation.grid, situation.where
+    start_cost = goal_cost = None
+    if grid and goal:
+        goal_cost = grid.cost(*goal)
+    if grid and where.x_m is not None and where.y_m is not None and grid.frame_id == where.frame:
+        start_cost = grid.cost(where.x_m, where.y_m)
+    found = _Findings()
+    _servers(found, situation)
+    is_goal_known = goal is not None or grid is None
+    _localisation(found, situation, target, failure, is_goal_known=is_goal_known, why_not=why_not)
+    if grid and goal and failure.code not in _NO_PROGRESS | _COSTMAP_LATE | _TF_CODES:
+        _places(found, situation, grid, goal, (start_cost, goal_cost), reach)
+    _sensors(found, situation, failure)
+    _motion(found, situation, failure)
+    known = CODES.get(failure.code)
+    if known and known.name != "UNKNOWN" and not found.causes:
+        said = f": {quoted(failure.text)}" if failure.text else ""
+        found.add(f"{known.meaning}{said}.", known.helps)
+    told = _told(situation.lines, failure)
+    if told and not found.causes:
+        found.add(told, "Ask for more of the log: ros2_log_read.")
+    if known and not found.helps:
+        found.helps.append(known.helps)
+    if not found.causes:
+        found.add("Nothing was found that explains it.", "Ask for more of the log: ros2_log_read.")
+    first = found.causes[0]
+    return Explanation(
+        cause=f"{first[0].upper()}{first[1:]}",
+        server="bt_navigator" if failure.is_rejected else server_of(failure.code),
+        error_code=failure.code,
+        error=error_in_words(failure.code, failure.text),
+        goal_cost=cost_in_words(goal_cost) if grid and goal else "unknown: no costmap, or no transform to it",
+        start_cost=cost_in_words(start_cost) if grid and where.is_known else "unknown: no costmap, or no pose",
+        is_feasible=reach.is_reached if reach else None,
+        feasibility=_feasibility(situation, reach),
+        local_costmap=str(situation.local) if situation.local else "unknown: no local costmap, or no pose on it",
+        health=_health(situation, [*found.causes[1:], *found.beside]),
+        log=[line_in_words(line) for line in situation.lines[-_MOST_LINES:]],
+        helps=found.helps,
+        notes=situation.absent,
+    )
+
+
+def error_in_words(code: int, text: str) -> str:
+    """What Nav2's result says: the code in words, and its own text."""
+    return ": ".join(filter(None, (in_words(code), quoted(text) if text else "")))
+
+
+def _servers(found: _Findings, situation: Situation) -> None:
+    if situation.inactive:
+        found.add(
+            f"not every server of Nav2 is active: {'; '.join(situation.inactive)}.",
+            "Activate them: ros2_lifecycle_change, or Nav2's lifecycle manager.",
+        )
+
+
+def _localisation(
+    found: _Findings, situation: Situation, target: Target, failure: Failure, *, is_goal_known: bool, why_not: str
+) -> None:
+    where = situation.where
+    if where.trouble:
+        found.add(
+            f"it is not known where the robot is: {where.trouble.rstrip('.')}.",
+            "Bring localisation up, or give it an initial pose; ros2_tf_lookup shows when it is there.",
+        )
+    elif not is_goal_known:
+        found.add(
+            f"there is no transform from the goal's frame {named(target.frame)} to the map. {why_not}".rstrip(),
+            "Give the pose in map; ros2_tf_tree shows the frames.",
+        )
+    if situation.uncertain:
+        found.add(
+            f"{situation.uncertain}.", "Give localisation an initial pose, or let the robot turn where it sees walls."
+        )
+    if failure.code in _TF_CODES and not found.causes:
+        found.add("a transform was missing or late for the server that failed; now it is there.", "Try again.")
+
+
+def _places(
+    found: _Findings,
+    situation: Situation,
+    grid: CostGrid,
+    goal: tuple[float, float],
+    costs: tuple[int | None, int | None],
+    reach: Reach | None,
+) -> None:
+    start_cost, goal_cost = costs
+    at, on = f"({goal[0]:.2f}, {goal[1]:.2f})", named(situation.grid_topic)
+    near = (reach.x_m, reach.y_m) if reach else grid.nearest_free(*goal)
+    nearest = f"the nearest place to get to is ({near[0]:.2f}, {near[1]:.2f})" if near else "there is no free place"
+    if goal_cost is None:
+        found.add(
+            f"the goal {at} is outside of {on}, which covers {grid.extent()} m.",
+            f"Give a goal on it: {nearest}.",
+        )
+    elif goal_cost >= TOUCHING:
+        what = "occupied" if goal_cost >= OCCUPIED else "so near to an obstacle that the robot would touch it"
+        found.add(
+            f"the goal {at} is {what} on {on} (cost {goal_cost}).",
+            f"Choose another goal: {nearest}. If nothing stands there, clear the costmap.",
+        )
+    if situation.where.is_known and start_cost is None:
+        found.add(f"the robot is outside of {on}: it is localised wrongly, or off the map.", "Localise it anew.")
+    elif start_cost is not None and start_cost >= OCCUPIED:
+        found.add(
+            f"the robot stands in an occupied cell of {on} (cost {start_cost}).",
+            "Drive it away from what is there; if nothing is, clear the costmap or localise it anew.",
+        )
+    if reach and not reach.is_reached and goal_cost is not None and goal_cost < TOUCHING:
+        found.add(
+            f"there is no free way from the robot to the goal on {on}: one gets to ({reach.x_m:.2f}, {reach.y_m:.2f}), "
+            f"{reach.short_m:.2f} m short of it.",
+            "Open the way, or choose a goal on this side; if what blocks it has gone, clear the costmap.",
+        )
+
+
+def _sensors(found: _Findings, situation: Situation, failure: Failure) -> None:
+    if situation.silent:
+        found.add(
+            f"{listed(situation.silent, 3)} {'is' if len(situation.silent) == 1 else 'are'} silent.",
+            "Restart the driver of that sensor; ros2_health_check shows its state.",
+        )
+    elif failure.code in _COSTMAP_LATE:
+        found.add("the costmap was not updated in time; its sensors send now.", "Try again.")
+
+
+def _motion(found: _Findings, situation: Situation, failure: Failure) -> None:
+    """What components say: the cause where the robot did not get on, else only beside it."""
+    said = [f"{quoted(row.name)} reports {row.level}: {quoted(row.message)}." for row in situation.diagnostics]
+    base, local = situation.base, situation.local
+    if failure.code in _WOULD_TOUCH and local:
+        found.add(f"{str(local)[0].lower()}{str(local)[1:]}: a recovery would touch it.", "Make room around the robot.")
+    if failure.code not in _NO_PROGRESS:
+        found.beside += [*said, *base.sends, *base.others, *base.limits]
+        return
+    for one in said:
+        found.add(one, "See what that component needs; ros2_health_check tells more.")
+    for one in base.limits:
+        found.add(one, "Set it to more than 0: ros2_parameter_set.")
+    others = [line for line in situation.lines if not is_of_navigation(line)]
+    for line in others[-2:]:
+        found.add(f"{line_in_words(line)}.")
+    for one in base.sends:
+        found.add(one, "Let nobody else command the base while Nav2 drives it.")
+    found.beside += base.others
+    is_near = local is not None and local.cost is not None and local.cost >= TOUCHING
+    if is_near:
+        found.add(f"{str(local)[0].lower()}{str(local)[1:]}.", "Take away what stands there, or clear it.")
+    says_why = failure.code == _NO_VALID_CONTROL and failure.text
+    if not (said or others or situation.silent or says_why or base.limits or base.sends or is_near):
+        near = [f"{local}."] if local and local.away_m is not None else []
+        why = "the robot was told to drive and did not get on; no component says why."
+        found.add(" ".join([why, *near, *base.others]))
+
+
+def _told(lines: Sequence[LogLine], failure: Failure) -> str:
+    """The last line of the server that failed, or of any of Nav2's."""
+    server = "bt_navigator" if failure.is_rejected else server_of(failure.code)
+    of_server = [line for line in lines if server and server in line.node.split("/")]
+    last = (of_server or [line for line in lines if is_of_navigation(line)])[-1:]
+    return f"{line_in_words(last[0])}." if last else ""
+
+
+def _feasibility(situation: Situation, reach: Reach | None) -> str:
+    if reach is None:
+        return "unknown"
+    on = named(situation.grid_topic)
+    if reach.is_reached:
+        return f"there is a free way from the robot to the goal on {on}"
+    return f"no free way on {on}: one gets to ({reach.x_m:.2f}, {reach.y_m:.2f}), {reach.short_m:.2f} m short"
+
+
+def _health(situation: Situation, more: Sequence[str]) -> list[str]:
+    where = situation.where
+    if where.is_known and not where.trouble:
+        age = "" if where.age_s is None else f", {where.age_s:.2f} s old"
+        fine = f"Localised: {named(where.base)} is at ({where.x_m:.2f}, {where.y_m:.2f}) in {named(where.frame)}{age}."
+        return [fine, *(f"{one[0].upper()}{one[1:]}" for one in more)]
+    return [f"{one[0].upper()}{one[1:]}" for one in more]

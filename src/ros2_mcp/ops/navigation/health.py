@@ -1,0 +1,90 @@
+"""How a navigation that is under way is doing, and what may yet hold it up: in sentences, in about two seconds."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Sequence
+
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.graph import TopicRow
+from ros2_mcp.model.text import listed, named
+from ros2_mcp.ops.navigation.base import base_of
+from ros2_mcp.ops.navigation.situation import Local, costmap_of, inactive_servers, local_of, sensors_of
+from ros2_mcp.ops.navigation.targets import MAP_FRAME
+from ros2_mcp.ops.navigation.whereabouts import whereabouts
+from ros2_mcp.robot import Robot
+
+_PART_S = 2.0
+"""For each part, all at the same time: sensors are listened to for 1.5 s, and who waits for a robot waits no longer."""
+_OLD_COSTMAP_S = 5.0
+"""Nav2 publishes it once a second, some robots every other second."""
+_LONGEST_AGE_S = 1e6
+"""Between a stamp and now: more means that one of both is simulated time."""
+
+
+async def health_of(robot: Robot, action: str) -> list[str]:
+    """Localisation and transforms with their age, costmaps with theirs, and what is wrong. Raises no `RobotError`."""
+    try:
+        topics = list(await robot.graph.topics())
+    except RobotError as error:
+        return [f"The topics could not be read: {error.message}"]
+    parts = await asyncio.gather(
+        _within(_localisation(robot), "Where the robot is"),
+        _within(_costmap(robot, topics, action), "The costmap"),
+        _within(_local(robot, topics, action), "The local costmap"),
+        _within(_sensors(robot, topics), "The sensors"),
+        _within(_servers(robot), "The servers of Nav2"),
+        _within(_base(robot), "The base"),
+    )
+    return [line for lines in parts for line in lines]
+
+
+async def _within(part: Awaitable[list[str]], what: str) -> list[str]:
+    try:
+        return await asyncio.wait_for(part, _PART_S)
+    except asyncio.TimeoutError:
+        return [f"{what} could not be told within {_PART_S:g} s."]
+    except RobotError as error:
+        return [f"{what} could not be told: {error.message}"]
+
+
+async def _localisation(robot: Robot) -> list[str]:
+    where = await whereabouts(robot, MAP_FRAME)
+    if where.trouble:
+        return [f"It is not known where the robot is: {where.trouble.rstrip('.')}."]
+    age = "" if where.age_s is None else f", {where.age_s:.2f} s old"
+    return [f"Localised: {named(where.base)} is at ({where.x_m:.2f}, {where.y_m:.2f}) in {named(where.frame)}{age}."]
+
+
+async def _costmap(robot: Robot, topics: Sequence[TopicRow], action: str) -> list[str]:
+    grid, topic = await costmap_of(robot, topics, action)
+    if grid is None or "costmap" not in topic:
+        return ["No global costmap was received."]
+    stamp = grid.message.header.stamp
+    age_s = (robot.now_ns() - stamp.sec * 1_000_000_000 - stamp.nanosec) / 1e9
+    if not 0 <= age_s < _LONGEST_AGE_S:
+        return [f"The costmap {named(topic)} is there."]
+    has_updates = any(row.name == f"{topic}_updates" and row.publishers for row in topics)
+    late = age_s > _OLD_COSTMAP_S and not has_updates
+    return [f"The costmap {named(topic)} is {age_s:.1f} s old{': it is not updated' if late else ''}."]
+
+
+async def _local(robot: Robot, topics: Sequence[TopicRow], action: str) -> list[str]:
+    local: Local | None = await local_of(robot, topics, action)
+    return [f"{local}."] if local else []
+
+
+async def _sensors(robot: Robot, topics: Sequence[TopicRow]) -> list[str]:
+    quiet, uncertain = await sensors_of(robot, topics)
+    lines = [f"{listed(quiet, 3)} {'is' if len(quiet) == 1 else 'are'} silent."] if quiet else []
+    return [*lines, *([f"{uncertain[0].upper()}{uncertain[1:]}."] if uncertain else [])]
+
+
+async def _servers(robot: Robot) -> list[str]:
+    inactive = await inactive_servers(robot)
+    return [f"Not every server of Nav2 is active: {'; '.join(inactive)}."] if inactive else []
+
+
+async def _base(robot: Robot) -> list[str]:
+    found = await base_of(robot)
+    return [*found.sends, *found.others, *found.limits]

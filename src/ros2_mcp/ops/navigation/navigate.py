@@ -1,0 +1,331 @@
+"""`ros2_navigate`: goals for Nav2, one after the other, as one job; a goal that fails is explained."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from time import monotonic
+from typing import Any, Literal
+
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadInput, NotFound, RobotError, TypeConflict
+from ros2_mcp.model.goals import TERMINAL
+from ros2_mcp.model.nav2 import NAVIGATE
+from ros2_mcp.model.text import listed, named, quoted
+from ros2_mcp.ops.actions.send_goal import GoalOutcome, follow, send_goal
+from ros2_mcp.ops.actions.status import states_now
+from ros2_mcp.ops.endings import ended_by
+from ros2_mcp.ops.navigation.explain import Explanation, Failure, explain
+from ros2_mcp.ops.navigation.health import health_of
+from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
+from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
+from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.space.plans import hear_plans
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.goals import Goal
+from ros2_mcp.robot.jobs import Job, abandon
+from ros2_mcp_bridge.limits import MAX_DURATION_S
+
+_CANCELLED_S = 3.0
+"""A server that is alive answers within milliseconds."""
+_FAR_M = 0.5
+"""Nav2's own tolerance is 0.25 m; who is this far from the goal has not reached it, whatever is said."""
+
+LegState = Literal["under way", "reached", "failed", "rejected", "canceled", "not begun"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leg:
+    """One of the goals, and what became of it.
+
+    `place` is its name, if it has one; the pose is in `frame` (m, degrees). `duration_s` is how long it took so far.
+    `away_m` and `heading_off_deg` say where the robot is by its transforms, from the goal (null: not known, or any
+    heading). `recoveries` is how often it had to free itself, `remaining_m` the way that was left, as last told.
+    """
+
+    place: str
+    frame: str
+    x_m: float
+    y_m: float
+    yaw_deg: float | None
+    outcome: LegState
+    duration_s: float | None = None
+    away_m: float | None = None
+    heading_off_deg: float | None = None
+    remaining_m: float | None = None
+    recoveries: int = 0
+    goal_id: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Navigated:
+    """How far it came. `job_id` is the job that goes on while it is `under way`; `explanation` says why one failed.
+
+    `health` are, while it is under way, sentences on localisation, costmaps, sensors, servers, and on what may hold the
+    base up.
+    """
+
+    outcome: LegState
+    action_name: str
+    job_id: str
+    duration_s: float
+    legs: Sequence[Leg]
+    explanation: Explanation | None = None
+    health: Sequence[str] = ()
+    note: str = ""
+
+    def summary(self) -> list[str]:
+        """What became of it, and of a failure its cause."""
+        lines = [f"{self.outcome} after {self.duration_s:.1f} s. {self.note}".strip(), *map(_line, self.legs)]
+        lines += self.health
+        if self.explanation:
+            why = self.explanation
+            lines += [f"Cause: {why.cause}", *([f"Nav2 says: {why.error}"] if why.error else [])]
+            lines += [f"What would help: {' '.join(why.helps)}"]
+        return lines
+
+
+def _line(leg: Leg) -> str:
+    where = f"{quoted(leg.place)} " if leg.place else ""
+    told = f"{where}({leg.x_m:.2f}, {leg.y_m:.2f}) in {named(leg.frame)}: {leg.outcome}"
+    if leg.duration_s is not None:
+        told += f" after {leg.duration_s:.1f} s"
+    if leg.away_m is not None:
+        told += f", {leg.away_m:.2f} m from the goal"
+    if leg.outcome == "under way" and leg.remaining_m is not None:
+        told += f", {leg.remaining_m:.1f} m to go"
+    return f"{told}. {leg.note}".rstrip()
+
+
+class Navigation(Job):
+    """Goals for one action, one after the other; it ends with the first that is not reached."""
+
+    kind = "navigation"
+    most_running = 8
+    """A robot has one Nav2; more goals than that replace each other."""
+
+    def __init__(self, robot: Robot, action: str, targets: Sequence[Target]) -> None:
+        super().__init__(owner=robot.principal, moves=[action])
+        self.action = action
+        self.legs = [_not_begun(target) for target in targets]
+        self.explanation: Explanation | None = None
+        self.now = 0
+        self._robot = robot
+        self._targets = targets
+        self._goal: Goal | None = None
+        self._leg_at = monotonic()
+
+    async def run(self) -> None:
+        """Sends each goal when the one before has been reached."""
+        robot = self._robot
+        robot.log.start()  # what its servers say from now on explains a failure
+        where, _ = await asyncio.gather(whereabouts(robot, MAP_FRAME), hear_plans(robot))
+        x_m, y_m = where.x_m, where.y_m
+        for number, target in enumerate(self._targets):
+            self.now, self._leg_at = number, monotonic()
+            self._goal = None
+            if target.frame == where.frame and x_m is not None and y_m is not None:
+                target = target.facing_from(x_m, y_m)  # noqa: PLW2901 - the same place, with the heading of arrival
+            try:
+                await self._drive_to(target)
+            except asyncio.CancelledError:
+                await asyncio.shield(self._give_up())
+                raise
+            except RobotError as error:
+                if not number and not self.has_begun:
+                    raise
+                self._note(outcome="failed", note=str(error))
+            if self.legs[number].outcome != "reached":
+                return
+            x_m, y_m = (target.x_m, target.y_m) if target.frame == where.frame else (None, None)
+
+    async def _drive_to(self, target: Target) -> None:
+        robot = self._robot
+        sent = await send_goal(robot, self.action, NAVIGATE, {"pose": target.pose()})
+        self._note(outcome="under way", goal_id=sent.goal_id)
+        if not sent.accepted:
+            self.begun()
+            self._note(outcome="rejected")
+            self.explanation = await explain(robot, self.action, target, Failure(True), monotonic() - self._leg_at)
+            return
+        self._goal = robot.jobs.get(Goal, sent.goal_id)
+        self.begun()
+        if self._goal is None:
+            raise NotFound("The goal is not known here any more.", "ros2_action_status shows it.")
+        ended = await follow(robot, self._goal, heard=self._hear)
+        await self._judge(target, ended)
+
+    async def _judge(self, target: Target, ended: GoalOutcome) -> None:
+        """Notes the outcome, and where the robot is by its transforms; explains a failure."""
+        took_s = monotonic() - self._leg_at
+        self._note(duration_s=round(took_s, 2))
+        await self._measure(target)
+        if ended.status == "SUCCEEDED":
+            away_m = self.legs[self.now].away_m
+            far = away_m is not None and away_m > _FAR_M
+            note = (
+                f"Nav2 says that it was reached, but by its transforms the robot is {away_m:.2f} m away." if far else ""
+            )
+            self._note(outcome="reached", note=note)
+        elif ended.status == "CANCELED":
+            reason = self.stop_reason or (self._goal.stop_reason if self._goal else "")
+            self._note(outcome="canceled", note=ended.note or ended_by(reason or "a request to cancel it"))
+        else:
+            self._note(outcome="failed")
+            if await self._is_replaced(ended):
+                self._note(note="Another goal has replaced it: one that this or another client has sent.")
+                return
+            result = ended.result or {}
+            failure = Failure(False, int(result.get("error_code", 0)), str(result.get("error_msg", "")))
+            self.explanation = await explain(self._robot, self.action, target, failure, took_s)
+
+    async def _measure(self, target: Target) -> None:
+        """How far the robot is from the goal now."""
+        where = await whereabouts(self._robot, MAP_FRAME)
+        goal = await in_frame(self._robot, target.frame, target.x_m, target.y_m, MAP_FRAME)
+        if target.frame == where.base or not goal or where.x_m is None or where.y_m is None or where.trouble:
+            return  # a goal in the frame of the robot moved with it
+        off = None
+        if self._targets[self.now].yaw_rad is not None and target.frame == MAP_FRAME and where.yaw_rad is not None:
+            off = round(math.degrees(math.remainder(where.yaw_rad - (target.yaw_rad or 0.0), 2 * math.pi)), 1)
+        self._note(away_m=round(math.hypot(goal[0] - where.x_m, goal[1] - where.y_m), 3), heading_off_deg=off)
+
+    async def _is_replaced(self, ended: GoalOutcome) -> bool:
+        """Whether another goal of the action runs now, as Nav2 has one at a time."""
+        if (ended.result or {}).get("error_code"):
+            return False
+        with suppress(RobotError):
+            others = await states_now(self._robot, self.action)
+            return any(one.goal_id != ended.goal_id and one.status_code not in TERMINAL for one in others)
+        return False
+
+    async def _give_up(self) -> None:
+        """Cancels the goal that is under way."""
+        self._note(outcome="canceled")
+        if self._goal and self._goal.is_running:
+            with suppress(RobotError):
+                await self._goal.request_cancel(_CANCELLED_S)
+
+    def _hear(self, feedback: Mapping[str, Any]) -> None:
+        """Takes in what Nav2 tells on the way."""
+        remaining, recoveries = feedback.get("distance_remaining"), feedback.get("number_of_recoveries")
+        if isinstance(remaining, float):
+            self._note(remaining_m=round(remaining, 2))
+        if isinstance(recoveries, int):
+            self._note(recoveries=recoveries)
+
+    def _note(self, **changed: Any) -> None:
+        self.legs[self.now] = replace(self.legs[self.now], **changed)
+
+    def line(self) -> str:
+        """How it is going, for progress."""
+        leg = self.legs[self.now]
+        to = quoted(leg.place) if leg.place else f"({leg.x_m:.2f}, {leg.y_m:.2f})"
+        which = f" ({self.now + 1} of {len(self.legs)})" if len(self.legs) > 1 else ""
+        left = "" if leg.remaining_m is None else f", {leg.remaining_m:.1f} m to go"
+        freed = f", {leg.recoveries} recoveries" if leg.recoveries else ""
+        return f"to {to}{which}: {monotonic() - self._leg_at:.0f} s{left}{freed}"
+
+    def so_far(self) -> Navigated:
+        """What is known of it now."""
+        last = self.legs[self.now]
+        outcome: LegState = "under way" if self.is_running else last.outcome
+        if not self.is_running and outcome == "under way":
+            outcome = "canceled"
+        note = ""
+        if outcome == "under way":
+            note = f'It goes on: wait for it with ros2_navigate(job_id="{self.id}"); ros2_stop ends it.'
+        elif outcome == "canceled" and self.stop_reason:
+            note = ended_by(self.stop_reason)
+        legs = list(self.legs)
+        if self.is_running and last.outcome == "under way":
+            legs[self.now] = replace(last, duration_s=round(monotonic() - self._leg_at, 2))
+        return Navigated(
+            outcome=outcome,
+            action_name=self.action,
+            job_id=self.id,
+            duration_s=round(self.elapsed_s, 2),
+            legs=legs,
+            explanation=self.explanation,
+            note=note,
+        )
+
+
+def _not_begun(target: Target) -> Leg:
+    yaw = None if target.yaw_rad is None else round(math.degrees(target.yaw_rad), 1)
+    return Leg(place=target.name, frame=target.frame, x_m=target.x_m, y_m=target.y_m, yaw_deg=yaw, outcome="not begun")
+
+
+async def navigate(
+    robot: Robot,
+    to: object,
+    *,
+    action: str = "",
+    job_id: str = "",
+    timeout_s: float = 45.0,
+    report: Report = silent,
+) -> Navigated:
+    """Drives to places, or waits on for a navigation that is under way; at most `timeout_s`, after which it goes on.
+
+    A waiting that is cancelled cancels the goal.
+
+    Raises:
+        BadInput: for a place that is written wrongly, or neither a place nor a job.
+        NotFound: for a place or a job that is not known, or where there is no Nav2.
+        RobotError: what sending the first goal raises; nothing was sent then, unless the error says so.
+    """
+    bounded("timeout_sec", timeout_s, 0.0, MAX_DURATION_S, "s")
+    if job_id:
+        if to is not None:
+            raise BadInput("A job_id waits for what is under way: with it there is no new place.", "Give one of both.")
+        job = robot.jobs.find(Navigation, job_id)
+    else:
+        if to is None:
+            raise BadInput("Where to is not said.", "Give a place, a pose, or a list of them.")
+        targets = targets_of(to, robot.places)
+        job = Navigation(robot, await action_of(robot, NAVIGATE, action), targets)
+        await robot.jobs.start(job)
+
+    async def progress() -> None:
+        await report(min(job.elapsed_s, timeout_s), timeout_s, job.line())
+
+    await robot.jobs.wait(job, timeout_s, every_second=progress)
+    if job.failure and not job.has_begun:
+        raise job.failure
+    if not job.is_running:
+        return job.so_far()
+    try:
+        health = await health_of(robot, job.action)
+    except asyncio.CancelledError:  # as while it is waited for: who cancels the call wants the robot to stand
+        await abandon(job)
+        raise
+    return replace(job.so_far(), health=health if job.is_running else ())
+
+
+async def action_of(robot: Robot, kind: str, given: str = "") -> str:
+    """The action of that type: the given one, or the only one.
+
+    Raises:
+        NotFound: if there is none; tells what there is.
+        TypeConflict: if the given one has another type, or there are several and none is given.
+    """
+    actions = await robot.types.actions()
+    if given:
+        name = names.absolute(given, "action")
+        await robot.types.action(name, kind)
+        return name
+    found = sorted(name for name, types in actions.items() if kind in types)
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise TypeConflict(f"Several actions have the type {kind}: {listed(found, 5)}.", "Give action_name.")
+    others = f" There is {listed(sorted(actions), 5)}: ros2_send_action_goal." if actions else ""
+    raise NotFound(
+        f"There is no action of type {kind}: Nav2 does not run here, or is not configured yet.{others}",
+        "ros2_lifecycle_state shows whether its servers are configured.",
+    )

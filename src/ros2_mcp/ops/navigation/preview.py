@@ -1,0 +1,243 @@
+"""`ros2_nav_preview`: the way that Nav2's planner would take, as a picture and in numbers; nothing moves."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.model.aside import aside
+from ros2_mcp.model.costs import Narrowest, cost_in_words
+from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.model.goals import STATUS, goal_id_bytes
+from ros2_mcp.model.nav2 import COMPUTE_PATH
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.actions.send_goal import send_goal
+from ros2_mcp.ops.navigation.explain import Explanation, Failure, error_in_words, explain
+from ros2_mcp.ops.navigation.navigate import action_of
+from ros2_mcp.ops.navigation.situation import costmap_of
+from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
+from ros2_mcp.ops.results import Report, WithPictures, reporting, silent
+from ros2_mcp.ops.sources.live import Live
+from ros2_mcp.ops.space.plans import hear_plans
+from ros2_mcp.ops.space.scene import ScenePicture, SceneRequest, Way, scene
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.goals import Goal
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.costmap import CostGrid
+
+PLAN_S = 30.0
+"""Planners answer within tenths of a second; a lattice planner over a large map takes some seconds."""
+_MOST_POINTS = 24
+"""Of the way in an answer: it can be followed on a picture with fewer."""
+_TURN_RAD = math.radians(30)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Preview(WithPictures):
+    """A way: its length, some of its points (m in `frame`), the dearest cost of the costmap along it, and its turns.
+
+    `narrowest` says in words, and the four numbers beside it, how near the way leads past what is occupied there
+    (`clearance_m`, from its middle line) and through which gap (`gap_m`), each with its place; null where nothing is
+    within 3 m, or no costmap is there. `grid_topic` is where costs and narrowness are from.
+    `is_feasible` is false where there is no way; then `explanation` says why.
+    """
+
+    is_feasible: bool
+    action_name: str
+    frame: str
+    length_m: float
+    straight_m: float
+    points: Sequence[Sequence[float]]
+    poses: int
+    turns: int
+    dearest_cost: int | None
+    dearest: str
+    narrowest: str = ""
+    clearance_m: float | None = None
+    clearance_at: Sequence[float] | None = None
+    gap_m: float | None = None
+    gap_at: Sequence[float] | None = None
+    grid_topic: str = ""
+    planning_s: float
+    explanation: Explanation | None = None
+    note: str = ""
+
+    def summary(self) -> list[str]:
+        """One line, and of a failure the cause."""
+        if self.is_feasible:
+            dearest = f"; its dearest place is {self.dearest}" if self.dearest else ""
+            narrowest = f" {self.narrowest[0].upper()}{self.narrowest[1:]}." if self.narrowest else ""
+            return [
+                f"A way of {self.length_m:.2f} m ({self.straight_m:.2f} m straight), {self.turns} turn(s){dearest}."
+                f"{narrowest} Nothing moved. {self.note}".rstrip()
+            ]
+        why = self.explanation
+        told = f" Cause: {why.cause} What would help: {' '.join(why.helps)}" if why else ""
+        return [f"There is no way. {self.note}{told}".rstrip()]
+
+
+async def preview(
+    robot: Robot,
+    to: object,
+    start: object = None,
+    *,
+    planner_id: str = "",
+    action: str = "",
+    report: Report = silent,
+) -> Preview:
+    """Asks the planner for a way from the robot, or from `start`, to a place.
+
+    Raises:
+        BadInput: for a place that is written wrongly, or several.
+        NotFound: for a place that is not known, or where there is no planner.
+        TimedOut: if it does not answer.
+        RobotError: what sending a goal raises.
+    """
+    target, begin = _one(to, robot), _one(start, robot) if start is not None else None
+    action = await action_of(robot, COMPUTE_PATH, action)
+    goal: dict[str, Any] = {"goal": target.pose(), "planner_id": planner_id, "use_start": begin is not None}
+    if begin:
+        goal["start"] = begin.pose()
+    robot.log.start()
+    await hear_plans(robot)
+    began_at = monotonic()
+    async with reporting(report, PLAN_S, f"{action}: planning"):
+        sent = await send_goal(robot, action, COMPUTE_PATH, goal)
+        result: Mapping[str, Any] = await _result(robot, action, sent.goal_id) if sent.accepted else {}
+    path: Mapping[str, Any] = result.get("path") or {}
+    points = [(pose["pose"]["position"]["x"], pose["pose"]["position"]["y"]) for pose in path.get("poses", ())]
+    code, text = int(result.get("error_code", 0)), str(result.get("error_msg", ""))
+    frame = str(path.get("header", {}).get("frame_id") or MAP_FRAME)
+    grid, grid_topic = await _grid(robot, action, frame) if points else (None, "")
+    dearest = _dearest(grid, points)
+    spot = await aside(grid.cells.size, grid.narrowest, points) if grid else None
+    shown = await _picture(robot, frame, points, spot) if points else None
+    is_feasible = bool(points) and not code
+    explanation = None
+    if not is_feasible:
+        explanation = await explain(
+            robot, action, target, Failure(not sent.accepted, code, text), monotonic() - began_at
+        )
+    return Preview(
+        is_feasible=is_feasible,
+        action_name=action,
+        frame=frame,
+        length_m=round(_length(points), 3),
+        straight_m=round(math.dist(points[0], points[-1]), 3) if points else 0.0,
+        points=[[round(x, 2), round(y, 2)] for x, y in _some(points)],
+        poses=len(points),
+        turns=_turns(points),
+        dearest_cost=dearest,
+        dearest=cost_in_words(dearest) if dearest is not None else "",
+        narrowest=str(spot) if spot else "",
+        clearance_m=round(spot.clearance_m, 2) if spot else None,
+        clearance_at=_rounded(spot.clearance_at) if spot else None,
+        gap_m=round(spot.gap_m, 2) if spot and spot.gap_m is not None else None,
+        gap_at=_rounded(spot.gap_at) if spot and spot.gap_at else None,
+        grid_topic=grid_topic,
+        planning_s=_seconds(result.get("planning_time")),
+        explanation=explanation,
+        note=error_in_words(code, text) if sent.accepted else f"{named(action)} rejected the goal.",
+        pictures=shown.pictures if shown else (),
+        images=shown.images if shown else (),
+    )
+
+
+async def _picture(
+    robot: Robot, frame: str, points: Sequence[tuple[float, float]], spot: Narrowest | None
+) -> ScenePicture | None:
+    """The scene with the way in it, and its narrowest gap; None where nothing can be drawn."""
+    marks = [(f"gap {spot.gap_m:.2f} m", *spot.gap_at)] if spot and spot.gap_m is not None and spot.gap_at else []
+    with suppress(RobotError):
+        return await scene(robot, Live(robot), SceneRequest(way=Way("planned way", frame, points, marks)))
+    return None
+
+
+def _one(to: object, robot: Robot) -> Target:
+    found = targets_of(to, robot.places)
+    if len(found) != 1:
+        raise BadInput("A way leads to one place.", "Give one; ask for each leg by itself, with start.")
+    return found[0]
+
+
+async def _result(robot: Robot, action: str, goal_id: str) -> Mapping[str, Any]:
+    """The result of the planner's goal, in full."""
+    try:
+        answer = await robot.ask_service(
+            f"{action}/_action/get_result",
+            f"{COMPUTE_PATH}_GetResult",
+            {"goal_id": {"uuid": goal_id_bytes(goal_id)}},
+            timeout_s=PLAN_S,
+        )
+    except BaseException:  # cancelled, or too late: nobody waits for it any more
+        await asyncio.shield(_give_up(robot, goal_id))
+        raise
+    fields = await robot.fields_of(answer)
+    robot.goal_ended(goal_id, STATUS.get(int(fields["status"]), ""))
+    return fields["result"]
+
+
+async def _give_up(robot: Robot, goal_id: str) -> None:
+    goal = robot.jobs.get(Goal, goal_id)
+    if goal and goal.is_running:
+        with suppress(RobotError):
+            await goal.request_cancel(1.0)
+
+
+async def _grid(robot: Robot, action: str, frame: str) -> tuple[CostGrid | None, str]:
+    """The costmap in the frame of the way, and its topic."""
+    with suppress(RobotError):
+        grid, topic = await costmap_of(robot, list(await robot.graph.topics()), action)
+        return (grid, topic) if grid and grid.frame_id == frame else (None, "")
+    return None, ""
+
+
+def _dearest(grid: CostGrid | None, points: Sequence[tuple[float, float]]) -> int | None:
+    if grid is None:
+        return None
+    costs = [cost for x, y in points if (cost := grid.cost(x, y)) is not None]
+    return max(costs, default=None)
+
+
+def _length(points: Sequence[tuple[float, float]]) -> float:
+    return sum(math.dist(points[i], points[i + 1]) for i in range(len(points) - 1))
+
+
+def _some(points: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
+    """At most `_MOST_POINTS` of them, evenly, with both ends."""
+    if len(points) <= _MOST_POINTS:
+        return points
+    return [points[round(i * (len(points) - 1) / (_MOST_POINTS - 1))] for i in range(_MOST_POINTS)]
+
+
+def _turns(points: Sequence[tuple[float, float]]) -> int:
+    """How often the way turns by more than 30° within half a metre."""
+    headings: list[tuple[float, float]] = []
+    way = 0.0
+    for i in range(len(points) - 1):
+        (x, y), (to_x, to_y) = points[i], points[i + 1]
+        step = math.hypot(to_x - x, to_y - y)
+        way += step
+        if step > 1e-6:
+            headings.append((way, math.atan2(to_y - y, to_x - x)))
+    turns, since = 0, 0
+    for i, (at, heading) in enumerate(headings):
+        while headings[since][0] < at - 0.5:
+            since += 1
+        if abs(math.remainder(heading - headings[since][1], 2 * math.pi)) > _TURN_RAD:
+            turns, since = turns + 1, i
+    return turns
+
+
+def _rounded(at: Sequence[float]) -> list[float]:
+    return [round(one, 2) for one in at]
+
+
+def _seconds(duration: Mapping[str, Any] | None) -> float:
+    return round(float(duration["sec"]) + float(duration["nanosec"]) / 1e9, 4) if duration else 0.0

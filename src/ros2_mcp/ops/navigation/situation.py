@@ -1,0 +1,277 @@
+"""What is known around a goal that has failed: costmap, localisation, sensors, servers, diagnostics, the log.
+
+Each is looked for by itself, and what cannot be had is said in words: nothing here fails.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from time import monotonic
+from typing import TYPE_CHECKING, Any, cast
+
+from ros2_mcp.model.aside import aside, load
+from ros2_mcp.model.costs import cost_in_words
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.graph import TopicRow
+from ros2_mcp.model.nav2 import NAVIGATION_NODES
+from ros2_mcp.model.pictures import OCCUPANCY_GRID
+from ros2_mcp.model.text import named, quoted
+from ros2_mcp.ops.log import Log, LogLine, LogRequest
+from ros2_mcp.ops.log import read as read_log
+from ros2_mcp.ops.measure.diagnostics import Diagnostic, read_diagnostics
+from ros2_mcp.ops.navigation.base import Base, base_of
+from ros2_mcp.ops.navigation.whereabouts import Whereabouts, whereabouts
+from ros2_mcp.ops.nodes.lifecycle import states
+from ros2_mcp.robot import Robot
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.costmap import CostGrid
+
+COSTMAP_S = 3.0
+"""Nav2 publishes a costmap once a second, and its last one is latched; a publisher may be discovered late."""
+_SENSORS_S = 1.5
+"""The slowest scanners turn five times a second, and Nav2 publishes a costmap once; matching takes up to 0.2 s."""
+_LOG_BEFORE_S = 1.0
+"""A line is stamped before the goal's answer comes."""
+_MOST_LINES = 60
+_MOST_SENSORS = 6
+_SENSOR_TYPES = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry")
+_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+_AHEAD_DEG = 20.0
+"""So far to either side is ahead: half of the sector that a laser's meaning calls front."""
+_UNCERTAIN_M = 0.3
+"""A standard deviation with which nobody finds doorways; that of AMCL is 0.05 to 0.2 m once it has settled."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Local:
+    """What the local costmap has around the robot: the cost where its middle is (None: outside), how far from there the
+    nearest occupied cell is, in m, and in which direction, in degrees to the left of ahead (None: none is on it)."""
+
+    topic: str
+    cost: int | None
+    away_m: float | None = None
+    bearing_deg: float | None = None
+
+    def __str__(self) -> str:
+        here = f"On {named(self.topic)} the robot's middle is {cost_in_words(self.cost)}"
+        if self.away_m is None or self.bearing_deg is None:
+            return f"{here}, and nothing stands on it"
+        side = "left" if self.bearing_deg > 0 else "right"
+        is_ahead = abs(self.bearing_deg) < _AHEAD_DEG
+        where = " ahead" if is_ahead else f", {abs(self.bearing_deg):.0f}° to the {side}"
+        return f"{here}; the nearest obstacle is {self.away_m:.2f} m from it{where}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Situation:
+    """What was found. `grid_topic` is where the costmap is from, or the map in its place. Texts are sentences of ours.
+
+    `inactive` are Nav2's nodes that are not active, each with its state; `silent` topics of sensors or odometry that
+    have publishers and said nothing; `local` is what the local costmap has around the robot, `base` who else commands
+    the base and what holds it; `uncertain` says how uncertain localisation is, if it is. `absent` are sentences
+    on what could not be looked at.
+    """
+
+    where: Whereabouts
+    grid: CostGrid | None = None
+    grid_topic: str = ""
+    inactive: Sequence[str] = ()
+    silent: Sequence[str] = ()
+    uncertain: str = ""
+    diagnostics: Sequence[Diagnostic] = ()
+    lines: Sequence[LogLine] = ()
+    local: Local | None = None
+    base: Base = field(default=Base())
+    absent: Sequence[str] = field(default=())
+
+
+async def look_around(robot: Robot, frame: str, since_s: float, action: str = "") -> Situation:
+    """What is known now of the robot and its surroundings, in `frame`; of the log the last `since_s` s."""
+    absent: list[str] = []
+    rows = await _or(robot.graph.topics(), (), absent, "The topics")
+    topics = list(rows)
+    beside = asyncio.gather(local_of(robot, topics, action), base_of(robot))
+    where, (grid, grid_topic), inactive, (quiet, uncertain), table, log = await asyncio.gather(
+        whereabouts(robot, frame),
+        costmap_of(robot, topics, action, within_s=_SENSORS_S),
+        inactive_servers(robot),
+        sensors_of(robot, topics),
+        _or(read_diagnostics(robot), None, [], ""),
+        _or(_log(robot, since_s), None, absent, "The log"),
+    )
+    local, base = await beside
+    if grid is None:
+        absent.append("No costmap and no map could be read.")
+    return Situation(
+        where=where,
+        grid=grid,
+        grid_topic=grid_topic,
+        inactive=inactive,
+        silent=quiet,
+        uncertain=uncertain,
+        diagnostics=[row for row in table.rows if row.level != "OK"] if table else (),
+        lines=_different(log.lines) if log else (),
+        local=local,
+        base=base,
+        absent=absent,
+    )
+
+
+async def _or(work: Any, otherwise: Any, absent: list[str], what: str) -> Any:
+    try:
+        return await work
+    except RobotError as error:
+        if what:
+            absent.append(f"{what} could not be read: {error.message}")
+        return otherwise
+
+
+async def costmap_of(
+    robot: Robot, topics: Sequence[TopicRow], action: str = "", *, within_s: float = 0.0
+) -> tuple[CostGrid | None, str]:
+    """The global costmap, else the map, with its topic; None where neither can be read.
+
+    Of several robots that which stands below the same namespace as the `action`. The newest that comes `within_s`: the
+    first one is latched, and may be from before what it is asked for.
+    """
+    grids = [row.name for row in topics if OCCUPANCY_GRID in row.types and row.publishers]
+    namespace = action.rpartition("/")[0]
+    own = [name for name in grids if name.startswith(f"{namespace}/")] or grids
+    wanted = sorted(own, key=lambda name: ("global_costmap" not in name, "costmap" in name, len(name)))
+    for name in wanted[:2]:
+        if "local_costmap" in name:
+            continue
+        try:
+            if found := await _newest_grid(robot, name, within_s):
+                return found, name
+        except RobotError:
+            continue
+    return None, ""
+
+
+async def local_of(robot: Robot, topics: Sequence[TopicRow], action: str = "") -> Local | None:
+    """What the local costmap has around the robot; None where there is none, or the robot's place on it not known."""
+    grids = [row.name for row in topics if OCCUPANCY_GRID in row.types and row.publishers]
+    grids = [name for name in grids if "local_costmap" in name]
+    namespace = action.rpartition("/")[0]
+    own = sorted([name for name in grids if name.startswith(f"{namespace}/")] or grids, key=len)
+    if not own:
+        return None
+    try:
+        grid = await _newest_grid(robot, own[0], _SENSORS_S)
+    except RobotError:
+        return None
+    if grid is None:
+        return None
+    where = await whereabouts(robot, grid.frame_id)
+    if where.x_m is None or where.y_m is None or where.trouble:
+        return None
+    return around(grid, own[0], where)
+
+
+def around(grid: CostGrid, topic: str, where: Whereabouts) -> Local:
+    """What a costmap has around the robot, whose place is in the costmap's frame."""
+    x_m, y_m = where.x_m or 0.0, where.y_m or 0.0
+    nearest = grid.nearest_occupied(x_m, y_m)
+    if nearest is None:
+        return Local(topic=topic, cost=grid.cost(x_m, y_m))
+    bearing_rad = math.remainder(math.atan2(nearest[1] - y_m, nearest[0] - x_m) - (where.yaw_rad or 0.0), 2 * math.pi)
+    away_m = math.hypot(nearest[0] - x_m, nearest[1] - y_m)
+    return Local(
+        topic=topic, cost=grid.cost(x_m, y_m), away_m=round(away_m, 2), bearing_deg=round(math.degrees(bearing_rad))
+    )
+
+
+async def _newest_grid(robot: Robot, topic: str, within_s: float) -> CostGrid | None:
+    await load("ros2_mcp.codec.costmap")  # with numpy: not before it is needed
+    from ros2_mcp.codec.costmap import CostGrid
+
+    async with robot.listen(topic, keep="latest") as listening:
+        samples = await listening.take(COSTMAP_S)
+        end = monotonic() + within_s
+        while samples and (left_s := end - monotonic()) > 0:
+            samples = await listening.take(left_s) or samples
+        if not samples:
+            return None
+        message = (await robot.values.decode_all(listening.type, samples[-1:]))[0]
+        return await aside(len(samples[-1].data), CostGrid, message)
+
+
+async def inactive_servers(robot: Robot) -> list[str]:
+    """Nav2's lifecycle nodes that are not active."""
+    try:
+        every = [
+            row.name.rpartition("/")[0]
+            for row in await robot.graph.services()
+            if "lifecycle_msgs/srv/GetState" in row.types
+        ]
+        chosen = sorted({node for node in every if node.rpartition("/")[2] in NAVIGATION_NODES})
+        found = await states(robot, chosen) if chosen else None
+    except RobotError:
+        return []
+    nodes = found.nodes if found else ()
+    silent_ones = [f"{named(one.node)} does not answer" for one in nodes if one.error]
+    return silent_ones + [
+        f"{named(one.node)} is {named(one.state)}" for one in nodes if not one.error and one.state != "active"
+    ]
+
+
+async def sensors_of(robot: Robot, topics: Sequence[TopicRow]) -> tuple[list[str], str]:
+    """The topics of sensors and odometry that say nothing, and how uncertain localisation says that it is."""
+    known = [row.name for row in topics if row.publishers and set(row.types) & set(_SENSOR_TYPES)]
+    poses = [row.name for row in topics if row.publishers and _POSE in row.types and "initial" not in row.name]
+    heard = await asyncio.gather(*(_hears(robot, name) for name in known[:_MOST_SENSORS]))
+    said = await asyncio.gather(*(_uncertainty(robot, name) for name in poses[:2]))
+    quiet = [name for name, comes in zip(known, heard, strict=False) if not comes]
+    return quiet, next((text for text in said if text), "")
+
+
+async def _hears(robot: Robot, topic: str) -> bool:
+    try:
+        async with robot.listen(topic, keep="latest", head_bytes=16) as listening:
+            end = monotonic() + _SENSORS_S
+            while (left_s := end - monotonic()) > 0:
+                if await listening.take(left_s):
+                    return True
+    except RobotError:
+        return True  # of what cannot be listened to nothing is known
+    return False
+
+
+async def _uncertainty(robot: Robot, topic: str) -> str:
+    try:
+        async with robot.listen(topic, keep="latest") as listening:
+            samples = await listening.take(_SENSORS_S)
+            if not samples:
+                return ""
+            message = cast("Any", robot.values.decode(listening.type, samples[-1]))
+    except RobotError:
+        return ""
+    variance = max(float(message.pose.covariance[0]), float(message.pose.covariance[7]))
+    if not variance > _UNCERTAIN_M**2:
+        return ""
+    return f"localisation is uncertain: {named(topic)} gives a standard deviation of {variance**0.5:.2f} m"
+
+
+async def _log(robot: Robot, since_s: float) -> Log:
+    request = LogRequest(since=f"{since_s + _LOG_BEFORE_S:.3f}", level="warn", limit=_MOST_LINES)
+    return await read_log(robot, request, 8_000)
+
+
+def _different(lines: Sequence[LogLine]) -> list[LogLine]:
+    """The lines, each text of a node once, where it was said last."""
+    return list({(line.node, line.text): line for line in reversed(lines)}.values())[::-1]
+
+
+def is_of_navigation(line: LogLine) -> bool:
+    """Whether one of Nav2's nodes has said it."""
+    return not set(line.node.split("/")).isdisjoint(NAVIGATION_NODES)
+
+
+def line_in_words(line: LogLine) -> str:
+    """A line of the log within a sentence."""
+    return f"{named(line.node)} {line.level}: {quoted(line.text)}"

@@ -1,0 +1,103 @@
+"""Where to go, as it may be written: the name of a place, a pose, or a list of both."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+from ros2_mcp.model.errors import BadInput, BadValue
+from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.model.text import quoted
+from ros2_mcp.robot.places import Places
+
+MOST_TARGETS = 100
+"""A tour longer than this is rather a mistake."""
+MAP_FRAME = "map"
+"""By REP 105 the frame of what stays where it is."""
+_FARTHEST_M = 1e6
+_KEYS = ("x", "y", "yaw_deg", "frame")
+"""Of a pose; one that has a `place` has nothing else."""
+_HINT = 'Give {"place": "its name"} or {"x": 1.0, "y": 2.0, "yaw_deg": 90, "frame": "map"} (m, degrees).'
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A pose to go to: metres in `frame`, radians; no yaw: any heading. `name` is that of a place, else empty."""
+
+    name: str
+    frame: str
+    x_m: float
+    y_m: float
+    yaw_rad: float | None
+
+    def __str__(self) -> str:
+        at = f"({self.x_m:.2f}, {self.y_m:.2f})"
+        return f"{quoted(self.name)} {at}" if self.name else at
+
+    def pose(self) -> dict[str, Any]:
+        """It as a geometry_msgs/msg/PoseStamped, with the stamp 0, which is the newest transform for tf2."""
+        half = (self.yaw_rad or 0.0) / 2
+        return {
+            "header": {"frame_id": self.frame},
+            "pose": {
+                "position": {"x": self.x_m, "y": self.y_m},
+                "orientation": {"z": math.sin(half), "w": math.cos(half)},
+            },
+        }
+
+    def facing_from(self, x_m: float, y_m: float) -> Target:
+        """It with the heading in which one comes from there, where any heading will do."""
+        if self.yaw_rad is not None:
+            return self
+        dx, dy = self.x_m - x_m, self.y_m - y_m
+        return replace(self, yaw_rad=math.atan2(dy, dx) if math.hypot(dx, dy) > 0.05 else 0.0)
+
+
+def targets_of(to: object, places: Places) -> Sequence[Target]:
+    """The poses that are meant.
+
+    Raises:
+        BadInput: for anything else, saying how it is written.
+        NotFound: for a place that is not known, with the nearest name.
+    """
+    if isinstance(to, list):
+        several = cast("list[object]", to)
+        if not several or len(several) > MOST_TARGETS:
+            raise BadInput(f"A list of places has 1 to {MOST_TARGETS}, this one has {len(several)}.", _HINT)
+        return [_target(one, places) for one in several]
+    return [_target(to, places)]
+
+
+def _target(to: object, places: Places) -> Target:
+    if not isinstance(to, Mapping):
+        raise BadInput("That is no place to go to.", _HINT)
+    given = cast("Mapping[str, object]", to)
+    if isinstance(name := given.get("place"), str) and len(given) == 1:
+        place = places.find(name)
+        return Target(place.name, place.frame, place.x_m, place.y_m, place.yaw_rad)
+    for key in given:
+        if key not in _KEYS:
+            raise BadInput(f"A pose has no {quoted(str(key))}.", did_you_mean(str(key), list(_KEYS), _HINT))
+    if "x" not in given or "y" not in given:
+        raise BadInput("A pose needs x and y.", _HINT)
+    yaw = given.get("yaw_deg")
+    frame = given.get("frame", MAP_FRAME)
+    if not isinstance(frame, str) or not frame.strip():
+        raise BadValue("frame", "it is the name of a coordinate frame.", _HINT)
+    return Target(
+        "",
+        frame.strip().lstrip("/"),
+        _number("x", given["x"]),
+        _number("y", given["y"]),
+        None if yaw is None else math.radians(math.remainder(_number("yaw_deg", yaw), 360.0)),
+    )
+
+
+def _number(key: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise BadValue(key, "a finite number is meant.", _HINT)
+    if abs(value) > _FARTHEST_M:
+        raise BadValue(key, f"{value:g} is farther than any robot goes.", _HINT)
+    return float(value)

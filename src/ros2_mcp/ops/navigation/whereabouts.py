@@ -1,0 +1,93 @@
+"""Where the robot is, by its transforms, and how good that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ros2_mcp.model.aside import load
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.sources.live import Live
+from ros2_mcp.robot import Robot
+
+STALE_S = 1.0
+"""Nav2 takes transforms that are up to some tenths of a second old; localisation sends them ten times a second."""
+_OTHER_CLOCK_S = 1e6
+"""A stamp that is eleven days off is not of this clock: simulated time begins at zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class Whereabouts:
+    """The robot's pose in `frame`: metres, radians, and how old it is in s; None where it is not known.
+
+    `base` is the frame of its body. `trouble` says in words what is wrong: no transform, or an old one.
+    """
+
+    frame: str
+    base: str = ""
+    x_m: float | None = None
+    y_m: float | None = None
+    yaw_rad: float | None = None
+    age_s: float | None = None
+    trouble: str = ""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there is a pose, however old."""
+        return self.x_m is not None
+
+
+async def whereabouts(robot: Robot, frame: str) -> Whereabouts:
+    """Where the robot is in a frame. Never raises a `RobotError`: what is wrong stands in `trouble`."""
+    await load("ros2_mcp.codec.cdr")  # with numpy: not before it is needed
+    from ros2_mcp.codec.no_transform import why_none
+    from ros2_mcp.ops.space.frames import frames_of
+
+    try:
+        tree = await frames_of(
+            Live(robot), until=lambda tree: bool(tree.base) and tree.find(frame, tree.base) is not None
+        )
+        base = tree.base or "base_link"
+        found = tree.find(frame, base)
+        if found is None:
+            return Whereabouts(frame, base, trouble=str(why_none(tree, frame, base, None)))
+    except RobotError as error:
+        return Whereabouts(frame, trouble=str(error))
+    x_m, y_m, _ = found.pose.translation
+    age_s = None if found.stamp_ns is None else (robot.now_ns() - found.stamp_ns) / 1e9
+    if age_s is not None and abs(age_s) > _OTHER_CLOCK_S:
+        received_ns = min((edge.last_received_ns for edge in found.edges if edge.moving), default=0)
+        age_s = (robot.now_ns() - received_ns) / 1e9 if received_ns else None
+    trouble = ""
+    if age_s is not None and age_s > STALE_S:
+        oldest = min((edge for edge in found.edges if edge.moving), key=lambda edge: edge.stamps[-1])
+        trouble = (
+            f"the transform from {named(frame)} to {named(base)} is {age_s:.1f} s old: that of "
+            f"{named(oldest.child)} is not sent any more"
+        )
+    return Whereabouts(frame, base, x_m, y_m, found.pose.yaw_rad, age_s, trouble)
+
+
+async def in_frame(robot: Robot, frame: str, x_m: float, y_m: float, within: str) -> tuple[float, float] | None:
+    """A point of one frame in another, now; None where that is not known."""
+    if frame == within:
+        return x_m, y_m
+    from ros2_mcp.ops.space.frames import pose_in
+
+    try:
+        found = await pose_in(Live(robot), within, frame)
+    except RobotError:
+        return None
+    x, y, _ = found.pose.applied((x_m, y_m, 0.0))
+    return x, y
+
+
+async def why_not_in_frame(robot: Robot, frame: str, within: str) -> str:
+    """Why nothing of one frame is known in another, in words; "" where it is known now."""
+    from ros2_mcp.ops.space.frames import pose_in
+
+    try:
+        await pose_in(Live(robot), within, frame)
+    except RobotError as error:
+        return error.message
+    return ""

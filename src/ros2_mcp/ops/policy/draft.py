@@ -1,0 +1,197 @@
+"""A policy drafted from the live graph, with a comment at each line: for an operator, who reads and changes it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.text import is_name
+from ros2_mcp.ops.nodes import parameters
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.resolution import is_infrastructure
+from ros2_mcp.robot.seen import is_of_robot
+from ros2_mcp_bridge.rules import is_meta, only_reads
+from ros2_mcp_bridge.velocity import VELOCITY_TYPES
+
+_SAFETY = re.compile(r"collision|safety|e_?stop|emergency|mux|smoother|watchdog|deadman|twist_stamper|speed_limit")
+"""In the names of nodes, topics and services that watch over a robot."""
+_OWN_LIMITS = re.compile(r"timeout|max.*(vel|speed)|(vel|speed).*max")
+"""In the names of parameters that bound how a base drives."""
+_ODOMETRY = "nav_msgs/msg/Odometry"
+_SEND_GOAL = "/_action/send_goal"
+_ACKERMANN = "ackermann_msgs/"
+_MOST = 40
+"""Services that are listed as comments: those of a small robot; a large one has hundreds, which nobody would read."""
+_HEAD = """\
+# A draft of a policy, made by `ros2-mcp policy init` from the robot in ROS domain {domain}. Read each line, and delete
+# what the agent does not need: what no rule allows is refused. Lines behind a # are what else was found.
+#   ros2-mcp policy check FILE                      is it right, and what does it say in words?
+#   ros2-mcp policy explain FILE 'publish /cmd_vel geometry_msgs/msg/Twist {{"linear": {{"x": 1}}}}'
+#   ros2-mcp --policy FILE                          serve under it
+# docs/how-to/policy.md says more. Software is no safety function: keep the hardware stop at hand.
+policy: 1
+name: my-robot
+mode: autonomous # or confirm: a person approves what acts; or observe: only reading and stopping
+"""
+_LIMIT = """\
+limits: # hold for these types on every topic, whatever allows them
+  base:
+    types: [{types}]
+    norm: {{linear: 0.2, angular: 0.5}} # m/s and rad/s: the length of the vector
+    zero: [linear.z, angular.x, angular.y]
+    ramp: {{linear: {{up: 0.5}}, angular: {{up: 1.5}}}} # how fast they may grow, per second
+    hold_s: 0.5 # without a new command the zero follows
+"""
+_CAR_LIMIT = """\
+  car:
+    types: [{types}]
+    range: {{speed: [-0.2, 0.2], steering_angle: [-0.5, 0.5]}} # m/s and rad
+    hold_s: 0.5
+"""
+_FEEDBACK = """\
+feedback: # what the robot says of its own speed: it is stopped when it moves although it was told to stand
+  topic: {topic}
+  # goals: {{linear: 1.0, angular: 2.0}} # what is too fast for a goal: it drives as fast as the robot is set
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """What a draft is made of: `inputs` are the velocity topics, `actions` and `services` names with types."""
+
+    domain: int
+    inputs: Sequence[TopicEndpoints]
+    odometry: Sequence[str]
+    actions: Sequence[tuple[str, str]]
+    services: Sequence[tuple[str, str]]
+    watching: Sequence[str]
+    own_limits: Sequence[str]
+
+
+async def draft(robot: Robot) -> str:
+    """A policy for the robot that is seen now: velocities on its inputs, slow; everything else as comments.
+
+    Raises:
+        LinkError: if there is no bridge.
+    """
+    found = await _look(robot)
+    return "".join(lines_of_draft(found))
+
+
+async def _look(robot: Robot) -> Found:
+    topics, services, nodes = await asyncio.gather(robot.graph.topics(), robot.graph.services(), robot.graph.nodes())
+    # A name that ROS does not allow, or of two lines, would write lines of its own into the draft.
+    velocities = [row.name for row in topics if is_name(row.name) and not VELOCITY_TYPES.keys().isdisjoint(row.types)]
+    inputs = await asyncio.gather(*map(robot.graph.endpoints, velocities))
+    drivers = {endpoint.node for topic in inputs for endpoint in topic.subscribers if is_of_robot(endpoint.node)}
+    everybody = [*(row.name for row in nodes if is_of_robot(row.name)), *(row.name for row in (*topics, *services))]
+    asked = [(row.name, row.types[0]) for row in services if row.types and is_name(row.name) and is_name(row.types[0])]
+    return Found(
+        domain=robot.graph.domain_id or 0,
+        inputs=[topic for topic in inputs if topic.subscribers or topic.publishers],
+        odometry=[row.name for row in topics if _ODOMETRY in row.types and row.publishers and is_name(row.name)],
+        actions=[
+            (name.removesuffix(_SEND_GOAL), kind.removesuffix("_SendGoal"))
+            for name, kind in asked
+            if name.endswith(_SEND_GOAL)
+        ],
+        services=[
+            (name, kind)
+            for name, kind in asked
+            if not (names.is_hidden(name) or is_infrastructure(name, [kind]) or is_meta(kind) or only_reads(kind))
+        ],
+        watching=sorted(
+            {name for name in everybody if is_name(name) and _SAFETY.search(name.lower()) and not names.is_hidden(name)}
+        ),
+        own_limits=await _own_limits(robot, sorted(drivers)),
+    )
+
+
+async def _own_limits(robot: Robot, nodes: Sequence[str]) -> list[str]:
+    """Parameters of the drivers that bound how they drive, with their values."""
+    if not nodes:
+        return []
+    try:
+        listing = await parameters.describe(robot, nodes)
+    except RobotError:
+        return []
+    return [
+        f"{node.node} {parameter.name}: {json.dumps(parameter.value)}"
+        for node in listing.nodes
+        for parameter in node.parameters
+        if is_name(parameter.name) and _OWN_LIMITS.search(parameter.name.lower())
+    ]
+
+
+# ── as text ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def lines_of_draft(found: Found) -> Iterator[str]:
+    """The text of the draft, in pieces."""
+    yield _HEAD.format(domain=found.domain)
+    yield "allow:\n"
+    for topic in found.inputs:
+        yield from _input(topic)
+    yield "  - record: /**\n"
+    for action, kind in found.actions:
+        yield f"  # - {{goal: {action}, type: {kind}, consent: each}} # bound its fields with `fields:`\n"
+    if found.services:
+        yield "  # Services: allow those of which you know what they do; nothing here does.\n"
+    for service, kind in found.services[:_MOST]:
+        yield f"  # - {{call: {service}, type: {kind}}}\n"
+    if (left := len(found.services) - _MOST) > 0:
+        yield f"  # and {left} more services: ros2-mcp call ros2_service_list\n"
+    yield "  # - {set: /NODE, names: [PARAMETER]} # parameters of a node: ros2-mcp call ros2_parameter_list\n"
+    yield "# forbid: [{publish: /joy}] # stays forbidden, whatever allows it\n"
+    yield from _limits(found)
+    yield from _watched(found)
+
+
+def _input(topic: TopicEndpoints) -> Iterator[str]:
+    """A topic with velocities: allowed where the robot only reads it."""
+    readers = _listed(endpoint.node for endpoint in topic.subscribers)
+    writers = _listed(endpoint.node for endpoint in topic.publishers)
+    if writers:
+        yield f"  # Not {topic.topic}: {writers} of the robot publishes there, and the agent would fight it.\n"
+    elif readers:
+        yield f"  - publish: {topic.topic} # {readers} drives by it\n"
+        yield f"    types: [{', '.join(kind for kind in topic.types if kind in VELOCITY_TYPES)}]\n"
+        yield "    sole_publisher: true # refused while a node of the robot publishes there\n"
+        yield "    rate_hz: 50\n    for_s: 10 # at a time\n"
+
+
+def _limits(found: Found) -> Iterator[str]:
+    types = sorted({kind for topic in found.inputs for kind in topic.types if kind in VELOCITY_TYPES})
+    cars = [kind for kind in types if kind.startswith(_ACKERMANN)]
+    others = [kind for kind in types if kind not in cars] or [
+        "geometry_msgs/msg/Twist",
+        "geometry_msgs/msg/TwistStamped",
+    ]
+    yield _LIMIT.format(types=", ".join(others))
+    if cars:
+        yield _CAR_LIMIT.format(types=", ".join(cars))
+
+
+def _watched(found: Found) -> Iterator[str]:
+    if found.odometry:
+        yield _FEEDBACK.format(topic=found.odometry[0])
+    else:
+        yield "# No odometry was found: nothing here can see whether the robot stands still.\n"
+    if found.watching:
+        yield "# What seems to watch over this robot; no rule above lets the agent switch it off:\n"
+        yield from (f"#   {name}\n" for name in found.watching)
+    else:
+        yield "# Nothing was found that seems to watch over this robot, such as a collision monitor or a multiplexer.\n"
+    if found.own_limits:
+        yield "# Limits and time-outs of its own drivers, which hold beside these:\n"
+        yield from (f"#   {line}\n" for line in found.own_limits)
+
+
+def _listed(nodes: Iterator[str]) -> str:
+    return ", ".join(sorted({node for node in nodes if is_of_robot(node) and is_name(node)}))

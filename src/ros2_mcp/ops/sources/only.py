@@ -1,0 +1,35 @@
+"""The topic that is meant where a caller names none: the only one of a type."""
+
+from __future__ import annotations
+
+from ros2_mcp.model.errors import BadInput, NotFound
+from ros2_mcp.model.text import listed, named
+from ros2_mcp.ops.sources.source import Source
+
+_MAX_NAMED = 8
+"""Topics in a sentence: more of one type are better listed."""
+
+
+async def only_topic(source: Source, topic: str, type_name: str, argument: str = "topic_name") -> tuple[str, str]:
+    """The topic, or where it is empty the only one of that type that somebody publishes; and in words which was taken.
+
+    Of several, the one that is no costmap: costmaps have the type of maps, and somebody who wants one says so.
+
+    Raises:
+        NotFound: if there is none.
+        BadInput: if there are several.
+    """
+    if topic.strip():
+        return topic, ""
+    found = await source.publishing(type_name)
+    maps = [name for name in found if "costmap" not in name]
+    if not found:
+        raise NotFound(f"Nobody publishes {type_name} ({source.words}).", "ros2_topic_list shows what there is.")
+    if len(found) > 1 and len(maps) != 1:
+        raise BadInput(
+            f"{len(found)} topics are {type_name}: {listed(found, _MAX_NAMED)}.", f"Name one of them: {argument}."
+        )
+    if len(found) == 1:
+        return found[0], f"{named(found[0])} is the only {type_name} there is."
+    others = [name for name in found if name != maps[0]]
+    return maps[0], f"{named(maps[0])} was taken; there are also {listed(others, _MAX_NAMED)}."

@@ -1,0 +1,29 @@
+"""How old a message is, by its own clock or by when it came."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ros2_mcp.ops.pictures.next_message import Next
+
+_LONGEST_AGE_S = 1e6
+"""Between a stamp and now: more means that one of both is simulated time, or not filled in."""
+
+
+def stamp_ns(header: Any) -> int:
+    """The stamp of a header, in ns; 0 where it is not filled in."""
+    return header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+
+
+def since_s(stamp_ns: int | None, now_ns: int) -> float | None:
+    """How long ago that was; None where the stamp is of another clock."""
+    if not stamp_ns:
+        return None
+    age_s = (now_ns - stamp_ns) / 1e9
+    return round(max(age_s, 0.0), 3) if -1 < age_s < _LONGEST_AGE_S else None
+
+
+def age_of(found: Next, now_ns: int) -> float | None:
+    """By the message's stamp, else by when it was received."""
+    by_stamp = since_s(stamp_ns(found.message.header), now_ns)
+    return since_s(found.sample.received_ns, now_ns) if by_stamp is None else by_stamp

@@ -1,0 +1,65 @@
+"""How often topics with a header come, and in which frame: from the first bytes of their messages alone."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.samples import STAMP_END, Sample
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.robot import Robot
+
+_HEAD_BYTES = 256
+"""Up to the end of a frame's name: a camera's picture stays on the robot."""
+_RECENT_NS = 5_000_000_000
+"""Of a recording, its end: enough for what comes once a second."""
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """Of one topic: how many messages came, how often (None: too few), and the frame of their headers."""
+
+    count: int
+    rate_hz: float | None
+    frame: str
+
+
+async def heads_of(robot: Robot, source: Source, topics: Sequence[str], listen_s: float) -> Mapping[str, Head]:
+    """Listens to all of them at the same time; of a recording the end is read."""
+    found = await asyncio.gather(*(_samples(robot, source, topic, listen_s) for topic in topics))
+    return {topic: _head(samples) for topic, samples in zip(topics, found, strict=True)}
+
+
+async def _samples(robot: Robot, source: Source, topic: str, listen_s: float) -> Sequence[Sample]:
+    found: list[Sample] = []
+    with suppress(RobotError):
+        if source.is_live:
+            async with robot.listen(topic, head_bytes=_HEAD_BYTES) as listening:
+                return [sample async for sample in listening.samples(listen_s)]
+        end_ns = source.covers_ns[1] if source.covers_ns else 0
+        part = source.part(end_ns - _RECENT_NS, end_ns) if end_ns else source
+        async with part.follow(topic, latched=False) as stream:
+            async for batch in stream.batches:
+                found += [Sample(one.received_ns, one.source_ns, one.sequence, one.data[:_HEAD_BYTES]) for one in batch]
+    return found
+
+
+def _head(samples: Sequence[Sample]) -> Head:
+    if not samples:
+        return Head(0, None, "")
+    span_ns = samples[-1].received_ns - samples[0].received_ns
+    rate_hz = (len(samples) - 1) / span_ns * 1e9 if len(samples) > 1 and span_ns > 0 else None
+    return Head(len(samples), rate_hz, _frame_of(samples[-1].data))
+
+
+def _frame_of(data: bytes) -> str:
+    """The frame of a message that begins with a std_msgs/msg/Header, from its CDR bytes; empty if it does not fit."""
+    if len(data) < STAMP_END + 4:
+        return ""
+    (length,) = struct.unpack_from("<I" if data[1] & 1 else ">I", data, STAMP_END)
+    name = data[STAMP_END + 4 : STAMP_END + 4 + max(length - 1, 0)]
+    return name.decode("utf-8", "replace") if length and len(name) == length - 1 else ""

@@ -1,0 +1,547 @@
+"""The robot in two kilobytes: what it is, how it is driven, what it senses with, where it is, what is unhealthy."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import math
+from collections.abc import Awaitable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from ros2_mcp.codec.footprint import outline, reach
+from ros2_mcp.codec.robot_kind import kind_of, rotors_of
+from ros2_mcp.codec.transforms import FrameTree, Located
+from ros2_mcp.codec.urdf import Joint, Urdf, parse
+from ros2_mcp.model.aside import load
+from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw, rotated
+from ros2_mcp.model.text import named, quoted
+from ros2_mcp.ops.description import described
+from ros2_mcp.ops.measure.diagnostics import LEVELS
+from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.results import as_json, silent
+from ros2_mcp.ops.sources.source import GraphSnapshot, Source
+from ros2_mcp.ops.space.controllers import controllers_in_words, listed_controllers
+from ros2_mcp.ops.space.edges import edge_row, in_words
+from ros2_mcp.ops.space.frames import frames_of
+from ros2_mcp.ops.space.heads import Head, heads_of
+from ros2_mcp.robot import Robot
+
+MOST_BYTES = 2_000
+"""Of the answer: it is read at the beginning of most sessions."""
+_LISTEN_S = 1.2
+"""For each message, all at the same time: with what the graph takes, the answer is there within two seconds."""
+_INPUTS = ("Twist", "TwistStamped", "AckermannDrive", "AckermannDriveStamped", "JointTrajectory", "Joy")
+_SENSORS = (
+    "sensor_msgs/msg/LaserScan",
+    "sensor_msgs/msg/PointCloud2",
+    "sensor_msgs/msg/Image",
+    "sensor_msgs/msg/Range",
+    "sensor_msgs/msg/Imu",
+    "sensor_msgs/msg/NavSatFix",
+    "sensor_msgs/msg/MagneticField",
+    "sensor_msgs/msg/FluidPressure",
+    "geometry_msgs/msg/WrenchStamped",
+)
+_BATTERY = "sensor_msgs/msg/BatteryState"
+_WITH_RANGE = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range")
+_WORLDS = ("map", "odom", "world", "earth")
+"""Frames in which a robot's place is meant, the better first (REP 105)."""
+_MOST = {"command_inputs": 5, "sensors": 9, "joints": 12, "unhealthy": 6, "controllers": 8}
+_ALONG = 1e-3
+"""A camera that looks straight up or down has no direction seen from above."""
+_OLD_S = 2.0
+"""A place that is older is not that of now."""
+_ALL_AROUND_DEG = 350.0
+"""A scanner that sees all around leaves out the last step, or has a strut in its view."""
+_TILTED_DEG = 2.0
+"""Less is how exactly anybody mounts a sensor."""
+_MOST_CORNERS, _LEAST_ROUND, _ROUND = 200, 8, 0.95
+"""Of an outline: more corners are a mistake; from so many on, with radii that differ by 5 % at most, it is a circle."""
+_NO_MOUNT = " (mount unknown)"
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotInBrief:
+    """The robot: `kind` of base or arm, `command_inputs` (topic, type, who listens), `sensors` (topic, type, rate,
+    mount in the base's frame in m, range), `joints` (position now, limits; rad or m), and where it is (`place`: in
+    which frame, how that is known, how old). `stacks` are Nav2, MoveIt, ros2_control, MAVROS and others, as far as
+    they run. `left_out` counts what did not fit into 2 kB.
+    """
+
+    name: str
+    kind: str
+    base_frame: str
+    footprint: str
+    place: str
+    command_inputs: Sequence[str]
+    sensors: Sequence[str]
+    joints: Sequence[str]
+    controllers: Sequence[str]
+    stacks: Sequence[str]
+    frames: str
+    unhealthy: Sequence[str]
+    left_out: int = 0
+    read_from: str = field(default="live")
+
+    def summary(self) -> str:
+        """A line: the rest stands in the values."""
+        health = f"unhealthy: {len(self.unhealthy)} finding(s)" if self.unhealthy else "nothing unhealthy seen"
+        stacks = f", with {', '.join(self.stacks)}" if self.stacks else ""
+        return f"{quoted(self.name)}: {self.kind}{stacks}. {self.place} {health}."
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What has been gathered; what did not come is None or empty."""
+
+    graph: GraphSnapshot
+    urdf: Urdf | None = None
+    tree: FrameTree = field(default_factory=FrameTree)
+    heads: Mapping[str, Head] = field(default_factory=dict[str, Head])
+    ranges: dict[str, str] = field(default_factory=dict[str, str])
+    positions: dict[str, float] = field(default_factory=dict[str, float])
+    batteries: dict[str, float | None] = field(default_factory=dict[str, "float | None"])
+    footprint: Sequence[tuple[float, float, float]] = ()
+    footprint_frame: str = ""
+    managed: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict[str, Sequence[Mapping[str, Any]]])
+    reports: list[str] = field(default_factory=list[str])
+    odometry: Any = None
+    odometry_topic: str = ""
+    problems: list[str] = field(default_factory=list[str])
+
+
+async def in_brief(robot: Robot, source: Source) -> RobotInBrief:
+    """What the robot is and has, and where it is, from its description, transforms, graph and sensors.
+
+    Raises:
+        NotFound: if no robot is there.
+        LinkError: if there is no bridge.
+    """
+    await load("ros2_mcp.codec.cdr", "ros2_mcp.codec.select")  # with numpy: not before it is needed
+    graph = await source.graph()
+    if graph.absence:
+        raise NotFound(graph.absence, "ros2_status tells domain and middleware.")
+    seen = _Seen(graph)
+    await asyncio.gather(
+        _safely(seen, "The description", _description(robot, source, seen)),
+        _safely(seen, "The frames", _frames(source, seen)),
+        _safely(seen, "The rates of the sensors", _heads(robot, source, seen)),
+        _safely(seen, "The ranges of the sensors", _ranges(source, seen)),
+        _safely(seen, "The positions of the joints", _joint_states(source, seen)),
+        _safely(seen, "The batteries", _batteries(source, seen)),
+        _safely(seen, "The diagnostics", _reports(source, seen)),
+        _safely(seen, "The odometry", _odometry(source, seen)),
+        _safely(seen, "The footprint", _published_footprint(source, seen)),
+        _safely(seen, "The controllers", _managed(robot, source, seen)),
+    )
+    return _within(_brief(source, seen), MOST_BYTES)
+
+
+# ── gathering ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def _safely(seen: _Seen, what: str, work: Awaitable[None]) -> None:
+    """One part of it: what cannot be read is told, and takes nothing else away."""
+    try:
+        await work
+    except Exception as error:
+        _logger.warning("%s could not be read", what, exc_info=True)
+        seen.problems.append(f"{what} could not be read: {quoted(str(error)[:120])}.")
+
+
+def _topics(graph: GraphSnapshot, *types: str) -> list[TopicEndpoints]:
+    """The topics of these types that somebody publishes, by name."""
+    found = [one for one in graph.topics.values() if one.publishers and set(one.types) & set(types)]
+    return sorted(found, key=lambda one: one.topic)
+
+
+async def _message(source: Source, topic: str, type_name: str) -> Any:
+    """The next message of a topic; None if none comes."""
+    with suppress(RobotError):
+        return (await next_message(source.lasting(_LISTEN_S), topic, type_name, silent)).message
+    return None
+
+
+async def _description(robot: Robot, source: Source, seen: _Seen) -> None:
+    kind = "std_msgs/msg/String"
+    for one in _topics(seen.graph, kind):
+        if one.topic.rpartition("/")[2] == "robot_description" and (said := await _message(source, one.topic, kind)):
+            try:
+                seen.urdf = await asyncio.to_thread(parse, said.data)
+            except RobotError as error:
+                seen.problems.append(f"{named(one.topic)}: {error.message}")
+            return
+    if source.is_live:
+        with suppress(
+            RobotError, asyncio.TimeoutError
+        ):  # a state publisher of older robots has it as a parameter alone
+            seen.urdf = await asyncio.wait_for(described(robot), _LISTEN_S)
+
+
+async def _frames(source: Source, seen: _Seen) -> None:
+    def is_whole(tree: FrameTree) -> bool:
+        return bool(tree.base) and tree.root_of(tree.base) == "map"
+
+    with suppress(RobotError):
+        seen.tree = await frames_of(source, until=is_whole, patience_s=_LISTEN_S)
+
+
+async def _heads(robot: Robot, source: Source, seen: _Seen) -> None:
+    topics = [one.topic for one in _topics(seen.graph, *_SENSORS)]
+    seen.heads = await heads_of(robot, source, topics[: _MOST["sensors"] + 4], _LISTEN_S)
+
+
+async def _ranges(source: Source, seen: _Seen) -> None:
+    """How far sensors see, and a scanner over which angle."""
+    for one in _topics(seen.graph, *_WITH_RANGE)[:4]:
+        kind = next(kind for kind in one.types if kind in _WITH_RANGE)
+        if not (message := await _message(source, one.topic, kind)):
+            continue
+        if kind.endswith("Range"):
+            seen.ranges[one.topic] = f"{message.min_range:.3g} to {message.max_range:.3g} m"
+            continue
+        wide_deg = math.degrees(abs(float(message.angle_max) - float(message.angle_min)))
+        wide = f" over {wide_deg:.0f}°" if 0 < wide_deg < _ALL_AROUND_DEG else ""
+        seen.ranges[one.topic] = f"{message.range_min:.3g} to {message.range_max:.3g} m{wide}"
+
+
+async def _joint_states(source: Source, seen: _Seen) -> None:
+    kind = "sensor_msgs/msg/JointState"
+    found = await asyncio.gather(*(_message(source, one.topic, kind) for one in _topics(seen.graph, kind)[:3]))
+    for message in filter(None, found):
+        seen.positions |= {name: float(at) for name, at in zip(message.name, message.position, strict=False)}
+
+
+async def _batteries(source: Source, seen: _Seen) -> None:
+    """How full each is, from 0 to 1; None where it does not tell it, or said nothing."""
+    for one in _topics(seen.graph, _BATTERY)[:2]:
+        message = await _message(source, one.topic, _BATTERY)
+        share = float(message.percentage) if message else math.nan
+        share = share / 100 if share > 1 else share  # some drivers give percent, against the definition
+        seen.batteries[one.topic] = share if 0 <= share <= 1 else None
+
+
+async def _reports(source: Source, seen: _Seen) -> None:
+    """What components report of themselves that is not OK."""
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    worst: dict[str, str] = {}
+    for one in _topics(seen.graph, kind)[:1]:
+        with suppress(RobotError):
+            async with source.lasting(_LISTEN_S).follow(one.topic, limit=20) as stream:
+                async for batch in stream.batches:
+                    for sample in batch:
+                        message: Any = stream.codec.decode(stream.type, sample.data)
+                        for status in message.status:
+                            level = LEVELS[int(status.level)] if int(status.level) < len(LEVELS) else str(status.level)
+                            worst[status.name] = "" if level == "OK" else f"{level} {quoted(status.message)}"
+    seen.reports = [f"{quoted(name)} reports {said}." for name, said in worst.items() if said]
+
+
+async def _odometry(source: Source, seen: _Seen) -> None:
+    kind = "nav_msgs/msg/Odometry"
+    found = [one.topic for one in _topics(seen.graph, kind)]
+    found.sort(key=lambda name: ("filtered" not in name, name.rpartition("/")[2] != "odom", name))  # the better first
+    for topic in found[:1]:
+        seen.odometry, seen.odometry_topic = await _message(source, topic, kind), topic
+
+
+async def _published_footprint(source: Source, seen: _Seen) -> None:
+    """The outline that Nav2 uses, in whatever frame it is told."""
+    for one in _topics(seen.graph, "geometry_msgs/msg/PolygonStamped"):
+        if "footprint" not in one.topic:
+            continue
+        if message := await _message(source, one.topic, "geometry_msgs/msg/PolygonStamped"):
+            seen.footprint = [(float(at.x), float(at.y), float(at.z)) for at in message.polygon.points[:_MOST_CORNERS]]
+            seen.footprint_frame = message.header.frame_id.lstrip("/")
+            return
+
+
+async def _managed(robot: Robot, source: Source, seen: _Seen) -> None:
+    if source.is_live:
+        seen.managed = await listed_controllers(robot, seen.graph)
+
+
+# ── composing ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _brief(source: Source, seen: _Seen) -> RobotInBrief:
+    base = _base_of(seen)
+    inputs = _command_inputs(seen.graph)
+    stacks = _stacks(seen.graph)
+    place, trouble = _place(source, seen, base)
+    return RobotInBrief(
+        name=(seen.urdf.name if seen.urdf else "") or "robot",
+        kind=kind_of(seen.urdf, [kind for _, kind, _ in inputs], stacks),
+        base_frame=base,
+        footprint=_footprint(seen, base),
+        place=place,
+        command_inputs=[_input_in_words(seen.graph, *each) for each in inputs],
+        sensors=_sensors(seen, base),
+        joints=_joints(seen),
+        controllers=controllers_in_words(seen.graph, seen.managed, is_controlled="ros2_control" in stacks),
+        stacks=stacks,
+        frames=_frames_in_words(seen.tree),
+        unhealthy=[*trouble, *_unhealthy(source, seen)],
+        read_from="live" if source.is_live else source.words,
+    )
+
+
+def _base_of(seen: _Seen) -> str:
+    """The body's frame: that of the transforms, else the description's root."""
+    if seen.tree.base:
+        return seen.tree.base
+    if seen.urdf:
+        return next((name for name in ("base_link", "base_footprint") if name in seen.urdf.links), seen.urdf.root)
+    return ""
+
+
+def _command_inputs(graph: GraphSnapshot) -> list[tuple[str, str, str]]:
+    """Topic, type and listeners of what moves it."""
+    found: list[tuple[str, str, str]] = []
+    for one in sorted(graph.topics.values(), key=lambda one: (one.topic.count("/"), one.topic)):
+        for kind in {subscriber.type for subscriber in one.subscribers}:
+            if kind.rpartition("/")[2] in _INPUTS:
+                who = sorted({subscriber.node for subscriber in one.subscribers if subscriber.type == kind})
+                found.append((one.topic, kind, " and ".join(who[:3])))
+    return found
+
+
+def _stacks(graph: GraphSnapshot) -> list[str]:
+    nodes = {name.rpartition("/")[2] for name in graph.nodes or ()}
+    types = {kind for one in graph.topics.values() for kind in one.types}
+    services = {name.rpartition("/")[2] for name in graph.services or ()}
+    return [
+        name
+        for name, is_there in (
+            ("Nav2", "bt_navigator" in nodes or any(kind.startswith("nav2_msgs/action/Navigate") for kind in types)),
+            ("MoveIt", "move_group" in nodes or any(kind.startswith("moveit_msgs/action/") for kind in types)),
+            ("ros2_control", "controller_manager" in nodes or "list_controllers" in services),
+            ("MAVROS", "mavros_msgs/msg/State" in types),
+            ("slam_toolbox", "slam_toolbox" in nodes),
+            ("amcl", "amcl" in nodes),
+        )
+        if is_there
+    ]
+
+
+def _input_in_words(graph: GraphSnapshot, topic: str, kind: str, who: str) -> str:
+    """An input with who listens, and who else may send there, which whoever would drive there wants to know."""
+    senders = sorted({one.node for one in graph.topics[topic].publishers})
+    by = f" (from {', '.join(map(named, senders[:2]))})" if senders else ""
+    return f"{topic} {kind.rpartition('/')[2]} → {who}{by}"
+
+
+def _footprint(seen: _Seen, base: str) -> str:
+    urdf = seen.urdf
+    size = reach(outline(urdf, base if base in urdf.links else urdf.root)) if urdf else None
+    if size is None:
+        return _footprint_of_costmap(seen, base)
+    long_m, wide_m = size.front_m + size.rear_m, size.left_m + size.right_m
+    return (
+        f"{long_m:.2f} × {wide_m:.2f} m: front {size.front_m:.2f}, rear {size.rear_m:.2f}, left {size.left_m:.2f}, "
+        f"right {size.right_m:.2f} of {named(base)}"
+    )
+
+
+def _footprint_of_costmap(seen: _Seen, base: str) -> str:
+    """What Nav2 takes for its outline, in the frame of its base."""
+    found = seen.tree.newest(base, seen.footprint_frame) if base and seen.footprint_frame != base else None
+    if len(seen.footprint) < 3 or (found is None and seen.footprint_frame != base):
+        return "unknown"
+    points = [(found.pose.applied(at) if found else at)[:2] for at in seen.footprint]
+    far = [math.hypot(x, y) for x, y in points]
+    if min(far) > _ROUND * max(far) and len(points) >= _LEAST_ROUND:
+        return f"radius {max(far):.2f} m about {named(base)} (that of the costmap)"
+    x, y = [at[0] for at in points], [at[1] for at in points]
+    return (
+        f"{max(x) - min(x):.2f} × {max(y) - min(y):.2f} m: front {max(x):.2f}, rear {-min(x):.2f}, left {max(y):.2f}, "
+        f"right {-min(y):.2f} of {named(base)} (that of the costmap)"
+    )
+
+
+def _sensors(seen: _Seen, base: str) -> list[str]:
+    found: list[str] = []
+    for one in _topics(seen.graph, *_SENSORS):
+        kind = next(kind for kind in one.types if kind in _SENSORS).rpartition("/")[2]
+        head = seen.heads.get(one.topic)
+        said = [named(one.topic), kind]
+        if head is None or not head.count:
+            said.append("silent")
+        elif head.rate_hz:
+            said.append(f"{head.rate_hz:.3g} Hz")
+        if head and head.frame:
+            said.append(f"in {named(head.frame)}{_mounted(seen, base, head.frame)}")
+        if one.topic in seen.ranges:
+            said.append(seen.ranges[one.topic])
+        found.append(" ".join(said))
+    for topic, share in seen.batteries.items():
+        found.append(f"{named(topic)} BatteryState{'' if share is None else f' {share:.0%}'}")
+    return found
+
+
+def _mounted(seen: _Seen, base: str, frame: str) -> str:
+    """Where a sensor sits, from the transforms, else from the description."""
+    frame = frame.lstrip("/")
+    if frame == base:
+        return ""
+    if base and (found := seen.tree.newest(base, frame)):
+        pose = found.pose
+    elif seen.urdf and base in seen.urdf.links and (mount := seen.urdf.mount(frame, base)):
+        pose = Pose(mount.xyz, from_roll_pitch_yaw(*mount.rpy))
+    else:
+        return _NO_MOUNT
+    x, y, z = pose.translation
+    roll_deg, pitch_deg, _ = map(math.degrees, pose.roll_pitch_yaw_rad)
+    yaw_deg = math.degrees(_looks_rad(pose, frame))
+    if "optical" not in frame and max(abs(roll_deg), abs(pitch_deg)) >= _TILTED_DEG:  # a yaw alone would mislead
+        roll_deg, pitch_deg, yaw_deg = map(math.degrees, pose.roll_pitch_yaw_rad)
+        turned = f" roll {roll_deg:.0f}° pitch {pitch_deg:.0f}° yaw {yaw_deg:.0f}°"
+    else:
+        turned = f" yaw {yaw_deg:.0f}°" if abs(yaw_deg) >= 0.5 else ""
+    return f" at {x:.2f} {y:.2f} {z:.2f}{turned}"
+
+
+def _looks_rad(pose: Pose, frame: str) -> float:
+    """The direction that a sensor looks in, seen from above: along x, and of an optical frame along z (REP 103)."""
+    if "optical" not in frame:
+        return pose.yaw_rad
+    ahead = rotated(pose.rotation, (0.0, 0.0, 1.0))
+    return math.atan2(ahead[1], ahead[0]) if math.hypot(ahead[0], ahead[1]) > _ALONG else 0.0
+
+
+def _joints(seen: _Seen) -> list[str]:
+    joints = _placed(seen.urdf) if seen.urdf else []
+    lines = [_joint(joint, seen.positions.get(joint.name)) for joint in joints]
+    told = {joint.name for joint in joints}
+    mimics = {joint.name for joint in seen.urdf.joints.values() if joint.mimic} if seen.urdf else set[str]()
+    others = [name for name in seen.positions if name not in told | mimics]
+    return [*lines, *(f"{named(name)} now {_tidy(seen.positions[name])}" for name in others)]
+
+
+def _placed(urdf: Urdf) -> list[Joint]:
+    """The joints whose positions count: all that move but rotors."""
+    rotors = {joint.name for joint in rotors_of(urdf)}
+    return [joint for joint in urdf.moving if joint.name not in rotors]
+
+
+def _joint(joint: Joint, at: float | None) -> str:
+    limits = joint.limits
+    now = "position unknown" if at is None else f"now {_tidy(at)}"
+    span = (
+        f" of {limits.lower:.3g}..{limits.upper:.3g}" if limits.lower is not None and limits.upper is not None else ""
+    )
+    speed = f", ≤ {limits.velocity:.3g} {joint.unit}/s" if limits.velocity else ""
+    kind = "" if joint.kind == "revolute" else f" {joint.kind}"
+    return f"{named(joint.name)}{kind} {now}{span} {joint.unit}{speed}"
+
+
+def _tidy(number: float) -> str:
+    """To a thousandth, which is as exact as anybody looks at a joint."""
+    return f"{round(number, 3) + 0.0:g}"
+
+
+def _frames_in_words(tree: FrameTree) -> str:
+    if not tree.frames:
+        return "none"
+    chain = [tree.base, *(edge.newest.parent for edge in tree.way_up(tree.base) if edge.newest)] if tree.base else []
+    way = f"{' → '.join(map(named, reversed(chain)))}; " if len(chain) > 1 else ""
+    trees = f", {len(tree.roots)} trees" if len(tree.roots) > 1 else ""
+    return f"{way}{len(tree.frames)} in all{trees}"
+
+
+def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
+    """Where it is, and what is wrong with that."""
+    for world in _WORLDS:
+        match = next((name for name in seen.tree.frames if name.rpartition("/")[2] == world), "")
+        if match and base and match != base and (found := seen.tree.newest(match, base)):
+            age_s = _age_s(source, seen.tree, found)
+            how = "TF, localised" if world == "map" else "TF, by dead reckoning" if world == "odom" else "TF"
+            how = "TF, fixed there" if found.stamp_ns is None else how
+            old = [] if age_s is None or age_s < _OLD_S else [f"Where it is was last told {age_s:.0f} s ago."]
+            return _pose_in_words(match, found.pose.translation, found.pose.yaw_rad, how, age_s), old
+    if seen.odometry is not None:
+        from ros2_mcp.codec.transforms import pose_of
+
+        with suppress(ValueError):
+            pose = pose_of(seen.odometry.pose.pose)
+            how = f"odometry, {named(seen.odometry_topic)}"
+            return _pose_in_words(seen.odometry.header.frame_id, pose.translation, pose.yaw_rad, how, None), []
+    if not seen.tree.frames:
+        return "Where it is is not known: no transforms, no odometry.", []
+    return f"Where it is is not known: no transform leads from {named(base or 'its base')} to a map, odom or world.", []
+
+
+def _pose_in_words(frame: str, at: Sequence[float], yaw_rad: float, how: str, age_s: float | None) -> str:
+    height = f" z {at[2]:.2f}" if abs(at[2]) >= 0.05 else ""
+    age = "" if age_s is None else f", {age_s:.1f} s old"
+    return f"In {named(frame)} at x {at[0]:.2f} y {at[1]:.2f}{height} m, yaw {math.degrees(yaw_rad):.0f}° ({how}{age})."
+
+
+def _age_s(source: Source, tree: FrameTree, found: Located) -> float | None:
+    if found.stamp_ns is None:
+        return None
+    now_ns = source.transforms.now_ns() if source.transforms else source.covers_ns[1] if source.covers_ns else None
+    return None if now_ns is None else max((now_ns - found.stamp_ns - tree.clock_ns) / 1e9, 0.0)
+
+
+def _unhealthy(source: Source, seen: _Seen) -> list[str]:
+    found = list(seen.problems)
+    if len(seen.tree.roots) > 1:
+        found.append(f"{len(seen.tree.roots)} trees of frames: {', '.join(map(named, seen.tree.roots[:4]))}.")
+    now_ns = source.transforms.now_ns() if source.transforms else source.covers_ns[1] if source.covers_ns else 0
+    for edge in seen.tree.edges.values():
+        row = edge_row(seen.tree, edge, now_ns or edge.last_received_ns)
+        if row.problem:
+            found.append(in_words(row))
+    found += [f"{named(topic)} is published, but silent." for topic, head in seen.heads.items() if not head.count]
+    if seen.urdf:
+        found += seen.urdf.problems[:2]
+        unknown = [joint.name for joint in _placed(seen.urdf) if joint.name not in seen.positions]
+        if unknown:
+            more = f" and {len(unknown) - 3} more" if len(unknown) > 3 else ""
+            found.append(f"Nobody tells the position of {', '.join(map(named, unknown[:3]))}{more}.")
+    elif not seen.problems:
+        found.append("No description (URDF) was found: kind, size and joints are guessed or unknown.")
+    low = [share for share in seen.batteries.values() if share is not None and share < 0.2]
+    if low:
+        found.append(f"The battery is at {min(low):.0%}.")
+    for topic, head in seen.heads.items():
+        if head.frame and seen.tree.frames and _mounted(seen, _base_of(seen), head.frame) == _NO_MOUNT:
+            found.append(f"Nobody tells where {named(head.frame)} of {named(topic)} sits.")
+    if lost := _not_localised(seen):
+        found.append(lost)
+    return [*found, *seen.reports]
+
+
+def _not_localised(seen: _Seen) -> str:
+    """That somebody localises in a map, but the robot's place in it is not told; empty where that is not so."""
+    localisers = [name for name in seen.graph.nodes or () if name.rpartition("/")[2] in ("amcl", "slam_toolbox")]
+    is_told = any(seen.tree.newest(frame, seen.tree.base) for frame in _maps_of(seen)) if seen.tree.base else False
+    if not localisers or is_told or not seen.tree.base:
+        return ""
+    return f"Not localised: {named(localisers[0])} is there, but nobody tells where the robot is in the map."
+
+
+def _maps_of(seen: _Seen) -> list[str]:
+    return [name for name in seen.tree.frames if name.rpartition("/")[2] == "map"]
+
+
+def _within(brief: RobotInBrief, most: int) -> RobotInBrief:
+    """The same, shortened until its JSON fits: the end of the longest list goes first."""
+    left_out = 0
+    for name, count in _MOST.items():
+        whole: Sequence[str] = getattr(brief, name)
+        left_out += max(len(whole) - count, 0)
+        brief = replace(brief, **{name: [line[:160] for line in whole[:count]]})
+    brief = replace(brief, name=brief.name[:60], frames=brief.frames[:200])
+    while len(json.dumps(as_json(brief), ensure_ascii=False).encode()) > most - 20:
+        name = max(_MOST, key=lambda name: len("".join(getattr(brief, name))))
+        rest: Sequence[str] = getattr(brief, name)[:-1]
+        brief, left_out = replace(brief, **{name: rest}), left_out + 1
+    return replace(brief, left_out=left_out)

@@ -1,0 +1,584 @@
+"""`ros2_scene`: one picture in metres of the grid, the robot, its scans, paths, goals and named places."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.codec.footprint import outline
+from ros2_mcp.codec.transforms import BASES, FrameTree, Located, pose_of
+from ros2_mcp.codec.urdf import parse
+from ros2_mcp.model import names
+from ros2_mcp.model.aside import aside, load
+from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
+from ros2_mcp.model.meanings import Meaning
+from ros2_mcp.model.nav2 import PATH
+from ros2_mcp.model.pictures import BOUNDS, LASER_SCAN, OCCUPANCY_GRID, Picture, Place
+from ros2_mcp.model.poses import Pose, planar
+from ros2_mcp.model.text import listed, named
+from ros2_mcp.model.times import recorded_time, seconds_in
+from ros2_mcp.ops.navigation.navigate import Navigation
+from ros2_mcp.ops.pictures.next_message import Next, next_message
+from ros2_mcp.ops.pictures.robot_place import robot_place
+from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, reporting, silent
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.space.ages import age_of, since_s, stamp_ns
+from ros2_mcp.ops.space.frames import frames_of
+from ros2_mcp.ops.space.meaning import meaning_of
+from ros2_mcp.ops.space.plans import plan_sent_before
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.places import NamedPlace
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.scene import GridLayer, Mark, Scene, SceneDrawing
+
+POSE_STAMPED, POLYGON, STRING = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PolygonStamped",
+    "std_msgs/msg/String",
+)
+_GRID_S = 4.0
+"""A map is latched and comes at once, but its publisher may be discovered up to 3 s late."""
+_LAYER_S = 1.2
+"""What moves is sent at 1 Hz at least (Nav2 plans once a second); what is not sent now must not hold up the picture."""
+_FRAMES_S = 1.0
+"""For frames that nobody has asked for yet: transforms come ten times a second, what is static comes at once."""
+_BEFORE_NS = 10_000_000_000
+"""Of a recording, before the time that is shown: what tf2 would keep."""
+_MOST_SCANS, _MOST_PATHS, _MOST_GOALS = 3, 4, 4
+"""More in one picture cannot be told apart."""
+_MOST_PLACES, _MOST_POINTS = 40, 2_000
+"""Of a path: more than the picture has pixels across."""
+_OLD_S = 3.0
+"""A scan or a pose that is older says nothing of now: everything that drives tells both several times a second."""
+_LATE_S = 0.5
+"""A robot that turns at 1 rad/s has another side ahead by then."""
+_COSTMAP, _DESCRIPTION = "costmap", "description"
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """Points (x, y in metres of `frame`) that nobody publishes, such as a planned way; its end is marked as a goal.
+
+    `marks` (name, x, y) are places along it that are worth a look.
+    """
+
+    name: str
+    frame: str
+    points: Sequence[Sequence[float]]
+    marks: Sequence[tuple[str, float, float]] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SceneRequest:
+    """The frame (empty: that of the grid), the grid (a topic, or `costmap`; empty: the map), and how far around the
+    robot to look, in metres (None: all there is); `way` is drawn, too."""
+
+    frame: str = ""
+    grid: str = ""
+    radius_m: float | None = None
+    way: Way | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SceneLayer:
+    """Something in the picture: a `grid`, `costmap`, `scan`, `path`, `goal`, `place` or `footprint`.
+
+    `name` is its topic, or a place's name. `x_m`, `y_m` and `yaw_deg` tell where a goal or place is, or where a path
+    ends, in the picture's frame; null for others, and the yaw where none is meant. `age_s` is null where nobody knows.
+    """
+
+    kind: str
+    name: str
+    x_m: float | None = None
+    y_m: float | None = None
+    yaw_deg: float | None = None
+    age_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScenePicture(WithPictures):
+    """What is around the robot, x to the right, y up, in metres of the frame `frame_id`, with a line each `line_m`.
+
+    Pixel (`left_px` + column, `top_px` + row) begins at x = `x_min_m` + column · `metres_per_pixel`,
+    y = `y_max_m` - row · `metres_per_pixel`; the rest are labels. The robot's pose is null where nobody says it.
+    `meaning` is that of the first scan. `missing` says what is not shown, and why. `at` is the time that is shown.
+    """
+
+    frame_id: str
+    x_min_m: float
+    x_max_m: float
+    y_min_m: float
+    y_max_m: float
+    line_m: float
+    metres_per_pixel: float
+    left_px: int
+    top_px: int
+    robot_x_m: float | None
+    robot_y_m: float | None
+    robot_yaw_deg: float | None
+    robot_age_s: float | None
+    layers: Sequence[SceneLayer]
+    meaning: Meaning | None
+    missing: Sequence[str]
+    at: str
+    seconds_in: float | None
+    source: str
+
+    def summary(self) -> list[str]:
+        """The picture in a line, what the scan means, and a line for each thing that is missing."""
+        width, height = self.x_max_m - self.x_min_m, self.y_max_m - self.y_min_m
+        where = ""
+        if self.robot_x_m is not None and self.robot_yaw_deg is not None:
+            old = "" if self.robot_age_s is None else f", {self.robot_age_s:.2f} s ago"
+            where = (
+                f" Robot at ({self.robot_x_m:.2f}, {self.robot_y_m:.2f}) m, heading {round(self.robot_yaw_deg)}°{old}."
+            )
+        shown = ", ".join(_in_words(layer) for layer in self.layers) or "nothing but lines"
+        line = (
+            f"Scene in {named(self.frame_id)}, {width:.4g} m × {height:.4g} m, a line each {self.line_m:g} m.{where} "
+            f"Shown: {shown}."
+        )
+        return [line, *([str(self.meaning)] if self.meaning else []), *self.missing]
+
+
+def _in_words(layer: SceneLayer) -> str:
+    at = "" if layer.x_m is None or layer.y_m is None else f" ({layer.x_m:.2f}, {layer.y_m:.2f})"
+    to = " to" if layer.kind == "path" and at else ""
+    return f"{layer.kind} {named(layer.name)}{to}{at}"
+
+
+async def scene(robot: Robot, source: Source, request: SceneRequest, report: Report = silent) -> ScenePicture:
+    """The scene, now or at the end of a recording's part.
+
+    Raises:
+        NotFound: if the grid or the frame is not there.
+        BadData: if there is nothing at all to show, or the grid does not fit its size.
+    """
+    await load("ros2_mcp.codec.scene", "ros2_mcp.codec.scans")  # with numpy: not before it is needed
+    gathered = _Gathered(source, robot)
+    async with reporting(report, _GRID_S, "gathering what is around the robot"):
+        await gathered.read(request)
+        await gathered.locate(request)
+        gathered.at_ns = source.covers_ns[1] if source.covers_ns else robot.now_ns()
+        await gathered.place(robot)
+        if request.way:
+            gathered.place_way(request.way)
+    return await _picture(gathered, request)
+
+
+@dataclass
+class _Gathered:
+    """What has been read, and where it is in the frame `frame` at the time `at_ns`."""
+
+    source: Source
+    asked: Robot
+    grid: Next | None = None
+    grid_topic: str = ""
+    read_layers: list[tuple[str, str, Next]] = field(default_factory=list[tuple[str, str, Next]])
+    frame: str = ""
+    at_ns: int = 0
+    tree: FrameTree = field(default_factory=FrameTree)
+    robot: Place | None = None
+    robot_stamp_ns: int | None = None
+    layers: list[SceneLayer] = field(default_factory=list[SceneLayer])
+    missing: list[str] = field(default_factory=list[str])
+    grid_layer: GridLayer | None = None
+    footprint: Any = None
+    scans: list[Any] = field(default_factory=list[Any])
+    paths: list[Any] = field(default_factory=list[Any])
+    path_names: list[str] = field(default_factory=list[str])
+    goals: list[Mark] = field(default_factory=list["Mark"])
+    places: list[Mark] = field(default_factory=list["Mark"])
+    sent_to: set[str] = field(default_factory=set[str])
+
+    # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def read(self, request: SceneRequest) -> None:
+        """Everything that there is."""
+        source = self.source
+        grids, scans, paths, poses, polygons, texts = await asyncio.gather(
+            *(source.publishing(kind) for kind in (OCCUPANCY_GRID, LASER_SCAN, PATH, POSE_STAMPED, POLYGON, STRING))
+        )
+        self.grid_topic = _chosen_grid(request.grid, grids)
+        if source.is_live:
+            await self.asked.last_plans.hear(paths)
+        shown = [] if request.way else paths  # a way that is handed in is not drawn twice
+        wanted = [("path", name, PATH) for name in self._first("paths", shown, _MOST_PATHS)]
+        goals = [name for name in poses if "goal" in name.rpartition("/")[2]]
+        wanted += [("goal", name, POSE_STAMPED) for name in self._first("goals", goals, _MOST_GOALS)]
+        footprints = [("footprint", name, POLYGON) for name in polygons if "footprint" in name]
+        descriptions = [(_DESCRIPTION, name, STRING) for name in texts if name.endswith("robot_description")]
+        wanted += [*footprints, *descriptions][:1]
+        # Last: a scan is to be of the pose that is shown, and while the others are awaited the robot may turn.
+        late = [("scan", name, LASER_SCAN) for name in self._first("scans", scans, _MOST_SCANS)]
+        grid = [(self.grid_topic, OCCUPANCY_GRID, _GRID_S)] if self.grid_topic else []
+        results = await self._read_all([*((name, kind, _LAYER_S) for _, name, kind in wanted), *grid])
+        found = results.pop() if grid else None
+        if isinstance(found, RobotError):
+            if request.grid:
+                raise found
+            self.missing.append(f"The grid {named(self.grid_topic)} is not shown: {found.message}")
+        elif found:
+            self.grid = found
+            self._tell_skipped(self.grid_topic, found)
+        results += await self._read_all([(name, kind, _LAYER_S) for _, name, kind in late])
+        if source.is_live:
+            for index, (layer, name, _) in enumerate(wanted):
+                is_silent = layer == "path" and isinstance(results[index], RobotError)
+                if is_silent and (before := await plan_sent_before(self.asked, name)):
+                    results[index] = before[0]
+                    self.missing.append(before[1])
+        for (layer, name, _), found in zip([*wanted, *late], results, strict=True):
+            if isinstance(found, Next):
+                self.read_layers.append((layer, name, found))
+                self._tell_skipped(name, found)
+            elif layer in ("scan", "path"):
+                self.missing.append(f"The {layer} {named(name)} is not shown: {found.message}")
+
+    async def _read_all(self, topics: Sequence[tuple[str, str, float]]) -> list[Next | RobotError]:
+        """The next message of each topic of a type, awaited so long, at the same time."""
+        return [*await asyncio.gather(*(_next(self.source, *topic) for topic in topics))]
+
+    def _tell_skipped(self, name: str, found: Next) -> None:
+        if found.skipped:
+            self.missing.append(f"{named(name)}: {found.skipped}")
+
+    def _first(self, what: str, found: Sequence[str], most: int) -> Sequence[str]:
+        if len(found) > most:
+            self.missing.append(f"Of {len(found)} {what} these are not shown: {listed(found[most:], 8)}.")
+        return found[:most]
+
+    # ── frames ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def locate(self, request: SceneRequest) -> None:
+        """The frame of the picture, the transforms to it, and where the robot is."""
+        source = self.source
+        if source.covers_ns:  # what is not connected by then has no place in the picture
+            source = source.part(source.covers_ns[1] - _BEFORE_NS, source.covers_ns[1])
+        try:
+            self.tree = await frames_of(source, until=lambda _: True)
+            self._choose_frame(request)
+            self.tree = await frames_of(source, until=self._is_complete, patience_s=_FRAMES_S)
+        except RobotError as error:  # a robot without transforms has a map nevertheless
+            self.missing.append(f"Without transforms only what is in one frame is shown: {error.message}")
+        self._choose_frame(request)
+        if request.frame and self.frame not in self.tree.frames and self.frame not in self._frames_of_messages():
+            known = sorted(self.tree.frames)
+            raise NotFound(f"There is no frame {named(self.frame)}.", names.did_you_mean(self.frame, known, ""))
+        found = self.tree.newest(self.frame, self.tree.base) if self.tree.base else None
+        if found:
+            self.robot, self.robot_stamp_ns = _place(found.pose), found.stamp_ns
+        else:
+            self.robot = await robot_place(self.source, self.frame)
+        if self.robot is None:
+            self.missing.append(f"The robot is not shown: nobody says where it is in {named(self.frame)}.")
+
+    def _choose_frame(self, request: SceneRequest) -> None:
+        of_messages = self._frames_of_messages()
+        tree = self.tree
+        standard = [name for name in ("map", "odom", "world") if name in tree.frames]
+        self.frame = (
+            request.frame.strip().lstrip("/")
+            or (of_messages[0] if self.grid and of_messages else "")
+            or (standard[0] if standard else "")
+            or tree.base
+            or (of_messages[0] if of_messages else "")
+        )
+
+    def _frames_of_messages(self) -> list[str]:
+        read = ([self.grid] if self.grid else []) + [
+            found for kind, _, found in self.read_layers if kind != _DESCRIPTION
+        ]
+        return [found.message.header.frame_id.lstrip("/") for found in read]
+
+    def _is_complete(self, tree: FrameTree) -> bool:
+        """Whether everything can be placed, the scans at the time when they were taken."""
+        if tree.base and not tree.newest(self.frame, tree.base):
+            return False
+        scans = [found.message.header for kind, _, found in self.read_layers if kind == "scan"]
+        return bool(tree.base) and all(
+            tree.find(self.frame, header.frame_id.lstrip("/"), stamp_ns(header)) for header in scans
+        )
+
+    def _located(self, header: Any) -> Pose | None:
+        """Where the frame of a message was in the world when it was made, in the picture's frame as that is now.
+
+        The world is the root of the tree: a frame that moves, such as base_link, has since moved over its ground.
+        """
+        frame, root = header.frame_id.lstrip("/"), self.tree.root_of(self.frame)
+        if frame == self.frame and frame == root:
+            return Pose()
+        at_ns = stamp_ns(header)
+        then: Located | None = self.tree.find(root, frame, at_ns) if at_ns else None
+        then, now = then or self.tree.newest(root, frame), self.tree.newest(self.frame, root)
+        if then and now:
+            return now.pose @ then.pose
+        return Pose() if frame == self.frame else None
+
+    # ── placing ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def place(self, robot: Robot) -> None:
+        """Everything that was read, in the frame of the picture."""
+        now_ns = self.at_ns
+        if self.grid:
+            self._place_grid(self.grid, now_ns)
+        for kind, name, found in self.read_layers:
+            if kind == _DESCRIPTION:
+                await self._place_body(name, found.message.data)
+                continue
+            pose = self._located(found.message.header)
+            if pose is None:
+                self._unplaced(kind, name, found.message.header)
+                continue
+            age_s = age_of(found, now_ns)
+            _PLACERS[kind](self, name, found.message, pose, age_s)
+        self._place_named(robot)
+
+    def tell_age(self, name: str, scan: Next) -> None:
+        """That what a scan means is of another moment than the robot's pose, where the robot may have turned since."""
+        age_s = age_of(scan, self.at_ns)
+        if age_s is not None and age_s > _LATE_S:
+            self.missing.append(f"The scan {named(name)}, and what it means, is {age_s:.1f} s old: turned since?")
+
+    def _place_grid(self, grid: Next, now_ns: int) -> None:
+        from ros2_mcp.codec.scene import GridLayer, check_grid
+
+        costs = _COSTMAP in self.grid_topic
+        kind = _COSTMAP if costs else "grid"
+        pose = self._located(grid.message.header)
+        if pose is None:
+            self._unplaced(kind, self.grid_topic, grid.message.header)
+            return
+        try:
+            check_grid(grid.message)
+            corner = _place(pose @ pose_of(grid.message.info.origin))
+        except (BadData, ValueError) as error:  # an origin that is not finite
+            self.missing.append(f"The {kind} {named(self.grid_topic)} is not shown: {str(error).rstrip('.')}.")
+            return
+        self.grid_layer = GridLayer(grid.message, corner, costs)
+        self.layers.append(SceneLayer(kind, self.grid_topic, age_s=age_of(grid, now_ns)))
+
+    def _unplaced(self, kind: str, name: str, header: Any) -> None:
+        self.missing.append(
+            f"The {kind} {named(name)} is not shown: no transforms connect its frame {named(header.frame_id)} with "
+            f"{named(self.frame)}."
+        )
+
+    def place_scan(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
+        from ros2_mcp.codec.scans import moved, scan_points
+
+        try:
+            self.scans.append(moved(scan_points(message).hits, pose)[:, :2])
+        except BadData as error:
+            self.missing.append(f"The scan {named(name)} is not shown: {error.message}")
+            return
+        self.layers.append(SceneLayer("scan", name, age_s=age_s))
+
+    def place_path(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
+        import numpy as np  # not at the start of the server
+
+        poses = [*message.poses[:: max(1, len(message.poses) // _MOST_POINTS)], *message.poses[-1:]]
+        points = [(one.pose.position.x, one.pose.position.y, one.pose.position.z) for one in poses]
+        ends = [pose.applied(point)[:2] for point in points if all(map(math.isfinite, point))]
+        if not ends:  # an empty path is how planners take one back
+            return
+        self.paths.append(np.array(ends))
+        self.path_names.append(name)
+        self.layers.append(SceneLayer("path", name, round(ends[-1][0], 3), round(ends[-1][1], 3), age_s=age_s))
+
+    def place_footprint(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
+        import numpy as np  # not at the start of the server
+
+        corners = [pose.applied((corner.x, corner.y, corner.z))[:2] for corner in message.polygon.points[:_MOST_POINTS]]
+        if len(corners) > 2:
+            self.footprint = np.array(corners)
+            self.layers.append(SceneLayer("footprint", name, age_s=age_s))
+
+    async def _place_body(self, name: str, description: str) -> None:
+        """The outline of the robot as its description has it, where the robot is."""
+        import numpy as np  # not at the start of the server
+
+        at, base = self.robot, self.tree.base
+        try:
+            urdf = await aside(len(description), parse, description)
+        except BadData:  # not what this picture is about
+            return
+        body = outline(urdf, base or next((one for one in BASES if one in urdf.links), ""))
+        if at and body:
+            pose = planar(at.x_m, at.y_m, at.yaw_rad)
+            self.footprint = np.array([pose.applied((x, y, 0.0))[:2] for x, y in body])
+            self.layers.append(SceneLayer("footprint", name))
+
+    def place_goal(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
+        try:
+            at = _place(pose @ pose_of(message.pose))
+        except ValueError:  # numbers that are not finite
+            self.missing.append(f"The goal {named(name)} is not shown: its numbers are not finite.")
+            return
+        self._mark("goal", name, at.x_m, at.y_m, at.yaw_rad, age_s)
+
+    def _place_named(self, robot: Robot) -> None:
+        """The places that are kept by name, and where the robot is being sent."""
+        running = robot.jobs.running(Navigation) if self.source.is_live else ()
+        legs = [leg for job in running for leg in job.legs[job.now :]]
+        self.sent_to = {leg.place for leg in legs}
+        for leg in legs:
+            yaw_rad = None if leg.yaw_deg is None else math.radians(leg.yaw_deg)
+            self._mark_in(NamedPlace(leg.place or "navigation", leg.frame, leg.x_m, leg.y_m, yaw_rad), "goal")
+        try:
+            known = robot.places.all()
+        except RobotError as error:
+            self.missing.append(f"Named places are not shown: {error.message}")
+            return
+        for one in known[:_MOST_PLACES]:
+            self._mark_in(one, "place")
+
+    def place_way(self, way: Way) -> None:
+        """Points that were handed in."""
+        import numpy as np  # not at the start of the server
+
+        pose = self._now_in(way.frame)
+        if pose is None or not way.points:
+            return
+        points = [pose.applied((x, y, 0.0))[:2] for x, y, *_ in way.points]
+        self.paths.append(np.array(points))
+        self.path_names.append(way.name)
+        x_m, y_m = points[-1]
+        self.layers.append(SceneLayer("path", way.name, round(x_m, 3), round(y_m, 3)))
+        self._mark("goal", way.name, x_m, y_m, None, None)
+        for name, x, y in way.marks:
+            self._mark_in(NamedPlace(name, way.frame, x, y, None), "place")
+
+    def _now_in(self, frame: str) -> Pose | None:
+        frame = frame.lstrip("/")
+        if frame == self.frame:
+            return Pose()
+        found = self.tree.newest(self.frame, frame)
+        return found.pose if found else None
+
+    def _mark_in(self, place: NamedPlace, kind: str) -> None:
+        if pose := self._now_in(place.frame):
+            x_m, y_m, _ = pose.applied((place.x_m, place.y_m, 0.0))
+            yaw_rad = None if place.yaw_rad is None else place.yaw_rad + pose.yaw_rad
+            self._mark(kind, place.name, x_m, y_m, yaw_rad, None)
+
+    def _mark(self, kind: str, name: str, x_m: float, y_m: float, yaw_rad: float | None, age_s: float | None) -> None:
+        from ros2_mcp.codec.scene import Mark
+
+        marks = self.goals if kind == "goal" else self.places
+        if kind == "goal":
+            marks.append(Mark(f"goal {name}" if name in self.sent_to else "goal", x_m, y_m, yaw_rad))
+        elif name not in self.sent_to:  # else one label would hide the other
+            marks.append(Mark(name, x_m, y_m, yaw_rad))
+        yaw_deg = None if yaw_rad is None else round(math.degrees(yaw_rad), 1)
+        self.layers.append(SceneLayer(kind, name, round(x_m, 3), round(y_m, 3), yaw_deg, age_s))
+
+
+_PLACERS: dict[str, Callable[[_Gathered, str, Any, Pose, float | None], None]] = {
+    "scan": _Gathered.place_scan,
+    "path": _Gathered.place_path,
+    "goal": _Gathered.place_goal,
+    "footprint": _Gathered.place_footprint,
+}
+
+
+async def _picture(gathered: _Gathered, request: SceneRequest) -> ScenePicture:
+    source, at = gathered.source, gathered.robot
+    if request.radius_m is not None and at is None:
+        raise BadInput(f"Without the robot's place in {named(gathered.frame)} nothing can be shown around it.")
+    drawing, scene, picture = await asyncio.to_thread(_drawn, gathered, request)
+    first_scan = next(((name, found) for kind, name, found in gathered.read_layers if kind == "scan"), None)
+    meaning = None
+    if first_scan:
+        name, found = first_scan
+        meaning = await meaning_of(source, name, LASER_SCAN, found.message, found.sample.received_ns)
+        gathered.tell_age(name, found)
+    smaller = picture.width / drawing.raster.pixels.shape[1]
+    now_ns = gathered.at_ns
+    age_s = since_s(gathered.robot_stamp_ns, now_ns)
+    if age_s is not None and age_s > _OLD_S:
+        gathered.missing.append(f"The robot's pose is {age_s:.1f} s old.")
+    return ScenePicture(
+        frame_id=gathered.frame,
+        x_min_m=round(scene.x.low, 4),
+        x_max_m=round(scene.x.high, 4),
+        y_min_m=round(scene.y.low, 4),
+        y_max_m=round(scene.y.high, 4),
+        line_m=drawing.line_m,
+        metres_per_pixel=drawing.metres_per_pixel / smaller,
+        left_px=round(drawing.left_px * smaller),
+        top_px=round(drawing.top_px * smaller),
+        robot_x_m=at and round(at.x_m, 3),
+        robot_y_m=at and round(at.y_m, 3),
+        robot_yaw_deg=at and round(math.degrees(at.yaw_rad), 1),
+        robot_age_s=age_s,
+        layers=gathered.layers,
+        meaning=meaning,
+        missing=gathered.missing,
+        at=iso_time(now_ns) if source.is_live else recorded_time(now_ns, source.began_ns),
+        seconds_in=seconds_in(now_ns, source.began_ns),
+        source=source.title,
+        pictures=facts([picture]),
+        images=[picture],
+    )
+
+
+def _drawn(gathered: _Gathered, request: SceneRequest) -> tuple[SceneDrawing, Scene, Picture]:
+    import numpy as np  # not at the start of the server
+
+    from ros2_mcp.codec.raster import finished
+    from ros2_mcp.codec.scene import Scene, extent, scene_drawing
+
+    points = [*gathered.scans, *gathered.paths]  # places may be in another building
+    points += [np.array([[mark.x_m, mark.y_m]]) for mark in gathered.goals]
+    x, y = extent(gathered.grid_layer, points, gathered.robot, request.radius_m)
+    scene = Scene(
+        frame=gathered.frame,
+        x=x,
+        y=y,
+        grid=gathered.grid_layer,
+        robot=gathered.robot,
+        footprint=gathered.footprint,
+        scans=gathered.scans,
+        paths=gathered.paths,
+        path_names=gathered.path_names,
+        goals=gathered.goals,
+        places=gathered.places,
+    )
+    drawing = scene_drawing(scene, BOUNDS)
+    return drawing, scene, finished(drawing.raster, BOUNDS)
+
+
+# ── small ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _chosen_grid(asked: str, grids: Sequence[str]) -> str:
+    """The topic of the grid: what is asked for, else a map, else a costmap; empty where there is none.
+
+    Raises:
+        NotFound: if what is asked for is not there.
+    """
+    costmaps = [name for name in grids if _COSTMAP in name]
+    maps = [name for name in grids if _COSTMAP not in name]
+    if asked.strip() == _COSTMAP:
+        if not costmaps:
+            raise NotFound("Nobody publishes a costmap.", f"Grids are: {listed(grids, 8) or 'none'}.")
+        return next((name for name in costmaps if "global" in name), costmaps[0])
+    if asked.strip():
+        return names.absolute(asked)
+    return next((name for name in maps if name.rpartition("/")[2] == "map"), (maps or costmaps or [""])[0])
+
+
+async def _next(source: Source, topic: str, type_name: str, wait_s: float) -> Next | RobotError:
+    try:
+        return await next_message(source.lasting(wait_s), topic, type_name, silent)
+    except RobotError as error:
+        return error
+
+
+def _place(pose: Pose) -> Place:
+    return Place(pose.translation[0], pose.translation[1], pose.yaw_rad)

@@ -1,0 +1,189 @@
+"""Which node tells which edge, where several publish on /tf or /tf_static.
+
+rclpy does not tell who sent a message. What is known: who publishes now, and who did; which messages are of one
+publisher (by their numbers, `codec/writers.py`); what else each node publishes: who tells odom → base publishes
+odometry, too, and who tells map → odom a pose or a map; and what nodes are called, by habit. So it is a conclusion, and
+said to be one (`probably`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from ros2_mcp.codec.transforms import BASES, Edge, FrameTree
+from ros2_mcp.model.qos import mismatch
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE
+
+_MOST_NAMED = 3
+"""Publishers of a topic that are named where it is not known which of them tells an edge."""
+_CALLED = {
+    "localisation": re.compile(r"amcl|mcl|slam|locali[sz]|cartographer|rtabmap|map|hector|ndt|lio"),
+    "odometry": re.compile(r"odom|diff|drive|base|ekf|ukf|state_estimat|wheel|kobuki|vio"),
+    "description": re.compile(r"state_publisher|description|joint"),
+}
+"""What nodes with a role are called: those of Nav2, slam_toolbox, robot_localization, ros2_control and such."""
+
+
+@dataclass(frozen=True, slots=True)
+class Publishers:
+    """Those of one topic: nodes that publish now, and those that did since it is listened to and are gone."""
+
+    now: Sequence[str] = ()
+    gone: Sequence[str] = ()
+
+
+class Tellers:
+    """The publishers of frames, and which of them tells an edge.
+
+    Args:
+        tree: what was told.
+        publishers: of /tf and of /tf_static.
+        also: by role, the nodes that publish what nodes with that role do.
+    """
+
+    def __init__(
+        self, tree: FrameTree, publishers: Mapping[str, Publishers], also: Mapping[str, Sequence[str]]
+    ) -> None:
+        self._publishers = publishers
+        self._nodes = {
+            topic: _concluded(tree.writers(is_static=topic == TF_STATIC), _all(publishers.get(topic)), tree, also)
+            for topic in (TF, TF_STATIC)
+        }
+
+    def of(self, edge: Edge) -> str:
+        """The node: its name, `probably …` where it is concluded, `one of …` where it is not known; empty of none."""
+        return self._named(edge, edge.writers)
+
+    def by_whom(self, edge: Edge, parent: str) -> str:
+        """Who tells it with that parent, in words that follow a name: " by …"; empty where that is not known."""
+        who = self._named(edge, edge.writers_of(parent))
+        return f" by {who}" if who else ""
+
+    def silent(self, topic: str) -> tuple[int, Sequence[str]]:
+        """How many nodes publish on a topic without that anything was heard of them, and who these, or they, may be."""
+        publishers, nodes = self._publishers.get(topic, Publishers()), self._nodes[topic]
+        count = len(_all(publishers)) - len(nodes)
+        if count <= 0:
+            return 0, ()
+        heard = set[str]().union(*nodes.values())
+        return count, [name for name in publishers.now if name not in heard] or publishers.now
+
+    def _named(self, edge: Edge, writers: Sequence[int]) -> str:
+        topic = TF_STATIC if edge.on_static else TF
+        names = _all(self._publishers.get(topic))
+        if len(names) < 2:
+            return self._with_fate(topic, names[0]) if names else ""
+        nodes = self._nodes[topic]
+        possible = [nodes[writer] for writer in writers if writer in nodes]
+        found = sorted(set[str]().union(*possible)) or list(names)
+        if possible and len(found) == len(possible):
+            return f"probably {' and '.join(self._with_fate(topic, name) for name in found)}"
+        more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
+        return f"one of {', '.join(found[:_MOST_NAMED])}{more}"
+
+    def _with_fate(self, topic: str, name: str) -> str:
+        gone = name in self._publishers.get(topic, Publishers()).gone
+        return f"{named(name)}, which is gone" if gone else named(name)
+
+
+async def tellers_of(source: Source, tree: FrameTree) -> Tellers:
+    """Who tells the edges of a robot; nobody is known of a recording."""
+    if (listener := source.transforms) is None:
+        return Tellers(tree, {}, {})
+    publishers: dict[str, Publishers] = {}
+    for topic in (TF, TF_STATIC):
+        found = await listener.publishers(topic)
+        now = sorted({one.who for one in found if one.type == TF_TYPE and not mismatch(one.qos, LISTENS[topic])})
+        publishers[topic] = Publishers(now, sorted(listener.gone(topic).difference(now)))
+    nodes = sorted({name for one in publishers.values() for name in _all(one)})
+    if max(len(_all(one)) for one in publishers.values()) < 2:
+        return Tellers(tree, publishers, {})
+    return Tellers(tree, publishers, await listener.also_publish(nodes))
+
+
+def silent_in_words(tellers: Tellers, since_s: float) -> list[str]:
+    """Who publishes on /tf or /tf_static and sends nothing, in so many seconds of listening."""
+    found: list[str] = []
+    for topic in (TF, TF_STATIC):
+        count, names = tellers.silent(topic)
+        if not count or not names:
+            continue
+        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+        who = f"{', '.join(map(named, names[:_MOST_NAMED]))}{more}"
+        many = f"{count} of {who}" if count < len(names) else who
+        waits = " A localisation tells nothing before it knows where it is." if _has_role(names) else ""
+        verb = "publish" if len(names) > 1 and count == len(names) else "publishes"
+        found.append(f"{many} {verb} on {topic} and has sent nothing in {since_s:.0f} s of listening.{waits}")
+    return found
+
+
+def _has_role(nodes: Iterable[str]) -> bool:
+    return any(_CALLED["localisation"].search(name) for name in nodes)
+
+
+def _all(publishers: Publishers | None) -> Sequence[str]:
+    return [*publishers.now, *publishers.gone] if publishers else ()
+
+
+# ── who it is ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _concluded(
+    writers: Mapping[int, frozenset[str]], names: Sequence[str], tree: FrameTree, also: Mapping[str, Sequence[str]]
+) -> Mapping[int, set[str]]:
+    """The nodes that each publisher may be, the fewer the better.
+
+    As many publishers as nodes that fit them by one kind of evidence are these nodes, and then no others are; first by
+    what the nodes publish besides, then by what they are called.
+    """
+    possible = {writer: set(names) for writer in writers if writer}
+    roles = {
+        writer: {_role(tree.edges[child]) for child in writers[writer] if child in tree.edges} for writer in possible
+    }
+    fitting = [
+        {writer: {name for role in roles[writer] for name in also.get(role, ())} for writer in possible},
+        {writer: {name for name in names if _role_of_name(name) in roles[writer]} for writer in possible},
+    ]
+    for fits in fitting:
+        groups: dict[frozenset[str], list[int]] = {}
+        for writer, nodes in fits.items():
+            left = nodes & possible[writer]
+            if left and len(possible[writer]) > 1:
+                groups.setdefault(frozenset(left), []).append(writer)
+        for nodes, group in groups.items():
+            if len(nodes) == len(group):
+                _are(possible, group, nodes)
+    if len(possible) == len(names):
+        for _ in names:  # what is left over is that of the last
+            for writer, nodes in possible.items():
+                if len(nodes) == 1:
+                    _are(possible, [writer], frozenset(nodes))
+    return possible
+
+
+def _are(possible: dict[int, set[str]], writers: Sequence[int], nodes: frozenset[str]) -> None:
+    for writer, others in possible.items():
+        if writer in writers:
+            possible[writer] = others & nodes or others
+        elif len(others - nodes):
+            possible[writer] = others - nodes
+
+
+def _role(edge: Edge) -> str:
+    """What a node that tells such an edge is, by the names of REP 105; a mount is of the description."""
+    if edge.on_static:
+        return "description"
+    child = edge.child.rpartition("/")[2]
+    parent = edge.newest.parent.rpartition("/")[2] if edge.newest else edge.refused_parent
+    if child == "odom" or parent == "map":
+        return "localisation"
+    return "odometry" if child in BASES or parent == "odom" else "description"
+
+
+def _role_of_name(name: str) -> str:
+    last = name.rpartition("/")[2].lower()
+    return next((role for role, pattern in reversed(_CALLED.items()) if pattern.search(last)), "")

@@ -1,0 +1,427 @@
+"""Where one frame is in another: at a time, over a time, and what is given in one as it is in the other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from time import monotonic
+
+import anyio
+
+from ros2_mcp.codec.no_transform import edge_in_words, seconds_in_words, stamp_in_words, why_none
+from ros2_mcp.codec.transforms import FrameTree, Located
+from ros2_mcp.guard.policy import bounded
+from ros2_mcp.model.errors import BadInput, BadValue, NoTransform
+from ros2_mcp.model.poses import Pose, angle_between_rad, mean_of, normalised, product
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.results import ON_REQUEST, Report, microseconds, reporting, silent
+from ros2_mcp.ops.sources.selection import undecodable
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.sources.times import is_relative, parsed_ns
+from ros2_mcp.ops.space.described import described_frame
+from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
+from ros2_mcp.ops.space.frames import frames_of
+from ros2_mcp.ops.space.message_field import given_in
+from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
+from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
+
+MOST_POINTS = 500
+"""Of one call: a polygon, a path, a plan; clouds are drawn, not transformed by numbers."""
+MOST_S = 600.0
+"""Of a duration, as of the other tools that measure."""
+_MOST_POSES = 5_000
+"""Over a duration: 100 s at 50 Hz are all looked at; of more, every n-th."""
+_LOOK_S = 0.5
+"""Between two looks at what has come over a duration; the tree keeps 30 s."""
+_MOST_TOLD = 8
+"""Edges whose publishers an error names."""
+_LONG_GAP_NS = 1_000_000_000
+"""Between two transforms of an edge: the slowest usual publishers send once a second."""
+_MOST_SHOWN = 3
+"""Of what was transformed, so many stand in the line; all of it is in the values."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LookupRequest:
+    """What is asked: where `frame` is in `target`, at a `time` (empty: the latest), or over `duration_s`; which
+    `points` ([x, y, z], or [x, y, z, qx, qy, qz, qw] for poses) given in `frame`, or `field` (`/topic:path`) of a
+    message, are to be given in `target`.
+    """
+
+    target: str
+    frame: str
+    time: str = ""
+    duration_s: float | None = None
+    points: Sequence[Sequence[float]] = ()
+    field: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Xyz:
+    """Metres."""
+
+    x: float
+    y: float
+    z: float
+
+
+@dataclass(frozen=True, slots=True)
+class Xyzw:
+    """A unit quaternion."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """How much the pose varied over the duration, from `count` poses; the pose of the answer is their mean.
+
+    Standard deviations of the place (m) and of the rotation (degrees, the angle from the mean); `most_m` and `most_deg`
+    are the largest distances from the mean; `moved_m` and `turned_deg` those from the first pose to the last.
+    """
+
+    count: int
+    std_x_m: float
+    std_y_m: float
+    std_z_m: float
+    std_deg: float
+    most_m: float
+    most_deg: float
+    moved_m: float
+    turned_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lookup:
+    """Where `source` is in `target`, as tf2 has it: a point of `source` times the rotation plus the translation is that
+    point in `target`. Roll, pitch and yaw are turns about the fixed axes x, y, z of `target`.
+
+    `stamp` is the time that it is of, by the stamps (null where all between is static, or without a stamp), `age_s`
+    how long before now, or the recording's end, or the time that was asked for. `chain` goes from `source` to `target`,
+    with its `edges`. `transformed` is what was given, in `target`: [x, y, z], or [x, y, z, qx, qy, qz, qw].
+    """
+
+    target: str
+    source: str
+    translation: Xyz
+    rotation: Xyzw
+    roll_deg: float
+    pitch_deg: float
+    yaw_deg: float
+    distance_m: float
+    stamp: str | None
+    stamp_ns: str | None
+    age_s: float | None
+    is_static: bool
+    chain: Sequence[str]
+    edges: Sequence[EdgeRow]
+    spread: Spread | None = field(default=None, metadata=ON_REQUEST)
+    transformed: Sequence[Sequence[float]] | None = field(default=None, metadata=ON_REQUEST)
+    read_from: str = ""
+    note: str = ""
+
+    def summary(self) -> list[str]:
+        """The pose in a line, the chain in another, and what was transformed."""
+        at, age = self.translation, ""
+        if self.age_s is not None:
+            age = f", {seconds_in_words(round(self.age_s * 1e9))} old"
+        when = "static" if self.is_static else f"{f'at {self.stamp}' if self.stamp else 'without a stamp'}{age}"
+        lines = [
+            f"{named(self.source)} in {named(self.target)} ({when}): x {at.x:.4f}, y {at.y:.4f}, z {at.z:.4f} m; "
+            f"roll {self.roll_deg:.2f}, pitch {self.pitch_deg:.2f}, yaw {self.yaw_deg:.2f} deg."
+        ]
+        if self.spread:
+            one = self.spread
+            lines.append(
+                f"Mean of {one.count}: spread x {one.std_x_m:.2g}, y {one.std_y_m:.2g}, z {one.std_z_m:.2g} m, "
+                f"{one.std_deg:.2g} deg; moved {one.moved_m:.3g} m, turned {one.turned_deg:.3g} deg."
+            )
+        if self.transformed:
+            shown = ["(" + ", ".join(f"{part:.4f}" for part in one) + ")" for one in self.transformed[:_MOST_SHOWN]]
+            more = f" and {len(self.transformed) - len(shown)} more" if len(self.transformed) > len(shown) else ""
+            lines.append(f"In {named(self.target)}: {', '.join(shown)}{more}.")
+        if self.edges:
+            steps = [f"{named(row.parent)} → {named(row.child)} ({row.words()})" for row in self.edges]
+            lines.append(f"By {'; '.join(steps)}.")
+        return [*lines, *([self.note] if self.note else [])]
+
+
+async def tf_lookup(source: Source, request: LookupRequest, report: Report = silent) -> Lookup:
+    """Looks a transform up.
+
+    Raises:
+        NoTransform: with the reason in words, from what was told.
+        BadValue: for a time, a point or a field that cannot be meant.
+        BadInput: if it is not said which frame is asked for.
+        NotFound, TimedOut, TypeConflict: as the reading of a message for `field`.
+        UnknownInterface, LinkError: as `frames_of`.
+    """
+    if len(request.points) > MOST_POINTS:
+        raise BadValue("points", f"{len(request.points)} are given.", f"At most {MOST_POINTS} at once.")
+    if request.duration_s is not None:
+        bounded("duration", request.duration_s, 0.0, MOST_S, "s")
+    given: Sequence[Pose] | None = [_given(number, point) for number, point in enumerate(request.points)] or None
+    sizes = [len(point) for point in request.points]
+    frame, at_ns, notes = request.frame.strip().lstrip("/"), None, list[str]()
+    if request.field:
+        if given:
+            raise BadInput("points and field are both given.", "Give one of them.")
+        found = await given_in(source, request.field, MOST_POINTS, report)
+        frame, given, sizes = frame or found.frame, found.poses, found.sizes
+        at_ns = found.stamp_ns if not request.time and found.stamp_ns else None
+        notes += [found.note] if found.note else []
+    if not frame:
+        raise BadInput("Which frame is asked for is not said.", "Give source, such as base_link.")
+    target = request.target.strip().lstrip("/")
+    if request.duration_s is not None:
+        tree, located, spread = await _over(source, target, frame, request, report)
+    else:
+        tree, located = await _at(source, target, frame, request.time, at_ns, report)
+        spread = None
+    return await _answer(source, request, tree, located, spread, _carried(located.pose, given, sizes), notes)
+
+
+def _given(number: int, point: Sequence[float]) -> Pose:
+    """A point or pose that the caller gave."""
+    path = f"points[{number}]"
+    if len(point) not in (3, 7):
+        raise BadValue(path, f"{len(point)} numbers.", "Write [x, y, z], or [x, y, z, qx, qy, qz, qw] for a pose.")
+    at = (point[0], point[1], point[2])
+    if len(point) == 3:
+        return Pose(at)
+    try:
+        return Pose(at, normalised((point[3], point[4], point[5], point[6])))
+    except ValueError as error:
+        raise BadValue(path, "its quaternion has no length.", "No rotation is 0, 0, 0, 1.") from error
+
+
+def _carried(pose: Pose, given: Sequence[Pose] | None, sizes: Sequence[int]) -> Sequence[Sequence[float]] | None:
+    """What was given, in the target, as it was given: 3 numbers for a place, 7 for a pose, 0 for a direction."""
+    if given is None:
+        return None
+    carried: list[Sequence[float]] = []
+    for one, size in zip(given, sizes, strict=True):
+        if size == 0:  # a vector has no place: it is turned
+            carried.append(Pose((0.0, 0.0, 0.0), pose.rotation).applied(one.translation))
+        elif size == 4:
+            carried.append(product(pose.rotation, one.rotation))
+        else:
+            there = pose @ one
+            carried.append(there.translation if size == 3 else (*there.translation, *there.rotation))
+    return carried
+
+
+# ── at a time ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def _at(
+    source: Source, target: str, frame: str, time: str, at_ns: int | None, report: Report
+) -> tuple[FrameTree, Located]:
+    """The tree, and what is found at that time: as it is written, or by a stamp."""
+    wall_ns = _wall_ns(source, time) if time.strip() else at_ns
+
+    def sought(tree: FrameTree) -> int | None:
+        if wall_ns is None or not time.strip():
+            return wall_ns
+        # "2 s ago" and "12 s in" are of the receiver's clock; a number may be a stamp of the robot's own.
+        return wall_ns if not is_relative(time) and tree.reaches(wall_ns) else wall_ns - tree.clock_ns
+
+    def is_there(tree: FrameTree) -> bool:
+        return tree.find(target, frame, sought(tree)) is not None
+
+    tree = await frames_of(source, wall_ns, until=is_there, report=report)
+    found = tree.find(target, frame, sought(tree))
+    if found is None:
+        raise await _more_of(source, why_none(tree, target, frame, sought(tree)), tree, (frame, target))
+    return tree, found
+
+
+async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: Sequence[str]) -> NoTransform:
+    """The error with what else is known: who tells the edges in question, publishers that nobody hears or that are
+    silent, and what the description says of the frame.
+    """
+    tellers = await tellers_of(source, tree)
+    where = followed_in_words(source.transforms)
+    if error.reason not in ("never published", "unknown frame", "two trees"):
+        who = _who_tells(tree, names, tellers, error.reason)
+        return NoTransform(error.reason, " ".join([error.message, *who, *where]), error.hint)
+    more = [*where, *await unheard_publishers(source)]
+    if listener := source.transforms:
+        more += silent_in_words(tellers, listener.listened_s)
+    more += [
+        f"What is told of {named(edge.refused_parent)} → {named(edge.child)} is refused: {edge.refused}."
+        for edge in tree.edges.values()
+        if edge.refused and edge.refused not in error.message
+    ][:_MOST_TOLD]
+    if tree.nameless:
+        more.append(f"{tree.nameless} transform(s) came whose frame has no name (child_frame_id is empty).")
+    if unknown := next((name for name in names if name not in tree.frames), ""):
+        more += filter(None, [await described_frame(source, unknown)])
+    return NoTransform(error.reason, " ".join([error.message, *more]), error.hint)
+
+
+def _who_tells(tree: FrameTree, names: Sequence[str], tellers: Tellers, reason: str) -> list[str]:
+    """The nodes behind an error, edge by edge; of two parents those of each."""
+    steps = {edge.child: edge for name in names if name in tree.frames for edge in tree.way_up(name)}
+    roots = [tree.edges.get(tree.root_of(name)) for name in names if name in tree.frames]
+    steps |= {edge.child: edge for edge in roots if edge and edge.refused}
+    told: list[str] = []
+    for edge in steps.values():
+        if reason == "two parents" and not edge.two_parents:
+            continue
+        for parent in edge.parents if edge.two_parents else edge.parents[-1:] or [edge.refused_parent]:
+            if who := tellers.by_whom(edge, parent):
+                told.append(f"{named(parent)} → {named(edge.child)}{who}")
+    return [f"Told: {', '.join(told[:_MOST_TOLD])}."] if told else []
+
+
+def _wall_ns(source: Source, time: str) -> int:
+    """A time as the caller wrote it; relative ones count from now, or from the recording's beginning or end."""
+    covers = source.covers_ns
+    if covers is None:
+        listener = source.transforms
+        return parsed_ns("time", time, None, listener.now_ns() if listener else 0)
+    return parsed_ns("time", time, source.began_ns if source.began_ns is not None else covers[0], covers[1] - 1)
+
+
+# ── over a duration ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def _over(
+    source: Source, target: str, frame: str, request: LookupRequest, report: Report
+) -> tuple[FrameTree, Located, Spread]:
+    """The mean over a duration: live from now on, of a recording up to the time, or its end."""
+    assert request.duration_s is not None
+    length_ns = round(request.duration_s * 1e9)
+    tree, first = await _at(source, target, frame, request.time, None, report)
+    if first.stamp_ns is None:
+        return tree, first, _spread([first.pose])
+    if source.is_live:
+        if request.time:
+            raise BadInput("time and duration are both given.", "Live, the duration begins now. Leave one out.")
+        poses = await _listened(source, tree, first, request.duration_s, report)
+    else:
+        poses = _poses(tree, first, first.stamp_ns - length_ns, first.stamp_ns)
+    located = replace(tree.find(target, frame) or first, pose=mean_of(list(poses.values())))
+    return tree, located if source.is_live else replace(first, pose=located.pose), _spread(list(poses.values()))
+
+
+async def _listened(
+    source: Source, tree: FrameTree, first: Located, duration_s: float, report: Report
+) -> Mapping[int, Pose]:
+    assert first.stamp_ns is not None and source.transforms
+    poses = {first.stamp_ns: first.pose}
+    deadline = monotonic() + duration_s
+    async with reporting(report, duration_s, lambda: f"{len(poses)} poses"):
+        while (left_s := deadline - monotonic()) > 0:
+            await anyio.sleep(min(left_s, _LOOK_S))
+            tree = await source.transforms.listening()
+            common_ns = tree.common_ns(first.target, first.frame)
+            if common_ns is None:
+                raise why_none(tree, first.target, first.frame, None)
+            poses |= _poses(tree, first, max(poses) + 1, common_ns)
+    return poses
+
+
+def _poses(tree: FrameTree, located: Located, from_ns: int, until_ns: int) -> dict[int, Pose]:
+    """The pose at each stamp of an edge of the chain between two times; where there are too many, at every n-th."""
+    stamps = sorted({stamp for edge in located.edges for stamp in edge.stamps if from_ns <= stamp <= until_ns})
+    found: dict[int, Pose] = {}
+    for stamp in stamps[:: len(stamps) // _MOST_POSES + 1]:
+        if there := tree.find(located.target, located.frame, stamp):
+            found[stamp] = there.pose
+    return found
+
+
+def _spread(poses: Sequence[Pose]) -> Spread:
+    mean = mean_of(poses)
+    away = [[a - b for a, b in zip(pose.translation, mean.translation, strict=True)] for pose in poses]
+    angles = [math.degrees(angle_between_rad(mean.rotation, pose.rotation)) for pose in poses]
+
+    def deviation(parts: Sequence[float]) -> float:
+        return math.sqrt(sum(part * part for part in parts) / len(parts))
+
+    return Spread(
+        count=len(poses),
+        std_x_m=deviation([one[0] for one in away]),
+        std_y_m=deviation([one[1] for one in away]),
+        std_z_m=deviation([one[2] for one in away]),
+        std_deg=deviation(angles),
+        most_m=max(math.hypot(*one) for one in away),
+        most_deg=max(angles),
+        moved_m=math.dist(poses[0].translation, poses[-1].translation),
+        turned_deg=math.degrees(angle_between_rad(poses[0].rotation, poses[-1].rotation)),
+    )
+
+
+# ── the answer ───────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+async def _answer(
+    source: Source,
+    request: LookupRequest,
+    tree: FrameTree,
+    located: Located,
+    spread: Spread | None,
+    transformed: Sequence[Sequence[float]] | None,
+    notes: list[str],
+) -> Lookup:
+    stamp_ns, clock_ns = located.stamp_ns, tree.clock_ns
+    listener = source.transforms
+    covers = source.covers_ns
+    if listener:
+        reference_ns = listener.now_ns()
+    elif request.time or covers is None:
+        reference_ns = (stamp_ns or 0) + clock_ns
+    else:
+        reference_ns = covers[1]
+    tellers = await tellers_of(source, tree)
+    rows = [edge_row(tree, edge, reference_ns, tellers) for edge in located.edges]
+    notes += [in_words(row) for row in rows if row.problem]
+    notes += [*_gaps(located), *followed_in_words(listener)]
+    notes += [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []
+    if clock_ns:
+        behind = f"{seconds_in_words(clock_ns)} {'behind' if clock_ns > 0 else 'ahead of'} the robot's clock"
+        notes.append(f"Stamps are {behind} (simulated time, or a bag that is played): ages are by receipt.")
+    age_ns = None if stamp_ns is None else reference_ns - stamp_ns - clock_ns
+    unstamped = [edge.last_received_ns for edge in located.edges if edge.unstamped and not edge.moving]
+    if stamp_ns is None and unstamped:
+        age_ns = max(reference_ns - min(unstamped), 0)
+    roll, pitch, yaw = map(math.degrees, located.pose.roll_pitch_yaw_rad)
+    began_ns = None if clock_ns else source.began_ns
+    return Lookup(
+        target=located.target,
+        source=located.frame,
+        translation=Xyz(*located.pose.translation),
+        rotation=Xyzw(*located.pose.rotation),
+        roll_deg=roll,
+        pitch_deg=pitch,
+        yaw_deg=yaw,
+        distance_m=located.pose.distance_m,
+        stamp=None if stamp_ns is None else stamp_in_words(stamp_ns, began_ns),
+        stamp_ns=None if stamp_ns is None else str(stamp_ns),
+        age_s=None if age_ns is None else microseconds(age_ns / 1e9),
+        is_static=stamp_ns is None and not unstamped,
+        chain=located.chain,
+        edges=rows,
+        spread=spread,
+        transformed=transformed,
+        read_from="live" if source.is_live else source.words,
+        note=" ".join(notes),
+    )
+
+
+def _gaps(located: Located) -> list[str]:
+    """Which edges had a pause at that time, so that what is told of it is a guess between before and after."""
+    found: list[str] = []
+    for edge in located.edges if located.stamp_ns is not None else ():
+        gap_ns = edge.gap_ns(located.stamp_ns or 0)
+        if gap_ns > _LONG_GAP_NS:
+            found.append(
+                f"{edge_in_words(edge)} was silent for {seconds_in_words(gap_ns)} around then: it is interpolated."
+            )
+    return found

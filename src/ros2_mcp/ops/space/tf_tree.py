@@ -1,0 +1,176 @@
+"""The tree of frames as text and as a picture, with the health of each edge."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from time import monotonic
+
+from ros2_mcp.codec.no_transform import seconds_in_words
+from ros2_mcp.codec.transforms import FrameTree
+from ros2_mcp.model.aside import load
+from ros2_mcp.model.errors import NotFound, NoTransform
+from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.model.pictures import BOUNDS, Picture
+from ros2_mcp.model.text import is_name, named
+from ros2_mcp.ops.results import HIDDEN, Report, WithPictures, facts, reporting, silent
+from ros2_mcp.ops.sources.selection import undecodable
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
+from ros2_mcp.ops.space.frames import frames_of
+from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
+from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
+
+_MOST_LINES = 150
+"""Of the text: the largest robots have that many frames, and a result has 32 kB."""
+
+_MOST_DRAWN = 80
+"""Characters of a name, and of what is said of it, in the picture: more make it too wide to be read."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tree(WithPictures):
+    """All frames: `roots` (more than one: several trees, between which there is no transform), and every edge, the
+    parents before their children. `problems` are sentences; none: the tree is healthy.
+    """
+
+    frames: int
+    roots: Sequence[str]
+    edges: Sequence[EdgeRow]
+    problems: Sequence[str]
+    read_from: str
+    note: str = ""
+    lines: Sequence[str] = field(default=(), metadata=HIDDEN)
+
+    def summary(self) -> list[str]:
+        """What is wrong, then the tree."""
+        trees = f"{len(self.roots)} trees" if len(self.roots) != 1 else "one tree"
+        health = f"{len(self.problems)} problem(s)" if self.problems else "healthy"
+        more = len(self.lines) - _MOST_LINES
+        left_out = [f"… and {more} frames more: name one with frame to see what is below it."] if more > 0 else []
+        lines = [f"{self.frames} frames in {trees}, {health}.", *self.problems, *self.lines[:_MOST_LINES], *left_out]
+        return [*lines, *([self.note] if self.note else [])]
+
+
+async def tf_tree(
+    source: Source, frame: str = "", duration_s: float = 2.0, *, picture: bool = True, report: Report = silent
+) -> Tree:
+    """The frames that are told, or those below one; live after listening for a while, so that rates are known.
+
+    Raises:
+        NoTransform: if nothing is told at all.
+        NotFound: if there is no frame of that name.
+        UnknownInterface, LinkError: as `frames_of`.
+    """
+    tree = await _listened(source, duration_s, report)
+    unheard = await unheard_publishers(source)
+    if not tree.frames:
+        said = " ".join(unheard) or "Nothing came on /tf or /tf_static."
+        raise NoTransform("never published", f"No transform is known at all. {said}")
+    top = frame.strip().lstrip("/")
+    if top and top not in tree.frames:
+        raise NotFound(f"No transform names the frame {named(top)}.", did_you_mean(top, list(tree.frames)))
+    listener, covers = source.transforms, source.covers_ns
+    at_ns = listener.now_ns() if listener else covers[1] if covers else _newest_ns(tree)
+    tellers = await tellers_of(source, tree)
+    rows = {child: edge_row(tree, edge, at_ns, tellers) for child, edge in tree.edges.items()}
+    walk = list(_walk(tree, [top] if top else tree.roots))
+    lines = [_line(name, depth, rows.get(name)) for name, depth in walk]
+    images = [await asyncio.to_thread(_picture, walk, rows)] if picture else []
+    return Tree(
+        frames=len(walk),
+        roots=[top] if top else tree.roots,
+        edges=[rows[name] for name, _ in walk if name in rows],
+        problems=[*unheard, *_problems(tree, rows, [name for name, _ in walk], whole=not top)],
+        read_from="live" if source.is_live else source.words,
+        note=" ".join([*_note(tree), *followed_in_words(listener), *_silent(source, tellers)]),
+        lines=lines,
+        pictures=facts(images),
+        images=images,
+    )
+
+
+async def _listened(source: Source, duration_s: float, report: Report) -> FrameTree:
+    if (listener := source.transforms) is None:
+        return await frames_of(source, report=report)
+    await load("ros2_mcp.codec.plot")  # with numpy: not before it is needed
+    tree = await listener.listening()
+    deadline = monotonic() + duration_s
+    async with reporting(report, duration_s, lambda: f"{len(tree.frames)} frames"):
+        # An edge that is told once a second needs more than two messages for a rate.
+        while (left_s := deadline - monotonic()) > 0 and (monotonic() - (listener.since or 0.0)) < duration_s:
+            await listener.news(left_s)
+        if not tree.frames:
+            tree = await frames_of(source, until=lambda tree: bool(tree.frames))
+    return tree
+
+
+def _newest_ns(tree: FrameTree) -> int:
+    return max((edge.last_received_ns for edge in tree.edges.values()), default=0)
+
+
+def _walk(tree: FrameTree, tops: Sequence[str]) -> Iterator[tuple[str, int]]:
+    """Every frame below those, parents first, with its depth; where frames go in a circle, each once."""
+    below: dict[str, list[str]] = {}
+    for edge in tree.edges.values():
+        if edge.newest:
+            below.setdefault(edge.newest.parent, []).append(edge.child)
+    seen: set[str] = set()
+    waiting = [(name, 0) for name in reversed(tops)]
+    while waiting:
+        name, depth = waiting.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        yield name, depth
+        waiting += [(child, depth + 1) for child in sorted(below.get(name, ()), reverse=True)]
+
+
+def _line(name: str, depth: int, row: EdgeRow | None) -> str:
+    said = f" ({row.words()})" if row and row.parent and depth else ""
+    wrong = f" - {row.problem}" if row and row.problem else ""
+    return f"{'  ' * depth}{'└ ' if depth else ''}{named(name)}{said}{wrong}"
+
+
+def _problems(tree: FrameTree, rows: Mapping[str, EdgeRow], names: Sequence[str], *, whole: bool) -> list[str]:
+    found: list[str] = []
+    if whole and len(tree.roots) > 1:
+        roots = ", ".join(map(named, tree.roots))
+        found.append(f"{len(tree.roots)} trees, with no transform between them; their roots are {roots}.")
+    if circles := {min(circle): circle for name in names if (circle := tree.circle_of(name))}:
+        around = ", ".join(" → ".join(map(named, [*circle, circle[0]])) for circle in circles.values())
+        found.append(f"Frames go in a circle, each told to be in the next: {around}.")
+    for name in names:
+        row = rows.get(name)
+        if row and row.problem:
+            found.append(in_words(row))
+    return found
+
+
+def _note(tree: FrameTree) -> list[str]:
+    notes = [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []
+    if tree.left_out:
+        notes.append(f"{tree.left_out} transform(s) of further frames, or of frames without a name, are left out.")
+    if tree.clock_ns:
+        away = f"{seconds_in_words(tree.clock_ns)} {'behind' if tree.clock_ns > 0 else 'ahead of'} the robot's clock"
+        notes.append(f"Stamps are {away} (simulated time, or a bag that is played): ages are by receipt.")
+    return notes
+
+
+def _silent(source: Source, tellers: Tellers) -> list[str]:
+    return silent_in_words(tellers, source.transforms.listened_s) if source.transforms else []
+
+
+def _picture(walk: Sequence[tuple[str, int]], rows: Mapping[str, EdgeRow]) -> Picture:
+    from ros2_mcp.codec.raster import finished
+    from ros2_mcp.codec.tree_picture import TreeRow, tree_raster
+
+    drawn: list[TreeRow] = []
+    for name, depth in walk:
+        row = rows.get(name) if depth else None
+        kind = "root" if row is None else "problem" if row.problem else "static" if row.is_static else "moving"
+        said = (row.problem or row.words()) if row else ""
+        shown = name if is_name(name) else ascii(name)
+        drawn.append(TreeRow(shown[:_MOST_DRAWN], depth, said[:_MOST_DRAWN], kind))
+    return finished(tree_raster(drawn), BOUNDS)

@@ -1,0 +1,37 @@
+"""Publishers of frames that nodes with tf2's listener do not hear, and topics on which nobody publishes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ros2_mcp.model.qos import mismatch
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE, TransformListener
+
+
+async def unheard_publishers(source: Source) -> Sequence[str]:
+    """In sentences; none for a recording, and where all is well."""
+    if (listener := source.transforms) is None:
+        return ()
+    found: list[str] = []
+    for topic in (TF, TF_STATIC):
+        name = listener.namespace + topic
+        for one in await listener.publishers(topic):
+            if one.type != TF_TYPE:
+                found.append(f"{named(one.node)} publishes {name} as {named(one.type)}, not as {TF_TYPE}.")
+            elif why := mismatch(one.qos, LISTENS[topic]):
+                found.append(f"What {named(one.node)} publishes on {name} does not reach listeners of tf2: {why}.")
+    if not await listener.publishers(TF) and not await listener.publishers(TF_STATIC):
+        others = await listener.other_topics()
+        elsewhere = f" There is {', '.join(map(named, others))}: a namespace?" if others else ""
+        found.append(f"Nobody publishes on {TF} or {TF_STATIC}.{elsewhere}")
+    return found
+
+
+def followed_in_words(listener: TransformListener | None) -> list[str]:
+    """That the frames are those of a namespace, where they are."""
+    if listener is None or not listener.namespace:
+        return []
+    where = named(listener.namespace + TF)
+    return [f"These frames are told on {where} and {named(listener.namespace + TF_STATIC)}: nobody publishes on {TF}."]

@@ -1,0 +1,90 @@
+"""Values that come out of the sandbox, made plain and small before anything walks through them.
+
+What a program gives may share its parts, so that thirty small lists are a tree of a billion leaves; may be nested
+without end, or be nothing that JSON has a word for. So it is copied once, by a walk that counts every step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, cast
+
+from ros2_mcp.model.errors import BadInput
+
+MOST_PARTS = 20_000
+"""Numbers, texts, lists and objects within one value: a trajectory of 500 points of 6 joints has half as many. The walk
+holds up the server by some 10 ms; ten times as many held it up for longer than its link may be silent, under load."""
+MOST_CHARACTERS = 2_000_000
+"""Of all texts and bytes within one value."""
+DEEPEST = 40
+"""Lists within lists: no message of ROS is nested half as deep."""
+_EXACT = 10**400
+"""Integers beyond it are no number of any message, and their text alone would take long."""
+
+
+def crossed(value: Any, what: str, *, for_json: bool = False) -> Any:
+    """A copy of plain parts: None, bool, numbers, texts, bytes, lists, and objects with texts as keys.
+
+    Args:
+        value: as it came out of the sandbox.
+        what: what it is, for the error.
+        for_json: also what JSON has no word for becomes text: infinities, NaN, bytes, anything else.
+
+    Raises:
+        BadInput: if it is too large or nested too deep; without `for_json` also for what is no plain value.
+    """
+    left = [MOST_PARTS, MOST_CHARACTERS]
+
+    def spend(characters: int) -> None:
+        left[0] -= 1
+        left[1] -= characters
+        if min(left) < 0:
+            most = f"{MOST_PARTS} parts or {MOST_CHARACTERS} characters"
+            raise BadInput(f"{what} has more than {most}.", "Give less of it, or compute it in the program.")
+
+    def text(found: str) -> str:
+        spend(len(found))
+        return found.encode("utf-8", "replace").decode()  # half a character is none
+
+    def plain(found: Any, depth: int) -> Any:
+        if depth > DEEPEST:
+            raise BadInput(f"{what} is nested more than {DEEPEST} times.")
+        if isinstance(found, str):
+            return text(found)
+        if found is None or isinstance(found, bool):
+            spend(1)
+            return found
+        if isinstance(found, (int, float)):
+            spend(8)
+            return _number(found, what, for_json=for_json)
+        if isinstance(found, (list, tuple, set, frozenset)):
+            spend(1)
+            return [plain(each, depth + 1) for each in cast("list[Any]", found)]
+        if isinstance(found, Mapping):
+            spend(1)
+            items = cast("Mapping[Any, Any]", found).items()
+            return {_key(name, text, what, for_json): plain(below, depth + 1) for name, below in items}
+        if isinstance(found, (bytes, bytearray)) and not for_json:
+            spend(len(found))
+            return bytes(found)
+        if not for_json:
+            raise BadInput(f"{what}: a {type(found).__name__} is no value that the robot takes.")
+        spend(100)
+        return f"<{type(found).__name__}>"
+
+    return plain(value, 0)
+
+
+def _number(found: float, what: str, *, for_json: bool) -> Any:
+    if isinstance(found, int):
+        if abs(found) > _EXACT:
+            raise BadInput(f"{what}: a number of more than 400 digits.")
+        return str(found) if for_json and abs(found) >= 2**53 else found
+    return str(found) if for_json and not math.isfinite(found) else found
+
+
+def _key(name: Any, text: Any, what: str, for_json: bool) -> str:
+    if isinstance(name, str) or (for_json and isinstance(name, (int, float, bool)) and abs(name) < _EXACT):
+        return str(text(str(name)))
+    raise BadInput(f"{what}: the name of a field is a text, not a {type(name).__name__}.")

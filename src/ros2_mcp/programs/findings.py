@@ -1,0 +1,54 @@
+"""What is said of a program before it runs: of its types, its names, and what it would do."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.programs.sandbox import Finding
+
+_SURE = frozenset(
+    {
+        "invalid-argument-type",
+        "invalid-key",
+        "invalid-syntax",
+        "missing-argument",
+        "missing-typed-dict-key",
+        "parameter-already-assigned",
+        "too-many-positional-arguments",
+        "unknown-argument",
+        "unresolved-attribute",
+        "unresolved-import",
+        "unresolved-reference",
+    }
+)
+"""Rules of the check of types that are wrong at run time, too. Others, such as of what may be None, may be right."""
+_NO_MEMBER = re.compile(r"has no member `(\w+)`")
+_MOST_TOLD = 5
+_HINTS = (
+    ("`open` used when not defined", "A program has no files: it reads with robot.latest and robot.messages."),
+    ("Cannot resolve imported module", "It can import robot, math, time, json, re, datetime, asyncio, and no others."),
+    ("`dict[str, Any]` has no attribute", 'A message is a dict: message["pose"]["position"]["x"].'),
+)
+
+
+def require_sound(findings: Sequence[Finding], text: str, functions: Sequence[str], done: str = "run") -> None:
+    """Raises `BadInput` with each line that cannot be right, and what would be; `done` is what was not done with it."""
+    lines = text.splitlines()
+    told: list[str] = []
+    for finding in findings:
+        if finding.rule in _SURE and finding.line > 0:
+            source = lines[finding.line - 1].strip() if finding.line <= len(lines) else ""
+            hint = _hint(finding.message, functions)
+            told.append(f"line {finding.line} ({source[:80]}): {finding.message}. {hint}".rstrip())
+    if told:
+        more = f" And {len(told) - _MOST_TOLD} more." if len(told) > _MOST_TOLD else ""
+        raise BadInput(f"The program was not {done}. {' '.join(told[:_MOST_TOLD])}{more}")
+
+
+def _hint(message: str, functions: Sequence[str]) -> str:
+    if missing := _NO_MEMBER.search(message):
+        return did_you_mean(missing[1], functions, f"It has: {', '.join(functions)}.")
+    return next((hint for part, hint in _HINTS if part in message), "")

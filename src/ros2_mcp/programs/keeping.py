@@ -1,0 +1,211 @@
+"""`ros2_program_save` and `ros2_program_list`: programs that are kept for next time."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import Any
+
+from anyio import to_thread
+
+from ros2_mcp.model import names
+from ros2_mcp.model.argument_entries import argument_of
+from ros2_mcp.model.arguments import Argument
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.front_matter import FrontMatterError, entry_of
+from ros2_mcp.model.text import named, quoted
+from ros2_mcp.programs.findings import require_sound
+from ros2_mcp.programs.kept import KeptProgram, KeptPrograms
+from ros2_mcp.programs.program import Programs
+from ros2_mcp.programs.sandbox import Sandbox, is_installed
+from ros2_mcp.programs.stub import stub
+from ros2_mcp.robot import Robot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramInput:
+    """One input. `default` is null where there is none; `allowed` says in words what may be given."""
+
+    name: str
+    type: str
+    required: bool
+    default: Any
+    allowed: str
+    description: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramEntry:
+    """A kept program; `saved` is empty for one that was written by hand, `code` where it was not asked for."""
+
+    name: str
+    description: str
+    inputs: Sequence[ProgramInput]
+    version: int
+    saved: str = ""
+    by: str = ""
+    code: str = ""
+
+    def summary(self) -> str:
+        """One line: how it is called, and what for."""
+        inputs = ", ".join(each.name if each.required else f"{each.name}={each.default!r}" for each in self.inputs)
+        return f"{named(self.name)}({inputs}), version {self.version}: {quoted(self.description)}"
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramList:
+    """The kept programs, what is wrong with files that are none, and the folder, if there is one."""
+
+    programs: Sequence[ProgramEntry]
+    mistakes: Sequence[str]
+    kept_in: str
+    note: str = ""
+
+    def summary(self) -> list[str]:
+        """A line for each, and the code where it was asked for."""
+        lines = [line for each in self.programs for line in (each.summary(), *each.code.splitlines())]
+        return [*(lines or ["No programs are kept."]), *map(quoted, self.mistakes), *([self.note] if self.note else [])]
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramSaved:
+    """What was done: `kept`, `replaced` or `removed`. `former` is the file of what was there before, if any."""
+
+    done: str
+    program: ProgramEntry
+    kept_in: str
+    former: str = ""
+
+    def summary(self) -> str:
+        """One line."""
+        before = f" What was there before is in {named(self.former)}." if self.former else ""
+        how = "" if self.done == "removed" else " Run it with its name as program of ros2_run."
+        return f"{self.done}: {self.program.summary()}.{how}{before}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramRequest:
+    """A program to keep or to remove; `inputs` as in the front matter of a prompt."""
+
+    name: str
+    code: str = ""
+    description: str = ""
+    inputs: Sequence[Mapping[str, Any]] = ()
+    overwrite: bool = False
+    remove: bool = False
+
+
+async def list_programs(robot: Robot, pattern: str = "", *, with_code: bool = False) -> ProgramList:
+    """The programs whose names match."""
+    kept = KeptPrograms(robot.programs_folder)
+    programs, mistakes = await to_thread.run_sync(kept.all)
+    chosen = set(names.matching([each.name for each in programs], pattern))
+    entries = [_entry(each, with_code=with_code) for each in programs if each.name in chosen]
+    note = f"{len(programs)} are kept, {len(entries)} match." if len(entries) < len(programs) else ""
+    return ProgramList(entries, [str(mistake) for mistake in mistakes], str(kept.folder or ""), note)
+
+
+async def save_program(robot: Robot, programs: Programs, request: ProgramRequest) -> ProgramSaved:
+    """Keeps a program that can be right, or removes one; written into the audit. Nothing runs.
+
+    Raises:
+        BadInput: if something in it cannot be right, too.
+        BadInput, NotFound, BadData, RobotError: as `KeptPrograms.save` and `remove`.
+    """
+    kept = KeptPrograms(robot.programs_folder)
+    if request.remove:
+        gone = await to_thread.run_sync(kept.remove, request.name)
+        _audit(robot, "program removed", gone)
+        return ProgramSaved("removed", _entry(gone), str(kept.folder or ""), str(kept.former_file(gone)))
+    program = KeptProgram(
+        name=request.name,
+        description=request.description,
+        code=request.code,
+        inputs=inputs_of(request.inputs),
+        saved=datetime.now(timezone.utc).isoformat(timespec="seconds").replace("+00:00", "Z"),
+        by=robot.principal.name,
+    )
+
+    await _require_sound(programs, program)
+
+    def save() -> tuple[KeptProgram, KeptProgram | None]:
+        return kept.save(program, overwrite=request.overwrite)
+
+    saved, former = await to_thread.run_sync(save)
+    _audit(robot, "program kept", saved)
+    done = "replaced" if former else "kept"
+    return ProgramSaved(done, _entry(saved), str(kept.folder or ""), str(kept.former_file(former)) if former else "")
+
+
+async def _require_sound(programs: Programs, program: KeptProgram) -> None:
+    """Raises `BadInput` as a run would; without a sandbox nothing is known. What a client will give is of any type."""
+    if not is_installed():
+        return
+    names = [each.name for each in programs.functions]
+    sandbox = Sandbox(names, stub(programs.functions), _no_message)
+    given = dict.fromkeys(each.name for each in program.inputs)
+    async with sandbox.open():
+        require_sound(await sandbox.check(program.code, given), program.code, names, "kept")
+
+
+async def _no_message(_number: int) -> None:
+    """What is only checked follows no topic."""
+
+
+def inputs_of(declared: Sequence[Mapping[str, Any]]) -> tuple[Argument, ...]:
+    """Inputs as a client declares them.
+
+    Raises:
+        BadInput: naming what is wrong.
+    """
+    found: dict[str, Argument] = {}
+    for given in declared:
+        try:
+            argument = argument_of(entry_of(_as_written(given)))
+        except FrontMatterError as error:
+            raise BadInput(f"inputs: {error.text}", "Such as {'name': 'distance_m', 'type': 'number'}.") from None
+        if argument.name in found:
+            raise BadInput(f"The input {argument.name} is there twice.")
+        found[argument.name] = argument
+    return tuple(found.values())
+
+
+def _as_written(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """An input as a file would have it, where a default of type json stands as text."""
+    default = given.get("default")
+    if given.get("type") != "json" or default is None or isinstance(default, str):
+        return given
+    return {**given, "default": json.dumps(default)}
+
+
+def _entry(program: KeptProgram, *, with_code: bool = False) -> ProgramEntry:
+    return ProgramEntry(
+        name=program.name,
+        description=program.description,
+        inputs=[
+            ProgramInput(
+                name=each.name,
+                type=each.kind,
+                required=each.required and each.default is None,
+                default=each.default,
+                allowed=each.allowed(),
+                description=each.description,
+            )
+            for each in program.inputs
+        ],
+        version=program.version,
+        saved=program.saved,
+        by=program.by,
+        code=program.code if with_code else "",
+    )
+
+
+def _audit(robot: Robot, kind: str, program: KeptProgram) -> None:
+    if robot.guard.audit:
+        digest = hashlib.sha256(program.code.encode()).hexdigest()
+        robot.guard.audit.note(
+            kind, principal=robot.principal.name, name=program.name, version=program.version, sha256=digest
+        )

@@ -1,0 +1,12 @@
+"""All functions that only programs have: a module that declares some is one line here."""
+
+from collections.abc import Sequence
+
+from ros2_mcp.programs import functions
+from ros2_mcp.programs.declare import DECLARED, Function, pure
+from ros2_mcp.programs.numbers import NUMBERS
+
+__all__ = ["FUNCTIONS", "functions"]
+
+FUNCTIONS: Sequence[Function] = [*DECLARED, *(pure(name, implementation) for name, implementation in NUMBERS.items())]
+"""In the order in which they are shown; `functions` has declared its own."""

@@ -1,0 +1,102 @@
+"""The names of topics and fields that stand in a program, against the robot as it is now."""
+
+from __future__ import annotations
+
+import ast
+import tokenize
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from ros2_mcp.model import names
+from ros2_mcp.model.errors import BadInput, BadValue, RobotError
+from ros2_mcp.model.text import named
+from ros2_mcp.programs.rewrite import tokens_of
+from ros2_mcp.programs.sandbox import MODULE
+from ros2_mcp.robot import Robot
+
+_READ = frozenset({"latest", "messages", "wait_until", "scan", "picture"})
+"""Functions whose first texts are topics that must be there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """Topics and fields that a call names by texts of its own, with its line."""
+
+    line: int
+    topics: Sequence[str]
+    fields: Sequence[str]
+
+
+async def require_names(robot: Robot, text: str) -> None:
+    """Raises `BadInput` where a topic is not there, but one of nearly that name is, or its type has no such field.
+
+    A topic that is near no other may be coming up: its reader waits for it, and says so.
+    """
+    if not (found := [one for one in named_in(text) if one.topics]):
+        return
+    try:
+        present = {row.name: row for row in await robot.graph.topics()}
+    except RobotError:  # whoever reads says that there is no robot
+        return
+    for one in found:
+        for topic in map(names.absolute, one.topics):
+            if topic not in present and (near := names.nearest(topic, [*present])):
+                raise BadInput(f"line {one.line}: there is no topic {named(topic)}.", f"Did you mean {named(near)}?")
+        row = present.get(names.absolute(one.topics[0])) if len(one.topics) == 1 else None
+        if row and len(row.types) == 1 and one.fields:
+            await _require_fields(robot, row.types[0], one)
+
+
+async def _require_fields(robot: Robot, type_name: str, one: Named) -> None:
+    from ros2_mcp.codec.select import parse_fields
+
+    try:
+        await robot.values.learn(type_name)
+        parse_fields(robot.values.definitions, type_name, one.fields)
+    except BadValue as error:
+        raise BadInput(f"line {one.line}: {error.message}", error.hint) from error
+    except RobotError:  # whoever reads it says what is wrong
+        return
+
+
+def named_in(text: str) -> Iterator[Named]:
+    """What the calls of a program name by texts: `robot.latest("/odom", fields=["pose"])`."""
+    tokens = [token for token in tokens_of(text) if token.type not in (tokenize.NL, tokenize.COMMENT)]
+    for place in range(len(tokens) - 4):
+        module, dot, function, bracket = tokens[place : place + 4]
+        if (module.string, dot.string, bracket.string) == (MODULE, ".", "(") and function.string in _READ:
+            yield _named(tokens[place + 4 :], function)
+
+
+def _named(tokens: Sequence[tokenize.TokenInfo], function: tokenize.TokenInfo) -> Named:
+    topics: list[str] = []
+    fields: list[str] = []
+    depth, argument, is_first = 0, "", True
+    for place, token in enumerate(tokens):
+        if token.type == tokenize.OP:
+            depth += (token.string in "([{") - (token.string in ")]}")
+            if depth < 0:
+                break
+            if token.string == "," and depth == 0:
+                argument, is_first = "", False
+        elif token.type == tokenize.NAME and depth == 0 and tokens[place + 1].string == "=":
+            argument = token.string
+            if argument == "bag":  # of a recording, whose reader says what is not in it
+                return Named(function.start[0], (), ())
+        elif token.type == tokenize.STRING and (value := _text(token.string)):
+            if argument == "fields":
+                fields.append(value)
+            elif argument in ("topic_name", "") and depth == 0 and (is_first or function.string == "messages"):
+                topics.append(value)
+    return Named(function.start[0], topics, fields)
+
+
+def _text(literal: str) -> str:
+    """What a plain literal says; nothing for one of bytes, or with fields of its own."""
+    if literal[:1] not in "'\"" or len(literal) > 300:
+        return ""
+    try:
+        value = ast.literal_eval(literal)
+    except (ValueError, SyntaxError):
+        return ""
+    return value if isinstance(value, str) else ""

@@ -1,0 +1,313 @@
+"""One program as a job: its process, what it asks for, its limits, and the end of all that it has begun."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, is_dataclass, replace
+from time import monotonic
+from typing import Any, cast
+
+import anyio
+
+from ros2_mcp.guard.audit import called_through
+from ros2_mcp.model.errors import ApprovalNeeded, BadInput, Rehearsed, RobotError, Stopped
+from ros2_mcp.model.names import did_you_mean
+from ros2_mcp.model.pictures import Picture
+from ros2_mcp.ops.memory.bag_store import BagStore
+from ros2_mcp.ops.results import Report, as_json, lines_of, silent
+from ros2_mcp.ops.sources.kinds import Sources
+from ros2_mcp.ops.sources.source import Source, SourceKind
+from ros2_mcp.programs.crossing import crossed
+from ros2_mcp.programs.declare import Function
+from ros2_mcp.programs.findings import require_sound
+from ros2_mcp.programs.names import require_names
+from ros2_mcp.programs.rewrite import rewritten
+from ros2_mcp.programs.sandbox import Failure, Sandbox
+from ros2_mcp.programs.streams import FollowRequest, Streams
+from ros2_mcp.programs.stub import stub
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.stops import Accepted
+
+MOST_CALLS = 100_000
+"""Of functions: ten minutes of a loop at 100 Hz that calls once in each turn, and 40,000 more."""
+MOST_CALLS_PER_S = 1000
+"""Each costs this process 0.1 ms at least: so ten programs that call without end leave it time for others."""
+MOST_MESSAGES = 600_000
+"""Ten minutes of 1 kHz: what a program asks for beyond that, it had better ask statistics for."""
+MOST_COMMANDS = 12_000
+"""Ten minutes of 20 Hz, as fast as most bases follow."""
+MOST_PRINTED = 12_000
+"""Characters that are shown of what it prints: a third of a result."""
+_MOST_PRINTED_IN_ALL = 1_000_000
+"""A program that prints more prints in a circle."""
+_MOST_DONE = 40
+"""Commands that are listed, the first and the last ones; all are counted."""
+_ASKED_AGAIN_S = 0.2
+"""Between two looks whether a person has answered: they have taken seconds already."""
+_MOST_PICTURES = 4
+"""A picture costs a model some 1500 tokens."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """A command of a program: the line that gave it, the function, and what became of it."""
+
+    line: int
+    function: str
+    outcome: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Programs:
+    """What programs of a server are made of: the functions of the module `robot`, and what can be read from."""
+
+    functions: Sequence[Function]
+    store: BagStore
+    kinds: Sequence[SourceKind]
+
+
+@dataclass(slots=True, kw_only=True)
+class Record:
+    """What a program has done so far."""
+
+    printed: list[str] = field(default_factory=list[str])
+    characters: int = 0
+    calls: int = 0
+    messages: int = 0
+    commands: int = 0
+    done: list[Done] = field(default_factory=list[Done])
+    pictures: list[Picture] = field(default_factory=list[Picture])
+    ended: list[str] = field(default_factory=list[str])
+    value: Any = None
+    failure: Failure | None = None
+
+    def note(self, done: Done) -> None:
+        """Keeps the first and the last commands."""
+        self.done.append(done)
+        if len(self.done) > _MOST_DONE:
+            del self.done[_MOST_DONE // 2]
+
+
+@dataclass(frozen=True, slots=True)
+class _Use:
+    """What one call of a function gets of its program (`declare.Use`)."""
+
+    program: Program
+    robot: Robot
+    line: int
+
+    @property
+    def store(self) -> BagStore:
+        return self.program.programs.store
+
+    @property
+    def sources(self) -> Sources:
+        return Sources(self.robot, self.program.programs.store, self.program.programs.kinds)
+
+    @property
+    def streams(self) -> Streams:
+        return self.program.streams
+
+    @property
+    def report(self) -> Report:
+        return silent
+
+    async def follow(self, source: Source, wanted: FollowRequest) -> Any:
+        return await self.program.follow(source, wanted)
+
+    def keep(self, picture: Picture) -> None:
+        self.program.keep(picture)
+
+    async def stop_own(self) -> list[str]:
+        return await self.program.end_own()
+
+
+class Program(Job):
+    """A program that runs in the sandbox; its owner is who asked for it. All that it begins belongs to it and ends
+    with it, whatever ends it: its topics are no longer followed, what it drives gets its zero, its goals are cancelled.
+
+    `record` is what it has done so far, `waits_for` in words which person's answer it waits for. In a rehearsal it
+    reads, and of what it would do nothing is done.
+    """
+
+    kind = "program"
+    most_running = 10
+    """Each may take a processor for a while."""
+    stopped_by = "ros2_stop"
+
+    def __init__(
+        self,
+        robot: Robot,
+        programs: Programs,
+        text: str,
+        inputs: Mapping[str, Any],
+        timeout_s: float,
+        *,
+        is_rehearsal: bool,
+    ) -> None:
+        super().__init__(owner=robot.principal)
+        self.moves = (self.id,)  # whatever it may move: a stop of everything, and the end of its client, end it
+        self.at_most_s = timeout_s
+        self.programs = programs
+        self.record = Record()
+        self.streams = Streams()
+        self.waits_for = ""
+        self._second_began_at, self._calls_in_second = monotonic(), 0
+        self._is_rehearsal = is_rehearsal
+        self._robot = robot
+        self._text = text
+        self._inputs = inputs
+        self._principal = replace(robot.principal, program=self.id)
+        self._accepted = robot.accepted or robot.stops.now()
+        self._functions = {each.name: each for each in programs.functions}
+        self._sandbox = Sandbox([*self._functions], stub(programs.functions), self._next_message)
+
+    async def run(self) -> None:
+        """Checks it, runs it, and ends all that it has begun."""
+        program = rewritten(self._text)
+        try:
+            async with self._sandbox.open():
+                require_sound(await self._sandbox.check(self._text, self._inputs), self._text, [*self._functions])
+                if not self._robot.policy.recorded:
+                    await require_names(self._robot, self._text)
+                self.begun()
+                with anyio.move_on_after(self.at_most_s) as time:
+                    self.record.value = await self._sandbox.run(program, self._inputs, self._answer, self._print)
+                if time.cancelled_caught:
+                    raise Failure("limit", 0, f"its time is over: timeout was {self.at_most_s:g} s")
+        except Failure as failure:
+            self.record.failure = self._over_printed() or failure
+        finally:
+            with anyio.CancelScope(shield=True):
+                await self.streams.close()
+                self.record.ended += await self.end_own(self.stop_reason or f"the end of {self.id}")
+
+    async def end_own(self, reason: str = "its program") -> list[str]:
+        """Ends what it has in motion; in words, what that was. What it begins later is not touched by it."""
+        ended = list(await self._robot.stop_owned(self._principal, reason))
+        self._accepted = Accepted(self._accepted.epoch, self._robot.stops.now().ends)
+        return ended
+
+    async def follow(self, source: Source, wanted: FollowRequest) -> Any:
+        """Follows topics; what stands for their messages in the sandbox."""
+        return self._sandbox.stream(await self.streams.follow(source, wanted))
+
+    def keep(self, picture: Picture) -> None:
+        """Keeps a picture for the result."""
+        if len(self.record.pictures) >= _MOST_PICTURES:
+            raise BadInput(f"A program hands over at most {_MOST_PICTURES} pictures.")
+        self.record.pictures.append(picture)
+
+    # ── what the sandbox asks ──────────────────────────────────────────────────────────────────────────────────
+
+    async def _answer(self, name: str, given: Sequence[Any], named: Mapping[str, Any], line: int) -> Any:
+        record, function = self.record, self._functions.get(name)
+        if function is None:
+            raise BadInput(f"The module robot has no {name}.", did_you_mean(name, [*self._functions]))
+        record.calls += 1
+        if record.calls > MOST_CALLS:
+            raise Failure("limit", line, f"more than {MOST_CALLS} calls of functions")
+        await self._in_turn()
+        what = f"What robot.{name} is given"
+        arguments = _bound(function, crossed(list(given), what), crossed(dict(named), what))
+        acts = function.risk == "act"
+        if acts:
+            record.commands += 1
+            if record.commands > MOST_COMMANDS:
+                raise Failure("limit", line, f"more than {MOST_COMMANDS} commands")
+        try:
+            with called_through(function.tool or "ros2_run", f"{self.id}, line {line}"):
+                if acts and self._is_rehearsal:
+                    return await self._rehearse(function, arguments, line)
+                result = await self._perform(function, arguments, line)
+        except Stopped as error:
+            raise Failure("stopped", line, str(error)) from error
+        except RobotError as error:
+            if acts:
+                record.note(Done(line, name, f"{type(error).__name__}: {error.message}"))
+            raise
+        if acts:
+            record.note(Done(line, name, _in_words(result)))
+        record.pictures += getattr(result, "images", ())[: _MOST_PICTURES - len(record.pictures)]
+        value = as_json(result) if is_dataclass(result) else result
+        return value[function.unwrapped] if function.unwrapped else value
+
+    async def _in_turn(self) -> None:
+        """Holds a program back that calls faster than others can bear beside it."""
+        now = monotonic()
+        if now - self._second_began_at >= 1.0:
+            self._second_began_at, self._calls_in_second = now, 0
+        self._calls_in_second += 1
+        if self._calls_in_second > MOST_CALLS_PER_S:
+            await asyncio.sleep(self._second_began_at + 1.0 - now)
+
+    async def _perform(self, function: Function, arguments: Mapping[str, Any], line: int) -> Any:
+        """Does it; where a person has to approve it, the program waits until one has answered."""
+        while True:
+            use = _Use(self, self._robot.acting_for(self._principal, self._accepted), line)
+            try:
+                return await function.perform(use, arguments)
+            except ApprovalNeeded as needed:
+                approvals = self._robot.guard.approvals
+                if approvals is None or not needed.request_id:
+                    raise
+                self.waits_for = f"line {line} waits for a person: {needed.request_id} (ros2-mcp operate)"
+                while approvals.is_waiting(needed.request_id):
+                    await asyncio.sleep(_ASKED_AGAIN_S)
+                self.waits_for = ""
+
+    async def _rehearse(self, function: Function, arguments: Mapping[str, Any], line: int) -> Any:
+        """Does nothing, and notes what would be done: its result has nothing in it."""
+        robot = self._robot.acting_for(self._principal, self._accepted)
+        robot.rehearsed = []
+        said = ""
+        try:
+            if function.name != "stop":
+                await function.perform(_Use(self, robot, line), arguments)
+        except Rehearsed:
+            pass
+        except RobotError as error:  # it would fail now; what would have been done before may change that
+            said = f"would fail now: {error.message}"
+        self.record.note(Done(line, function.name, "; ".join(robot.rehearsed) or said or "would be done"))
+        return dict.fromkeys(getattr(function.signature.return_annotation, "__dataclass_fields__", {}))
+
+    async def _next_message(self, number: int) -> Any:
+        self.record.messages += 1
+        if self.record.messages > MOST_MESSAGES:
+            raise Failure("limit", 0, f"more than {MOST_MESSAGES} messages")
+        return await self.streams.next(number)
+
+    def _print(self, text: str) -> None:
+        record = self.record
+        if record.characters < MOST_PRINTED:
+            record.printed.append(text[: MOST_PRINTED - record.characters])
+        record.characters += len(text)
+        if self._over_printed():
+            self._sandbox.kill()
+
+    def _over_printed(self) -> Failure | None:
+        if self.record.characters <= _MOST_PRINTED_IN_ALL:
+            return None
+        return Failure("limit", 0, f"it printed more than {_MOST_PRINTED_IN_ALL} characters")
+
+
+def _bound(function: Function, given: Sequence[Any], named: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The arguments by name; raises `BadInput` for what the function does not take."""
+    names = [*function.signature.parameters]
+    if unknown := [name for name in named if name not in names]:
+        hint = did_you_mean(unknown[0], names, f"It has: {', '.join(names)}.")
+        raise BadInput(f"robot.{function.name} has no argument {unknown[0]!r}.", hint)
+    try:
+        bound = function.signature.bind(*given, **named)
+    except TypeError as error:
+        raise BadInput(f"robot.{function.name}: {error}.") from error
+    return bound.arguments
+
+
+def _in_words(result: Any) -> str:
+    """What became of a command, on one line."""
+    if hasattr(result, "summary"):
+        return (lines_of(result.summary()) or [""])[0][:200]
+    return ", ".join(map(str, cast("list[Any]", result)))[:200] if isinstance(result, list) else "done"

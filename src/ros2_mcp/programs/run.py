@@ -1,0 +1,174 @@
+"""Running a program, and what there is to be told of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.text import quoted
+from ros2_mcp.ops.results import HIDDEN, ON_REQUEST, Report, WithPictures, facts, silent
+from ros2_mcp.programs.crossing import crossed
+from ros2_mcp.programs.program import MOST_PRINTED, Done, Program, Programs, Record
+from ros2_mcp.robot import Robot
+
+MOST_CHARACTERS = 20_000
+"""Of a program: ten times what a task needs; what is longer is no program that somebody reads."""
+MOST_VALUE = 12_000
+"""Characters of JSON of what a program gives, and of what it is given."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramError:
+    """What ended a program: its line and the text of it, what was wrong, and what would be right."""
+
+    line: int
+    source: str
+    message: str
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ran(WithPictures):
+    """What became of a program.
+
+    `outcome` is `ended`, `failed` (an error of the program), `limit` (of time, memory, calls or the like), `stopped`
+    (by `ros2_stop` or the latch) or `crashed` (its process died). `printed` are its lines, `returned` has under `value`
+    that of the last line where that is an expression. `commands` is what it gave to the robot, by its lines: of many
+    the first and the last. `ended_with_it` was still in motion at its end.
+    """
+
+    outcome: str
+    printed: Sequence[str] = ()
+    returned: Mapping[str, Any] | None = field(default=None, metadata=ON_REQUEST)
+    error: ProgramError | None = field(default=None, metadata=ON_REQUEST)
+    elapsed_s: float
+    calls: int
+    commands: Sequence[Done] = ()
+    ended_with_it: Sequence[str] = ()
+    program_id: str
+    note: str = ""
+    commands_given: int = field(default=0, metadata=HIDDEN)
+
+    def summary(self) -> str:
+        """One line."""
+        why = ""
+        if self.error:  # of a program it may have what it read of the robot
+            message = quoted(self.error.message) if self.outcome == "failed" else self.error.message
+            why = f" at line {self.error.line}: {message}" if self.error.line else f": {message}"
+        did = f"{self.calls} call(s), {self.commands_given} command(s)"
+        return f"{self.outcome}{why} after {self.elapsed_s:g} s, {did}. {self.note}".rstrip()
+
+
+async def run(
+    robot: Robot,
+    programs: Programs,
+    text: str,
+    inputs: Mapping[str, Any] | None,
+    timeout_s: float,
+    report: Report = silent,
+    *,
+    dry_run: bool = False,
+) -> Ran:
+    """Runs a program to its end, and tells of it; what it prints is progress meanwhile. A dry run reads, and does
+    nothing: it tells what would be done.
+
+    Raises:
+        BadInput: if it is no program, or something in it cannot be right; nothing was run.
+        Refused: if too many run.
+    """
+    given = _checked_inputs(inputs or {})
+    if len(text) > MOST_CHARACTERS:
+        raise BadInput(f"The program has {len(text)} characters; at most {MOST_CHARACTERS} are taken.")
+    if not text.strip():
+        raise BadInput("There is no program.", 'Such as: import robot\nprint(robot.latest("/odom")["_age_s"])')
+    program = Program(robot, programs, text, given, timeout_s, is_rehearsal=dry_run)
+    said = 0
+
+    async def progress() -> None:
+        nonlocal said
+        printed = "".join(program.record.printed)
+        new, said = printed[said:].rstrip("\n"), len(printed)
+        line = (
+            program.waits_for
+            or new.rpartition("\n")[2]
+            or f"{program.record.calls} calls, {program.record.messages} messages"
+        )
+        await report(program.elapsed_s, timeout_s, line)
+
+    await robot.jobs.run(program, every_second=progress)
+    return _told(program, text, "A dry run: nothing was done." if dry_run else "")
+
+
+def _told(program: Program, text: str, note: str) -> Ran:
+    record, notes = program.record, [note] if note else []
+    failure = record.failure
+    outcome = "ended"
+    if failure:
+        outcome = {"error": "failed", "crash": "crashed"}.get(failure.kind, failure.kind)
+    elif program.state == "stopped":
+        outcome = "stopped"
+        notes.append(f"It was ended by {program.stop_reason or 'a request to cancel it'}.")
+    if record.characters > MOST_PRINTED:
+        notes.append(f"It printed {record.characters} characters, of which the first {MOST_PRINTED} are shown.")
+    if record.commands > len(record.done):
+        notes.append(f"{record.commands} commands were given, of which {len(record.done)} are listed.")
+    if record.ended:
+        notes.append(f"Ended with it: {', '.join(record.ended)}.")
+    returned, cut = _returned(record)
+    notes += [cut] if cut else []
+    lines = text.splitlines()
+    return Ran(
+        outcome=outcome,
+        printed="".join(record.printed).splitlines(),
+        returned=returned,
+        error=failure
+        and ProgramError(
+            failure.line,
+            lines[failure.line - 1].strip()[:200] if 0 < failure.line <= len(lines) else "",
+            failure.message,
+            _hint(failure.message),
+        ),
+        elapsed_s=round(program.elapsed_s, 3),
+        calls=record.calls,
+        commands=record.done,
+        ended_with_it=record.ended,
+        program_id=program.id,
+        note=" ".join(notes),
+        commands_given=record.commands,
+        pictures=facts(record.pictures),
+        images=record.pictures,
+    )
+
+
+def _returned(record: Record) -> tuple[Mapping[str, Any] | None, str]:
+    if record.value is None:
+        return None, ""
+    try:
+        value = crossed(record.value, "The value", for_json=True)
+    except BadInput as error:
+        return None, str(error)
+    text = json.dumps(value, ensure_ascii=False)
+    if len(text) > MOST_VALUE:
+        return {"value": text[:200]}, f"The value has {len(text)} characters of JSON, too many to be shown: print less."
+    return {"value": value}, ""
+
+
+def _checked_inputs(inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Raises `BadInput` for a name that is none, or for too much."""
+    for name in inputs:
+        if not name.isidentifier() or name.startswith("_"):
+            raise BadInput(f"inputs: {name!r} is no name that a program can have.", "Use letters, such as topic.")
+    if len(json.dumps(inputs, default=str)) > MOST_VALUE:
+        raise BadInput(f"inputs: more than {MOST_VALUE} characters of JSON.")
+    return inputs
+
+
+def _hint(message: str) -> str:
+    if message.startswith("KeyError"):
+        return "print(message.keys()) shows what is there; fields of messages are those of ros2_get_message_fields."
+    if message.startswith("NotImplementedError"):
+        return "The sandbox has no generators, no classes that inherit, and no async for: write a plain loop."
+    return ""

@@ -1,0 +1,274 @@
+"""The topics that a program follows, live or recorded: every message at its rate, kept until it is asked for."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.model import names
+from ros2_mcp.model.aside import aside
+from ros2_mcp.model.errors import BadData, Refused, RobotError, TimedOut
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.sources.source import Source, Stream
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.render import RenderOptions
+
+MOST_WAITING = 1000
+"""Messages of one topic that wait for the program: ten seconds of 100 Hz. Live the oldest are dropped, and counted."""
+MOST_WAITING_BYTES = 16_000_000
+"""The same in bytes: five raw camera pictures."""
+MOST_BYTES = 2_000_000
+"""Of one message that is given whole: what is larger has to be asked for by its fields, or as a picture."""
+MOST_STREAMS = 16
+"""Followed at the same time; `sandbox.STREAMS` objects stand for them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FollowRequest:
+    """What a program follows, and how: `fields` as in `ros2_topic_subscribe`, `count` messages at most, every n-th."""
+
+    topics: Sequence[str]
+    fields: Sequence[str] = ()
+    count: int | None = None
+    every_n: int = 1
+
+
+class Followed:
+    """One topic or several, followed until `close`.
+
+    Live, messages wait in the order of their receipt, `keep` of each topic; of a recording they are read as the
+    program asks for them, of several topics in the order of their times.
+    """
+
+    def __init__(
+        self, source: Source, wanted: FollowRequest, *, keep: int = MOST_WAITING, limit: int | None = None
+    ) -> None:
+        self._source = source
+        self._wanted = wanted
+        self._keep = keep
+        self._given = 0
+        self._changed = asyncio.Event()
+        self._has_room = asyncio.Event()
+        self._topics = [_Topic(names.absolute(topic)) for topic in wanted.topics]
+        self._tasks = [asyncio.create_task(self._follow(topic, limit)) for topic in self._topics]
+
+    async def opened(self) -> None:
+        """Returns when every topic is followed; raises as `Source.follow` if one cannot be."""
+        while not all(topic.stream or topic.is_over for topic in self._topics):
+            await self._wait(math.inf)
+        for topic in self._topics:
+            if topic.error:
+                raise topic.error
+
+    async def next(self, timeout_s: float = math.inf) -> dict[str, Any] | None:
+        """The next message, None where there are no more; waits for it as long as the source lasts.
+
+        Raises:
+            TimedOut: if none came in that time.
+            RobotError: what ended the following of a topic.
+        """
+        if self._wanted.count is not None and self._given >= self._wanted.count:
+            return None
+        deadline = monotonic() + timeout_s
+        while (topic := self._ready()) is None:
+            if all(each.is_over for each in self._topics):
+                for each in self._topics:
+                    if each.error:
+                        raise each.error
+                return None
+            if (left_s := deadline - monotonic()) <= 0:
+                raise TimedOut(f"No message on {', '.join(named(each.name) for each in self._topics)}.")
+            await self._wait(left_s)
+        self._given += 1
+        sample = topic.take()
+        self._has_room.set()
+        return await self._told(topic, sample)
+
+    async def newest(self, timeout_s: float) -> dict[str, Any]:
+        """The newest message that has come, which stays; raises as `next`."""
+        deadline = monotonic() + timeout_s
+        topic = self._topics[0]
+        while topic.last is None:
+            if topic.error:
+                raise topic.error
+            left_s = deadline - monotonic()
+            if topic.is_over or left_s <= 0:
+                why = f" {await topic.stream.why_no_more(None)}" if topic.stream else ""
+                raise TimedOut(f"No message on {named(topic.name)}.{why}")
+            await self._wait(left_s)
+        return await self._told(topic, topic.last)
+
+    async def close(self) -> None:
+        """Ends its subscriptions."""
+        for task in self._tasks:
+            task.cancel()
+        if self._tasks:
+            await asyncio.wait(self._tasks)
+
+    async def _follow(self, topic: _Topic, limit: int | None) -> None:
+        try:
+            async with self._source.follow(topic.name, limit=limit, every_n=self._wanted.every_n) as stream:
+                topic.stream = stream
+                topic.check(self._wanted.fields)
+                self._changed.set()
+                async for batch in stream.batches:
+                    for sample in batch:
+                        while not self._source.is_live and topic.is_full(self._keep):
+                            self._has_room.clear()
+                            await self._has_room.wait()
+                        topic.put(sample, self._keep)
+                    if batch:
+                        self._changed.set()
+        except RobotError as error:
+            topic.error = error
+        finally:
+            topic.is_over = True
+            self._changed.set()
+
+    def _ready(self) -> _Topic | None:
+        """The topic whose message is the next one; None as long as that is not known."""
+        if not self._source.is_live and any(not each.waiting and not each.is_over for each in self._topics):
+            return None
+        waiting = [each for each in self._topics if each.waiting]
+        return min(waiting, key=lambda each: each.waiting[0].received_ns) if waiting else None
+
+    async def _wait(self, timeout_s: float) -> None:
+        self._changed.clear()
+        with suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(self._changed.wait(), None if timeout_s == math.inf else timeout_s)
+
+    async def _told(self, topic: _Topic, sample: Sample) -> dict[str, Any]:
+        """A message as the program gets it: its fields, or those that it asked for, and what is to be known of it."""
+        stream = topic.stream
+        assert stream
+        if len(sample.data) > MOST_BYTES and not self._wanted.fields:
+            raise Refused(
+                f"A message of {named(topic.name)} has {len(sample.data)} bytes, more than a program is given whole.",
+                "Ask for its fields, or for robot.picture(topic).",
+            )
+        value = await aside(len(sample.data), _values, stream, sample, tuple(self._wanted.fields))
+        value["_topic"] = topic.name
+        value["_time"] = sample.received_ns / 1e9
+        if self._source.is_live:
+            value["_age_s"] = round(max(0.0, (stream.end_ns - (sample.source_ns or sample.received_ns)) / 1e9), 6)
+        value["_dropped"] = topic.dropped + stream.counts.dropped
+        return value
+
+
+class _Topic:
+    """One followed topic: the samples that wait, the last one, and what became of others."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.stream: Stream | None = None
+        self.waiting: deque[Sample] = deque()
+        self.last: Sample | None = None
+        self.error: RobotError | None = None
+        self.is_over = False
+        self.dropped = 0
+        self._bytes = 0
+
+    def check(self, fields: Sequence[str]) -> None:
+        """Raises `BadValue` if its type has no such field."""
+        if fields and self.stream:
+            from ros2_mcp.codec.select import parse_fields
+
+            parse_fields(self.stream.codec.definitions, self.stream.type, fields)
+
+    def is_full(self, keep: int) -> bool:
+        """Whether another one would displace one that waits."""
+        return len(self.waiting) >= keep or (bool(self.waiting) and self._bytes > MOST_WAITING_BYTES)
+
+    def put(self, sample: Sample, keep: int) -> None:
+        self.last = sample
+        if keep <= 1:  # only the last one is asked for
+            return
+        while self.is_full(keep):
+            self._bytes -= len(self.waiting.popleft().data)
+            self.dropped += 1
+        self.waiting.append(sample)
+        self._bytes += len(sample.data)
+
+    def take(self) -> Sample:
+        sample = self.waiting.popleft()
+        self._bytes -= len(sample.data)
+        return sample
+
+
+class Streams:
+    """All that one program follows; closed with it."""
+
+    def __init__(self) -> None:
+        self._followed: dict[int, Followed] = {}
+        self._latest: dict[tuple[str, tuple[str, ...]], Followed] = {}
+        self._count = 0
+
+    async def follow(self, source: Source, wanted: FollowRequest) -> int:
+        """Follows topics from now on; the number by which `next` asks for them.
+
+        Raises:
+            Refused: if it follows too many already.
+            RobotError: as `Source.follow`.
+        """
+        if len(self._followed) + len(self._latest) >= MOST_STREAMS:
+            raise Refused(
+                f"A program follows at most {MOST_STREAMS} topics at a time.", "Begin messages() before a loop, once."
+            )
+        number = next(number for number in range(MOST_STREAMS) if number not in self._followed)
+        limit = wanted.count if len(wanted.topics) == 1 and not source.is_live else None
+        followed = self._followed[number] = Followed(source, wanted, limit=limit)
+        await followed.opened()
+        self._count += 1
+        return number
+
+    async def next(self, number: int) -> dict[str, Any] | None:
+        """The next message of one, None at its end, with which it is closed; raises as `Followed.next`."""
+        if (followed := self._followed.get(number)) is None:
+            return None
+        message = await followed.next()
+        if message is None:
+            del self._followed[number]
+            await followed.close()
+        return message
+
+    async def latest(self, source: Source, topic: str, fields: Sequence[str], timeout_s: float) -> dict[str, Any]:
+        """The newest message of a topic; it is followed from the first time on. Raises as `Followed.newest`."""
+        key = names.absolute(topic), tuple(fields)
+        followed = self._latest.get(key)
+        if followed is None:
+            if len(self._followed) + len(self._latest) >= MOST_STREAMS:
+                await self._latest.pop(next(iter(self._latest))).close()
+            followed = Followed(source, FollowRequest(topics=[topic], fields=fields), keep=1)
+            self._latest[key] = followed
+        try:
+            return await followed.newest(timeout_s)
+        except RobotError:
+            self._latest.pop(key, None)
+            await followed.close()
+            raise
+
+    async def close(self) -> None:
+        """Ends all."""
+        followed = [*self._followed.values(), *self._latest.values()]
+        self._followed, self._latest = {}, {}
+        await asyncio.gather(*(each.close() for each in followed), return_exceptions=True)
+
+
+def _values(stream: Stream, sample: Sample, fields: tuple[str, ...]) -> dict[str, Any]:
+    from ros2_mcp.codec.render import RenderOptions, render
+
+    options: RenderOptions = RenderOptions(native=True, fields=fields or None)
+    definitions = stream.codec.definitions
+    try:
+        message = stream.codec.decode(stream.type, sample.data)
+    except BadData as error:
+        raise BadData(f"A message of {named(stream.topic)} is not what its type says: {error.message}") from error
+    return render(definitions, stream.type, message, options=options).value

@@ -1,0 +1,61 @@
+"""The prompts of a server with several robots: each has an argument more, which robot it is about."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from ros2_mcp.model.arguments import Argument
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.model.text import listed
+from ros2_mcp.prompts.catalog import Catalog
+from ros2_mcp.prompts.prompt import Message, Prompt
+
+ROBOT = "robot"
+_STEP = re.compile(r"(Call ros2_\w+ with \{)(?=(\}?))")
+"""A step of ours (`prompts/prompt.py`): a tool, and its arguments as JSON."""
+_MOST_NAMED = 15
+"""Robots in one error text."""
+
+
+class CatalogOfSeveral(Catalog):
+    """A catalog whose prompts say which robot they are about, and to give its name to each tool.
+
+    `whole` has all prompts, `own` for each robot its base prompts, and what tools it lacks.
+    """
+
+    def __init__(self, whole: Catalog, own: Mapping[str, Catalog]) -> None:
+        self._whole = whole
+        self._own = own
+        self._argument = Argument(ROBOT, "Which robot", required=True, choices=list(own))
+
+    async def prompts(self) -> Mapping[str, Prompt]:
+        """Every prompt by name, in the order of `prompts/list`; one with an argument of that name keeps its own."""
+        found = await self._whole.prompts()
+        return {name: replace(one, arguments=self._with_robot(one)) for name, one in found.items()}
+
+    async def messages(self, name: str, given: Mapping[str, str]) -> Sequence[Message]:
+        """The messages of a prompt about one robot; raises as `Catalog.messages`."""
+        prompt = await self._whole.prompt(name)
+        if ROBOT not in given:
+            raise BadInput(f"The prompt {name} needs the argument {ROBOT}: {listed(list(self._own), _MOST_NAMED)}.")
+        robot = str(self._argument.value(given[ROBOT]))
+        own = self._own[robot]
+        rest = given if prompt.argument(ROBOT) else {key: value for key, value in given.items() if key != ROBOT}
+        first, *others = await own.messages_of(own.base(name) or prompt, rest)
+        lead = f'This is about the robot {robot}: give "{ROBOT}": "{robot}" to each tool.\n'
+        return [replace(one, text=_about(robot, one.text)) for one in (replace(first, text=lead + first.text), *others)]
+
+    def has_news(self) -> bool:
+        """Whether the user's folder has changed since the prompts were asked for."""
+        return self._whole.has_news()
+
+    def _with_robot(self, prompt: Prompt) -> Sequence[Argument]:
+        others = [argument for argument in prompt.arguments if argument.name != ROBOT]
+        return (self._argument, *others)
+
+
+def _about(robot: str, text: str) -> str:
+    """The text with the robot among the arguments of each step."""
+    return _STEP.sub(lambda step: f'{step[1]}"{ROBOT}": "{robot}"{"" if step[2] else ", "}', text)

@@ -1,0 +1,93 @@
+"""What has been seen of the robot in this session, and what of it has left.
+
+Servers like this one and the tools of ROS's command line are no part of a robot.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from ros2_mcp.model import names
+from ros2_mcp.model.graph import OF_EVERY_NODE, TopicEndpoints
+from ros2_mcp.model.text import listed
+from ros2_mcp_bridge.participants import BRIDGE_NODE
+
+_MOST = 5000
+"""Names that are remembered: ten times what large robots have. A system that makes new ones for ever must not fill the
+memory; what was seen first is forgotten."""
+_BRIDGES = re.compile(rf"/{BRIDGE_NODE}\d+")
+_OF_ONE_PROCESS = re.compile(r"_(\d{3,}|[0-9a-f]{8,})$")
+"""Of `launch_ros_4711` or `transform_listener_impl_5581ab4b0a20`: it never comes back, and nobody misses it."""
+_MAX_LISTED = 20
+"""Names of each kind in one sentence: they say which robot it was. No more are kept of who published on a topic."""
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What was seen earlier and is not there any more: nodes, and topics without a publisher by who published them.
+
+    `types` are those of the topics.
+    """
+
+    nodes: Collection[str] = ()
+    topics: Mapping[str, Sequence[str]] = field(default_factory=dict[str, Sequence[str]])
+    types: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def __str__(self) -> str:
+        """In words; empty where nothing has left."""
+        parts = [
+            f"{kind} {listed(sorted(found), _MAX_LISTED)}"
+            for kind, found in (("nodes", self.nodes), ("topics", self.topics))
+            if found
+        ]
+        return f"Seen earlier in this session, and gone: {'; '.join(parts)}." if parts else ""
+
+
+class Seen:
+    """The robot's nodes and the topics that they published on, as far as the graph was asked in this session."""
+
+    def __init__(self) -> None:
+        self._nodes: dict[str, None] = {}
+        self._publishers: dict[str, set[str]] = {}
+        self._types: dict[str, str] = {}
+
+    def knows(self, node: str) -> bool:
+        """Whether the node was seen before."""
+        return node in self._nodes
+
+    def note(self, node: str, topics: Mapping[str, str] | None = None) -> None:
+        """Notes that a node is there and publishes on these topics; `topics` are their types by their names."""
+        if not is_of_robot(node) or _OF_ONE_PROCESS.search(node) or node == names.UNKNOWN_NODE:
+            return
+        if node.startswith("/"):  # else the endpoint is of no ROS node
+            self._nodes.setdefault(node)
+        for topic, type_name in (topics or {}).items():
+            if topic in OF_EVERY_NODE or names.is_hidden(topic):
+                continue
+            self._types[topic] = type_name
+            nodes = self._publishers.setdefault(topic, set())
+            if len(nodes) < _MAX_LISTED:
+                nodes.add(node)
+        for kept in (self._nodes, self._publishers, self._types):
+            if len(kept) > _MOST:
+                del kept[next(iter(kept))]
+
+    def left(self, nodes: Collection[str], topics: Mapping[str, TopicEndpoints]) -> Left:
+        """What of it is not there any more, where these are the nodes, and the topics with their endpoints."""
+        published = {
+            name for name, found in topics.items() if any(is_of_robot(one.node) for one in found.publishers)
+        }  # fmt: skip
+        present = set(nodes)
+        silenced = {topic: sorted(by) for topic, by in self._publishers.items() if topic not in published}
+        return Left(
+            [node for node in self._nodes if node not in present],
+            silenced,
+            {topic: self._types[topic] for topic in silenced if topic in self._types},
+        )
+
+
+def is_of_robot(node: str) -> bool:
+    """Whether a node may be a robot's: no bridge of a server like this one, and hidden as ROS's own tools are."""
+    return not (_BRIDGES.fullmatch(node) or names.is_hidden(node))

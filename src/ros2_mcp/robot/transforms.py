@@ -1,0 +1,224 @@
+"""What /tf and /tf_static tell, kept as a tree of frames from the first question on: later ones need no wait."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from time import monotonic
+from typing import TYPE_CHECKING
+
+import anyio
+
+from ros2_mcp.codec.transforms import FrameTree
+from ros2_mcp.model.aside import aside
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.names import UNKNOWN_NODE
+from ros2_mcp.model.qos import Endpoint, QoS
+
+if TYPE_CHECKING:
+    from ros2_mcp.link.client import Bridge, Subscription
+    from ros2_mcp.robot.graph import Graph
+    from ros2_mcp.robot.values import Values
+
+TF, TF_STATIC = "/tf", "/tf_static"
+TF_TYPE = "tf2_msgs/msg/TFMessage"
+LISTENS = {TF: QoS("reliable", "volatile", depth=100), TF_STATIC: QoS("reliable", "transient_local", depth=100)}
+"""As the nodes of a robot listen (`tf2_ros::TransformListener`): what does not reach us does not reach them either."""
+_IDLE_S = 60.0
+"""After the last question: an agent that looks around asks again within seconds, and /tf is not for nothing."""
+_TURN_S = 5.0
+"""Between two looks at whether it is still needed, where nothing comes."""
+_MAX_WAITING, _MAX_BYTES = 5_000, 8_000_000
+"""Messages that may wait to be taken in: ten seconds of the busiest robot."""
+_DRAIN_S = 0.01
+"""Nobody reads a place more often, and the bridge may sleep that long."""
+_SEEN_S = 3.0
+"""Who publishes is asked again only then: it hardly changes, and a look-up is to cost no more than its arithmetic."""
+_ROLES_S = 30.0
+"""What a node publishes besides changes even less."""
+_ROLES = {
+    "odometry": frozenset({"nav_msgs/msg/Odometry"}),
+    "localisation": frozenset({"geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/OccupancyGrid"}),
+    "description": frozenset({"std_msgs/msg/String"}),
+}
+_logger = logging.getLogger(__name__)
+
+
+class TransformListener:
+    """The frames of a robot as they are now.
+
+    It listens from the first question on until nobody has asked for a minute, or the bridge is lost; the next question
+    begins anew. `tree` is replaced then. `since` is when it was subscribed (monotonic, in s; None while it is not).
+    """
+
+    def __init__(self, bridge: Bridge, graph: Graph, values: Values) -> None:
+        self._bridge, self._graph, self._values = bridge, graph, values
+        self.tree = FrameTree()
+        self.namespace = ""
+        self.since: float | None = None
+        self._work: asyncio.Task[None] | None = None
+        self._begun = asyncio.Event()
+        self._news = asyncio.Event()
+        self._asked_at = 0.0
+        self._failure: RobotError | None = None
+        self._publishers: dict[str, tuple[float, Sequence[Endpoint]]] = {}
+        self._ever: dict[str, set[str]] = {}
+        self._also: tuple[float, tuple[str, ...], Mapping[str, Sequence[str]]] = (0.0, (), {})
+
+    async def listening(self) -> FrameTree:
+        """The tree, as soon as it is listened to.
+
+        Raises:
+            UnknownInterface: if the robot has no tf2_msgs.
+            LinkError: if there is no bridge.
+        """
+        self._asked_at = monotonic()
+        if self._work is None or self._work.done():
+            self._failure = None
+            self._begun.clear()
+            self._work = asyncio.create_task(self._listen())
+        await self._begun.wait()
+        if self._failure:
+            raise self._failure.again()
+        return self.tree
+
+    async def news(self, timeout_s: float) -> bool:
+        """Waits until something more is told; whether it was in time."""
+        with anyio.move_on_after(max(timeout_s, 0.0)):
+            await self._news.wait()
+            return True
+        return False
+
+    @property
+    def listened_s(self) -> float:
+        """Since when it listens; 0 while it does not."""
+        return 0.0 if self.since is None else monotonic() - self.since
+
+    def now_ns(self) -> int:
+        """The time of the robot's clock, in ns of Unix time."""
+        return self._bridge.clock.now_ns()
+
+    async def publishers(self, topic: str) -> Sequence[Endpoint]:
+        """Who publishes on one of both topics, as it was seconds ago at most; raises as `Graph.endpoints`."""
+        seen_at, seen = self._publishers.get(topic, (0.0, ()))
+        if not seen or monotonic() - seen_at > 2 * _SEEN_S:
+            seen = (await self._graph.endpoints(self.namespace + topic)).publishers
+            self._publishers[topic] = monotonic(), seen
+            self._ever.setdefault(topic, set()).update(one.who for one in seen if one.node != UNKNOWN_NODE)
+        return seen
+
+    def gone(self, topic: str) -> set[str]:
+        """The nodes that have published on it since it is listened to, and do not any more, as last seen."""
+        return self._ever.get(topic, set()) - {one.who for one in self._publishers.get(topic, (0.0, ()))[1]}
+
+    async def also_publish(self, nodes: Sequence[str]) -> Mapping[str, Sequence[str]]:
+        """Which of these nodes publish odometry, a localisation (a pose or a map) and a description besides.
+
+        As it was half a minute ago at most, unless the nodes are others; raises as `Graph.topics`.
+        """
+        seen_at, asked, also = self._also
+        if asked != tuple(nodes) or monotonic() - seen_at > _ROLES_S:
+            found = {role: set[str]() for role in _ROLES}
+            for row in await self._graph.topics():
+                for role, types in _ROLES.items():
+                    is_other = role == "description" and not row.name.endswith("/robot_description")
+                    if types.isdisjoint(row.types) or is_other or not row.publishers:
+                        continue
+                    found[role] |= {one.who for one in (await self._graph.endpoints(row.name)).publishers}
+            also = {role: sorted(names.intersection(nodes)) for role, names in found.items()}
+            self._also = monotonic(), tuple(nodes), also
+        return also
+
+    async def other_topics(self) -> Sequence[str]:
+        """Topics of the same type with other names, such as /robot1/tf; raises as `Graph.topics`."""
+        rows = await self._graph.topics()
+        return [row.name for row in rows if TF_TYPE in row.types and row.name not in LISTENS]
+
+    async def moved(self) -> bool:
+        """Begins anew with the topics of the only namespace in which somebody publishes frames, where nobody does on
+        /tf and /tf_static themselves; whether it did. Raises as `Graph.topics`.
+        """
+        if self.namespace:
+            return False
+        for topic in LISTENS:
+            if (await self._graph.endpoints(topic)).publishers:
+                return False
+        rows = await self._graph.topics()
+        found = {
+            row.name.removesuffix(topic)
+            for row in rows
+            for topic in LISTENS
+            if TF_TYPE in row.types and row.publishers and row.name.endswith(topic) and row.name != topic
+        }
+        if len(found) != 1:
+            return False
+        await self.close()
+        self.namespace = found.pop()
+        self._publishers.clear()
+        return True
+
+    async def close(self) -> None:
+        """Ends listening."""
+        if self._work is not None:
+            self._work.cancel()
+            await asyncio.wait({self._work})
+            self._work = None
+
+    async def _listen(self) -> None:
+        tree = self.tree = FrameTree()
+        try:
+            await self._values.learn(TF_TYPE)
+            async with await self._subscribe(TF_STATIC) as static, await self._subscribe(TF) as moving:
+                self.since = monotonic()
+                self._begun.set()
+                await asyncio.gather(
+                    self._follow(tree, static, TF_STATIC), self._follow(tree, moving, TF), self._watch_publishers()
+                )
+        except RobotError as error:
+            self._failure = error
+            _logger.info("the frames of the robot are not kept: %s", error)
+        finally:
+            self.since = None
+            self._begun.set()
+            self._tell()
+
+    async def _subscribe(self, topic: str) -> Subscription:
+        return await self._bridge.subscribe(
+            self.namespace + topic,
+            TF_TYPE,
+            LISTENS[topic].request(),
+            keep="all",
+            max_samples=_MAX_WAITING,
+            max_bytes=_MAX_BYTES,
+            drain_s=_DRAIN_S,
+        )
+
+    async def _follow(self, tree: FrameTree, subscription: Subscription, topic: str) -> None:
+        while monotonic() - self._asked_at < _IDLE_S:
+            samples = await subscription.take(_TURN_S)
+            if samples:
+                size = sum(len(sample.data) for sample in samples)
+                messages = await aside(size, tree.decoded, self._values.codec, samples)
+                tree.take_in(messages, is_static=topic == TF_STATIC)
+                self._tell()
+
+    async def _watch_publishers(self) -> None:
+        """Keeps in mind who publishes: so that one that goes is known to have been, and a look-up asks nobody."""
+        self._ever.clear()
+        while monotonic() - self._asked_at < _IDLE_S:
+            with suppress(RobotError):
+                for topic in LISTENS:
+                    self._publishers.pop(topic, None)
+                    await self.publishers(topic)
+            if self.namespace and (await self._graph.endpoints(TF)).publishers:
+                self.namespace = ""
+                self._publishers.clear()
+                raise RobotError(f"{TF} itself is published now: what is asked next is asked of it")
+            await asyncio.sleep(_SEEN_S)
+
+    def _tell(self) -> None:
+        """Wakes everybody who waits for news."""
+        news, self._news = self._news, asyncio.Event()
+        news.set()

@@ -1,0 +1,24 @@
+"""The tool that reads the audit."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from ros2_mcp.ops import audit
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import Whole
+from ros2_mcp.tools.declare import tool
+
+PLACE = 135
+"""Behind what was recorded."""
+
+
+@tool(title="What was done", risk="read", group="memory", by_default=False)
+async def ros2_audit_read(
+    robot: Robot,
+    limit: Annotated[Whole, Field(ge=1, le=audit.MOST, description="The newest so many.")] = 50,
+) -> audit.AuditExcerpt:
+    """Read what you did to this robot, what was refused and why, as the audit has it."""
+    return await audit.read(robot, limit)

@@ -1,0 +1,81 @@
+"""What of a call's arguments counts as not given, and what is taken at its bound: clients and models fill in forms.
+
+A null is never anything but *not given*. A tool that only reads cannot do harm by asking less strictly: an empty value
+that its schema does not have means *not given* there, and a number above the maximum means the maximum, which is told.
+A tool that acts takes nothing but what its schema says.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any, cast
+
+Schema = Mapping[str, Any]
+_NUMBERS = ("number", "integer")
+
+
+def as_meant(schema: Schema, arguments: Mapping[str, Any], *, acts: bool) -> tuple[dict[str, Any], list[str]]:
+    """The arguments without those that count as not given, and sentences that tell what was taken at its bound.
+
+    Args:
+        schema: of the arguments, in the plain form of `argument_schema`.
+        arguments: as the client sent them.
+        acts: whether the tool can change or move something.
+    """
+    told: list[str] = []
+    return _object(schema, arguments, "", acts, told), told
+
+
+def _object(schema: Schema, values: Mapping[str, Any], path: str, acts: bool, told: list[str]) -> dict[str, Any]:
+    properties, required = schema.get("properties", {}), schema.get("required", ())
+    taken: dict[str, Any] = {}
+    for name, value in values.items():
+        node = properties.get(name, {})
+        if name in properties and name not in required and _is_nothing(node, value, acts):
+            continue
+        taken[name] = _value(node, value, f"{path}{name}", acts, told)
+    return taken
+
+
+def _value(node: Schema, value: object, path: str, acts: bool, told: list[str]) -> object:
+    if isinstance(value, dict) and "properties" in node:
+        return _object(node, cast("dict[str, object]", value), f"{path}.", acts, told)
+    if isinstance(value, list) and "items" in node:
+        items = enumerate(cast("list[object]", value))
+        return [_value(cast("Schema", node["items"]), item, f"{path}[{index}]", acts, told) for index, item in items]
+    return cast("object", value) if acts else _bounded(node, cast("object", value), path, told)
+
+
+def _bounded(node: Schema, value: object, path: str, told: list[str]) -> object:
+    number = _number(value) if node.get("type") in _NUMBERS else None
+    if number is None:
+        return value
+    if number > node.get("maximum", number):
+        told.append(f"{path}: {number:g} is above the maximum, {node['maximum']:g} was taken.")
+        return node["maximum"]
+    return number
+
+
+def _is_nothing(node: Schema, value: object, acts: bool) -> bool:
+    """Whether an optional argument counts as not given. A flag of 0 may well mean false: that stays an error."""
+    kind = node.get("type")
+    if value is None or acts or kind in ("boolean", "object") or isinstance(value, bool):
+        return value is None
+    if value not in (0, "", "0", []):
+        return False
+    if kind in _NUMBERS:
+        return _number(value) is None or node.get("minimum", 0) > 0 or node.get("exclusiveMinimum", -1) >= 0
+    if kind == "array":
+        return value != [] or node.get("minItems", 0) > 0
+    return value in (0, []) or (value == "" and "enum" in node)
+
+
+def _number(value: object) -> int | float | None:
+    """A number, also one that came as text, as some clients send all of a form; None for anything else."""
+    if isinstance(value, str):
+        try:
+            value = json.loads(value)
+        except (ValueError, RecursionError):
+            return None
+    return value if isinstance(value, (int, float)) and not isinstance(value, bool) else None

@@ -1,0 +1,44 @@
+"""Which argument was meant by a name that the tool does not have: models write the names of other tools and systems."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from ros2_mcp.model.names import did_you_mean
+
+_DURATIONS = ("duration", "duration_sec", "rate_check_duration_sec", "max_duration_sec", "timeout", "timeout_sec")
+_LIMITS = ("message_limit", "max_messages", "number_of_messages", "limit")
+_RATES = ("frequency", "target_rate_hz", "rate", "min_expected_rate_hz")
+_TYPES = ("message_type", "msg_type", "service_type", "action_type")
+_TOPICS = ("topic_name", "topic_names", "topics", "source_topic", "expected_topics", "series")
+_VALUES = ("data", "fields", "goal_fields", "values")
+
+MEANT: Mapping[str, Sequence[str]] = {
+    **dict.fromkeys(("topic_type", "msg_type", "message_type", "type", "interface", "interface_type"), _TYPES),
+    **dict.fromkeys(("topic", "topics", "topic_name", "topic_names"), _TOPICS),
+    **dict.fromkeys(
+        ("node", "nodes", "node_name", "node_names"), ("node_name", "node_names", "node", "expected_nodes")
+    ),
+    **dict.fromkeys(("service", "srv", "srv_name"), ("service_name", "expected_services")),
+    "srv_type": ("service_type",),
+    "action": ("action_name",),
+    **dict.fromkeys(("goal", "goal_msg"), ("goal_fields", "goal_id_hex")),
+    **dict.fromkeys(("goal_id", "id"), ("goal_id_hex", "recording_id", "relay_id", "playback_id")),
+    **dict.fromkeys(("request", "args", "arguments", "params", "message", "msg", "payload", "value"), _VALUES),
+    **dict.fromkeys(("parameters", "parameter"), ("values", "names")),
+    **dict.fromkeys(("rate", "rate_hz", "hz", "freq", "frequency_hz"), _RATES),
+    **dict.fromkeys(("timeout", "timeout_s", "timeout_sec", "wait"), ("timeout_sec", "timeout", "wait_sec")),
+    **dict.fromkeys(("duration", "duration_s", "duration_sec", "seconds", "time"), _DURATIONS),
+    **dict.fromkeys(("count", "n", "num_messages", "max_messages", "limit", "message_count"), _LIMITS),
+    **dict.fromkeys(("filter", "search", "query"), ("pattern", "condition")),
+    **dict.fromkeys(("expression", "predicate"), ("condition",)),
+    **dict.fromkeys(("start_time", "from", "since"), ("start", "time_start", "since")),
+    **dict.fromkeys(("end_time", "to", "until"), ("end", "time_end")),
+}
+"""What is written, and what it may mean; the first of these that the tool has is named."""
+
+
+def hint_for(name: str, known: Sequence[str]) -> str:
+    """Names the argument that was meant, or else all that there are."""
+    meant = next((one for one in MEANT.get(name.lower(), ()) if one in known), "")
+    return f"Did you mean {meant}?" if meant else did_you_mean(name, known, f"It takes: {', '.join(known) or 'none'}.")

@@ -1,0 +1,119 @@
+"""Tools that move the robot by feedback, closed beside it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from ros2_mcp.ops.motion import drive, until
+from ros2_mcp.ops.motion import joints as joint_move
+from ros2_mcp.ops.results import Report
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import Flag, Number, TopicName
+from ros2_mcp.tools.declare import tool
+from ros2_mcp_bridge.limits import MAX_DURATION_S
+
+PLACE = 62
+"""Beside publishing: what only reads comes before, `ros2_stop` after."""
+
+Found = Annotated[str, Field(description="Default: found.")]
+MetresPerSecond = Annotated[Number, Field(ge=-10, le=10, description="In m/s.")]
+
+
+@tool(title="Drive by odometry", risk="actuate", group="motion", program="drive")
+async def ros2_drive(
+    robot: Robot,
+    report: Report,
+    distance_m: Annotated[Number | None, Field(description="Ahead; negative: back.")] = None,
+    angle_deg: Annotated[Number | None, Field(description="Turn on the spot; positive: left.")] = None,
+    radius_m: Annotated[Number | None, Field(description="With angle_deg: an arc ahead.")] = None,
+    speed: Annotated[Number | None, Field(description="m/s; on the spot °/s.")] = None,
+    guard_m: Annotated[Number | None, Field(description="Stops so far from what a laser scan sees in the way.")] = None,
+    topic_name: Found = "",
+    odometry: Found = "",
+    scan: Found = "",
+) -> drive.Driven:
+    """Drive a distance or turn an angle, closed by odometry; returns when the robot stands. Moves the robot.
+
+    Says the measured way, its error, and what ended it. It stops when odometry or scan falls silent.
+    """
+    request = drive.DriveRequest(
+        distance_m=distance_m,
+        angle_deg=angle_deg,
+        radius_m=radius_m,
+        speed=speed,
+        guard_m=guard_m,
+        topic_name=topic_name,
+        odometry=odometry,
+        scan=scan,
+    )
+    return await drive.drive(robot, request, report)
+
+
+@tool(title="Move until a condition holds", risk="actuate", group="motion", by_default=False, program="move_until")
+async def ros2_move_until(
+    robot: Robot,
+    report: Report,
+    topic_name: TopicName,
+    condition: Annotated[str, Field(description='As of ros2_wait_until, such as "nearest(-20, 20) < 0.6" of a scan.')],
+    linear_x: MetresPerSecond = 0.0,
+    linear_y: MetresPerSecond = 0.0,
+    linear_z: MetresPerSecond = 0.0,
+    angular_z: Annotated[Number, Field(ge=-10, le=10, description="In rad/s; positive: left.")] = 0.0,
+    timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Ends after so many seconds.")] = 10.0,
+    max_distance_m: Annotated[
+        Number | None, Field(gt=0, le=1000, description="Ends after this way, by odometry.")
+    ] = None,
+    is_event: Annotated[
+        Flag, Field(description="The topic only tells of events, such as a bumper: it may be silent.")
+    ] = False,
+    command_topic: Found = "",
+    odometry: Found = "",
+) -> until.MovedUntil:
+    """Move at a velocity until a message of a topic meets a condition, asked beside the robot; then it is stopped.
+
+    It stands while the topic or odometry is late, and ends when one falls silent. A condition that is met already moves
+    nothing.
+    """
+    request = until.UntilRequest(
+        topic_name=topic_name,
+        condition=condition,
+        velocity={"linear.x": linear_x, "linear.y": linear_y, "linear.z": linear_z, "angular.z": angular_z},
+        timeout_s=timeout,
+        max_distance_m=max_distance_m,
+        is_event=is_event,
+        command_topic=command_topic,
+        odometry_topic=odometry,
+    )
+    return await until.move_until(robot, request, report)
+
+
+@tool(title="Move joints", risk="actuate", group="motion", by_default=False, program="joint_move")
+async def ros2_joint_move(
+    robot: Robot,
+    report: Report,
+    joints: Annotated[dict[str, Number], Field(description='In rad, or m: {"elbow_joint": 0.5}.')],
+    relative: Annotated[Flag, Field(description="From where they are now.")] = False,
+    speed: Annotated[
+        Number | None, Field(description="Share of each joint's velocity limit, up to 1; default 0.3.")
+    ] = None,
+    duration_s: Annotated[Number | None, Field(description="Take so long instead.")] = None,
+    tolerance: Annotated[Number, Field(description="Arrived when so near.")] = joint_move.DEFAULT_TOLERANCE,
+    controller: Annotated[
+        str, Field(description="Name of the controller, its action or its topic. Default: found.")
+    ] = "",
+) -> joint_move.JointsMoved:
+    """Move joints by name through a joint trajectory controller; returns when they have arrived. Moves the robot.
+
+    Checked against the URDF's limits of position and speed. Nothing is planned around obstacles.
+    """
+    request = joint_move.JointRequest(
+        joints=joints,
+        relative=relative,
+        speed=speed,
+        duration_s=duration_s,
+        tolerance=tolerance,
+        controller=controller,
+    )
+    return await joint_move.move_joints(robot, request, report)

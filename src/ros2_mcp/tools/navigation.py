@@ -1,0 +1,99 @@
+"""Tools for navigation with Nav2, and for places by name."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, cast
+
+from pydantic import BeforeValidator, Field
+
+from ros2_mcp.ops.navigation.navigate import Navigated, navigate
+from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
+from ros2_mcp.ops.navigation.preview import Preview, preview
+from ros2_mcp.ops.results import Report
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import Flag, Number, Pattern
+from ros2_mcp.tools.declare import tool
+from ros2_mcp_bridge.limits import MAX_DURATION_S
+
+PLACE = 95
+
+
+def _as_object(to: Any) -> Any:
+    """A name alone is that of a place."""
+    return {"place": to} if isinstance(to, str) else to
+
+
+def _as_list(to: Any) -> Any:
+    """One place is a list of one."""
+    if isinstance(to, list):
+        return [_as_object(one) for one in cast("list[Any]", to)]
+    return to if to is None else [_as_object(to)]
+
+
+Pose = Annotated[
+    dict[str, Any],
+    BeforeValidator(_as_object),
+    Field(description='{"place": its name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map).'),
+]
+Action = Annotated[str, Field(description="If there are several.")]
+Metres = Annotated[Number | None, Field(description="Metres. Without x and y: where the robot is.")]
+
+
+@tool(title="Navigate", risk="actuate", group="motion", program="navigate")
+async def ros2_navigate(
+    robot: Robot,
+    report: Report,
+    to: Annotated[
+        list[dict[str, Any]] | None,
+        BeforeValidator(_as_list),
+        Field(description='Each {"place": its name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map).'),
+    ] = None,
+    job_id: Annotated[str, Field(description="Wait on for this one instead.")] = "",
+    timeout_sec: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Wait at most so many seconds.")] = 45.0,
+    action_name: Action = "",
+) -> Navigated:
+    """Drive to places with Nav2, around obstacles. Can move the robot.
+
+    Says how long it took and how near it came; of a goal that failed the cause, and what would help. What goes on when
+    the time is over is waited for with its job_id; ros2_stop ends it.
+    """
+    return await navigate(robot, to, action=action_name, job_id=job_id, timeout_s=timeout_sec, report=report)
+
+
+@tool(title="Preview a way", risk="write", group="motion", by_default=False)
+async def ros2_nav_preview(
+    robot: Robot,
+    report: Report,
+    to: Pose,
+    start: Annotated[
+        dict[str, Any] | None,
+        BeforeValidator(_as_object),
+        Field(description="Where it begins, written likewise. Default: the robot."),
+    ] = None,
+    planner_id: Annotated[str, Field(description="Default: Nav2's own.")] = "",
+    action_name: Action = "",
+) -> Preview:
+    """Ask Nav2's planner for the way to a place: a picture, length, points, the narrowest spot. Nothing moves. Where
+    there is no way, it says why."""
+    return await preview(robot, to, start, planner_id=planner_id, action=action_name, report=report)
+
+
+@tool(title="List places", risk="read", group="space", by_default=False)
+async def ros2_place_list(robot: Robot, pattern: Pattern = "") -> PlaceList:
+    """List the places that are known by name, with their poses and how far away they are."""
+    return await list_places(robot, pattern)
+
+
+@tool(title="Keep a place", risk="write", group="space", by_default=False)
+async def ros2_place_set(
+    robot: Robot,
+    name: Annotated[str, Field(description="Its name, such as door.")],
+    x: Metres = None,
+    y: Metres = None,
+    yaw_deg: Annotated[Number | None, Field(description="Heading in degrees. Default: any, or the robot's.")] = None,
+    frame: Annotated[str, Field(description="The coordinate frame.")] = "map",
+    remove: Annotated[Flag, Field(description="Forget it.")] = False,
+) -> PlaceKept:
+    """Keep a pose under a name, for ros2_navigate, beyond the life of this server; or forget one."""
+    request = PlaceRequest(name=name, x_m=x, y_m=y, yaw_deg=yaw_deg, frame=frame, remove=remove)
+    return await set_place(robot, request)

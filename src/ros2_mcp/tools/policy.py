@@ -1,0 +1,18 @@
+"""The tool that tells what is allowed."""
+
+from __future__ import annotations
+
+from ros2_mcp.ops.policy import in_force
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.declare import tool
+
+PLACE = 11
+"""Right behind the status: whoever wants to act asks it first."""
+
+
+@tool(title="What is allowed", risk="read")
+async def ros2_policy(robot: Robot) -> in_force.InForce:
+    """Show what this server's policy allows, in words and numbers: topics, speeds, rates, durations, approvals. Plan
+    within it; nothing here changes it.
+    """
+    return await in_force.in_force(robot)

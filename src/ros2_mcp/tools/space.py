@@ -1,0 +1,83 @@
+"""Tools that tell where things are."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from ros2_mcp.ops.results import Report
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.space.robot import RobotInBrief, in_brief
+from ros2_mcp.ops.space.scene import ScenePicture, SceneRequest, scene
+from ros2_mcp.ops.space.tf_lookup import Lookup, LookupRequest, tf_lookup
+from ros2_mcp.ops.space.tf_tree import Tree, tf_tree
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import AtTime, Flag, Number
+from ros2_mcp.tools.declare import tool
+from ros2_mcp.tools.injection import AtOneTime, RecordingSource
+
+PLACE = 35
+
+
+@tool(title="The robot in brief", risk="read", recorded=True, place=9)
+async def ros2_robot(robot: Robot, *, source: RecordingSource) -> RobotInBrief:
+    """Begin here: kind, size, command inputs, sensors, joints, where it is, what is unhealthy."""
+    return await in_brief(robot, source)
+
+
+@tool(
+    title="Transform between frames",
+    risk="read",
+    group="space",
+    recorded=True,
+    aliases={"target_frame": "target", "source_frame": "source", "frame": "source"},
+    program="tf",
+)
+async def ros2_tf_lookup(
+    report: Report,
+    target: Annotated[str, Field(description="Such as map.")],
+    source: Annotated[str, Field(description="Such as base_link.")] = "",
+    time: AtTime = "",
+    duration: Annotated[Number | None, Field(description="Mean over so many s.")] = None,
+    points: Annotated[
+        list[list[Number]] | None, Field(description="Given in target: [x,y,z] or [x,y,z,qx,qy,qz,qw].")
+    ] = None,
+    field: Annotated[str, Field(description="Or a message's: /plan:poses.")] = "",
+    *,
+    reading: RecordingSource,
+) -> Lookup:
+    """Where frame source is in target, how old, by which edges; else why not."""
+    request = LookupRequest(
+        target=target, frame=source, time=time, duration_s=duration, points=points or (), field=field
+    )
+    return await tf_lookup(reading, request, report)
+
+
+@tool(title="Scene from above", risk="read", group="space", recorded=True)
+async def ros2_scene(
+    robot: Robot,
+    report: Report,
+    frame: Annotated[str, Field(description="Default: the map's; base_link: as the robot sees it.")] = "",
+    grid: Annotated[str, Field(description='Topic of an OccupancyGrid, or "costmap". Default: the map.')] = "",
+    radius_m: Annotated[Number | None, Field(gt=0, le=1000, description="Only so far around the robot.")] = None,
+    *,
+    source: AtOneTime,
+) -> ScenePicture:
+    """A picture from above with labelled lines in metres: map or costmap, robot and heading, scans, paths, goals,
+    named places; and the nearest obstacle, which sides are free."""
+    return await scene(robot, source, SceneRequest(frame, grid, radius_m), report)
+
+
+@tool(title="Tree of frames", risk="read", group="space", recorded=True, by_default=False)
+async def ros2_tf_tree(
+    report: Report,
+    frame: Annotated[str, Field(description="Only what is below this frame. Default: all.")] = "",
+    duration: Annotated[Number, Field(ge=0, le=60, description="Live: listen for so many seconds.")] = 3.0,
+    picture: Annotated[Flag, Field(description="Also as a picture.")] = True,
+    *,
+    source: Source,
+) -> Tree:
+    """Show all coordinate frames (TF) as a tree, as text and as a picture: who tells each edge, its rate and age, and
+    what is wrong: several trees, stale edges, two parents, several publishers of one edge, stamps that jump or lack."""
+    return await tf_tree(source, frame, duration, picture=picture, report=report)

@@ -1,0 +1,209 @@
+"""How fast a robot may go by what its scan shows: it keeps its distance, and stands before what moves is there. No ROS.
+
+Points are in the base's frame (x ahead, y to the left, m; REP 103). What a beam does not tell is not free (REP 117).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+# From a scan to a command at the driver: the scanner's turn, the way, our looks. Chosen, with room.
+REACTION_S = 0.15
+# What any robot brakes with, m/s² and rad/s². Chosen: half of what small ones do.
+BRAKE_MPS2, BRAKE_RADPS2 = 0.5, 1.0
+# What comes near moves so fast at most, m/s (the bar of this controller); what is faster may hit the robot.
+OTHERS_MPS = 0.3
+# What is left between a body and what has come near, at least, m: the scan's noise.
+MARGIN_M = 0.03
+# Speeds below these (m/s, rad/s) are no motion any more: the guard is hit.
+LEAST_MPS, LEAST_RADPS = 0.02, 0.05
+# The directions of a scan, in parts of a circle; all around the course have to be seen. Chosen: 10°.
+SECTORS = 36
+# To each side of the course, sectors.
+SEEN_SECTORS = 2
+# Halvings to find the speed: 1/64 of the fastest.
+HALVINGS = 6
+
+
+class Body(NamedTuple):
+    """How far a robot reaches from its base's origin, in m: ahead, back, to the sides, and around when it turns."""
+
+    front: float
+    rear: float
+    side: float
+    radius: float
+
+    def has_inside(self, x: float, y: float) -> bool:
+        """Whether a point is the robot itself."""
+        return -self.rear <= x <= self.front and abs(y) <= self.side and math.hypot(x, y) <= self.radius
+
+
+class Mount(NamedTuple):
+    """Where a scanner's plane is in the base's frame, seen from above: x = xx·a + xy·b + x0, y likewise; m."""
+
+    x0: float
+    y0: float
+    xx: float
+    xy: float
+    yx: float
+    yy: float
+
+    @classmethod
+    def of(cls, at: Sequence[float], rotation: Sequence[float]) -> Mount:
+        """From a translation (x, y, z) and a quaternion (x, y, z, w); one that lies on its back is seen, too."""
+        x, y, z, w = rotation
+        xx, xy = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w)
+        yx, yy = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z)
+        return cls(float(at[0]), float(at[1]), xx, xy, yx, yy)
+
+
+class Near(NamedTuple):
+    """A point beside or before a moving body: how far it may go until it is there, how far the point is beyond its
+    side (both m), and the point's bearing from the base, in rad.
+    """
+
+    ahead: float
+    aside: float
+    bearing: float
+
+
+class Allowed(NamedTuple):
+    """How fast the robot may go (m/s, or rad/s on the spot), and what of it is nearest; `gap` in m."""
+
+    speed: float
+    gap: float
+    bearing: float
+
+
+NOTHING_NEAR = math.inf
+
+
+class Clearance:
+    """What the newest scan shows, and how fast that lets the robot go. `guard_m` is kept free ahead of its body."""
+
+    def __init__(self, guard_m: float, body: Body, mount: Mount) -> None:
+        self.guard_m = guard_m
+        self.body = body
+        self.mount = mount
+        self.heard_at = -math.inf
+        self._points: list[tuple[float, float]] = []
+        self._seen: set[int] = set()
+        self._table: tuple[tuple[float, float, int], list[tuple[float, float]]] = ((0.0, 0.0, 0), [])
+        self._near: dict[tuple[float, int], list[Near]] = {}
+
+    @classmethod
+    def of(cls, asked: Mapping[str, Any]) -> Clearance:
+        """From what the server asks for: `guard_m`, `body`, and the `mount` as `translation` and `rotation`."""
+        body, mount = asked["body"], asked["mount"]
+        return cls(
+            float(asked["guard_m"]),
+            Body(*(float(body[name]) for name in Body._fields)),
+            Mount.of(mount["translation"], mount["rotation"]),
+        )
+
+    def hear(self, scan: Any, now: float) -> None:
+        """A sensor_msgs/msg/LaserScan."""
+        points: list[tuple[float, float]] = []
+        seen: set[int] = set()
+        mount, body = self.mount, self.body
+        for (cosine, sine), distance in zip(self._directions(scan), scan.ranges, strict=True):
+            along_x, along_y = mount.xx * cosine + mount.xy * sine, mount.yx * cosine + mount.yy * sine
+            is_too_near = distance == -math.inf
+            if not (is_too_near or distance >= scan.range_min > 0.0 or distance > 0.0 == scan.range_min):
+                continue  # NaN, or less than it can tell: nothing is known of that direction
+            seen.add(_sector(math.atan2(along_y, along_x)))
+            if distance > scan.range_max:
+                continue
+            reach = scan.range_min if is_too_near else distance
+            x, y = mount.x0 + reach * along_x, mount.y0 + reach * along_y
+            if not body.has_inside(x, y):
+                points.append((x, y))
+        self._points, self._seen, self.heard_at = points, seen, now
+        self._near.clear()
+
+    def sees(self, bearing: float) -> bool:
+        """Whether the scan tells something of that direction (rad) and around it."""
+        middle = _sector(bearing)
+        return all((middle + step) % SECTORS in self._seen for step in range(-SEEN_SECTORS, SEEN_SECTORS + 1))
+
+    def allowed(self, fastest: float, curvature: float, direction: int, gone_m: float, now: float) -> Allowed:
+        """How fast it may go (m/s) ahead (`direction` 1) or back (-1) on a circle of that curvature (1/m, left is
+        positive), `gone_m` after the scan.
+        """
+        key = (curvature, direction)
+        if key not in self._near:
+            self._near[key] = self._along(curvature, direction)
+        near = self._near[key]
+        late_s = REACTION_S + max(0.0, now - self.heard_at)
+        in_way = min((each for each in near if each.aside <= MARGIN_M), default=None)
+
+        def is_safe(speed: float) -> bool:
+            stops_s = late_s + speed / BRAKE_MPS2
+            stops_m = gone_m + speed * late_s + speed * speed / (2 * BRAKE_MPS2)
+            if in_way is not None and in_way.ahead - stops_m < self.guard_m:
+                return False
+            apart = MARGIN_M + OTHERS_MPS * stops_s
+            return all(math.hypot(max(0.0, each.ahead - stops_m), max(0.0, each.aside)) >= apart for each in near)
+
+        speed = _fastest(fastest, is_safe)
+        nearest = in_way or min(near, key=lambda each: math.hypot(max(0.0, each.ahead), each.aside), default=None)
+        if nearest is None:
+            return Allowed(speed, NOTHING_NEAR, 0.0)
+        gap = nearest.ahead - gone_m if in_way else math.hypot(max(0.0, nearest.ahead), max(0.0, nearest.aside))
+        return Allowed(speed, gap, nearest.bearing)
+
+    def allowed_turn(self, fastest: float, now: float) -> Allowed:
+        """How fast it may turn on the spot (rad/s): nothing comes nearer than the circle that its body sweeps."""
+        late_s = REACTION_S + max(0.0, now - self.heard_at)
+        gap, bearing = min(
+            ((math.hypot(x, y) - self.body.radius, math.atan2(y, x)) for x, y in self._points),
+            default=(NOTHING_NEAR, 0.0),
+        )
+
+        def is_safe(turn: float) -> bool:
+            return gap >= MARGIN_M + OTHERS_MPS * (late_s + turn / BRAKE_RADPS2)
+
+        return Allowed(_fastest(fastest, is_safe), gap, bearing)
+
+    def _directions(self, scan: Any) -> list[tuple[float, float]]:
+        """Cosine and sine of each beam; reckoned once for a scanner."""
+        key = (scan.angle_min, scan.angle_increment, len(scan.ranges))
+        if self._table[0] != key:
+            angles = [scan.angle_min + number * scan.angle_increment for number in range(len(scan.ranges))]
+            self._table = key, [(math.cos(angle), math.sin(angle)) for angle in angles]
+        return self._table[1]
+
+    def _along(self, curvature: float, direction: int) -> list[Near]:
+        """The points that a body on this course may come to; what lies behind it is not among them."""
+        return [near for x, y in self._points if (near := self._place(x, y, curvature, direction)) is not None]
+
+    def _place(self, x: float, y: float, curvature: float, direction: int) -> Near | None:
+        body, bearing = self.body, math.atan2(y, x)
+        if abs(curvature) * body.radius < 1e-3:
+            front, rear = (body.front, body.rear) if direction > 0 else (body.rear, body.front)
+            ahead = direction * x
+            return None if ahead < -rear else Near(ahead - front, abs(y) - body.side, bearing)
+        # On a circle the body counts as round; the centre is at its left for a positive curvature.
+        radius = 1.0 / curvature
+        from_centre_x, from_centre_y = x, y - radius
+        angle = math.atan2(from_centre_x, -math.copysign(from_centre_y, from_centre_y * radius))
+        ahead = direction * angle * abs(radius)
+        aside = abs(math.hypot(from_centre_x, from_centre_y) - abs(radius)) - body.radius
+        return None if ahead < -body.radius else Near(ahead - body.radius, aside, bearing)
+
+
+def _fastest(fastest: float, is_safe: Callable[[float], bool]) -> float:
+    """The highest safe speed up to the fastest, by halving; 0 where none is."""
+    if is_safe(fastest):
+        return fastest
+    low, high = 0.0, fastest
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if is_safe(middle) else (low, middle)
+    return low
+
+
+def _sector(bearing: float) -> int:
+    return math.floor((bearing / (2 * math.pi) + 0.5) * SECTORS) % SECTORS

@@ -1,0 +1,43 @@
+"""The drone and its air without ROS. Same seed, same wind."""
+
+# pyright: basic
+from __future__ import annotations
+
+import numpy as np
+
+from .airframe import Airframe
+from .autopilot import Autopilot
+
+GPS_ERROR_M = 0.02
+"""Of what it believes its place to be: that of a receiver with corrections, so that flights can be judged."""
+
+
+class DroneSimulation:
+    """`now` is the simulated time in s; `speedup` is how many of its seconds pass in one (SIM_SPEEDUP of ArduPilot)."""
+
+    def __init__(self, seed=7):
+        air, self._sensors = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
+        self.frame = Airframe(air)
+        self.autopilot = Autopilot(self.frame)
+        self.speedup = 1
+        self.now = 0.0
+        self._steps = 0
+
+    def step(self, dt):
+        """Let `dt` s pass, as many times as it is sped up."""
+        for _ in range(self.speedup):
+            self._steps += 1
+            self.now = self._steps * dt
+            self.autopilot.step(dt)
+
+    def heartbeat(self):
+        """How it is, in a line."""
+        pilot, charge = self.autopilot, self.frame.battery.charge * 100
+        armed = "armed" if pilot.armed else "disarmed"
+        return (
+            f"alive {self.now:.0f} s, mode {pilot.mode}, {armed}, {pilot.altitude:.1f} m high, battery {charge:.0f} %"
+        )
+
+    def localize(self):
+        """Where it believes to be: x, y, z in m."""
+        return self.frame.position + GPS_ERROR_M * self._sensors.standard_normal(3)

@@ -1,0 +1,187 @@
+"""ros2_drive over real DDS, against a robot with simulated physics: a few rounds here, 20 of each in full."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+from typing import Any
+
+import pytest
+
+from support.agent import FULL, Agent, Refusal, until
+from support.commanded import CommandedProcess
+from support.physics import surroundings
+from support.standstill import STOOD_STILL_S, TIMES, standstills
+
+ROUNDS = 20 if FULL else 1
+MOST_M, MOST_DEG = 0.02, 1.0
+LATE_S = 0.1
+"""The bar: a zero, after the period in which something was to come."""
+ON_THE_WAY_S = 0.03
+"""From the bridge's exit to the robot's callback, beyond the bar: two processes on one machine."""
+HELD_UP_S = 0.05
+"""The shortest standstill that makes a difference to that."""
+_numbers = itertools.count(1)
+
+pytestmark = pytest.mark.timeout(600 if FULL else 120)
+
+
+def place(robot: CommandedProcess, agent: Agent, **given: Any) -> str:
+    """The robot anew, below a name that nobody has used before, once the server knows it."""
+    base = f"/robot_{next(_numbers)}"
+    robot.put(base=base, **given)
+    agent.knows(*(f"{base}/{topic}" for topic in ("cmd_vel", "odom", "scan", "robot_description")))
+    return base
+
+
+def drive(agent: Agent, base: str, **how: Any) -> dict[str, Any]:
+    return agent.call("ros2_drive", topic_name=f"{base}/cmd_vel", **how)
+
+
+def truth(robot: CommandedProcess) -> tuple[float, float, float]:
+    """Where it stands, once it does."""
+    state = until(lambda: (now := robot.state())["speed"] < 1e-6 and now)
+    x, y, yaw = state["truth"]
+    return x, y, yaw
+
+
+@pytest.mark.promise("ros2_drive", "Says the measured way, its error, and what ended it")
+@pytest.mark.parametrize("seed", range(ROUNDS))
+def test_it_comes_to_stand_where_it_was_told(agent: Agent, robot: CommandedProcess, seed: int) -> None:
+    rng = random.Random(seed)
+    base = place(robot, agent, seed=seed, slip=0.02, noise_m=0.001, delay_s=rng.uniform(0.0, 0.1))
+    distance_m = rng.uniform(0.2, 0.5) * rng.choice([1, -1])
+    result = drive(agent, base, distance_m=distance_m, speed=0.3)
+    x, y, _ = truth(robot)
+    odometry = robot.state()["odometry"]
+    print(f"{distance_m:.3f} m: {result}, truth {x:.4f} {y:.4f}, odometry {odometry}")
+    assert result["outcome"] == "reached", result["note"]
+    assert abs(result["error"]) <= MOST_M
+    assert abs(odometry[0] - distance_m) <= MOST_M
+    assert abs(x - distance_m) <= MOST_M + abs(x - odometry[0])
+    assert result["odometry"] == f"{base}/odom"
+
+
+def test_it_turns_on_the_spot(agent: Agent, robot: CommandedProcess) -> None:
+    result = drive(agent, place(robot, agent), angle_deg=-40, speed=60)
+    _, _, yaw = truth(robot)
+    assert (result["outcome"], result["unit"]) == ("reached", "deg")
+    assert abs(math.degrees(yaw) + 40) <= MOST_DEG
+    assert abs(result["measured"] + 40) <= MOST_DEG
+
+
+@pytest.mark.parametrize("seed", range(ROUNDS))
+def test_it_parks_before_what_stands_in_its_way(agent: Agent, robot: CommandedProcess, seed: int) -> None:
+    gap_m = random.Random(seed).uniform(0.3, 0.4)
+    base = place(robot, agent, discs=[[0.9, 0.0, 0.2]])  # 0.5 m before the body
+    result = drive(agent, base, distance_m=2.0, speed=0.3, guard_m=gap_m)
+    truth(robot)
+    nearest = robot.state()["nearest"]
+    print(f"kept {gap_m:.3f} m: {nearest:.3f} m, {result}")
+    assert result["outcome"] == "guard", result["note"]
+    assert gap_m - 0.01 <= nearest <= gap_m + 0.06
+    assert f"The robot's size is that of {base}/robot_description: 0.20 m ahead" in result["note"]
+    assert "Something is" in result["note"]
+
+
+@pytest.mark.full  # each round is some seconds of driving; a thousand are stepped in tests/unit/bridge/test_drive.py
+@pytest.mark.parametrize("seed", range(ROUNDS))
+def test_it_runs_into_nothing_of_what_moves_around_it(agent: Agent, robot: CommandedProcess, seed: int) -> None:
+    rng = random.Random(seed)
+    for _ in range(TIMES):  # again where this machine held up the robot's process or the bridge
+        discs = surroundings(rng)
+        base = place(robot, agent, discs=[[disc.x, disc.y, disc.radius, disc.vx, disc.vy] for disc in discs], seed=seed)
+        distance_m, speed = rng.uniform(0.5, 1.5) * rng.choice([1, -1]), rng.uniform(0.2, 0.6)
+        with standstills(STOOD_STILL_S) as held_up:
+            result = drive(agent, base, distance_m=distance_m, speed=speed, guard_m=rng.uniform(0.1, 0.5))
+            truth(robot)
+        state = robot.state()
+        if state["stood_s"] < STOOD_STILL_S and not held_up:
+            break
+    moving = sum(bool(disc.vx or disc.vy) for disc in discs)
+    print(f"among {len(discs)}, of which {moving} move: {state['nearest']:.3f} m near, {result}")
+    assert state["collisions"] == 0
+    assert result["outcome"] in ("reached", "guard"), result["note"]
+
+
+@pytest.mark.promise("ros2_drive", "It stops when odometry or scan falls silent")
+@pytest.mark.promise("stopping", "0.1 s after the message that did not come")
+@pytest.mark.parametrize("topic", ["odom", "scan"])
+@pytest.mark.parametrize("_", range(ROUNDS))
+def test_it_stands_at_once_when_what_it_goes_by_is_silent(
+    agent: Agent, robot: CommandedProcess, topic: str, _: int
+) -> None:
+    for _ in range(TIMES):  # again where the robot's process or this one was held up, and so perhaps the bridge
+        base = place(robot, agent)
+        with standstills(HELD_UP_S) as held_up:
+            driving = agent.begin("ros2_drive", topic_name=f"{base}/cmd_vel", distance_m=20.0, speed=0.2, guard_m=0.2)
+            until(lambda: robot.state()["speed"] > 0.15)
+            robot.silence(topic=topic)
+            result = driving.result(30)
+        state = robot.state()
+        if state["stood_s"] < HELD_UP_S and not held_up:
+            break
+    assert result["outcome"] == "silent", result["note"]
+    assert f"{base}/{topic} has told nothing" in result["note"]
+    period_s = 0.04 if topic == "odom" else 0.1
+    moved_s = state["moved_at"] - state[f"{topic}_at"]
+    print(f"{topic}: commanded for {moved_s:.3f} s after its last message, a period of {period_s:g} s")
+    assert moved_s <= 1.5 * period_s + LATE_S + ON_THE_WAY_S
+
+
+def test_a_robot_that_is_stuck_is_told_with_what_may_hold_it(agent: Agent, robot: CommandedProcess) -> None:
+    """A thing before it, a driver's limit of 0, and somebody else who commands it."""
+    base = place(robot, agent, deadband=9.0, discs=[[0.55, 0.0, 0.2]])
+    for name, value in (("max_linear_vel", 0.0), ("max_vel_y", 0.0), ("max_accel", 0.0), ("max_angular_vel", 1.0)):
+        robot.limit(name=name, value=value)
+    result = drive(agent, base, distance_m=1.0, speed=0.3)
+    robot.limit(name="max_linear_vel", value=1.0)
+    assert result["outcome"] == "stuck"
+    assert f"{base}/scan: Nearest obstacle 0.35 m" in result["note"]
+    assert "/driven_robot has the limit max_linear_vel = 0.0." in result["note"]
+
+
+def test_a_guard_of_nothing_is_refused(agent: Agent, robot: CommandedProcess) -> None:
+    with pytest.raises(Refusal, match="guard_m"):
+        drive(agent, place(robot, agent), distance_m=0.2, guard_m=0)
+
+
+def test_a_stop_ends_it_and_it_says_so(agent: Agent, robot: CommandedProcess) -> None:
+    base = place(robot, agent)
+    driving = agent.begin("ros2_drive", topic_name=f"{base}/cmd_vel", distance_m=20.0, speed=0.2)
+    until(lambda: robot.state()["speed"] > 0.1)
+    with pytest.raises(Refusal, match="drives by"):
+        drive(agent, base, distance_m=-1.0)
+    with pytest.raises(Refusal, match="is its alone until it ends: nothing was sent"):
+        agent.call(
+            "ros2_topic_publish",
+            topic_name=f"{base}/cmd_vel",
+            message_type="geometry_msgs/msg/Twist",
+            data={"linear": {"x": 0.5}},
+        )
+    stopped = agent.call("ros2_stop")
+    result = driving.result(30)
+    assert "motion_" in stopped["note"]
+    assert result["outcome"] == "ended"
+    assert "ros2_stop" in result["note"]
+    assert 0.0 < result["measured"] < 20.0
+    truth(robot)
+
+
+def test_a_call_that_is_cancelled_leaves_a_robot_that_stands(agent: Agent, robot: CommandedProcess) -> None:
+    base = place(robot, agent)
+    driving = agent.begin("ros2_drive", topic_name=f"{base}/cmd_vel", distance_m=20.0, speed=0.2)
+    until(lambda: robot.state()["speed"] > 0.1)
+    driving.cancel()
+    truth(robot)
+
+
+def test_what_is_missing_is_said_before_anything_moves(agent: Agent, robot: CommandedProcess) -> None:
+    base = place(robot, agent)
+    assert "either distance_m or angle_deg" in agent.refusal("ros2_drive")
+    assert "Twist" in agent.refusal("ros2_drive", topic_name=f"{base}/odom", distance_m=1.0)
+    wrong = agent.refusal("ros2_drive", topic_name=f"{base}/cmd_vel", odometry=f"{base}/scan", distance_m=1.0)
+    assert "odometry needs nav_msgs/msg/Odometry" in wrong
+    assert "out of range" in agent.refusal("ros2_drive", distance_m=1000.0)
+    assert robot.state()["moved_at"] == 0.0

@@ -1,0 +1,48 @@
+"""A latched topic replays what it kept, the oldest first: whoever judges by it judges by the newest alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from support.agent import Agent, until
+from support.commanded import CommandedProcess
+
+OLD = [9.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0, 0.0]
+TOPIC = "/kept/level"
+
+
+def test_what_was_true_long_ago_is_neither_echoed_nor_meets_a_condition(agent: Agent, robot: CommandedProcess) -> None:
+    robot.put(base="/kept")
+    robot.keep(topic=TOPIC, values=OLD)
+    agent.knows(TOPIC, "/kept/cmd_vel", "/kept/odom")
+    assert agent.call("ros2_topic_echo_wait", topic_name=TOPIC, timeout=20)["message"] == {"data": 0.0}
+
+    def waited() -> dict[str, Any] | None:
+        found = agent.call("ros2_wait_until", topic_name=TOPIC, condition="data > 5", timeout=0.6)
+        return found if found["looked_at"] else None
+
+    found = until(waited)
+    assert (found["met"], found["looked_at"], found["values"]) == (False, 1, {"data": 0.0})
+    assert agent.call("ros2_wait_until", topic_name=TOPIC, condition="data < 5", timeout=20)["looked_at"] == 1
+    moved = agent.call(
+        "ros2_move_until",
+        topic_name=TOPIC,
+        condition="data > 5",
+        is_event=True,
+        linear_x=0.1,
+        timeout=0.5,
+        command_topic="/kept/cmd_vel",
+    )
+    assert (moved["outcome"], moved["met"]) == ("time_out", False), moved["note"]
+    robot.put(base="/again")
+    agent.knows("/again/cmd_vel")
+    still = agent.call(
+        "ros2_move_until",
+        topic_name=TOPIC,
+        condition="data < 5",
+        is_event=True,
+        linear_x=0.1,
+        timeout=0.5,
+        command_topic="/again/cmd_vel",
+    )
+    assert (still["met"], still["values"]) == (True, {"data": 0.0}), still["note"]

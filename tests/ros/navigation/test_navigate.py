@@ -1,0 +1,105 @@
+"""Goals for the rover's Nav2: reached, failed and explained, stopped."""
+
+import json
+import math
+import time
+
+import pytest
+
+from support.agent import until
+
+HASHES = {
+    "nav2_msgs/action/NavigateToPose": "RIHS01_a56dba8a3234a1215e610180dc703ae25bbf406dded8b54887891c9732857eab",
+    "nav2_msgs/action/ComputePathToPose": "RIHS01_b11d50c914791956069419b8f4ad441e3c66fcfbd9461f8e87110b77dc6febe9",
+    "nav2_msgs/srv/ClearEntireCostmap": "RIHS01_553f54f9cadab44553fdf5627433fcb6701f71c1fc2eb55a7b4a004fdeeab952",
+}
+
+
+def position(agent):
+    """Where the rover says that it is in the map."""
+    pose = agent.call("ros2_topic_echo_wait", topic_name="/pose", timeout=10.0)["message"]["pose"]["pose"]
+    return pose["position"]["x"], pose["position"]["y"]
+
+
+@pytest.mark.promise("ros2_navigate", "Says how long it took and how near it came")
+def test_a_place_is_kept_previewed_and_reached_with_a_heading(agent):
+    start = agent.call("ros2_place_set", name="start")["place"]
+    assert math.hypot(start["x_m"], start["y_m"]) < 0.1
+    agent.call("ros2_place_set", name="near", x=0.7, y=0.2, yaw_deg=45)
+    listed = {place["name"]: place for place in agent.call("ros2_place_list")["places"]}
+    assert listed["near"]["away_m"] == pytest.approx(0.73, abs=0.1)
+
+    way = agent.call("ros2_nav_preview", to={"place": "near"})
+    assert way["pictures"][0]["width"] > 300
+    assert way["is_feasible"] and way["length_m"] == pytest.approx(0.73, abs=0.15)
+    assert way["clearance_m"] > 0.3 and len(way["clearance_at"]) == 2 and "m from its middle line" in way["narrowest"]
+    (picture,) = way["pictures"]
+    assert picture["mime"] == "image/png" and picture["width"] > 400, "the way in the scene"
+    assert math.dist(position(agent), (0, 0)) < 0.1, "a preview moves nothing"
+
+    done = agent.call("ros2_navigate", to=[{"place": "near"}])
+    (leg,) = done["legs"]
+    assert (done["outcome"], leg["place"]) == ("reached", "near")
+    assert leg["away_m"] < 0.25 and abs(leg["heading_off_deg"]) < 10
+    assert math.dist(position(agent), (0.7, 0.2)) < 0.25
+
+    later = agent.call("ros2_scene")  # the planner sent the way when it began, and does not send it again
+    (path,) = [layer for layer in later["layers"] if layer["kind"] == "path"]
+    assert (path["name"], path["x_m"], path["y_m"]) == ("/plan", pytest.approx(0.7), pytest.approx(0.2))
+    assert any("/plan was sent" in line for line in later["missing"]), later["missing"]
+
+
+@pytest.mark.promise("ros2_navigate", "of a goal that failed the cause, and what would help")
+def test_a_goal_that_fails_is_explained_in_the_same_answer(agent):
+    done = agent.call("ros2_navigate", to=[{"x": 2.5, "y": -1.0}, {"x": 0.0, "y": 0.0}])
+    why = done["explanation"]
+    assert (done["outcome"], [leg["outcome"] for leg in done["legs"]]) == ("failed", ["failed", "not begun"])
+    assert (why["error_code"], why["server"], why["is_feasible"]) == (206, "planner_server", False)
+    assert "(2.50, -1.00) is occupied on /global_costmap/costmap" in why["cause"]
+    assert why["goal_cost"] == "occupied (cost 100)" and why["start_cost"].startswith("free")
+    assert any("planner_server" in line for line in why["log"])
+    assert any("Localised" in line for line in why["health"])
+
+    rejected = agent.call("ros2_navigate", to=[{"x": 1.0, "y": 0.0, "frame": "mapp"}])
+    assert rejected["outcome"] == "rejected" and "mapp" in rejected["explanation"]["cause"]
+
+
+@pytest.mark.promise("ros2_navigate", "waited for with its job_id")
+@pytest.mark.promise("ros2_navigate", "ros2_stop ends it")
+def test_what_is_not_waited_for_goes_on_and_a_stop_in_the_middle_ends_it(agent):
+    begun = agent.call("ros2_navigate", to=[{"x": -1.5, "y": -1.5}, {"x": 0.0, "y": 0.0}], timeout_sec=0)
+    assert begun["outcome"] == "under way"
+    told = " ".join(begun["health"])
+    assert "Localised: base_link is at (" in told and "s old." in told
+    assert "The costmap /global_costmap/costmap is" in told
+    assert "/navigator may send velocities on /cmd_vel_nav, as Nav2 does." in told, "the rover has a second navigator"
+    waiting = agent.begin("ros2_navigate", job_id=begun["job_id"], timeout_sec=60)
+    before = position(agent)
+    until(lambda: math.dist(position(agent), before) > 0.05 or waiting.done())
+    stopped = agent.call("ros2_stop")
+    assert "navigate_to_pose" in str(stopped)
+    done = waiting.result(20)
+    assert [leg["outcome"] for leg in done["legs"]] == ["canceled", "not begun"], done
+    assert "ros2_stop" in done["note"]
+    time.sleep(0.5)  # a goal that went on would drive 0.2 m in this time
+    first = position(agent)
+    assert math.dist(first, position(agent)) < 0.05
+    assert "There is no navigation" in agent.refusal("ros2_navigate", job_id="navigation_none")
+
+
+def test_interfaces_are_those_of_nav2_on_the_wire(built):
+    """Against the type hashes of the Jazzy branch's own definitions, made with rosidl_generator_type_description."""
+    hashes = {}
+    for described in (built[1] / "share" / "nav2_msgs").glob("*/*.json"):
+        hashes.update(
+            {one["type_name"]: one["hash_string"] for one in json.loads(described.read_text())["type_hashes"]}
+        )
+    assert HASHES.items() <= hashes.items()
+
+
+def test_what_cannot_be_meant_is_refused_before_anything_is_sent(agent):
+    assert "Did you mean near" in agent.refusal("ros2_navigate", to=[{"place": "nearr"}])
+    assert "Where to is not said" in agent.refusal("ros2_navigate")
+    assert "Give one of both" in agent.refusal("ros2_navigate", to=[{"place": "near"}], job_id="navigation_1")
+    wrong = agent.refusal("ros2_navigate", to=[{"place": "near"}], action_name="/navigate_to")
+    assert "ros2_mcp_demo_interfaces/action/NavigateTo" in wrong

@@ -1,0 +1,53 @@
+"""A real server under a policy over real stdio, and the independent observer, which alone judges what arrived."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
+
+from support.driver import MOVING, Driver, write_bag
+from support.observer import Observer
+from support.velocities import TWIST, cdr
+
+POLICY = """
+policy: 1
+name: hall
+allow:
+  - {publish: "/**/cmd_vel", type: geometry_msgs/msg/Twist, rate_hz: 100, for_s: 60}
+  - {relay: "/**/cmd_vel", types: [geometry_msgs/msg/Twist, geometry_msgs/msg/Vector3], from: "/**"}
+  - {play: "/**/cmd_vel", type: geometry_msgs/msg/Twist, force: true}
+limits:
+  base:
+    types: [geometry_msgs/msg/Twist]
+    norm: {linear: 0.4, angular: 0.8}
+    zero: [linear.y, linear.z, angular.x, angular.y]
+    ramp: {linear: {up: 0.5, down: 2.0}, angular: {up: 1.5, down: 1.5}}
+    hold_s: 0.5
+"""
+BAG_MESSAGES = 100
+
+
+@pytest.fixture(scope="module")
+def policy_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The policy of these tests, whose folder nobody else can write to."""
+    folder = tmp_path_factory.mktemp("policy")
+    folder.chmod(0o700)
+    file = folder / "policy.yaml"
+    file.write_text(POLICY, encoding="utf-8")
+    file.chmod(0o600)
+    return file
+
+
+@pytest.fixture
+def server(ros_environment: dict[str, str], policy_file: Path, tmp_path: Path, observer: Observer) -> Iterator[Driver]:
+    """A server under that policy, with state of its own and a bag that drives at 0.5 m/s for two seconds."""
+    write_bag(tmp_path / "bags", [cdr(TWIST, MOVING)] * BAG_MESSAGES)
+    environment = {**ros_environment, "XDG_STATE_HOME": str(tmp_path / "state")}
+    options = ("--tools", "all", "--policy", str(policy_file), "--record-dir", str(tmp_path / "bags"))
+    driver = Driver(environment, *options)
+    yield driver
+    driver.end()

@@ -1,0 +1,90 @@
+"""What an agent sees around the simulated rover, live: the scene, and what its scanner and depth camera mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
+pytest.importorskip("rosidl_generator_py", reason="needs the interface generators of the ROS 2 wheels")
+
+from ros2_mcp_demo.base import RADIUS
+from support.agent import Agent, agent_for, until
+from support.demo_robot import build_interfaces, robot_environment, running_robot
+
+PILLAR = (1.67, -32.0)
+"""Distance (m) and bearing (degrees) of the red pillar from where the rover starts."""
+
+
+@pytest.fixture(scope="module")
+def agent(domain_id: int, ros_environment: dict[str, str]) -> Iterator[Agent]:
+    """A client of a server, and the rover with its transforms."""
+    prefixes = build_interfaces()
+    environment = {**ros_environment, **robot_environment(prefixes, ROS_DOMAIN_ID=str(domain_id))}
+    with running_robot(prefixes, domain_id, "--seed", "7"), agent_for(environment, "--tools", "all") as client:
+        client.knows("/scan", "/map", "/tf", "/tf_static", "/robot_description", "/camera/depth/image_raw")
+        yield client
+
+
+def complete(agent: Agent, *kinds: str, **arguments: Any) -> dict[str, Any]:
+    """The scene, as soon as it has these layers and the robot: publishers may be discovered late."""
+
+    def whole() -> dict[str, Any] | None:
+        found = agent.call("ros2_scene", **arguments)
+        shown = {layer["kind"] for layer in found["layers"]}
+        return found if set(kinds) <= shown and found["robot_x_m"] is not None else None
+
+    return until(whole)
+
+
+def test_the_scene_of_a_live_robot_has_map_scan_outline_and_pose(agent: Agent) -> None:
+    found = complete(agent, "grid", "scan", "footprint")
+    assert found["frame_id"] == "map"
+    assert (found["robot_x_m"], found["robot_y_m"]) == pytest.approx((0, 0), abs=0.1)
+    assert found["robot_age_s"] is not None and found["seconds_in"] is None
+    assert found["x_min_m"] < -2 and found["x_max_m"] > 6
+    scan = found["meaning"]["scan"]
+    assert (scan["nearest_m"], scan["nearest_bearing_deg"]) == pytest.approx(PILLAR, abs=5), scan
+    [picture] = found["pictures"]
+    assert picture["mime"] == "image/png" and max(picture["width"], picture["height"]) <= 1568
+
+
+def test_a_scan_that_is_read_says_what_is_near_from_the_base(agent: Agent) -> None:
+    def in_base() -> dict[str, Any] | None:
+        scan = agent.call("ros2_topic_echo_wait", topic_name="/scan")["meaning"]["scan"]
+        return scan if scan["is_base"] else None
+
+    scan = until(in_base)
+    assert scan["frame_id"] == "base_link"
+    assert scan["nearest_m"] == pytest.approx(PILLAR[0], abs=0.1)  # noise of 1 cm in a beam
+    assert scan["nearest_bearing_deg"] == pytest.approx(PILLAR[1], abs=6)
+    assert scan["free_m"]["rear"] == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_depth_image_says_where_the_ground_is_and_what_stands_on_it(agent: Agent) -> None:
+    def placed() -> dict[str, Any] | None:
+        found = agent.call("ros2_topic_subscribe", topic_name="/camera/depth/image_raw")
+        depth = found.get("meaning", {}).get("depth")
+        return depth if depth and depth["ground_z_m"] is not None else None
+
+    depth = until(placed)
+    assert depth["is_base"] and depth["ground_z_m"] == pytest.approx(0.0, abs=0.03)
+    assert depth["nearest_m"] > 1.0 + RADIUS
+
+
+def test_a_robot_drawn_in_its_own_frame_is_at_its_origin(agent: Agent) -> None:
+    found = complete(agent, "scan", frame="base_link", radius_m=3)
+    assert (found["robot_x_m"], found["robot_y_m"], found["robot_yaw_deg"]) == pytest.approx((0, 0, 0), abs=1e-6)
+
+
+def test_a_scan_is_of_the_pose_that_is_shown_although_a_silent_path_is_awaited(agent: Agent) -> None:
+    """A path is awaited for 1.2 s; a scan that was read before would be older, and what it means of another heading."""
+
+    def fresh() -> bool:
+        found = agent.call("ros2_scene")
+        assert any(line.startswith("The path ") for line in found["missing"]), found["missing"]
+        return any(layer["kind"] == "scan" and (layer["age_s"] or 9.0) < 0.8 for layer in found["layers"])
+
+    until(fresh)

@@ -1,0 +1,133 @@
+"""Over HTTP nothing large that was posted before a stop, or before it was cancelled, moves the robot after that."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from http.client import HTTPConnection
+from typing import Any
+
+import pytest
+
+from support.agent import DISCOVERY_S, until
+from support.driver import MOVING, fresh
+from support.observer import Observer
+from support.ports import listening
+from support.tokens import BEARER
+from support.velocities import TWIST, speed
+
+PATIENCE_S = 60.0
+VERSION = "2025-11-25"
+CLIENT = {"name": "posts by hand", "version": "1"}
+HEADERS = {"Accept": "application/json, text/event-stream", "Content-Type": "application/json", "Authorization": BEARER}
+SLOW = {"x": [{}] * 240_000}
+"""0.96 MB that take 0.1 to 0.3 s to read."""
+SEVERAL = 32
+"""So many of them are read for longer than a stop takes to come: what is posted after them waits."""
+PADDING = " " * 25_000
+"""What is larger than 20 kB is not read at once."""
+SETTLED_S = 0.3
+"""What left late is heard within this time."""
+
+
+class Session:
+    """One session; each request has a connection of its own."""
+
+    def __init__(self, port: int, closing_all: ExitStack) -> None:
+        self._port, self._closing, self._id, self._names = port, closing_all, 0, dict(HEADERS)
+        begun = self.begin("initialize", {"protocolVersion": VERSION, "capabilities": {}, "clientInfo": CLIENT})
+        answer = begun[1].getresponse()
+        self._names["Mcp-Session-Id"] = answer.headers["Mcp-Session-Id"]
+        answer.read()
+        self.tell("notifications/initialized", {})
+
+    def begin(self, method: str, params: dict[str, Any], padding: str = "") -> tuple[int, HTTPConnection]:
+        """Posts a request."""
+        self._id += 1
+        body = padding + json.dumps({"jsonrpc": "2.0", "id": self._id, "method": method, "params": params})
+        return self._id, self._post(body)
+
+    def tell(self, method: str, params: dict[str, Any]) -> None:
+        """A notification, accepted."""
+        answer = self._post(json.dumps({"jsonrpc": "2.0", "method": method, "params": params})).getresponse()
+        answer.read()
+        assert answer.status == 202
+
+    def call(self, name: str, *, padding: str = "", **arguments: Any) -> tuple[int, HTTPConnection]:
+        """Posts a call of a tool."""
+        return self.begin("tools/call", {"name": name, "arguments": arguments}, padding)
+
+    def has_come(self) -> None:
+        """Waits until the server has received what was posted before: it has answered something that came later."""
+        said(self.begin("ping", {}))
+
+    def _post(self, body: str) -> HTTPConnection:
+        connection = self._closing.enter_context(closing(HTTPConnection("127.0.0.1", self._port, timeout=PATIENCE_S)))
+        connection.request("POST", "/mcp", body, self._names)
+        return connection
+
+
+def said(begun: tuple[int, HTTPConnection]) -> str:
+    """What is answered."""
+    return begun[1].getresponse().read().decode()
+
+
+@pytest.fixture(scope="module")
+def session(ros_environment: dict[str, str]) -> Iterator[Session]:
+    with listening(ros_environment, "streamable-http") as (port, _), ExitStack() as stack:
+        yield Session(port, stack)
+
+
+@pytest.fixture
+def watched(session: Session, observer: Observer) -> str:
+    """A topic with four subscribers that the server knows, and has published on."""
+    topic = fresh("watched")
+    observer.watch(topic)
+    until(lambda: said(session.call("ros2_topic_info", topic_name=topic)).count("best_effort") >= 1, DISCOVERY_S)
+    assert '"status":"published"' in said(publish(session, topic))
+    session_stop(session)
+    observer.forget()
+    return topic
+
+
+def publish(session: Session, topic: str, **more: Any) -> tuple[int, HTTPConnection]:
+    return session.call("ros2_topic_publish", topic_name=topic, message_type=TWIST, data=speed(TWIST, MOVING), **more)
+
+
+def session_stop(session: Session) -> int:
+    """Stops; returns when the answer was read (CLOCK_MONOTONIC, ns)."""
+    assert 'isError":true' not in said(session.call("ros2_stop"))
+    return time.monotonic_ns()
+
+
+@pytest.fixture
+def behind(session: Session) -> Callable[[], list[tuple[int, HTTPConnection]]]:
+    """Begins what is read for long."""
+    return lambda: [session.begin("ping", SLOW) for _ in range(SEVERAL)]
+
+
+def test_a_stop_drops_what_was_posted_before_it_and_is_still_being_read(session, observer, watched, behind) -> None:
+    slow = behind()
+    late = publish(session, watched, padding=PADDING)
+    session.has_come()
+    answered_ns = session_stop(session)
+    refused = said(late)
+    assert "Stopped: " in refused, refused
+    assert all('"result":{}' in said(one) for one in slow)
+    time.sleep(SETTLED_S)
+    assert observer.moved(sent_after=answered_ns, topic=watched) == []
+    assert '"status":"published"' in said(publish(session, watched, padding=PADDING))
+    session_stop(session)
+
+
+def test_what_is_cancelled_while_it_is_still_being_read_is_not_done(session, observer, watched, behind) -> None:
+    slow = behind()
+    late = publish(session, watched, frequency=20, duration=2, padding=PADDING)
+    session.has_come()
+    session.tell("notifications/cancelled", {"requestId": late[0]})
+    assert "Request cancelled" in said(late)
+    assert all('"result":{}' in said(one) for one in slow)
+    time.sleep(SETTLED_S)
+    assert observer.moved(sent_after=0, topic=watched) == []

@@ -1,0 +1,183 @@
+"""Whatever ends a program that drives, every subscriber has its zero. Most ends here, all in full, 20 of each."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pydantic_monty", reason="needs the extra programs")
+
+from support.agent import FULL, Refusal, until
+from support.driver import Driver, fresh
+from support.observer import Observer
+from support.raw_server import children, lives
+from support.standstill import undisturbed
+from support.velocities import TWIST
+
+ROUNDS = 20 if FULL else 1
+COMES_S = 15.0
+"""For a zero that is late."""
+BAR_S = 0.5 if FULL else COMES_S
+"""Of "Stop means stop"; on a machine that is busy with other tests only whether it comes is judged."""
+SPEED = 0.3
+LATER_S = (0.3, 1.5)
+TIMEOUT_S = 7
+DRIVES = f"""
+import robot, time
+def drive():
+    robot.publish(@TOPIC@, message_type="{TWIST}", data={{"linear": {{"x": {SPEED}}}}})
+    time.sleep(0.05)
+"""
+FOR_EVER = f"{DRIVES}\nwhile True: drive()"
+FOR_A_WHILE = f"{DRIVES}\nfor _ in range(90): drive()\n"
+"""Longer than the 3 s after which a publisher is discovered whose first announcement was missed."""
+
+pytestmark = pytest.mark.timeout(1500 if FULL else 240)
+
+
+def started_by(server: Driver, program: str) -> int:
+    """The process of the server's own whose program has this name."""
+    return next(pid for pid in started(server) if program in Path(f"/proc/{pid}/cmdline").read_text())
+
+
+def started(server: Driver) -> list[int]:
+    """The processes that any thread of the server has started, and theirs: a sandbox is not the main thread's."""
+    threads = Path(f"/proc/{server.process.pid}/task").glob("*/children")
+    own = [int(pid) for thread in threads for pid in thread.read_text().split()]
+    return [*own, *(below for pid in own for below in children(pid))]
+
+
+def kill(*programs: str) -> Callable[[Driver, int], None]:
+    def do(server: Driver, _: int) -> None:
+        for pid in [started_by(server, program) if program else server.process.pid for program in programs]:
+            os.kill(pid, signal.SIGKILL)
+
+    return do
+
+
+def end_client(server: Driver, _: int) -> None:
+    assert server.process.stdin
+    server.process.stdin.close()
+
+
+def cancel(server: Driver, request: int) -> None:
+    server.tell("notifications/cancelled", requestId=request)
+
+
+SANDBOX, BRIDGE, SERVER = "monty", "ros2_mcp_bridge", ""
+FROM_OUTSIDE: dict[str, Callable[[Driver, int], None]] = {
+    "the call is cancelled": cancel,
+    "ros2_stop": lambda server, _: server.stop() and None,
+    "the sandbox is killed": kill(SANDBOX),
+    "the server is killed": kill(SERVER),
+    "the bridge is killed": kill(BRIDGE),
+    **({"the client ends": end_client, "server and bridge are killed": kill(SERVER, BRIDGE)} if FULL else {}),
+}
+LAST = ("the client ends", "the server is killed", "server and bridge are killed")
+"""What the server that the tests share does not outlive."""
+BY_ITSELF: dict[str, tuple[str, float]] = {
+    "an error": (f"{FOR_A_WHILE}print(1 / 0)", 0.0),
+    "its time": (f"{FOR_A_WHILE}while True: pass", TIMEOUT_S),
+}
+if FULL:
+    BY_ITSELF |= {
+        "its end": (FOR_A_WHILE, 0.0),
+        "an end that it asks for": (f"{FOR_A_WHILE}raise SystemExit", 0.0),
+        "its time, asleep": (f"{FOR_A_WHILE}time.sleep(60)", TIMEOUT_S),
+        "a limit": (f"{FOR_A_WHILE}[0] * 10**9", 0.0),
+    }
+"""The program, and how long it does nothing before it is ended."""
+
+
+def begin(server: Driver, observer: Observer, program: str, **options: float) -> tuple[str, int]:
+    """A topic with four subscribers that a program drives: its name, and the request."""
+    topic = fresh("programmed")
+    observer.watch(topic)
+    server.knows(topic, 4)
+    request = server.tool("ros2_run", program=program.replace("@TOPIC@", repr(topic)), **options)
+    observer.until_driven(topic, 2, of=4)
+    return topic, request
+
+
+def leave(observer: Observer, topic: str) -> None:
+    for by in observer.counts(topic=topic):
+        if by.startswith(f"{topic} "):
+            observer.leave(by=by)
+    observer.forget()
+
+
+def zeros_s(observer: Observer, topic: str, since_ns: int = 0) -> float:
+    """How long after that time, or else after its last message that moves, the last of four subscribers has its zero.
+
+    Much, where one has none.
+    """
+    waited: dict[str, float] = {}
+    moved: dict[str, int] = {}
+    for one in observer.messages(topic=topic, after=since_ns):
+        if any(one["values"]):
+            moved[one["by"]] = one["at"]
+            waited.pop(one["by"], None) if not since_ns else None
+        else:
+            waited.setdefault(one["by"], (one["at"] - (since_ns or moved.get(one["by"], one["at"]))) / 1e9)
+    return 1e9 if observer.moving(topic=topic) or len(waited) < 4 else max(waited.values())
+
+
+def seconds(server: Driver, observer: Observer, fate: str, after_s: float) -> tuple[float, list[int]]:
+    """How long it takes from a fate of a program that drives for ever until all have their zeros; what ran then."""
+    topic, request = begin(server, observer, FOR_EVER)
+    time.sleep(after_s)
+    processes = started(server)
+    since_ns = time.monotonic_ns()
+    FROM_OUTSIDE[fate](server, request)
+    with suppress(AssertionError):
+        until(lambda: zeros_s(observer, topic, since_ns) < COMES_S, COMES_S)
+    took_s = zeros_s(observer, topic, since_ns)
+    leave(observer, topic)
+    return took_s, processes
+
+
+@pytest.mark.parametrize("fate", FROM_OUTSIDE)
+def test_a_program_that_is_ended_while_it_drives_leaves_nobody_without_a_zero(
+    start_server, server: Driver, observer: Observer, fate: str
+) -> None:
+    chance, processes = random.Random(15), list[int]()
+
+    def once() -> float:
+        mine = start_server() if fate in LAST else server
+        took_s, ran = seconds(mine, observer, fate, chance.uniform(*LATER_S))
+        if fate in LAST:
+            processes.extend(ran)
+            mine.end()
+        return took_s
+
+    took_s = [undisturbed(once) if FULL else once() for _ in range(ROUNDS)]
+    print(f"{fate}: {sorted(round(each, 3) for each in took_s)}", flush=True)
+    assert max(took_s) <= BAR_S
+    until(lambda: not any(map(lives, processes)))
+
+
+@pytest.mark.parametrize("fate", BY_ITSELF)
+def test_a_program_that_ends_by_itself_while_it_drives_leaves_a_zero(
+    server: Driver, observer: Observer, fate: str
+) -> None:
+    program, idle_s = BY_ITSELF[fate]
+
+    def once() -> float:
+        topic, request = begin(server, observer, program, timeout=TIMEOUT_S)
+        with suppress(Refusal):
+            server.result(request)
+        left = observer.comes_to_rest(topic, COMES_S)
+        took_s = zeros_s(observer, topic)
+        leave(observer, topic)
+        return 1e9 if left else took_s
+
+    took_s = [undisturbed(once) if FULL else once() for _ in range(ROUNDS)]
+    print(f"{fate}: {sorted(round(each, 3) for each in took_s)}", flush=True)
+    assert max(took_s) <= BAR_S + idle_s

@@ -1,0 +1,162 @@
+"""Over a slow link a camera holds up neither requests nor a stop, and what comes is whole."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import subprocess
+import time
+from collections.abc import AsyncIterator, Iterator
+from typing import Any
+
+import pytest
+
+from ros2_mcp.link.client import Bridge
+from ros2_mcp.link.environment import find_ros
+from ros2_mcp.ops.sources.live import Live
+from ros2_mcp.ops.sources.selection import Selection
+from ros2_mcp.ops.topics.stats import TopicStats, measure
+from ros2_mcp.ops.topics.subscribe import Reading, read
+from ros2_mcp.robot import Robot
+from ros2_mcp.settings import Settings
+from support.agent import FULL
+from support.processes import peer_command, running
+from support.socket_carrier import FarBridge, SocketCarrier
+from support.standstill import undisturbed_async
+
+BITS_PER_S, DELAY_S = 5e6, 0.02
+WIDTH, HEIGHT, HERTZ = (640, 480, 30) if FULL else (320, 240, 15)
+"""27 MB/s or 3.5 MB/s: 44 or 6 times what crosses the link."""
+EVERY_N = 60 if FULL else 15
+"""A picture in 2 s or 1 s, which the link carries in 1.5 s or 0.4 s."""
+PICTURE_BYTES = 3 * WIDTH * HEIGHT
+ALLOWED_S = 0.25
+"""More than without a camera: what is under way (64 KiB) takes 0.1 s, and there is a machine that is busy."""
+STOP_S = 0.5
+PATIENCE_S = 30.0
+IMAGE, TOPIC = "sensor_msgs/msg/Image", "/camera/image_raw"
+BEST_EFFORT = {"reliability": "best_effort", "durability": "volatile", "history": "keep_last", "depth": 10}
+RELIABLE = {**BEST_EFFORT, "reliability": "reliable"}
+STOP = {"wait_match_s": 0, "wait_ack_s": 0}
+
+
+@pytest.fixture(scope="module")
+def camera(ros_environment: dict[str, str]) -> Iterator[None]:
+    with running(ros_environment, *peer_command("camera_peer", str(WIDTH), str(HEIGHT), str(HERTZ), "compressed")):
+        yield
+
+
+@pytest.fixture
+async def bridge(domain_id: int, ros_environment: dict[str, str]) -> AsyncIterator[Bridge]:
+    """The link to a bridge behind a slow network."""
+    far = FarBridge(
+        find_ros(Settings(domain_id=domain_id), ros_environment),
+        through=peer_command("slow_pipe", str(BITS_PER_S), str(DELAY_S)),
+    )
+    bridge = Bridge(lambda: SocketCarrier(far.near))
+    await bridge.ready()
+    try:
+        yield bridge
+    finally:
+        await bridge.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            far.process.wait(PATIENCE_S)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(far.process.pid, signal.SIGKILL)
+        far.process.wait()
+
+
+async def took(bridge: Bridge, op: str, times: int = 1, **arguments: Any) -> list[float]:
+    """How long each of so many requests took, in s, the shortest first."""
+    found: list[float] = []
+    for _ in range(times):
+        begun = time.monotonic()
+        await bridge.request(op, timeout_s=PATIENCE_S, **arguments)
+        found.append(time.monotonic() - begun)
+        await asyncio.sleep(0.02)
+    return sorted(found)
+
+
+async def test_a_camera_holds_up_neither_requests_nor_a_stop(bridge: Bridge, camera: None) -> None:
+    await bridge.request("wait_endpoints", topic=TOPIC, publishers=1, subscribers=0, timeout_s=PATIENCE_S)
+    seen = {"topic": TOPIC, "settle_s": 0}
+
+    async def measured() -> tuple[float, float, float, int]:
+        idle = await took(bridge, "endpoints", 20, **seen)
+        async with await bridge.subscribe(
+            TOPIC, IMAGE, BEST_EFFORT, keep="all", max_samples=100, max_bytes=64_000_000
+        ) as subscription:
+            first = await subscription.take(PATIENCE_S)
+            busy = await took(bridge, "endpoints", 40, **seen)
+            (stop,) = await took(bridge, "stop", epoch=0, **STOP)
+            pictures = [*first, *await subscription.take(PATIENCE_S)]
+        assert all(len(picture.data) > PICTURE_BYTES for picture in pictures)
+        return idle[18], busy[37], stop, len(pictures)
+
+    idle_s, busy_s, stop_s, pictures = await undisturbed_async(measured)
+    assert busy_s <= idle_s + ALLOWED_S
+    assert stop_s <= STOP_S
+    assert pictures >= 2
+
+
+async def test_a_picture_that_is_published_does_not_hold_up_a_stop(bridge: Bridge) -> None:
+    async def measured() -> float:
+        body = b"\x00\x01\x00\x00" + bytes(8) + (1_000_000).to_bytes(4, "little") + bytes(1_000_000)
+        sending = asyncio.ensure_future(
+            bridge.request(
+                "publish",
+                body,
+                timeout_s=PATIENCE_S,
+                topic="/large",
+                type="std_msgs/msg/UInt8MultiArray",
+                qos=RELIABLE,
+                epoch=0,
+            )
+        )
+        await asyncio.sleep(0.2)
+        assert not sending.done()  # it takes 1.6 s
+        (stop,) = await took(bridge, "stop", epoch=0, **STOP)
+        sending.cancel()
+        await asyncio.wait({sending})
+        return stop
+
+    assert await undisturbed_async(measured) <= STOP_S
+
+
+async def test_the_flow_of_a_camera_is_measured_although_its_pictures_do_not_cross_the_link(
+    bridge: Bridge, camera: None
+) -> None:
+    async def measured() -> TopicStats:
+        (topic,) = (await measure(Live(Robot(bridge), 3.0), [TOPIC])).topics
+        return topic
+
+    topic = await undisturbed_async(measured)
+    # Wide, as a busy machine publishes late: the link itself carries a sixth of it, or less.
+    assert topic.rate_hz == pytest.approx(HERTZ, rel=0.4)
+    assert topic.dropped == 0
+    assert topic.mean_size_bytes == pytest.approx(PICTURE_BYTES, rel=0.01)
+
+
+async def test_over_a_network_a_camera_is_read_compressed_and_this_is_said(bridge: Bridge, camera: None) -> None:
+    robot = Robot(bridge)
+    found = await read(Live(robot), TOPIC, "", Selection(message_limit=1))
+    assert (found.topic_name, found.topic_type) == (f"{TOPIC}/compressed", "sensor_msgs/msg/CompressedImage")
+    assert f"{TOPIC}/compressed was read, the same pictures compressed" in found.note
+    assert [picture.width for picture in found.pictures] == [WIDTH]
+    asked = await read(Live(robot), TOPIC, IMAGE, Selection(message_limit=1))
+    assert (asked.topic_name, asked.topic_type, asked.count) == (TOPIC, IMAGE, 1)
+    several = await read(Live(robot), TOPIC, IMAGE, Selection(duration_s=2.0))
+    assert several.dropped > 0
+    assert f"{several.dropped} message(s) were left on the robot" in several.note
+
+
+async def test_of_every_nth_picture_those_between_stay_on_the_robot(bridge: Bridge, camera: None) -> None:
+    async def measured() -> Reading:
+        return await read(Live(Robot(bridge)), TOPIC, IMAGE, Selection(duration_s=4.0, every_n=EVERY_N))
+
+    found = await undisturbed_async(measured)
+    assert found.count >= 2
+    assert found.dropped == 0
+    assert found.received > EVERY_N * (found.count - 1)

@@ -1,0 +1,54 @@
+"""A camera: `camera_peer.py WIDTH HEIGHT HZ [compressed]` publishes /camera/image_raw, and the same compressed.
+
+The raw pictures are noise, which nothing makes smaller; the compressed ones are real JPEG.
+It says `ready` and ends with its stdin.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+
+import rclpy
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CompressedImage, Image
+
+
+def main() -> None:
+    width, height, hertz = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+    rclpy.init()
+    node = rclpy.create_node("camera")
+    raw = node.create_publisher(Image, "/camera/image_raw", qos_profile_sensor_data)
+    image = Image(width=width, height=height, encoding="rgb8", step=3 * width, data=os.urandom(3 * width * height))
+    image.header.frame_id = "camera"
+    small = None
+    if "compressed" in sys.argv:
+        small = node.create_publisher(CompressedImage, "/camera/image_raw/compressed", qos_profile_sensor_data)
+    jpeg = CompressedImage(format="rgb8; jpeg compressed bgr8", data=jpeg_of(width, height))
+
+    def tick() -> None:
+        image.header.stamp = jpeg.header.stamp = node.get_clock().now().to_msg()
+        raw.publish(image)
+        if small:
+            small.publish(jpeg)
+
+    node.create_timer(1 / hertz, tick)
+    threading.Thread(target=lambda: (sys.stdin.read(), os._exit(0)), daemon=True).start()
+    print("ready", flush=True)
+    rclpy.spin(node)
+
+
+def jpeg_of(width: int, height: int) -> bytes:
+    """A real picture of that size."""
+    from io import BytesIO
+
+    from PIL import Image as Picture
+
+    data = BytesIO()
+    Picture.effect_noise((width, height), 40).convert("RGB").save(data, "JPEG", quality=60)
+    return data.getvalue()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""What a scan shows, and how fast that lets a robot go: mounts, what beams tell, circles."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from ros2_mcp_bridge.clearance import Body, Clearance, Mount
+from ros2_mcp_bridge.course import Circle, Line, Pose, Turn
+
+ROUND = Body(0.2, 0.2, 0.2, 0.2)
+CENTRE = Mount.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+FAST = 1.0
+
+
+def scan(ranges: dict[int, float], otherwise: float = math.inf) -> Any:
+    """A scan with a beam for each degree from -180° on; `ranges` by degrees."""
+    return SimpleNamespace(
+        angle_min=-math.pi,
+        angle_increment=math.radians(1),
+        ranges=[ranges.get(degree, otherwise) for degree in range(-180, 180)],
+        range_min=0.1,
+        range_max=10.0,
+    )
+
+
+def heard(message: Any, guard_m: float = 0.3, body: Body = ROUND, mount: Mount = CENTRE) -> Clearance:
+    clearance = Clearance(guard_m, body, mount)
+    clearance.hear(message, 0.0)
+    return clearance
+
+
+def ahead(clearance: Clearance, direction: int = 1, curvature: float = 0.0) -> float:
+    return clearance.allowed(FAST, curvature, direction, 0.0, 0.0).speed
+
+
+def test_nothing_in_sight_lets_it_go() -> None:
+    clearance = heard(scan({}))
+    assert ahead(clearance) == ahead(clearance, -1) == FAST
+    assert clearance.allowed_turn(FAST, 0.0).speed == FAST
+
+
+@pytest.mark.parametrize("unknown", [math.nan, 0.0, 0.05])
+def test_a_direction_of_which_nothing_is_told_is_not_seen(unknown: float) -> None:
+    clearance = heard(scan(dict.fromkeys(range(-60, 60), 2.0), otherwise=unknown))
+    assert clearance.sees(0.0)
+    assert not clearance.sees(math.pi)
+
+
+def test_what_is_too_near_to_be_measured_is_in_the_way() -> None:
+    far = Body(0.05, 0.05, 0.05, 0.05)
+    assert ahead(heard(scan({0: -math.inf}), body=far)) == 0.0
+
+
+def test_it_slows_down_before_what_it_must_not_come_near() -> None:
+    speeds = [ahead(heard(scan({0: distance_m}))) for distance_m in (0.45, 0.6, 0.8, 1.2, 3.0)]
+    assert speeds == sorted(speeds)
+    assert speeds[0] == 0.0
+    assert speeds[-1] == FAST
+    gap = heard(scan({0: 0.6})).allowed(FAST, 0.0, 1, 0.0, 0.0).gap
+    assert gap == pytest.approx(0.4)
+
+
+def test_the_way_it_has_gone_since_the_scan_counts() -> None:
+    clearance = heard(scan({0: 1.0}))
+    assert clearance.allowed(FAST, 0.0, 1, 0.3, 0.0).speed < ahead(clearance)
+
+
+def test_what_is_behind_it_stops_it_only_backwards() -> None:
+    clearance = heard(scan({-180: 0.6}))
+    assert (ahead(clearance), ahead(clearance, -1) < FAST) == (FAST, True)
+
+
+def test_a_scanner_that_lies_on_its_back_sees_left_on_the_left() -> None:
+    turned = Mount.of((0.1, 0.0, 0.3), (1.0, 0.0, 0.0, 0.0))  # half a turn about x
+    clearance = heard(scan({90: 0.5}), mount=turned)
+    bearing = clearance.allowed_turn(FAST, 0.0).bearing
+    assert bearing == pytest.approx(math.atan2(-0.5, 0.1))
+
+
+def test_the_robot_itself_is_not_in_its_way() -> None:
+    assert ahead(heard(scan({0: 0.15, 90: 0.19}))) == FAST
+
+
+def test_on_a_circle_what_stands_on_it_counts_and_not_what_is_straight_ahead() -> None:
+    on_circle = heard(scan({45: math.sqrt(2.0)}))  # at (1, 1): a quarter of the circle with radius 1 to the left
+    assert ahead(on_circle, curvature=1.0) < FAST
+    assert ahead(on_circle, curvature=-1.0) == FAST
+    far_ahead = heard(scan({0: 2.5}))
+    assert ahead(far_ahead, curvature=1.0) == FAST
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_circle_ends_where_it_should(side: int) -> None:
+    circle = Circle(Pose(0.0, 0.0, 0.0), side * math.pi / 2, 2.0)
+    steps = [side * math.pi / 2 * number / 10 for number in range(11)]
+    places = [circle.place(Pose(2 * math.sin(abs(a)), side * 2 * (1 - math.cos(a)), a)) for a in steps]
+    assert places[-1].along == pytest.approx(circle.whole) == pytest.approx(math.pi)
+    assert [place.aside_m for place in places] == pytest.approx([0.0] * 11, abs=1e-9)
+    assert [place.heading for place in places] == pytest.approx([0.0] * 11, abs=1e-9)
+
+
+def test_a_line_and_a_turn_measure_from_where_they_begin() -> None:
+    start = Pose(1.0, 2.0, math.pi / 2)
+    along, aside_m, heading = Line(start, 3.0).place(Pose(0.9, 3.0, math.pi / 2 + 0.1))
+    assert (along, aside_m, heading) == pytest.approx((1.0, 0.1, 0.1))
+    assert Turn(start, -7.0).place(Pose(1.0, 2.0, math.pi / 2 - 6.5)).along == pytest.approx(-6.5)

@@ -1,0 +1,65 @@
+"""What the watchdog cannot hear or understand ends or holds up nothing: it is as if it had not come."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs the ROS 2 wheels")
+
+from ros2_mcp_bridge import interfaces, rcl, watching
+from ros2_mcp_bridge.feedback import PoseRule, Watchdog
+from ros2_mcp_bridge.stream import Sample
+from ros2_mcp_bridge.subscriptions import RawSubscription
+
+POSE = "geometry_msgs/msg/Pose"
+RULE = PoseRule("/pose", POSE, "", max_age_s=1.0, brake_mps2=1.0, frame_id="map")
+
+
+@pytest.fixture
+def ear(monkeypatch: pytest.MonkeyPatch) -> Callable[[Iterable[Sample]], watching.Ear]:
+    """An ear on whose topic these samples wait."""
+
+    def made(samples: Iterable[Sample]) -> watching.Ear:
+        drained = SimpleNamespace(_waiting=lambda: samples)
+        drain = partial(RawSubscription.drain, drained)  # type: ignore[arg-type]
+        subscription = SimpleNamespace(drain=drain)
+        source = SimpleNamespace(resubscribe=lambda: None, subscription=subscription, is_latched=False)
+        monkeypatch.setattr(watching, "FollowedSource", lambda *_: source)
+        return watching.Ear(object(), object(), RULE)  # type: ignore[arg-type]
+
+    return made
+
+
+def sample() -> Sample:
+    return Sample(0, 0, None, rcl.serialize(interfaces.load(POSE)()), 0)
+
+
+def test_a_flood_is_left_for_the_next_look(ear: Callable[[Iterable[Sample]], watching.Ear]) -> None:
+    heard: list[Any] = []
+    ear(itertools.repeat(sample())).hear(heard.append)
+    assert heard
+
+
+def test_a_type_that_has_not_what_is_read_is_not_heard(ear: Callable[[Iterable[Sample]], watching.Ear]) -> None:
+    watchdog = Watchdog(None, RULE)
+    ear([sample()]).hear(watching._pose_to(watchdog))
+    watchdog.told(True, 0.0)
+    assert "has told nothing" in watchdog.look(10.0)
+
+
+def test_an_error_of_the_middleware_does_not_end_the_watchdog(
+    ear: Callable[[Iterable[Sample]], watching.Ear], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken() -> Iterator[Sample]:
+        raise rcl.RCLError("cannot take")
+        yield sample()
+
+    heard: list[Any] = []
+    ear(broken()).hear(heard.append)
+    assert not heard and "cannot take" in capsys.readouterr().err

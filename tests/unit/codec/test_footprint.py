@@ -1,0 +1,90 @@
+"""The outline of a robot out of its description."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from ros2_mcp.codec.footprint import Reach, outline, reach
+from ros2_mcp.codec.urdf import parse
+from ros2_mcp_demo.base import RADIUS
+from ros2_mcp_demo.nodes.robot_state_publisher import description
+
+BOX = '<collision><origin xyz="{at}" rpy="{turned}"/><geometry><box size="{size}"/></geometry></collision>'
+MESH = '<visual><geometry><mesh filename="a.stl"/></geometry></visual>'
+
+
+def box(size: str, at: str = "0 0 0", turned: str = "0 0 0") -> str:
+    return BOX.format(size=size, at=at, turned=turned)
+
+
+def joint(child: str, kind: str = "fixed", at: str = "0 0 0", parent: str = "base_link") -> str:
+    return (
+        f'<joint name="{child}_joint" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{at}"/><axis xyz="0 1 0"/></joint>'
+    )
+
+
+def reached(*parts: str, base: str = "base_link", **links: str) -> Reach | None:
+    text = "".join(f'<link name="{name}">{inside}</link>' for name, inside in links.items())
+    return reach(outline(parse(f'<robot name="made">{text}{"".join(parts)}</robot>'), base))
+
+
+def approx(front: float, rear: float, left: float, right: float, radius: float) -> Reach:
+    return Reach(*(pytest.approx(one, abs=1e-6) for one in (front, rear, left, right, radius)))
+
+
+def test_a_box_is_as_long_as_it_says() -> None:
+    assert reached(base_link=box("0.6 0.4 0.2")) == approx(0.3, 0.3, 0.2, 0.2, math.hypot(0.3, 0.2))
+
+
+def test_a_box_before_the_origin_reaches_further_ahead() -> None:
+    assert reached(base_link=box("0.6 0.4 0.2", at="0.1 0 0")) == approx(0.4, 0.2, 0.2, 0.2, math.hypot(0.4, 0.2))
+
+
+def test_a_turned_box_is_turned() -> None:
+    assert reached(base_link=box("0.6 0.4 0.2", turned=f"0 0 {math.pi / 2}")) == approx(
+        0.2, 0.2, 0.3, 0.3, math.hypot(0.3, 0.2)
+    )
+
+
+def test_what_is_fixed_to_the_base_belongs_to_it_and_its_wheels_do() -> None:
+    found = reached(
+        joint("bumper", at="0.5 0 0"),
+        joint("wheel", "continuous", at="0 0.3 0"),
+        base_link=box("0.4 0.4 0.2"),
+        bumper=box("0.1 0.1 0.1"),
+        wheel='<collision><geometry><sphere radius="0.05"/></geometry></collision>',
+    )
+    assert found == approx(0.55, 0.2, 0.35, 0.2, math.hypot(0.55, 0.05))
+
+
+def test_an_arm_that_moves_does_not_belong_to_the_outline() -> None:
+    found = reached(joint("arm", "revolute", at="0.2 0 0"), base_link=box("0.4 0.4 0.2"), arm=box("2 0.1 0.1"))
+    assert found == approx(0.2, 0.2, 0.2, 0.2, math.hypot(0.2, 0.2))
+
+
+def test_a_base_above_a_footprint_sees_the_outline_from_its_own_origin() -> None:
+    found = reached(
+        joint("base_link", at="0.1 0 0.2", parent="base_footprint"), base_footprint="", base_link=box("0.4 0.4 0.2")
+    )
+    assert found == approx(0.2, 0.2, 0.2, 0.2, math.hypot(0.2, 0.2))
+
+
+def test_shapes_of_collision_count_before_those_that_are_seen() -> None:
+    seen = '<visual><geometry><box size="9 9 1"/></geometry></visual>'
+    assert reached(base_link=seen + box("0.4 0.4 0.2")) == approx(0.2, 0.2, 0.2, 0.2, math.hypot(0.2, 0.2))
+
+
+@pytest.mark.parametrize(
+    "inside", ["", '<visual><geometry><mesh filename="a.stl"/></geometry></visual>', box("600 400 2")]
+)
+def test_without_a_size_there_is_no_outline(inside: str) -> None:
+    assert reached(base_link=inside) is None
+    assert reached(base_link=box("1 1 1"), base="other") is None
+
+
+def test_the_simulated_rover_is_as_round_as_it_is() -> None:
+    found = reach(outline(parse(description()), "base_link"))
+    assert found is not None and found.radius_m == pytest.approx(RADIUS, rel=0.02)

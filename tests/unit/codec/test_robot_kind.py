@@ -1,0 +1,96 @@
+"""What kind of robot a description speaks of: descriptions built as those of public robots are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from ros2_mcp.codec.robot_kind import arm_of, kind_of, wheels_of
+from ros2_mcp.codec.urdf import Urdf, parse
+
+TWIST = "geometry_msgs/msg/Twist"
+
+
+def urdf(name: str, *joints: tuple[str, str, str, str], wheel: Sequence[str] = ()) -> Urdf:
+    """From (joint, kind, parent, child); the children in `wheel` are cylinders."""
+    links = dict.fromkeys([name for joint in joints for name in joint[2:]])
+    shape = '<collision><geometry><cylinder radius="0.1" length="0.05"/></geometry></collision>'
+    limit = '<limit lower="-2" upper="2" velocity="1" effort="1"/>'
+    text = [f'<link name="{link}">{shape if link in wheel else ""}</link>' for link in links]
+    text += [
+        f'<joint name="{joint}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{limit}</joint>'
+        for joint, kind, parent, child in joints
+    ]
+    return parse(f'<robot name="{name}">{"".join(text)}</robot>')
+
+
+def wheels(*names: str, parent: str = "base_link") -> list[tuple[str, str, str, str]]:
+    return [(f"{name}_joint", "continuous", parent, f"{name}_link") for name in names]
+
+
+def chain(kind: str, *names: str, parent: str = "base_link") -> list[tuple[str, str, str, str]]:
+    links = [parent, *(f"{name}_link" for name in names)]
+    return [(name, kind, above, link) for name, above, link in zip(names, links, links[1:], strict=False)]
+
+
+def legs() -> list[tuple[str, str, str, str]]:
+    return [
+        joint
+        for leg in ("FL", "FR", "RL", "RR")
+        for joint in chain("revolute", f"{leg}_hip_joint", f"{leg}_thigh_joint", f"{leg}_calf_joint", parent="trunk")
+    ]
+
+
+SIX = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+
+
+@pytest.mark.parametrize(
+    ("robot", "driven_by", "stacks", "kind"),
+    [
+        (urdf("turtlebot3_burger", *wheels("wheel_left", "wheel_right")), [TWIST], ["Nav2"],
+         "differential drive base, 2 wheels"),
+        (urdf("husky", *wheels("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")),
+         [TWIST], [], "skid-steered base, 4 wheels"),
+        (urdf("ur5e", *chain("revolute", *SIX)), [], ["ros2_control"], "arm of 6 joints"),
+        (urdf("jaco", *chain("continuous", *SIX)), [], [], "arm of 6 joints"),
+        (urdf("go1", *legs()), [TWIST], [], "legged robot, 4 legs"),
+        (urdf("iris", ("rotor_0_joint", "continuous", "base_link", "rotor_0")), [], ["MAVROS"], "drone, 1 rotors"),
+        (urdf("crazyflie_quadrotor", ("rotor_0_joint", "continuous", "base_link", "rotor_0")), [TWIST], [],
+         "drone, 1 rotors"),
+        (urdf("mecanum_bot", *wheels("fl_wheel", "fr_wheel", "rl_wheel", "rr_wheel")), [TWIST], [],
+         "omnidirectional base, 4 wheels"),
+        (urdf("car", *wheels("rear_left_wheel", "rear_right_wheel"), ("steering", "revolute", "base_link", "axle")),
+         [TWIST], [], "car-like base, 2 wheels"),
+        (urdf("tiago", *wheels("wheel_left", "wheel_right"), *chain("revolute", *SIX)), [TWIST], [],
+         "differential drive base, 2 wheels with an arm of 6 joints"),
+        (urdf("fetch", *wheels("l_wheel", "r_wheel"), *chain("prismatic", "torso_lift"),
+              *chain("revolute", "head_pan", "head_tilt", parent="torso_lift_link"),
+              *chain("revolute", *SIX, "wrist_roll", parent="torso_lift_link")), [TWIST], [],
+         "differential drive base, 2 wheels with an arm of 7 joints"),
+        (urdf("gantry", *chain("prismatic", "x", "y", "z"), *chain("revolute", "a", parent="z_link")), [], [],
+         "arm of 4 joints"),
+        (urdf("create", *wheels("left_wheel", "right_wheel", "front_caster")), [TWIST], [],
+         "differential drive base, 2 wheels"),
+        (urdf("x500", *[joint for name in "abc" for joint in chain("continuous", f"{name}_rotor")]), [], [],
+         "drone, 3 rotors"),
+        (None, [TWIST], ["MAVROS"], "drone"),
+        (None, [TWIST], [], "base driven by velocities"),
+        (None, ["ackermann_msgs/msg/AckermannDriveStamped"], [], "car-like base"),
+        (None, [], [], "unknown"),
+    ],
+)  # fmt: skip
+def test_the_kind_of_robot_is_told(robot: Urdf | None, driven_by: list[str], stacks: list[str], kind: str) -> None:
+    assert kind_of(robot, driven_by, stacks) == kind
+
+
+def test_wheels_are_no_joints_of_an_arm_however_they_are_called() -> None:
+    turning = [("a", "continuous", "base_link", "left"), ("b", "continuous", "base_link", "right")]
+    robot = urdf("base", *turning, wheel=["left", "right"])
+    assert [joint.name for joint in wheels_of(robot)] == ["a", "b"]
+    assert arm_of(robot) == []
+
+
+def test_round_links_of_an_arm_are_no_wheels() -> None:
+    robot = urdf("jaco", *chain("continuous", *SIX), wheel=[f"{name}_link" for name in SIX[:5]])
+    assert kind_of(robot, [], []) == "arm of 6 joints"

@@ -1,0 +1,79 @@
+"""A draft from what was found: a policy in order, that lets the agent drive slowly where nobody else does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from ros2_mcp.guard import trials
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp.guard.policy_file import compiled, document_of
+from ros2_mcp.guard.trials import Trial
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.qos import Endpoint, QoS
+from ros2_mcp.ops.policy.draft import Found, lines_of_draft
+
+TWIST, CAR = "geometry_msgs/msg/Twist", "ackermann_msgs/msg/AckermannDriveStamped"
+
+
+def at(node: str, kind: str = TWIST) -> Endpoint:
+    return Endpoint(node=node, type=kind, hash="", gid="", qos=QoS())
+
+
+FOUND = Found(
+    domain=3,
+    inputs=[
+        TopicEndpoints("/cmd_vel", [], [at("/base")]),
+        TopicEndpoints("/cmd_vel_nav", [at("/controller_server")], [at("/base")]),
+        TopicEndpoints("/car/drive", [], [at("/car", CAR)]),
+    ],
+    odometry=["/odom"],
+    actions=[("/navigate_to_pose", "nav2_msgs/action/NavigateToPose")],
+    services=[(f"/beep_{number}", "std_srvs/srv/Trigger") for number in range(50)],
+    watching=["/collision_monitor"],
+    own_limits=["/base cmd_vel_timeout: 0.5"],
+)
+
+
+def draft(found: Found) -> str:
+    return "".join(lines_of_draft(found))
+
+
+def verdict(text: str, **trial: object) -> str:
+    document = document_of(text, "draft")
+    policy = Policy(documents=(document,), rules=compiled([document]))
+    usual = {"verb": "publish", "name": "/cmd_vel", "type": TWIST}
+    return trials.decided(policy, Trial(**{**usual, **trial})).verdict  # type: ignore[arg-type]
+
+
+@pytest.mark.promise("README", "ros2-mcp policy init drafts one from the robot that is running")
+def test_a_draft_lets_the_agent_drive_slowly_where_the_robot_listens_and_nobody_drives() -> None:
+    text = draft(FOUND)
+    assert verdict(text, value={"linear": {"x": 0.2}}) == "allowed"
+    assert verdict(text, value={"linear": {"x": 0.3}}) == "refused"
+    assert verdict(text, name="/cmd_vel_nav") == "refused"
+    assert "Not /cmd_vel_nav: /controller_server" in text
+    car = {"name": "/car/drive", "type": CAR}
+    assert verdict(text, **car, value={"drive": {"speed": 0.2}}) == "allowed"
+    assert verdict(text, **car, value={"drive": {"speed": 0.3}}) == "refused"
+
+
+def test_what_else_was_found_stands_there_as_comments() -> None:
+    text = draft(FOUND)
+    goal = {"verb": "goal", "name": "/navigate_to_pose", "type": "nav2_msgs/action/NavigateToPose"}
+    assert verdict(text, **goal) == "refused"
+    uncommented = text.replace("  # - {goal:", "  - {goal:")
+    assert verdict(uncommented, **goal) == "consent"
+    assert verdict(
+        text.replace("  # - {call:", "  - {call:"), verb="call", name="/beep_0", type="std_srvs/srv/Trigger"
+    ) == ("allowed")
+    assert "and 10 more services" in text
+    assert "#   /collision_monitor" in text and "#   /base cmd_vel_timeout: 0.5" in text
+    assert document_of(text, "draft").feedback is not None
+
+
+def test_of_a_robot_without_any_of_it_the_draft_says_so_and_is_in_order() -> None:
+    text = draft(replace(FOUND, inputs=[], odometry=[], actions=[], services=[], watching=[], own_limits=[]))
+    assert verdict(text) == "refused"
+    assert "No odometry was found" in text and "Nothing was found that seems to watch over this robot" in text

@@ -1,0 +1,190 @@
+"""The robot in brief out of what was recorded of it: right, and never more than two kilobytes."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import pytest
+
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.qos import Endpoint, QoS
+from ros2_mcp.ops.results import as_json
+from ros2_mcp.ops.sources.source import GraphSnapshot
+from ros2_mcp.ops.space.controllers import controllers_in_words
+from ros2_mcp.ops.space.robot import MOST_BYTES, RobotInBrief, in_brief
+from ros2_mcp.robot import Robot
+from support.made_windows import START_NS, Make, Recorded, Window
+
+SECOND = 1_000_000_000
+TF = "tf2_msgs/msg/TFMessage"
+WHEEL = '<link name="{0}"><collision><geometry><cylinder radius="0.1" length="0.04"/></geometry></collision></link>'
+TURN = (
+    '<joint name="{0}_joint" type="continuous"><parent link="base_link"/><child link="{0}"/>'
+    '<origin xyz="0 {1} 0" rpy="-1.5708 0 0"/></joint>'
+)
+BASE = (
+    '<link name="base_link"><collision><geometry><box size="0.6 0.4 0.2"/></geometry></collision></link>'
+    '<link name="laser"/><joint name="mount" type="fixed"><parent link="base_link"/><child link="laser"/>'
+    '<origin xyz="0.2 0 0.3" rpy="0 0 3.14159265"/></joint>'
+)
+CART = f"""<robot name="cart">{BASE}{"".join(WHEEL.format(name) for name in ("left_wheel", "right_wheel"))}
+{TURN.format("left_wheel", 0.2)}{TURN.format("right_wheel", -0.2)}</robot>"""
+
+
+def stamp(at_s: float) -> dict[str, int]:
+    sec, nanosec = divmod(START_NS + round(at_s * SECOND), SECOND)
+    return {"sec": sec, "nanosec": nanosec}
+
+
+def windows(window: Make, urdf: str) -> list[Window]:
+    def tf(parent: str, child: str, at_s: float, x: float) -> dict[str, Any]:
+        header = {"frame_id": parent, "stamp": stamp(at_s)}
+        return {
+            "header": header,
+            "child_frame_id": child,
+            "transform": {"translation": {"x": x}, "rotation": {"w": 1.0}},
+        }
+
+    ticks = [number / 10 for number in range(51)]
+    scan = {"range_min": 0.1, "range_max": 12.0}
+    joints = {"name": ["left_wheel_joint", "right_wheel_joint"], "position": [1.5, -0.25]}
+    moving = [(at, {"transforms": [tf("map", "odom", at, 1), tf("odom", "base_link", at, at)]}) for at in ticks]
+    return [
+        window("/tf", TF, moving),
+        window("/robot_description", "std_msgs/msg/String", [(0.0, {"data": urdf})]),
+        window("/scan", "sensor_msgs/msg/LaserScan",
+               [(at, {"header": {"frame_id": "laser", "stamp": stamp(at)}, **scan}) for at in ticks]),
+        window("/joint_states", "sensor_msgs/msg/JointState", [(4.9, joints)]),
+    ]  # fmt: skip
+
+
+def source(made: list[Window], *nodes: str, driven: bool = True) -> Recorded:
+    node = Endpoint("/driver", "", "", "", QoS())
+    topics = {one.topic: TopicEndpoints(one.topic, [Endpoint("/driver", one.type, "", "", QoS())], []) for one in made}
+    if driven:
+        listens = Endpoint("/base", "geometry_msgs/msg/Twist", "", "", QoS())
+        topics["/cmd_vel"] = TopicEndpoints("/cmd_vel", [], [listens])
+    return Recorded(made, GraphSnapshot(topics, [node.node, "/base", *nodes], []))
+
+
+def size_of(found: RobotInBrief) -> int:
+    return len(json.dumps(as_json(found), ensure_ascii=False).encode())
+
+
+async def test_everything_is_told_of_a_cart_with_a_laser(window: Make, robot: Robot) -> None:
+    found = await in_brief(robot, source(windows(window, CART)))
+    assert (found.name, found.kind, found.base_frame) == ("cart", "differential drive base, 2 wheels", "base_link")
+    assert found.footprint.startswith("0.60 × 0.44 m: front 0.30, rear 0.30, left 0.22, right 0.22")
+    assert found.command_inputs == ["/cmd_vel Twist → /base"]
+    assert found.sensors == ["/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 yaw 180° 0.1 to 12 m"]
+    assert found.joints[0] == "left_wheel_joint continuous now 1.5 rad"
+    assert found.place == "In map at x 6.00 y 0.00 m, yaw 0° (TF, localised)."
+    assert found.frames == "map → odom → base_link; 3 in all"
+    assert found.unhealthy == []
+    assert "differential drive" in found.summary() and "nothing unhealthy" in found.summary()
+
+
+async def test_what_is_missing_is_said(window: Make, robot: Robot) -> None:
+    made = [one for one in windows(window, CART) if one.topic not in ("/joint_states", "/robot_description")]
+    found = await in_brief(robot, source(made))
+    assert (found.kind, found.footprint, found.joints) == ("base driven by velocities", "unknown", [])
+    assert any("No description (URDF) was found" in line for line in found.unhealthy)
+    described = [one for one in windows(window, CART) if one.topic != "/joint_states"]
+    found = await in_brief(robot, source(described))
+    assert "Nobody tells the position of left_wheel_joint, right_wheel_joint." in found.unhealthy
+    nothing = await in_brief(robot, source([]))
+    assert nothing.kind == "base driven by velocities" and "not known" in nothing.place
+
+
+async def test_one_sensor_that_cannot_be_read_takes_nothing_else_away(window: Make, robot: Robot) -> None:
+    header = {"frame_id": "laser", "stamp": stamp(4.9)}
+    ultrasound = {"header": header, "min_range": 0.05, "max_range": 4.0, "range": 1.0}
+    made = [
+        *windows(window, CART),
+        window("/sonar", "sensor_msgs/msg/Range", [(at / 10, ultrasound) for at in range(49)]),
+        window("/battery", "sensor_msgs/msg/BatteryState", [(4.0, {"header": header, "percentage": 72.0})]),
+        window("/odom", "nav_msgs/msg/Odometry", [(4.0, {"header": header})]),
+        window("/wrench", "geometry_msgs/msg/WrenchStamped", [(at / 10, {"header": header}) for at in range(49)]),
+    ]
+    found = await in_brief(robot, source(made))
+    lines = "\n".join(found.sensors)
+    assert "/sonar Range 10 Hz in laser at 0.20 0.00 0.30 yaw 180° 0.05 to 4 m" in lines
+    assert "/battery BatteryState 72%" in lines and "/wrench WrenchStamped 10 Hz" in lines
+    assert found.unhealthy == [] and found.kind.startswith("differential")
+
+
+async def test_a_sensor_in_a_frame_that_nobody_tells_is_unhealthy(window: Make, robot: Robot) -> None:
+    header = {"frame_id": "velodyne", "stamp": stamp(4.9)}
+    cloud = window("/points", "sensor_msgs/msg/PointCloud2", [(at / 10, {"header": header}) for at in range(49)])
+    found = await in_brief(robot, source([*windows(window, CART), cloud]))
+    assert "/points PointCloud2 10 Hz in velodyne (mount unknown)" in found.sensors
+    assert found.unhealthy == ["Nobody tells where velodyne of /points sits."]
+
+
+async def test_a_sensor_that_is_mounted_upside_down_says_so(window: Make, robot: Robot) -> None:
+    found = await in_brief(robot, source(windows(window, CART.replace("0 0 3.14159265", "3.14159265 0 0"))))
+    assert found.sensors[0].startswith(
+        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 roll 180° pitch 0° yaw 0° 0.1 to 12 m"
+    ), found.sensors
+
+
+async def test_an_outline_that_only_the_costmap_tells_is_told_in_the_frame_of_the_base(
+    window: Make, robot: Robot
+) -> None:
+    around = [(6.0 + 0.3 * math.cos(turn / 8 * math.pi), 0.3 * math.sin(turn / 8 * math.pi)) for turn in range(16)]
+    outline = {
+        "header": {"frame_id": "map", "stamp": stamp(4.9)},
+        "polygon": {"points": [{"x": x, "y": y} for x, y in around]},
+    }
+    footprint = window("/local_costmap/published_footprint", "geometry_msgs/msg/PolygonStamped", [(4.9, outline)])
+    bare = '<robot name="bare"><link name="base_link"/></robot>'
+    found = await in_brief(robot, source([*windows(window, bare), footprint]))
+    assert found.footprint == "radius 0.30 m about base_link (that of the costmap)"
+
+
+async def test_a_localiser_that_tells_no_place_is_told(window: Make, robot: Robot) -> None:
+    made = [one for one in windows(window, CART) if one.topic != "/tf"]
+    header = {"frame_id": "odom", "stamp": stamp(4.9)}
+    turn = {"translation": {"x": 0.0}, "rotation": {"w": 1.0}}
+    tf = {"transforms": [{"header": header, "child_frame_id": "base_link", "transform": turn}]}
+    found = await in_brief(robot, source([*made, window("/tf", TF, [(4.9, tf)])], "/amcl"))
+    assert any("Not localised: /amcl is there" in line for line in found.unhealthy), found.unhealthy
+
+
+def test_controllers_are_told_movers_first_and_the_inactive_as_such() -> None:
+    action = "/arm_controller/follow_joint_trajectory"
+    topics = {
+        f"{action}/_action/status": TopicEndpoints(
+            f"{action}/_action/status",
+            [Endpoint("/arm_controller", "control_msgs/action/FollowJointTrajectory_FeedbackMessage", "", "", QoS())],
+            [],
+        )
+    }
+    graph = GraphSnapshot(topics, ["/arm_controller", "/diff_drive_controller"], [])
+    rows = [
+        {"name": "joint_state_broadcaster", "type": "x/JointStateBroadcaster", "state": "active"},
+        {"name": "forward", "type": "velocity_controllers/JointGroupVelocityController", "state": "inactive"},
+        {"name": "arm_controller", "type": "x/JointTrajectoryController", "state": "active"},
+    ]
+    told = controllers_in_words(graph, {"/controller_manager": rows}, is_controlled=True)
+    assert told == [
+        f"{action} JointTrajectoryController",
+        "/forward JointGroupVelocityController is inactive",
+        "/joint_state_broadcaster",
+    ]
+    assert controllers_in_words(graph, {}, is_controlled=False) == [action], "a node's name makes it no controller"
+
+
+@pytest.mark.parametrize("count", [3, 200])
+async def test_it_is_never_more_than_two_kilobytes(window: Make, robot: Robot, count: int) -> None:
+    chain = "".join(
+        f'<link name="a_long_name_of_a_link_{n}"/><joint name="a_long_name_of_a_joint_{n}" type="revolute">'
+        f'<parent link="{f"a_long_name_of_a_link_{n - 1}" if n else "base_link"}"/>'
+        f'<child link="a_long_name_of_a_link_{n}"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        for n in range(count)
+    )
+    found = await in_brief(robot, source(windows(window, f'<robot name="{"x" * 500}">{BASE}{chain}</robot>')))
+    assert size_of(found) <= MOST_BYTES
+    assert (found.left_out > 0) == (count > 12)

@@ -1,0 +1,42 @@
+"""What a program gives is copied with a count of its parts before anything walks through it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from ros2_mcp.model.errors import BadInput
+from ros2_mcp.programs.crossing import MOST_PARTS, crossed
+
+
+def test_small_lists_that_share_their_parts_are_refused_and_not_walked_through() -> None:
+    value: Any = ["x"]
+    for _ in range(30):
+        value = [value, value]
+    with pytest.raises(BadInput, match=f"more than {MOST_PARTS} parts"):
+        crossed(value, "It", for_json=True)
+
+
+def test_what_is_in_itself_is_refused() -> None:
+    value: list[Any] = []
+    value.append(value)
+    with pytest.raises(BadInput, match="nested"):
+        crossed(value, "It")
+
+
+def test_what_json_has_no_word_for_becomes_text() -> None:
+    given = {1: (math.inf, math.nan), "a": {2}, "b": b"x", "c": 2**80, "d": "\ud800"}
+    assert crossed(given, "It", for_json=True) == {
+        "1": ["inf", "nan"],
+        "a": [2],
+        "b": "<bytes>",
+        "c": str(2**80),
+        "d": "?",
+    }
+
+
+def test_a_number_of_thousands_of_digits_is_refused() -> None:
+    with pytest.raises(BadInput, match="digits"):
+        crossed([7**1000], "It", for_json=True)
