@@ -40,8 +40,17 @@ def test_an_answer_makes_room_for_the_next() -> None:
     assert all(turn.look() for turn in sent)
     waiting = Turn(pace)
     assert not waiting.look()
-    pace.answered(sent[3].request)
+    pace.answered(sent[0].request)
     assert waiting.look()
+
+
+def test_an_answer_tells_that_the_requests_before_it_were_taken_too() -> None:
+    pace = Pace()
+    sent = [Turn(pace) for _ in range(ROOM)]
+    assert all(turn.look() for turn in sent)
+    waiting = [Turn(pace) for _ in range(5)]
+    pace.answered(sent[3].request)
+    assert [turn.look() for turn in waiting] == [True] * 4 + [False]
 
 
 def test_requests_keep_their_order() -> None:
