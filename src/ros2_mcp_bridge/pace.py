@@ -22,6 +22,7 @@ class Pace:
     """
 
     def __init__(self) -> None:
+        self.has_answered = False
         self._queue: deque[Request] = deque()
         self._untaken: dict[Request, None] = {}  # requests in the order in which they were sent
         self._taken_at = time.monotonic()
@@ -43,6 +44,7 @@ class Pace:
 
     def answered(self, request: Request) -> None:
         """Its answer has come: it was taken, and all that were sent before it."""
+        self.has_answered = True
         if request in self._untaken:
             self._take(list(self._untaken).index(request) + 1)
         self._wake_next()

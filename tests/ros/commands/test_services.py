@@ -7,7 +7,7 @@ from concurrent.futures import wait
 
 import pytest
 
-from support.agent import FULL
+from support.agent import FULL, until
 from support.standstill import undisturbed
 
 SWITCH = "std_srvs/srv/SetBool"
@@ -219,6 +219,14 @@ def test_more_calls_than_the_queue_of_a_slow_server_holds_are_all_answered(agent
         for _ in range(40)
     ]
     assert all(call.result(30)["result"]["success"] for call in calls)
+
+
+def test_what_changes_nothing_is_asked_once_more_where_the_answer_may_have_been_lost(agent, robot) -> None:
+    asked = {"service_name": robot.name("state"), "service_type": "lifecycle_msgs/srv/GetState"}
+    call = agent.begin("ros2_service_call", **asked, timeout_sec=30)
+    until(lambda: robot.take(name="state"))
+    until(lambda: robot.answer(name="state"))
+    assert call.result(30)["result"] == {"current_state": {"id": 0, "label": ""}}
 
 
 def test_a_slow_call_does_not_delay_others(agent, robot) -> None:

@@ -24,6 +24,7 @@ import rclpy
 from action_msgs.msg import GoalStatus, GoalStatusArray
 from action_msgs.srv import CancelGoal
 from geometry_msgs.msg import Twist
+from lifecycle_msgs.srv import GetState
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
@@ -72,6 +73,15 @@ class Peer:
         service = self.untaken[name]
         with service.handle:
             return service.handle.service_take_request(service.srv_type.Request)[1] is not None
+
+    def answer(self, name: str) -> bool:
+        """As `take`, and it is answered, with nothing in it."""
+        service = self.untaken[name]
+        with service.handle:
+            request, header = service.handle.service_take_request(service.srv_type.Request)
+            if header is not None:
+                service.handle.service_send_response(service.srv_type.Response(), header.request_id)
+        return header is not None
 
     def offer(self, role: str) -> None:
         """Offer one more role."""
@@ -433,6 +443,7 @@ def dumb(peer: Peer) -> None:
     peer.nodes.append(Node("dumb", namespace=namespace, start_parameter_services=False))
     deaf = Node("deaf", namespace=namespace)
     peer.untaken["mute"] = deaf.create_service(SetBool, "mute", _unspun)
+    peer.untaken["state"] = deaf.create_service(GetState, "state", _unspun)
     peer.unspun.append(deaf)
 
 
