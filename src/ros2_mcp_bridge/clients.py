@@ -36,8 +36,8 @@ APPEARS_POLL_S = 0.005
 # chosen, not measured.
 JUST_STARTED_S = 0.3
 KNOWS_US_S = 0.5
-# Fast DDS drops an answer where the server has not discovered our reader 0.1 s after the request came. What discovery lost
-# it repairs within 3 s; then a request that changes nothing is sent once more, unless the server has answered us before.
+# Fast DDS drops an answer where the server has not discovered our reader 0.1 s after the request came. What discovery
+# lost it repairs within 3 s; then what changes nothing is asked once more, unless the server has answered us before.
 ASKS_AGAIN_S = 3.0
 # Discovery can lose sight of a server for a short time; a server that is missing for longer is gone. Chosen.
 GONE_AFTER_S = 0.3

@@ -9,7 +9,7 @@ from .request import OperationError, Request, Steps
 
 # Of the 10 places in the queue of a server with the default profile; two are left for its other clients.
 ROOM = 8
-# Presumed time in which a server takes one request while it answers none: some take all of them at once and answer late.
+# Presumed time in which a server takes one request while it answers none: some take all at once and answer late.
 # With two places left, a server that is not run for twice as long loses nothing. Chosen, not measured.
 TAKEN_EVERY_S = 0.2
 NOT_SENT = "It was not sent in time: too many others wait for their answers."

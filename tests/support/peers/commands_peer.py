@@ -78,7 +78,7 @@ class Peer:
         """As `take`, and it is answered, with nothing in it."""
         service = self.untaken[name]
         with service.handle:
-            request, header = service.handle.service_take_request(service.srv_type.Request)
+            _, header = service.handle.service_take_request(service.srv_type.Request)
             if header is not None:
                 service.handle.service_send_response(service.srv_type.Response(), header.request_id)
         return header is not None
