@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, islice
-from typing import TYPE_CHECKING, Any
+from itertools import combinations, islice, pairwise
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ros2_mcp.codec.writers import Writers
 from ros2_mcp.model.errors import BadData
@@ -44,10 +44,16 @@ OTHER_CLOCK_NS = 60_000_000_000
 _FASTEST = 10.0
 """Simulated time runs at most so many times as fast; a stamp that goes forward faster than that has jumped."""
 _MOST_JUMPS = 50
+_STANDS_NS, _STANDS_PERIODS = 1_000_000_000, 5
+"""All stamps stand still after a second, and five periods of the edge that is told most often."""
 _UNIT = 0.01
 """How far the squared length of a quaternion may be from 1; tf2 refuses what is further off."""
 _LOOKED_BACK = 60
 """Transforms of an edge that are looked at for two parents or two publishers: some seconds."""
+_PAUSES, _LEAST_PAUSE_NS, _ONCE_NS = 3, 1_000_000_000, 5_000_000_000
+"""A publisher of several has ended after three times its longest pause, and a second at least; one that was heard once
+only, whose rate nobody knows, after 5 s."""
+_Value = TypeVar("_Value", bound=Hashable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +108,7 @@ class Edge:
         self.slashed = ""
         self.frozen = 0
         self._last_stamp_ns: int | None = None
-        self._told_by: deque[int] = deque(maxlen=_LOOKED_BACK)
+        self._told_by: deque[tuple[int, int]] = deque(maxlen=_LOOKED_BACK)
         self._first_received_ns = 0
         self._static_by: dict[int, Told] = {}
         self._same_time: tuple[Told, Told] | None = None
@@ -122,7 +128,7 @@ class Edge:
     @property
     def parents(self) -> list[str]:
         """Every parent that was told of it and is still kept, the newest last."""
-        moving = dict.fromkeys(told.parent for told in self.moving[-_LOOKED_BACK:])
+        moving = dict.fromkeys(_still_told((told.parent, told.received_ns) for told in self.moving[-_LOOKED_BACK:]))
         return list({**dict.fromkeys(self.static), **moving})
 
     @property
@@ -130,12 +136,12 @@ class Edge:
         """Whether two are told at the same time; a frame that was once given another parent has one."""
         if len(self.static) > 1 or (self.static and {told.parent for told in self.moving} - set(self.static)):
             return True
-        return _turns([told.parent for told in self.moving[-_LOOKED_BACK:]]) > 1
+        return _turns(_still_told([(told.parent, told.received_ns) for told in self.moving[-_LOOKED_BACK:]])) > 1
 
     @property
     def writers(self) -> list[int]:
         """The publishers that tell it at the same time, where they can be told apart."""
-        recent = list(self._told_by)
+        recent = _still_told(self._told_by)
         if _turns(recent) > 1:
             return sorted(set(recent))
         return recent[-1:] or sorted({told.writer for told in self.static.values()}) or [self.refused_writer]
@@ -171,6 +177,11 @@ class Edge:
             return None
         span_ns = max(told.received_ns for told in self.moving[-2:]) - self.moving[0].received_ns
         return (len(self.moving) - 1) / span_ns * 1e9 if span_ns > 0 else None
+
+    @property
+    def lag_ns(self) -> int:
+        """How far its newest stamp was behind its receipt, when that stamp first came."""
+        return self.moving[-1].received_ns - self.stamps[-1]
 
     def gap_ns(self, at_ns: int) -> int:
         """How far the two transforms are apart between which that time lies; 0 where it is that of one, or outside."""
@@ -219,7 +230,7 @@ class Edge:
             self.stamps.clear()
             self.jumps = [*self.jumps, jump][-_MOST_JUMPS:]
         self.received += 1
-        self._told_by.append(told.writer)
+        self._told_by.append((told.writer, told.received_ns))
         self.last_received_ns = max(self.last_received_ns, told.received_ns)
         self._last_stamp_ns = told.stamp_ns
         self._same_time = None if jump else self._same_time
@@ -277,8 +288,9 @@ class FrameTree:
     """All frames, each with what was told of its parent, bounded.
 
     With `around_ns` those transforms are kept that are nearest to that time, else the newest. `frames` are all names,
-    those of roots too. `messages` counts those of each topic, `left_out` transforms of more frames than are kept,
-    `nameless` those whose frame has no name (child_frame_id is empty).
+    those of roots too. `advanced_ns` is when a stamp last came that was not there yet. `messages` counts those of each
+    topic, `left_out` transforms of more frames than are kept, `nameless` those whose frame has no name (child_frame_id
+    is empty).
     """
 
     def __init__(self, around_ns: int | None = None) -> None:
@@ -287,6 +299,7 @@ class FrameTree:
         self.messages = {"/tf": 0, "/tf_static": 0}
         self.left_out = 0
         self.nameless = 0
+        self.advanced_ns = 0
         self.damaged = 0
         self.trouble = ""
         self._around_ns = around_ns
@@ -314,7 +327,7 @@ class FrameTree:
         """Takes in a TFMessage; `sequence` is its publisher's number, which tells several publishers apart."""
         self.messages["/tf_static" if is_static else "/tf"] += 1
         children = [one.child_frame_id for one in message.transforms]
-        writer = self._writers[is_static].of(sequence, children)
+        writer = self._writers[is_static].of(sequence, children, received_ns)
         for one in message.transforms:
             child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
             edge = self._edge(child)
@@ -340,6 +353,8 @@ class FrameTree:
             edge.add_moving(told)
             if not edge.moving:
                 continue
+            if stamp_ns and not edge.frozen:
+                self.advanced_ns = max(self.advanced_ns, received_ns)
             most = max(2, min(MOST_KEPT, MOST_TOLD // max(len(self.edges), 1)))
             if len(edge.moving) > most or (self._around_ns is None and edge.stamps[0] < edge.stamps[-1] - 2 * KEPT_NS):
                 # In larger steps, so that a list is not moved with each message.
@@ -359,6 +374,10 @@ class FrameTree:
     def writers(self, *, is_static: bool) -> Mapping[int, frozenset[str]]:
         """The publishers that were heard on one of both topics, and the frames that each has told."""
         return self._writers[is_static].frames
+
+    def heard_ns(self, *, is_static: bool) -> Mapping[int, tuple[int, int]]:
+        """When these publishers were heard first and last, in ns."""
+        return self._writers[is_static].heard_ns
 
     # ── asking ─────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -430,10 +449,19 @@ class FrameTree:
 
         So it is on simulated time, and where a bag is played.
         """
-        lags = sorted(edge.last_received_ns - edge.stamps[-1] for edge in self.edges.values() if edge.moving)
+        lags = sorted(edge.lag_ns for edge in self.edges.values() if edge.moving)
         # Of as many of both, those by the receiver's clock count.
         middle = min(lags[(len(lags) - 1) // 2], lags[len(lags) // 2], key=abs) if lags else 0
         return middle if abs(middle) > OTHER_CLOCK_NS else 0
+
+    def stood_ns(self, at_ns: int) -> int:
+        """For how long no stamp has gone on, where all are of another clock than the receiver's; 0 where one has, or
+        where that is no longer than usual.
+        """
+        rates = [edge.rate_hz for edge in self.edges.values() if edge.moving and edge.rate_hz]
+        usual_ns = max(_STANDS_NS, round(_STANDS_PERIODS * 1e9 / max(rates))) if rates else _STANDS_NS
+        stood_ns = at_ns - self.advanced_ns
+        return stood_ns if self.clock_ns and stood_ns > usual_ns else 0
 
     def reaches(self, at_ns: int) -> bool:
         """Whether that time lies among the stamps."""
@@ -488,6 +516,22 @@ class _Chain:
         names = [frame, *(told.parent for _, told in self.up), *(edge.child for edge, _ in reversed(self.down))]
         pose = target_in_common.inverse @ frame_in_common
         return Located(target, frame, pose, stamp_ns, names, self.edges)
+
+
+def _still_told(values: Iterable[tuple[_Value, int]]) -> list[_Value]:
+    """Those without what has ended: it was not told for longer than it ever paused, while others were."""
+    told = list(values)
+    times: dict[_Value, list[int]] = {}
+    for value, received_ns in told:
+        times.setdefault(value, []).append(received_ns)
+    newest_ns = max((received_ns for _, received_ns in told), default=0)
+    ended: set[_Value] = set()
+    for value, heard in times.items():
+        pauses = [after - before for before, after in pairwise(heard)]
+        patience_ns = max(_PAUSES * max(pauses), _LEAST_PAUSE_NS) if pauses else _ONCE_NS
+        if newest_ns - heard[-1] > patience_ns:
+            ended.add(value)
+    return [value for value, _ in told if value not in ended]
 
 
 def _turns(values: Sequence[object]) -> int:

@@ -21,6 +21,8 @@ class _Track:
     last: int
     about: frozenset[str]
     heard: int
+    first_ns: int = 0
+    last_ns: int = 0
 
 
 class Writers:
@@ -41,7 +43,12 @@ class Writers:
         """The frames that each publisher has told."""
         return {track.number: track.about for track in self._tracks}
 
-    def of(self, sequence: int | None, about: Iterable[str]) -> int:
+    @property
+    def heard_ns(self) -> Mapping[int, tuple[int, int]]:
+        """When the first and the last message of each publisher came."""
+        return {track.number: (track.first_ns, track.last_ns) for track in self._tracks}
+
+    def of(self, sequence: int | None, about: Iterable[str], received_ns: int = 0) -> int:
         """The publisher of the message with that number, which is about these frames; 0 where there is no number."""
         if sequence is None:
             return 0
@@ -56,11 +63,12 @@ class Writers:
                 if 0 <= track.last - sequence <= _MOST_LOST and track.about - frames:
                     track.about -= frames
             self._made += 1
-            best = _Track(self._made, sequence, frames, self._heard)
+            best = _Track(self._made, sequence, frames, self._heard, received_ns)
             self._tracks.append(best)
             if len(self._tracks) > _MOST:
                 self._tracks.remove(min(self._tracks, key=lambda track: track.heard))
         best.last, best.heard, best.about = sequence, self._heard, best.about | frames
+        best.last_ns = max(best.last_ns, received_ns)
         return best.number
 
 

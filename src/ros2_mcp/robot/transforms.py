@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from time import monotonic
 from typing import TYPE_CHECKING
 
@@ -46,6 +47,16 @@ _ROLES = {
 _logger = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True)
+class Life:
+    """Of a publisher: it was not there yet at `not_before_ns` (0: it was when first looked), and not any more at
+    `gone_by_ns` (None: it is there).
+    """
+
+    not_before_ns: int = 0
+    gone_by_ns: int | None = None
+
+
 class TransformListener:
     """The frames of a robot as they are now.
 
@@ -64,7 +75,8 @@ class TransformListener:
         self._asked_at = 0.0
         self._failure: RobotError | None = None
         self._publishers: dict[str, tuple[float, Sequence[Endpoint]]] = {}
-        self._ever: dict[str, set[str]] = {}
+        self._lives: dict[str, dict[str, Life]] = {}
+        self._looked_ns: dict[str, int] = {}
         self._also: tuple[float, tuple[str, ...], Mapping[str, Sequence[str]]] = (0.0, (), {})
 
     async def listening(self) -> FrameTree:
@@ -106,12 +118,27 @@ class TransformListener:
         if not seen or monotonic() - seen_at > 2 * _SEEN_S:
             seen = (await self._graph.endpoints(self.namespace + topic)).publishers
             self._publishers[topic] = monotonic(), seen
-            self._ever.setdefault(topic, set()).update(one.who for one in seen if one.node != UNKNOWN_NODE)
+            self._see(topic, {one.who for one in seen if one.node != UNKNOWN_NODE})
         return seen
 
-    def gone(self, topic: str) -> set[str]:
-        """The nodes that have published on it since it is listened to, and do not any more, as last seen."""
-        return self._ever.get(topic, set()) - {one.who for one in self._publishers.get(topic, (0.0, ()))[1]}
+    def _see(self, topic: str, names: set[str]) -> None:
+        """Keeps in mind when publishers came and went, as far as looks at them tell it."""
+        now_ns, lives = self.now_ns(), self._lives.setdefault(topic, {})
+        for name in names:
+            before = lives.get(name, Life(self._looked_ns.get(topic, 0)))
+            lives[name] = Life(before.not_before_ns)
+        for name, life in lives.items():
+            if name not in names and life.gone_by_ns is None:
+                lives[name] = Life(life.not_before_ns, now_ns)
+        self._looked_ns[topic] = now_ns
+
+    def lives(self, topic: str) -> Mapping[str, Life]:
+        """The nodes that have published on it since it is listened to, those that are gone among them."""
+        return self._lives.get(topic, {})
+
+    async def clock_publishers(self) -> Sequence[str]:
+        """The nodes that tell simulated time now; raises as `Graph.endpoints`."""
+        return sorted({one.who for one in (await self._graph.endpoints("/clock")).publishers})
 
     async def also_publish(self, nodes: Sequence[str]) -> Mapping[str, Sequence[str]]:
         """Which of these nodes publish odometry, a localisation (a pose or a map) and a description besides.
@@ -206,7 +233,8 @@ class TransformListener:
 
     async def _watch_publishers(self) -> None:
         """Keeps in mind who publishes: so that one that goes is known to have been, and a look-up asks nobody."""
-        self._ever.clear()
+        self._lives.clear()
+        self._looked_ns.clear()
         while monotonic() - self._asked_at < _IDLE_S:
             with suppress(RobotError):
                 for topic in LISTENS:

@@ -269,8 +269,10 @@ def test_policy_lease_and_latch_hold_over_a_joint_move(
     file = tmp_path / "policy.yaml"
     file.write_text(POLICY, encoding="utf-8")
     file.chmod(0o600)
-    server = Driver(ros_environment, "--tools", "all", "--policy", str(file))
-    latch = StateFolder.of(domain_id=int(ros_environment["ROS_DOMAIN_ID"]), env=ros_environment).latch()
+    # A state folder of its own: under a policy one server acts on a robot, and that of the other tests does, too.
+    environment = {**ros_environment, "XDG_STATE_HOME": str(tmp_path)}
+    server = Driver(environment, "--tools", "all", "--policy", str(file))
+    latch = StateFolder.of(domain_id=int(ros_environment["ROS_DOMAIN_ID"]), env=environment).latch()
     try:
         server.knows(TOPIC, 1)
 

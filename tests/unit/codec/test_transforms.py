@@ -348,6 +348,25 @@ def test_two_publishers_of_one_edge_are_told_apart_by_the_numbers_of_their_messa
 # ── what several tell, and how ───────────────────────────────────────────────────────────────────────────────────────
 
 
+def test_a_second_publisher_that_has_ended_no_longer_counts() -> None:
+    tree = FrameTree()
+    for step in range(20):
+        tell(tree, transform("odom", "base", stamp_ns=at(step / 10)), after_s=step / 10, sequence=step + 1)
+        if step < 10:
+            tell(
+                tree,
+                transform("world", "base", stamp_ns=at(step / 10 + 0.05)),
+                after_s=step / 10 + 0.05,
+                sequence=5_000 + step,
+            )
+    edge = tree.edges["base"]
+    assert edge.two_parents and len(edge.writers) == 2
+    for step in range(20, 25):
+        tell(tree, transform("odom", "base", stamp_ns=at(step / 10)), after_s=step / 10, sequence=step + 1)
+    assert not edge.two_parents and edge.parents == ["odom"] and len(edge.writers) == 1
+    assert tree.find("odom", "base") is not None
+
+
 def test_what_two_publishers_tell_of_an_edge_is_compared_for_one_time() -> None:
     tree = FrameTree()
     for number in range(20):

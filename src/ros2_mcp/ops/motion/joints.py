@@ -13,14 +13,14 @@ import anyio
 from ros2_mcp.codec.urdf import Joint, Urdf
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.commands import Publish, SendGoal
-from ros2_mcp.model.errors import LEASE, BadInput, LinkError, Refused, RobotError, Stopped
+from ros2_mcp.model.errors import LEASE, BadInput, LinkError, Refused, RobotError, Stopped, latch_set_by
 from ros2_mcp.model.goals import new_goal_id
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import listed, named, quoted
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.actions.status import SERVER_S
 from ros2_mcp.ops.description import described
-from ros2_mcp.ops.endings import ended_by, reason_of
+from ros2_mcp.ops.endings import ended_by
 from ros2_mcp.ops.motion.controllers import FOLLOW, TRAJECTORY, Controller, controller_for
 from ros2_mcp.ops.motion.joint_states import JointStates, joint_states
 from ros2_mcp.ops.results import Report, silent
@@ -383,8 +383,10 @@ class JointMotion(Job):
             looked, before = monotonic(), looked
             awake = looked if looked - before > _SLEPT_S else awake
             age_s = min(self._states.age_s(names), looked - awake)  # nobody was there to hear the rest
-            if self._robot.guard.latch.look().is_set:  # the bridge has ended what moves
-                self._end("ended", ended_by(reason_of(self._robot, "latch")))
+            latch = self._robot.guard.latch.look()
+            if latch.is_set:  # the bridge has ended what moves, and may not have told by whom yet
+                by = f"{named(latch.by)}: {quoted(latch.reason)}" if latch.by else ""
+                self._end("ended", ended_by(latch_set_by(by)))
             elif self._robot.graph.lapsed_at > began:
                 self._end("ended", ended_by(LEASE))
             elif age_s > _SILENT_S:

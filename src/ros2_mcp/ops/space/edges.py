@@ -51,13 +51,18 @@ class EdgeRow:
         return ", ".join(told)
 
 
-def edge_row(tree: FrameTree, edge: Edge, at_ns: int, tellers: Tellers | None = None) -> EdgeRow:
-    """An edge as it is at a time by the receiver's clock."""
+def edge_row(
+    tree: FrameTree, edge: Edge, at_ns: int, tellers: Tellers | None = None, *, time_stands: bool = False
+) -> EdgeRow:
+    """An edge as it is at a time by the receiver's clock; `time_stands`: all stamps stand still, which is said once and
+    not of each.
+    """
     newest = edge.newest
     age_ns = max(at_ns - edge.stamps[-1] - tree.clock_ns, 0) if edge.moving else None
-    is_other_clock = bool(edge.moving) and abs(_lag_ns(edge) - tree.clock_ns) > OTHER_CLOCK_NS
+    is_other_clock = bool(edge.moving) and abs(edge.lag_ns - tree.clock_ns) > OTHER_CLOCK_NS
     if is_other_clock:  # its stamps say nothing about its age
         age_ns = max(at_ns - edge.last_received_ns, 0)
+    is_with_others = edge.moving and tree.advanced_ns - edge.moving[-1].received_ns <= _LEAST_STALE_NS
     if edge.unstamped and not edge.moving:
         age_ns = max(at_ns - edge.last_received_ns, 0)
     publisher = tellers.of(edge) if tellers else ""
@@ -72,7 +77,11 @@ def edge_row(tree: FrameTree, edge: Edge, at_ns: int, tellers: Tellers | None = 
             [
                 *_who_tells(edge, tellers),
                 *_how_told(edge, at_ns),
-                *_when_told(tree, edge, at_ns, publisher, is_other_clock=is_other_clock),
+                *(
+                    ()
+                    if time_stands and is_with_others
+                    else _when_told(tree, edge, at_ns, publisher, is_other_clock=is_other_clock)
+                ),
             ]
         ),
     )
@@ -127,11 +136,11 @@ def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_ot
     if not edge.moving:
         return []
     silent_ns = at_ns - edge.last_received_ns
-    age_ns, ahead_ns = at_ns - edge.stamps[-1] - tree.clock_ns, tree.clock_ns - _lag_ns(edge)
+    age_ns, ahead_ns = at_ns - edge.stamps[-1] - tree.clock_ns, tree.clock_ns - edge.lag_ns
     limit_ns = max(_LEAST_STALE_NS, _PERIODS * (1e9 / edge.rate_hz if edge.rate_hz else 0))
     parts: list[str] = []
     if is_other_clock:
-        away = f"{seconds_in_words(_lag_ns(edge))} {'behind' if _lag_ns(edge) > 0 else 'ahead of'} the robot's clock"
+        away = f"{seconds_in_words(edge.lag_ns)} {'behind' if edge.lag_ns > 0 else 'ahead of'} the robot's clock"
         clock = "simulated time" if edge.stamps[-1] < UNIX_FROM_NS else "another clock"
         parts.append(f"is stamped by {clock}, {away}, unlike the others")
         age_ns = silent_ns
@@ -153,8 +162,3 @@ def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_ot
             f"is stamped {seconds_in_words(ahead_ns)} ahead, in the future (by the clock of another computer?)"
         )
     return parts
-
-
-def _lag_ns(edge: Edge) -> int:
-    """How far its newest stamp is behind its receipt."""
-    return edge.last_received_ns - edge.stamps[-1]

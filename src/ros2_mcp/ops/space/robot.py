@@ -29,6 +29,7 @@ from ros2_mcp.ops.space.controllers import controllers_in_words, listed_controll
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.space.heads import Head, heads_of
+from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.robot import Robot
 
 MOST_BYTES = 2_000
@@ -114,6 +115,7 @@ class _Seen:
     odometry: Any = None
     odometry_topic: str = ""
     problems: list[str] = field(default_factory=list[str])
+    stands: str = ""
 
 
 async def in_brief(robot: Robot, source: Source) -> RobotInBrief:
@@ -190,6 +192,7 @@ async def _frames(source: Source, seen: _Seen) -> None:
 
     with suppress(RobotError):
         seen.tree = await frames_of(source, until=is_whole, patience_s=_LISTEN_S)
+        seen.stands = await standing_time(source, seen.tree, _now_ns(source))
 
 
 async def _heads(robot: Robot, source: Source, seen: _Seen) -> None:
@@ -486,17 +489,22 @@ def _pose_in_words(frame: str, at: Sequence[float], yaw_rad: float, how: str, ag
 def _age_s(source: Source, tree: FrameTree, found: Located) -> float | None:
     if found.stamp_ns is None:
         return None
-    now_ns = source.transforms.now_ns() if source.transforms else source.covers_ns[1] if source.covers_ns else None
-    return None if now_ns is None else max((now_ns - found.stamp_ns - tree.clock_ns) / 1e9, 0.0)
+    now_ns = _now_ns(source)
+    return None if not now_ns else max((now_ns - found.stamp_ns - tree.clock_ns) / 1e9, 0.0)
+
+
+def _now_ns(source: Source) -> int:
+    """The robot's clock, or the end of a recording; 0 where that is not known."""
+    return source.transforms.now_ns() if source.transforms else source.covers_ns[1] if source.covers_ns else 0
 
 
 def _unhealthy(source: Source, seen: _Seen) -> list[str]:
-    found = list(seen.problems)
+    found = [*seen.problems, *filter(None, [seen.stands])]
     if len(seen.tree.roots) > 1:
         found.append(f"{len(seen.tree.roots)} trees of frames: {', '.join(map(named, seen.tree.roots[:4]))}.")
-    now_ns = source.transforms.now_ns() if source.transforms else source.covers_ns[1] if source.covers_ns else 0
+    now_ns = _now_ns(source)
     for edge in seen.tree.edges.values():
-        row = edge_row(seen.tree, edge, now_ns or edge.last_received_ns)
+        row = edge_row(seen.tree, edge, now_ns or edge.last_received_ns, time_stands=bool(seen.stands))
         if row.problem:
             found.append(in_words(row))
     found += [f"{named(topic)} is published, but silent." for topic, head in seen.heads.items() if not head.count]

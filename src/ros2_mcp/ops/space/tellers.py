@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ros2_mcp.codec.transforms import BASES, Edge, FrameTree
 from ros2_mcp.model.qos import mismatch
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import Source
-from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE
+from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE, Life
 
+_SEEN_LATE_NS, _HEARD_LATE_NS = 3_000_000_000, 1_000_000_000
+"""A node may be seen so long after its first message was heard, and its last be heard so long after it went."""
 _MOST_NAMED = 3
 """Publishers of a topic that are named where it is not known which of them tells an edge."""
 _CALLED = {
@@ -30,10 +32,13 @@ _CALLED = {
 
 @dataclass(frozen=True, slots=True)
 class Publishers:
-    """Those of one topic: nodes that publish now, and those that did since it is listened to and are gone."""
+    """Those of one topic: nodes that publish now, and those that did since it is listened to and are gone. `lives` says
+    between which times each may have been there, as far as that is known.
+    """
 
     now: Sequence[str] = ()
     gone: Sequence[str] = ()
+    lives: Mapping[str, Life] = field(default_factory=dict[str, Life])
 
 
 class Tellers:
@@ -50,7 +55,13 @@ class Tellers:
     ) -> None:
         self._publishers = publishers
         self._nodes = {
-            topic: _concluded(tree.writers(is_static=topic == TF_STATIC), _all(publishers.get(topic)), tree, also)
+            topic: _concluded(
+                tree.writers(is_static=topic == TF_STATIC),
+                _there(tree, topic, publishers.get(topic, Publishers())),
+                _all(publishers.get(topic)),
+                tree,
+                also,
+            )
             for topic in (TF, TF_STATIC)
         }
 
@@ -98,7 +109,9 @@ async def tellers_of(source: Source, tree: FrameTree) -> Tellers:
     for topic in (TF, TF_STATIC):
         found = await listener.publishers(topic)
         now = sorted({one.who for one in found if one.type == TF_TYPE and not mismatch(one.qos, LISTENS[topic])})
-        publishers[topic] = Publishers(now, sorted(listener.gone(topic).difference(now)))
+        lives = listener.lives(topic)
+        gone = sorted(name for name, life in lives.items() if life.gone_by_ns is not None and name not in now)
+        publishers[topic] = Publishers(now, gone, lives)
     nodes = sorted({name for one in publishers.values() for name in _all(one)})
     if max(len(_all(one)) for one in publishers.values()) < 2:
         return Tellers(tree, publishers, {})
@@ -132,15 +145,33 @@ def _all(publishers: Publishers | None) -> Sequence[str]:
 # ── who it is ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
+def _there(tree: FrameTree, topic: str, publishers: Publishers) -> Mapping[int, set[str]]:
+    """The nodes that were there whenever each publisher was heard; all of them where that leaves none."""
+    found: dict[int, set[str]] = {}
+    for writer, (first_ns, last_ns) in tree.heard_ns(is_static=topic == TF_STATIC).items():
+        there = {
+            name
+            for name in _all(publishers)
+            if (life := publishers.lives.get(name, Life())).not_before_ns <= first_ns + _SEEN_LATE_NS
+            and (life.gone_by_ns is None or last_ns <= life.gone_by_ns + _HEARD_LATE_NS)
+        }
+        found[writer] = there or set(_all(publishers))
+    return found
+
+
 def _concluded(
-    writers: Mapping[int, frozenset[str]], names: Sequence[str], tree: FrameTree, also: Mapping[str, Sequence[str]]
+    writers: Mapping[int, frozenset[str]],
+    there: Mapping[int, set[str]],
+    names: Sequence[str],
+    tree: FrameTree,
+    also: Mapping[str, Sequence[str]],
 ) -> Mapping[int, set[str]]:
-    """The nodes that each publisher may be, the fewer the better.
+    """The nodes that each publisher may be, the fewer the better: of those that were `there` when it was heard.
 
     As many publishers as nodes that fit them by one kind of evidence are these nodes, and then no others are; first by
     what the nodes publish besides, then by what they are called.
     """
-    possible = {writer: set(names) for writer in writers if writer}
+    possible = {writer: set(there.get(writer, names)) for writer in writers if writer}
     roles = {
         writer: {_role(tree.edges[child]) for child in writers[writer] if child in tree.edges} for writer in possible
     }

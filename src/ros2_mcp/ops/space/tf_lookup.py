@@ -23,6 +23,7 @@ from ros2_mcp.ops.space.described import described_frame
 from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
 from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.space.message_field import given_in
+from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
 
@@ -380,7 +381,10 @@ async def _answer(
     else:
         reference_ns = covers[1]
     tellers = await tellers_of(source, tree)
-    rows = [edge_row(tree, edge, reference_ns, tellers) for edge in located.edges]
+    moves = any(edge.moving for edge in located.edges)
+    stands = await standing_time(source, tree, reference_ns) if moves else ""
+    rows = [edge_row(tree, edge, reference_ns, tellers, time_stands=bool(stands)) for edge in located.edges]
+    notes += [stands] if stands else []
     notes += [in_words(row) for row in rows if row.problem]
     notes += [*_gaps(located), *followed_in_words(listener)]
     notes += [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []

@@ -19,6 +19,7 @@ from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
 from ros2_mcp.ops.space.frames import frames_of
+from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
 
@@ -74,7 +75,8 @@ async def tf_tree(
     listener, covers = source.transforms, source.covers_ns
     at_ns = listener.now_ns() if listener else covers[1] if covers else _newest_ns(tree)
     tellers = await tellers_of(source, tree)
-    rows = {child: edge_row(tree, edge, at_ns, tellers) for child, edge in tree.edges.items()}
+    stands = await standing_time(source, tree, at_ns)
+    rows = {child: edge_row(tree, edge, at_ns, tellers, time_stands=bool(stands)) for child, edge in tree.edges.items()}
     walk = list(_walk(tree, [top] if top else tree.roots))
     lines = [_line(name, depth, rows.get(name)) for name, depth in walk]
     images = [await asyncio.to_thread(_picture, walk, rows)] if picture else []
@@ -82,7 +84,7 @@ async def tf_tree(
         frames=len(walk),
         roots=[top] if top else tree.roots,
         edges=[rows[name] for name, _ in walk if name in rows],
-        problems=[*unheard, *_problems(tree, rows, [name for name, _ in walk], whole=not top)],
+        problems=[*unheard, *filter(None, [stands]), *_problems(tree, rows, [name for name, _ in walk], whole=not top)],
         read_from="live" if source.is_live else source.words,
         note=" ".join([*_note(tree), *followed_in_words(listener), *_silent(source, tellers)]),
         lines=lines,

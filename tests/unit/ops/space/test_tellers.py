@@ -7,6 +7,7 @@ from typing import Any
 
 from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.ops.space.tellers import Publishers, Tellers, silent_in_words
+from ros2_mcp.robot.transforms import Life
 
 SECOND = 1_000_000_000
 ALSO = {"odometry": ["/base"], "localisation": ["/amcl"], "description": []}
@@ -84,6 +85,20 @@ def test_the_edge_of_a_node_that_is_gone_is_not_credited_to_another() -> None:
     tellers = Tellers(tree, {"/tf": Publishers(["/diff_drive"], ["/amcl"])}, {})
     assert tellers.of(tree.edges["odom"]) == "probably /amcl, which is gone"
     assert tellers.of(tree.edges["base_link"]) == "probably /diff_drive"
+
+
+def test_who_came_later_or_had_gone_before_is_no_suspect() -> None:
+    tree = tree_of((1, (("odom", "base_link"),)))
+    first_s = 1_700_000_000
+    came = {"/late": Life(not_before_ns=(first_s + 10) * SECOND)}
+    tellers = Tellers(tree, {"/tf": Publishers(["/base", "/late"], lives=came)}, {})
+    assert tellers.of(tree.edges["base_link"]) == "probably /base"
+    went = {"/early": Life(gone_by_ns=(first_s - 10) * SECOND)}
+    tellers = Tellers(tree, {"/tf": Publishers(["/base"], ["/early"], went)}, {})
+    assert tellers.of(tree.edges["base_link"]) == "probably /base"
+    at_that_time = {"/other": Life(not_before_ns=(first_s + 2) * SECOND)}  # as late as it may have been discovered
+    unclear = Tellers(tree, {"/tf": Publishers(["/one", "/other"], lives=at_that_time)}, {})
+    assert unclear.of(tree.edges["base_link"]) == "one of /one, /other"
 
 
 def test_fixed_mounts_of_several_publishers_are_not_guessed() -> None:

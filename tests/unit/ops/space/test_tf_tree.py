@@ -100,6 +100,18 @@ async def test_a_stamp_that_stands_still_is_told_from_a_delay(window: Make) -> N
     assert "the same stamp again and again, now 3.5 s old" in await problems_of(window, *told)
 
 
+async def test_simulated_time_that_stands_still_is_told_once_and_not_of_each_edge(window: Make) -> None:
+    """Its stamps begin at 0; from 1 s on they do not go on."""
+    zero_s = START_NS / SECOND
+    edges = (("odom", "base_link"), ("base_link", "laser"))
+    told = [(n / 10, tf(*edge, min(n, 10) / 10 - zero_s + 1)) for n in range(41) for edge in edges]
+    said = await problems_of(window, *told)
+    assert said.startswith("Simulated time stands still since 3 s ago, at 2.000 s of its clock, and all stamps with it")
+    assert "stale" not in said and "again and again, now" not in said
+    goes_on = [(n / 10, tf(*edge, n / 10 - zero_s + 1)) for n in range(41) for edge in edges]
+    assert not await problems_of(window, *goes_on)
+
+
 async def test_a_refused_edge_is_named_by_its_own_parent_and_not_by_an_empty_one(window: Make) -> None:
     wrong = tf("base_link", "camera", 0.1)
     wrong["transform"]["rotation"] = {"w": 0.0}

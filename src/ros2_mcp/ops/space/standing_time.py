@@ -1,0 +1,62 @@
+"""Simulated time that stands still, and all stamps with it: said once, and not as the silence of each publisher."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Any
+
+from ros2_mcp.codec.no_transform import seconds_in_words, stamp_in_words
+from ros2_mcp.codec.transforms import FrameTree
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.sources.source import Source
+
+_CLOCK = "/clock"
+_LOOK_S = 0.5
+"""For two messages of /clock; simulations send it ten times a second at least."""
+_TOLD_NS = 1_000_000_000
+"""Within which something must have come for transforms to be told still."""
+_AHEAD_NS = 1_000_000_000
+"""A clock that is so far ahead of the newest stamp goes on without it."""
+
+
+async def standing_time(source: Source, tree: FrameTree, at_ns: int) -> str:
+    """That the time by which all transforms are stamped stands still, since when, and what /clock says; empty where it
+    goes on, or where that cannot be told from publishers that are silent.
+    """
+    stood_ns = tree.stood_ns(at_ns)
+    if not stood_ns:
+        return ""
+    newest_ns = max(edge.stamps[-1] for edge in tree.edges.values() if edge.moving and edge.moving[-1].stamp_ns)
+    is_told = any(at_ns - edge.last_received_ns < _TOLD_NS for edge in tree.edges.values() if edge.moving)
+    if source.transforms is None:
+        said = "transforms are told with the same stamps again and again" if is_told else ""
+    else:
+        said = await _clock_in_words(source, newest_ns, is_told=is_told)
+    if not said:
+        return ""
+    return (
+        f"Simulated time stands still since {seconds_in_words(stood_ns)} ago, at {stamp_in_words(newest_ns)}, and all "
+        f"stamps with it: {said}."
+    )
+
+
+async def _clock_in_words(source: Source, newest_ns: int, *, is_told: bool) -> str:
+    """What /clock says that explains it; empty where it goes on, or is not there and nothing else is told either."""
+    assert source.transforms
+    publishers = await source.transforms.clock_publishers()
+    if not publishers:
+        return f"nobody publishes {_CLOCK} any more, and what is told has the time it told last" if is_told else ""
+    who = " and ".join(map(named, publishers[:2]))
+    times: list[int] = []
+    with suppress(RobotError):
+        async with source.lasting(_LOOK_S).follow(_CLOCK, limit=2) as stream:
+            async for batch in stream.batches:
+                for sample in batch:
+                    message: Any = stream.codec.decode(stream.type, sample.data)
+                    times.append(message.clock.sec * 1_000_000_000 + message.clock.nanosec)
+    if not times:
+        return f"{who} publishes {_CLOCK}, but sends nothing (a simulation that is paused, or hangs)"
+    if max(times) != min(times) or max(times) > newest_ns + _AHEAD_NS:
+        return ""
+    return f"{_CLOCK}, by {who}, stands at {stamp_in_words(max(times))} (a simulation that is paused, or hangs)"
