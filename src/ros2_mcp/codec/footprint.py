@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
+from ros2_mcp.codec.robot_kind import legs_of
 from ros2_mcp.codec.urdf import Geometry, Mount, Urdf
 
 _CORNERS = 24
@@ -29,6 +30,7 @@ class Reach:
 
 def outline(urdf: Urdf, base: str) -> Sequence[Point]:
     """The convex hull of what is fixed to the base and of its wheels: counter-clockwise, in metres of the frame `base`.
+    Of a legged robot the legs belong to it, with every joint at 0: a body narrower than its feet is no outline.
 
     Shapes of collision count; of a link that has none, those that are seen. Meshes have no size in a description. Empty
     where the description has no such link, or nothing with a size.
@@ -39,9 +41,10 @@ def outline(urdf: Urdf, base: str) -> Sequence[Point]:
     base_in_body = urdf.mount(base, body)
     if base_in_body is None:
         return ()
+    legs = {joint.child for joint in legs_of(urdf)}
     points: list[Point] = []
     for name, link in urdf.links.items():
-        mount = urdf.mount(name, body) if _belongs(urdf, name, body) else None
+        mount = urdf.mount(name, body) if _belongs(urdf, name, body) or _is_on(urdf, name, legs) else None
         if mount is None:
             continue
         for shape in link.collisions or link.visuals:
@@ -64,6 +67,11 @@ def _belongs(urdf: Urdf, link: str, body: str) -> bool:
         return True
     joint = urdf.above(top)
     return joint is not None and joint.kind == "continuous" and urdf.fixed_to(joint.parent) == body
+
+
+def _is_on(urdf: Urdf, link: str, legs: Collection[str]) -> bool:
+    """Whether it is part of a leg: one of these links, or fixed to one."""
+    return bool(legs) and urdf.fixed_to(link) in legs
 
 
 def _in_base(at: tuple[float, float, float], base: Mount) -> Point:

@@ -35,6 +35,12 @@ def wheels_of(urdf: Urdf) -> list[Joint]:
     return found
 
 
+def legs_of(urdf: Urdf) -> list[Joint]:
+    """The joints of legs; none where there are too few of them for two legs."""
+    found = [joint for joint in urdf.moving if _LEGS.search(joint.name)]
+    return found if len(found) >= _LEAST_LEGS else []
+
+
 def rotors_of(urdf: Urdf) -> list[Joint]:
     """The joints that turn rotors; nobody tells or asks for their positions."""
     return [joint for joint in urdf.moving if _ROTOR.search(f"{joint.name} {joint.child}")]
@@ -72,7 +78,7 @@ def kind_of(urdf: Urdf | None, driven_by: Collection[str], stacks: Collection[st
     flies |= "MAVROS" in stacks or any("Multirotor" in kind or "MultiDOF" in kind for kind in driven_by)
     if flies or rotors >= _LEAST_ROTORS:
         return f"drone, {rotors} rotors" if rotors else "drone"
-    if urdf and len([joint for joint in urdf.moving if _LEGS.search(joint.name)]) >= _LEAST_LEGS:
+    if urdf and legs_of(urdf):
         legs = len([joint for joint in urdf.moving if re.search(r"(calf|knee|kfe)", joint.name, re.IGNORECASE)])
         return f"legged robot, {legs} legs" if legs else "legged robot"
     base = _base(urdf, driven_by)

@@ -290,7 +290,7 @@ class FrameTree:
     With `around_ns` those transforms are kept that are nearest to that time, else the newest. `frames` are all names,
     those of roots too. `advanced_ns` is when a stamp last came that was not there yet. `messages` counts those of each
     topic, `left_out` transforms of more frames than are kept, `nameless` those whose frame has no name (child_frame_id
-    is empty).
+    is empty). `namespace` is that of the topics on which they are told, such as /robot1; empty of /tf itself.
     """
 
     def __init__(self, around_ns: int | None = None) -> None:
@@ -300,6 +300,7 @@ class FrameTree:
         self.left_out = 0
         self.nameless = 0
         self.advanced_ns = 0
+        self.namespace = ""
         self.damaged = 0
         self.trouble = ""
         self._around_ns = around_ns

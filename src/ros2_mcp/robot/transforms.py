@@ -195,6 +195,7 @@ class TransformListener:
 
     async def _listen(self) -> None:
         tree = self.tree = FrameTree()
+        tree.namespace = self.namespace
         try:
             await self._values.learn(TF_TYPE)
             async with await self._subscribe(TF_STATIC) as static, await self._subscribe(TF) as moving:

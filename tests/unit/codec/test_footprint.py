@@ -65,6 +65,21 @@ def test_an_arm_that_moves_does_not_belong_to_the_outline() -> None:
     assert found == approx(0.2, 0.2, 0.2, 0.2, math.hypot(0.2, 0.2))
 
 
+def test_legs_belong_to_the_outline_of_what_walks_on_them() -> None:
+    """As a small quadruped: a trunk of 0.38 x 0.09 m, feet at 0.19 and 0.13 m, joints at 0."""
+    links, joints = {"base_link": box("0.38 0.09 0.1")}, list[str]()
+    for leg, x, y in (("FL", 0.19, 1), ("FR", 0.19, -1), ("RL", -0.19, 1), ("RR", -0.19, -1)):
+        joints += [
+            joint(f"{leg}_hip", "revolute", f"{x} {0.05 * y} 0"),
+            joint(f"{leg}_thigh", "revolute", f"0 {0.08 * y} 0", f"{leg}_hip"),
+            joint(f"{leg}_calf", "revolute", "0 0 -0.21", f"{leg}_thigh"),
+            joint(f"{leg}_foot", "fixed", "0 0 -0.21", f"{leg}_calf"),
+        ]
+        links |= {f"{leg}_hip": "", f"{leg}_thigh": box("0.03 0.03 0.2", "0 0 -0.1"), f"{leg}_calf": MESH}
+        links[f"{leg}_foot"] = '<collision><geometry><sphere radius="0.02"/></geometry></collision>'
+    assert reached(*joints, **links) == approx(0.21, 0.21, 0.15, 0.15, math.hypot(0.205, 0.145))
+
+
 def test_a_base_above_a_footprint_sees_the_outline_from_its_own_origin() -> None:
     found = reached(
         joint("base_link", at="0.1 0 0.2", parent="base_footprint"), base_footprint="", base_link=box("0.4 0.4 0.2")

@@ -14,7 +14,7 @@ from ros2_mcp.codec.transforms import FrameTree, Located
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.sources.source import Source, Stream
-from ros2_mcp.robot.transforms import TF, TF_STATIC, TF_TYPE, TransformListener
+from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE, TransformListener
 
 APPEARING_S = 4.0
 """A publisher may be discovered up to 3 s late, and sends once a second at least; after that a frame is not there."""
@@ -112,10 +112,21 @@ class _Transforms:
     def add(self, samples: Sequence[Sample]) -> None:
         if self._stream.type == TF_TYPE:
             messages = self._tree.decoded(self._stream.codec, samples)
-            self._tree.take_in(messages, is_static=self._stream.topic == TF_STATIC)
+            self._tree.take_in(messages, is_static=self._stream.topic.endswith(TF_STATIC))
 
 
 async def _read(source: Source, around_ns: int | None, report: Report) -> FrameTree:
     tree = FrameTree(around_ns)
-    await source.captures([TF_STATIC, TF], lambda stream: _Transforms(tree, stream), report)
+    tree.namespace = await _namespace(source)
+    topics = [tree.namespace + topic for topic in (TF_STATIC, TF)]
+    await source.captures(topics, lambda stream: _Transforms(tree, stream), report)
     return tree
+
+
+async def _namespace(source: Source) -> str:
+    """The only namespace of which a recording has transforms, where it has none of /tf and /tf_static themselves."""
+    recorded = await source.publishing(TF_TYPE)
+    if not LISTENS.keys().isdisjoint(recorded):
+        return ""
+    found = {name.removesuffix(topic) for name in recorded for topic in LISTENS if name.endswith(topic)}
+    return found.pop() if len(found) == 1 else ""

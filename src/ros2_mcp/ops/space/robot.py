@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ros2_mcp.codec.footprint import outline, reach
-from ros2_mcp.codec.robot_kind import kind_of, rotors_of
+from ros2_mcp.codec.robot_kind import arm_of, kind_of, rotors_of, wheels_of
 from ros2_mcp.codec.transforms import FrameTree, Located
 from ros2_mcp.codec.urdf import Joint, Urdf, parse
 from ros2_mcp.model.aside import load
@@ -31,6 +31,7 @@ from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.space.heads import Head, heads_of
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.transforms import LISTENS
 
 MOST_BYTES = 2_000
 """Of the answer: it is read at the beginning of most sessions."""
@@ -191,6 +192,9 @@ async def _frames(source: Source, seen: _Seen) -> None:
         return bool(tree.base) and tree.root_of(tree.base) == "map"
 
     with suppress(RobotError):
+        topics = seen.graph.topics
+        if source.transforms and not any(topics[name].publishers for name in LISTENS if name in topics):
+            await source.transforms.moved()  # at once: the graph is settled, and frames_of would first wait for /tf
         seen.tree = await frames_of(source, until=is_whole, patience_s=_LISTEN_S)
         seen.stands = await standing_time(source, seen.tree, _now_ns(source))
 
@@ -428,9 +432,15 @@ def _joints(seen: _Seen) -> list[str]:
 
 
 def _placed(urdf: Urdf) -> list[Joint]:
-    """The joints whose positions count: all that move but rotors."""
+    """The joints whose positions count, all that move but rotors: those of the arm first and wheels last, where what
+    does not fit is left out.
+    """
     rotors = {joint.name for joint in rotors_of(urdf)}
-    return [joint for joint in urdf.moving if joint.name not in rotors]
+    arm, wheels = ({joint.name for joint in joints} for joints in (arm_of(urdf), wheels_of(urdf)))
+    return sorted(
+        (joint for joint in urdf.moving if joint.name not in rotors),
+        key=lambda joint: (joint.name in wheels, joint.name not in arm),
+    )
 
 
 def _joint(joint: Joint, at: float | None) -> str:

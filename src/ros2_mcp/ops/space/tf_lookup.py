@@ -246,7 +246,7 @@ async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: S
     silent, and what the description says of the frame.
     """
     tellers = await tellers_of(source, tree)
-    where = followed_in_words(source.transforms)
+    where = followed_in_words(source, tree)
     if error.reason not in ("never published", "unknown frame", "two trees"):
         who = _who_tells(tree, names, tellers, error.reason)
         return NoTransform(error.reason, " ".join([error.message, *who, *where]), error.hint)
@@ -386,7 +386,7 @@ async def _answer(
     rows = [edge_row(tree, edge, reference_ns, tellers, time_stands=bool(stands)) for edge in located.edges]
     notes += [stands] if stands else []
     notes += [in_words(row) for row in rows if row.problem]
-    notes += [*_gaps(located), *followed_in_words(listener)]
+    notes += [*_gaps(located), *followed_in_words(source, tree)]
     notes += [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []
     if clock_ns:
         behind = f"{seconds_in_words(clock_ns)} {'behind' if clock_ns > 0 else 'ahead of'} the robot's clock"

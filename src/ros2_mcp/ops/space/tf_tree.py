@@ -86,7 +86,7 @@ async def tf_tree(
         edges=[rows[name] for name, _ in walk if name in rows],
         problems=[*unheard, *filter(None, [stands]), *_problems(tree, rows, [name for name, _ in walk], whole=not top)],
         read_from="live" if source.is_live else source.words,
-        note=" ".join([*_note(tree), *followed_in_words(listener), *_silent(source, tellers)]),
+        note=" ".join([*_note(tree), *followed_in_words(source, tree), *_silent(source, tellers)]),
         lines=lines,
         pictures=facts(images),
         images=images,

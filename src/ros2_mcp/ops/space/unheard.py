@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.qos import mismatch
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import Source
-from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE, TransformListener
+from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE
 
 
 async def unheard_publishers(source: Source) -> Sequence[str]:
@@ -29,9 +30,10 @@ async def unheard_publishers(source: Source) -> Sequence[str]:
     return found
 
 
-def followed_in_words(listener: TransformListener | None) -> list[str]:
+def followed_in_words(source: Source, tree: FrameTree) -> list[str]:
     """That the frames are those of a namespace, where they are."""
-    if listener is None or not listener.namespace:
+    if not tree.namespace:
         return []
-    where = named(listener.namespace + TF)
-    return [f"These frames are told on {where} and {named(listener.namespace + TF_STATIC)}: nobody publishes on {TF}."]
+    where = f"{named(tree.namespace + TF)} and {named(tree.namespace + TF_STATIC)}"
+    why = f"nobody publishes on {TF}" if source.is_live else f"the recording has no {TF}"
+    return [f"These frames are told on {where}: {why}."]

@@ -177,6 +177,44 @@ def test_controllers_are_told_movers_first_and_the_inactive_as_such() -> None:
     assert controllers_in_words(graph, {}, is_controlled=False) == [action], "a node's name makes it no controller"
 
 
+async def test_of_a_mobile_manipulator_the_joints_of_the_arm_are_told_before_its_wheels(
+    window: Make, robot: Robot
+) -> None:
+    """As in many descriptions the wheels come first, then a lift and a head, and the arm last."""
+    arm = [f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "upperarm_roll", "elbow_flex")]
+    arm += [f"{name}_joint" for name in ("forearm_roll", "wrist_flex", "wrist_roll")]
+    links, joints, above = list[str](), list[str](), "torso"
+    others = [
+        ("torso", "base_link", "prismatic"),
+        ("head_pan", "torso", "revolute"),
+        ("head_tilt", "head_pan", "revolute"),
+    ]
+    for name in arm:
+        others.append((name.removesuffix("_joint"), above, "revolute"))
+        above = name.removesuffix("_joint")
+    others += [("l_gripper_finger", above, "prismatic"), ("r_gripper_finger", above, "prismatic")]
+    for child, parent, kind in others:
+        links.append(f'<link name="{child}"/>')
+        joints.append(
+            f'<joint name="{child}_joint" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            '<limit lower="-1.5" upper="1.5" velocity="1.25" effort="10"/></joint>'
+        )
+    urdf = CART.replace("</robot>", "".join([*links, *joints, "</robot>"]))
+    header = {"frame_id": "laser", "stamp": stamp(4.9)}
+    sensors = [
+        window(
+            f"/head_camera/{name}/points",
+            "sensor_msgs/msg/PointCloud2",
+            [(at / 10, {"header": header}) for at in range(49)],
+        )
+        for name in ("depth_downsample", "depth_registered", "rgb_registered", "filtered")
+    ]
+    found = await in_brief(robot, source([*windows(window, urdf), *sensors]))
+    assert [line.split()[0] for line in found.joints[:7]] == arm
+    assert found.kind == "differential drive base, 2 wheels with an arm of 7 joints and a gripper"
+    assert size_of(found) <= MOST_BYTES
+
+
 @pytest.mark.parametrize("count", [3, 200])
 async def test_it_is_never_more_than_two_kilobytes(window: Make, robot: Robot, count: int) -> None:
     chain = "".join(

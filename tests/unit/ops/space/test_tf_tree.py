@@ -10,8 +10,11 @@ import pytest
 from PIL import Image
 
 from ros2_mcp.model.errors import NotFound, NoTransform
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.qos import Endpoint, QoS
+from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.ops.space.tf_tree import Tree, tf_tree
-from support.made_windows import START_NS, Make, Recorded
+from support.made_windows import START_NS, Make, Recorded, Window
 
 TF = "tf2_msgs/msg/TFMessage"
 SECOND = 1_000_000_000
@@ -110,6 +113,24 @@ async def test_simulated_time_that_stands_still_is_told_once_and_not_of_each_edg
     assert "stale" not in said and "again and again, now" not in said
     goes_on = [(n / 10, tf(*edge, n / 10 - zero_s + 1)) for n in range(41) for edge in edges]
     assert not await problems_of(window, *goes_on)
+
+
+def of_topics(*made: Window) -> Recorded:
+    """A recording that knows which topics it has."""
+    topics = {one.topic: TopicEndpoints(one.topic, [Endpoint("/node", TF, "", "", QoS())], []) for one in made}
+    return Recorded(list(made), GraphSnapshot(topics))
+
+
+async def test_of_a_recording_with_frames_in_one_namespace_only_these_are_read_and_it_is_said(window: Make) -> None:
+    moving = window("/robot1/tf", TF, [(n / 10, {"transforms": [tf("odom", "base_link", n / 10)]}) for n in range(11)])
+    static = window("/robot1/tf_static", TF, [(0.0, {"transforms": [tf("base_link", "laser", 0)]})])
+    tree = await tf_tree(of_topics(moving, static), picture=False)
+    assert (tree.frames, tree.problems) == (3, [])
+    assert [row.is_static for row in tree.edges] == [False, True]
+    assert "These frames are told on /robot1/tf and /robot1/tf_static: the recording has no /tf." in tree.note
+    other = window("/robot2/tf", TF, [(0.0, {"transforms": [tf("odom", "base_link", 0)]})])
+    with pytest.raises(NoTransform, match="No transform is known at all"):
+        await tf_tree(of_topics(moving, other), picture=False)
 
 
 async def test_a_refused_edge_is_named_by_its_own_parent_and_not_by_an_empty_one(window: Make) -> None:
