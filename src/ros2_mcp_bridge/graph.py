@@ -126,6 +126,14 @@ class Graph:
         """rclpy's information about every subscriber of a topic but stoppers."""
         return _without_stoppers(self._node.get_subscriptions_info_by_topic(topic))
 
+    def own_subscribers(self, topic: str, type_name: str) -> int:
+        """The number of its subscribers of that type that are this bridge's own."""
+        own = self._node.get_name(), self._node.get_namespace()
+        return sum(
+            (info.node_name, info.node_namespace) == own and info.topic_type == type_name
+            for info in self.subscribers(topic)
+        )
+
     def publishers(self, topic: str) -> list[TopicEndpointInfo]:
         """rclpy's information about every publisher of a topic but stoppers."""
         return _without_stoppers(self._node.get_publishers_info_by_topic(topic))

@@ -183,7 +183,7 @@ class Motions:
                         elapsed_s = round(time.monotonic() - motion.started, 6)
                         if motion.sent:
                             velocity.send_zero()
-                    matched = publisher.matched()
+                    matched, ours = publisher.matched(), publisher.ours()
                     yield from publisher.wait_acknowledged(FINAL_ACK_S)
         finally:
             motion.destroy()
@@ -193,6 +193,7 @@ class Motions:
             "report": dict(motion.controller.report()),
             "sent": motion.sent,
             "matched": matched,
+            "ours": ours,
             "elapsed_s": elapsed_s,
             "late": motion.late,
             "limited": motion.limited,

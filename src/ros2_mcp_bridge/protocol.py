@@ -277,11 +277,13 @@ class Guarded(TypedDict):
 
 
 class PublishReply(Guarded):
-    """Who got it; `acked` is None where somebody acknowledges nothing. `limited` is 1 where less was sent than was
-    asked for; `hold_s` is after how long the policy sends the zero, 0 where it does not.
+    """How many got it, and how many of them are this server's own; `acked` is None where somebody acknowledges nothing.
+    `limited` is 1 where less was sent than was asked for; `hold_s` is after how long the policy sends the zero, 0 where
+    it does not.
     """
 
     matched: int
+    ours: int
     acked: bool | None
     created: bool
     waited_s: float
@@ -294,6 +296,7 @@ class RepeatReply(Ended, Guarded):
 
     sent: int
     matched: int
+    ours: int
     elapsed_s: float
     late: int
     limited: int
@@ -363,6 +366,7 @@ class StoppedTopic(TypedDict):
     topic: str
     type: str
     matched: int
+    ours: int
     acked: bool | None
     problem: str
 

@@ -122,6 +122,10 @@ class Publisher:
         """The number of subscribers that would get a message now."""
         return self._raw.get_subscription_count()
 
+    def ours(self) -> int:
+        """The number of matched subscribers that are this server's own: its reads, recordings, relays, black box."""
+        return min(self._graph.own_subscribers(self._topic, self._type), self.matched())
+
     def wait_match(self, created: bool, wait_s: float) -> Steps[None]:
         """Steps until every subscriber in the graph that can match does, or no more of them come, or time is up."""
         changed_at = time.monotonic()
@@ -279,9 +283,11 @@ class Publishers:
             yield from publisher.wait_clock()
             guarded = yield from publisher.wait_stopper(message)
             matched, acked, is_limited = yield from publisher.publish_acknowledged(message, request, wait_ack_s)
+            ours = publisher.ours()
             hold_s = publisher.limits.hold_s
         return {
             "matched": matched,
+            "ours": ours,
             "acked": acked,
             "created": created,
             "waited_s": round(time.monotonic() - started, 6),
@@ -312,11 +318,12 @@ class Publishers:
                     elapsed_s = round(time.monotonic() - repeat.started, 6)
                     if velocity is not None:
                         velocity.send_zero()
-                matched = publisher.matched()
+                matched, ours = publisher.matched(), publisher.ours()
                 yield from publisher.wait_acknowledged(FINAL_ACK_S)
         return {
             "sent": repeat.sent,
             "matched": matched,
+            "ours": ours,
             "elapsed_s": elapsed_s,
             "late": repeat.late,
             "limited": repeat.limited,

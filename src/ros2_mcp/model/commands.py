@@ -48,7 +48,7 @@ LOCAL = Principal(name="local", transport="stdio")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sent:
-    """What became of a publication.
+    """What became of a publication; `ours` of the matched subscribers are this server's own.
 
     `acked` is None where it is not known: best effort and repetitions have no acknowledgement. `late` counts missed
     periods of a repetition, which ends with a zero command (`stopped_with_zero`) where its type is a velocity command;
@@ -63,6 +63,7 @@ class Sent:
     sent: int
     matched: int
     elapsed_s: float
+    ours: int = 0
     acked: bool | None = None
     late: int = 0
     stopped_with_zero: bool = False

@@ -12,7 +12,7 @@ from typing import Any
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import Move, Publish, Repeat
-from ros2_mcp.model.errors import BadInput, LinkError, RobotError, Stopped
+from ros2_mcp.model.errors import BadInput, LinkError, Stopped
 from ros2_mcp.ops.defaults import left_at_default
 from ros2_mcp.ops.endings import ended_by, guarded, limited, reason_of
 from ros2_mcp.ops.results import HIDDEN, Report, or_error, silent, unless_all_failed
@@ -116,9 +116,12 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
     else:
         sent = await robot.do(command)
     definitions = robot.values.definitions
-    ours = await _ours(robot, sent)
-    own = f"{ours} of the {sent.matched} subscriber(s) are this server's own (it records, reads or relays it)."
-    notes = (await _note(robot, sent, reason), own if ours else "", left_at_default(definitions, to.type, request.data))
+    own = f"{sent.ours} of the {sent.matched} subscriber(s) are this server's own (it records, reads or relays it)."
+    notes = (
+        await _note(robot, sent, reason),
+        own if sent.ours else "",
+        left_at_default(definitions, to.type, request.data),
+    )
     return Published(
         status="published" if sent.matched else "nobody_listening",
         topic_name=sent.topic,
@@ -130,7 +133,7 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
         elapsed=round(sent.elapsed_s, 6),
         qos=f"{sent.choice.qos.reliability}, {sent.choice.qos.durability}: {sent.choice.reason}",
         note=" ".join(filter(None, notes)),
-        ours=ours,
+        ours=sent.ours,
     )
 
 
@@ -217,17 +220,6 @@ async def _repeat(robot: Robot, command: Repeat, report: Report) -> tuple[Sent, 
     if sent.ended_by:
         reason = repetition.stop_reason or reason_of(robot, sent.ended_by) or "a request to cancel it"
     return sent, reason
-
-
-async def _ours(robot: Robot, sent: Sent) -> int:
-    """How many of the subscribers that were matched are this server's: its reads, recordings, relays, black box."""
-    if not sent.matched:
-        return 0
-    try:
-        subscribers = (await robot.graph.endpoints(sent.topic)).subscribers
-    except RobotError:  # what was sent is sent, and that is to be told
-        return 0
-    return min(sum(one.ours and one.type == sent.type for one in subscribers), sent.matched)
 
 
 async def _note(robot: Robot, sent: Sent, reason: str) -> str:
