@@ -25,9 +25,9 @@ from .velocity import MOTION_TYPES, VELOCITY_TYPES
 POLL_S = 0.005
 # After a match, best effort: a subscriber discovers the publisher a little later than it is discovered, mostly within
 # 0.1 s; the rest is for a machine that is held up (with the first two alone, 1 of 200 dead bridges under load left one
-# without), and the last for what waits for the middleware's next announcement (3 s). A stopper sends so, too: the third
-# is that soon for what is told below, as a stopper begins up to 0.07 s after the end of its bridge. Chosen.
-AGAIN_AFTER_S = (0.1, 0.25, 0.38, 1.5, 3.5)
+# without), and the last for what waits for the middleware's next announcement (3 s). So a stopper sends, too: its
+# second and third are for what is told below, a little sooner as it begins only when its bridge has ended. Chosen.
+AGAIN_AFTER_S = (0.1, 0.34, 0.4, 1.5, 3.5)
 # A stopper that has not heard yet of a zero that has arrived sends another one, no more. Chosen.
 REST_S = 0.25
 # After a zero, it is sent again to whoever acknowledges nothing: what is sent to him at one moment may be lost, most

@@ -16,7 +16,8 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-LOCK_OF_A_PORT = re.compile(r"(/dev/shm/fast\w+_port)(\d+)_el")
+LOCK_OF_A_PORT = re.compile(r"(/dev/shm/fast\w+_port)(\d+)_el$")
+"""Not of one that was deleted: of a port that was given up before, and opened anew by both sides at once."""
 HEALTHY_CHECK_MS = 1000
 """Follows a port's number, and the number of its listeners, where its memory describes it (`PortNode`)."""
 MUTEX_AFTER = 20_572
