@@ -294,7 +294,7 @@ class Bridge:
         """Whether a ping left the server long ago: by the answer of ours that the server had heard last by then."""
         if not request.has("heard_s"):  # on one machine nothing is under way
             return False
-        return time.monotonic() - (request.number("heard_s") or self._greeted_s) > LATE_S
+        return time.monotonic() - max(request.number("heard_s"), self._greeted_s) > LATE_S
 
     def _policy(self, request: Request) -> PolicyReply:
         return {"digest": self._limiter.take(request.body)}

@@ -65,6 +65,15 @@ class Sshd:
         """Of `--robot`; another port where something stands between."""
         return f"ssh://{self.user}@127.0.0.1:{port or self.port}{query}"
 
+    def command_lines(self) -> list[bytes]:
+        """Of all that runs there of those who logged in."""
+        found: list[bytes] = []
+        for process in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):  # it has ended
+                if f"HOME={self.home}\0".encode() in (process / "environ").read_bytes():
+                    found.append((process / "cmdline").read_bytes())
+        return found
+
     def knows(self, port: int) -> None:
         """The key is known under this port, too."""
         public = (self.folder / "host_key.pub").read_text().split()[:2]

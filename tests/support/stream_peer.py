@@ -105,11 +105,14 @@ class Peer:
 
 
 async def connected(vitality: Vitality = "unknown", *, is_remote: bool = False, **told: Any) -> tuple[Connection, Peer]:
-    """A connection whose peer has said hello."""
+    """A connection whose peer has said hello; one elsewhere has answered a ping, too."""
     peer = Peer(vitality, is_remote=is_remote)
     connection = Connection(peer, **told)
     greeting = asyncio.ensure_future(connection.greet())
     await asyncio.sleep(0)
     peer.say(HELLO)
+    if is_remote:
+        now_ns = peer.pings[-1]["sent_ns"]
+        peer.say({"id": 0, "ok": {"ros_idle_s": 0.0, "now_ns": now_ns, "sent_ns": now_ns, "steady_s": 1.0}})
     assert await greeting is None
     return connection, peer

@@ -95,6 +95,17 @@ class Child:
         output, _ = await loop.connect_read_pipe(lambda: _Pipe(received, ended), process.stdout)
         self._pipes.append(output)
 
+    def write_at_once(self, data: bytes) -> bytes:
+        """Writes what fits into the pipe to its stdin, before there is an event loop; returns the rest."""
+        assert self._process.stdin
+        if self._is_threaded:
+            return data
+        _enlarge(self._process.stdin.fileno())
+        os.set_blocking(self._process.stdin.fileno(), False)
+        with contextlib.suppress(BrokenPipeError):  # it has ended, which is noticed later
+            data = data[os.write(self._process.stdin.fileno(), data) :]
+        return data
+
     def write(self, data: bytes) -> None:
         """Queues bytes for its stdin, in order; what a dead child no longer reads is discarded."""
         if self._writer and not self._writer.is_closing():

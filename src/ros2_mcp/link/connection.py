@@ -123,6 +123,8 @@ class Connection:
         await self.carrier.open(self._received, lambda: self._end(None))
         if self._rules:
             self._send({"id": _POLICY, "op": "policy"}, self._rules)
+        if self.carrier.is_remote:
+            self._ping()
         start_s = self.carrier.start_s
         await asyncio.wait({self._greeted, self._ended}, timeout=start_s, return_when=asyncio.FIRST_COMPLETED)
         if self._greeted.done():
@@ -327,9 +329,8 @@ class Connection:
             self._end(LinkError(f"The bridge speaks protocol {header['protocol']}, this server {PROTOCOL}."))
         elif event == "hello":
             self.hello = Hello(**{name: header[name] for name in Hello._fields})
-            self._ping()  # before any request: a new bridge learns which of them a stop has overtaken
-            if not self._greeted.done():
-                self._greeted.set_result(None)
+            if self._heard_s or not self.carrier.is_remote:
+                self._be_greeted()
         elif event in ("begun", "frame", "lapsed", "latched", "motion", "stopper"):
             self._hear(cast("Told", header))
         elif event == "failed":
@@ -337,13 +338,23 @@ class Connection:
             what = "The Python of ROS cannot import rclpy" if no_rclpy else "ROS 2 did not start"
             self._end(LinkError(f"{what}: {header['message']}", "Run: ros2-mcp doctor"))
 
+    def _be_greeted(self) -> None:
+        """There is a bridge. The hello of one elsewhere may be old: then it would take a first command for late, which
+        a ping tells when a former one was answered.
+        """
+        if not self._greeted.done():
+            self._ping()  # before any request: a new bridge learns which of them a stop has overtaken
+            self._greeted.set_result(None)
+
     def _answered(self, packet: Packet) -> None:
         number = packet.header["id"]
         if number == _PING:
             ok = packet.header["ok"]
             self._clock.answered(int(ok["sent_ns"]), int(ok["now_ns"]))
             self._heard_s = max(self._heard_s, float(ok.get("steady_s", 0.0)))
-            self._heartbeat.ponged(float(ok["ros_idle_s"]))
+            if self.hello:  # before, ROS was coming up
+                self._heartbeat.ponged(float(ok["ros_idle_s"]))
+                self._be_greeted()
             return
         if number == _POLICY:
             if error := packet.header.get("error"):

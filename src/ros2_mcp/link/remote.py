@@ -141,7 +141,6 @@ class RemoteBridge(Child):
             start = installed(way, options)
         else:
             start = bootstrap(way, search_of(settings), container=inner, options=options)
-        self._to_be_sent = start.sent
         self._arrival = start.arrival
         self._unreached: LinkError | None = None
         self._received: Callable[[bytes], None] = lambda _: None
@@ -153,6 +152,8 @@ class RemoteBridge(Child):
                 f"Install it: {self.address.place} is reached with it." if isinstance(error, FileNotFoundError) else ""
             )
             raise Unreachable(f"{way[0]} cannot be started: {error.strerror}.", hint, is_lasting=True) from error
+        # So that it comes up while the rest of the server is imported, and not only after that.
+        self._to_be_sent = self.write_at_once(start.sent)
 
     @property
     def arrival(self) -> Arrival:
@@ -170,7 +171,7 @@ class RemoteBridge(Child):
         return self.address.place
 
     async def open(self, received: Callable[[bytes], None], ended: Callable[[], None]) -> None:
-        """Connects the pipes, and sends the bridge."""
+        """Connects the pipes, and sends what is left of the bridge."""
         self._received = received
         await super().open(self._hear, ended)
         self.write(self._to_be_sent)

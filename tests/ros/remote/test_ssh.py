@@ -16,12 +16,16 @@ from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.address import parse_address
 from ros2_mcp.model.errors import Unreachable
 from ros2_mcp.settings import Settings
+from support.agent import FULL, until
+from support.bridge_client import RELIABLE, STRING, cdr_string
 from support.ports import free_port
 from support.sshd import Sshd
 
 PATIENCE_S = 60.0
 # Of the issue: whatever is wrong is told within this time.
 TOLD_S = 12.0
+OLD_HELLO_S = 8.0
+"""After it a command is late that only the hello makes fresh, by 3.5 s (LATE_S of the bridge)."""
 
 
 @pytest.fixture
@@ -54,6 +58,16 @@ async def test_it_is_reached_and_answers(reach: Callable[..., Bridge], far: Sshd
     assert far.address() in bridge.origin
     reply = await bridge.request("stats", timeout_s=PATIENCE_S)
     assert reply.ok["publishers"] == 0
+
+
+async def test_it_comes_up_while_the_server_is_still_being_imported(reach: Callable[..., Bridge], far: Sshd) -> None:
+    bridge = reach()
+    bridge.launch()
+    until(lambda: any(b"ros2_mcp_bridge" in line for line in far.command_lines()))  # nobody runs an event loop
+    if FULL:
+        await asyncio.sleep(OLD_HELLO_S)
+    first = {"topic": "/first", "type": STRING, "qos": RELIABLE, "epoch": 0}
+    await bridge.request("publish", cdr_string("It is not late."), timeout_s=PATIENCE_S, **first)
 
 
 @pytest.mark.promise("README", "with nothing installed and nothing written there")
