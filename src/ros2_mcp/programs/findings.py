@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.names import did_you_mean
-from ros2_mcp.programs.sandbox import Finding
+from ros2_mcp.programs.sandbox import MODULE, Finding
 
 _SURE = frozenset(
     {
@@ -25,11 +25,13 @@ _SURE = frozenset(
     }
 )
 """Rules of the check of types that are wrong at run time, too. Others, such as of what may be None, may be right."""
-_NO_MEMBER = re.compile(r"has no member `(\w+)`")
+_NO_MEMBER = re.compile(r"Module `(\w+)` has no member `(\w+)`")
+_IMPORTS = "It can import robot, math, time, json, re, datetime, asyncio, and no others."
+_OFFERED = frozenset({"math", "time", "json", "re", "datetime", "asyncio"})
 _MOST_TOLD = 5
 _HINTS = (
     ("`open` used when not defined", "A program has no files: it reads with robot.latest and robot.messages."),
-    ("Cannot resolve imported module", "It can import robot, math, time, json, re, datetime, asyncio, and no others."),
+    ("Cannot resolve imported module", _IMPORTS),
     ("`dict[str, Any]` has no attribute", 'A message is a dict: message["pose"]["position"]["x"].'),
 )
 
@@ -50,5 +52,8 @@ def require_sound(findings: Sequence[Finding], text: str, functions: Sequence[st
 
 def _hint(message: str, functions: Sequence[str]) -> str:
     if missing := _NO_MEMBER.search(message):
-        return did_you_mean(missing[1], functions, f"It has: {', '.join(functions)}.")
+        module, member = missing.groups()
+        if module == MODULE:
+            return did_you_mean(member, functions, f"It has: {', '.join(functions)}.")
+        return "" if module in _OFFERED else f"A program has no files, no network and no system. {_IMPORTS}"
     return next((hint for part, hint in _HINTS if part in message), "")
