@@ -117,7 +117,16 @@ class Noting:
             return Reply({"publishers": self.publishers, "subscribers": self.subscribers, "settled": True}, b"")
         if op == "relay":
             return Reply({"passed": 1, "final_sent": True}, b"")
-        told = {"passed": 0, "matched": 1, "acked": True, "waited_s": 0.0, "sent": 1, "elapsed_s": 0.1, "late": 0}
+        told = {
+            "passed": 0,
+            "matched": 1,
+            "ours": 0,
+            "acked": True,
+            "waited_s": 0.0,
+            "sent": 1,
+            "elapsed_s": 0.1,
+            "late": 0,
+        }
         told |= {"limited": 0, "hold_s": 0.0}
         told |= {"stopper_s": 0.0, "unguarded": ""}
         return Reply({**told, "final_sent": True, "ended_by": self.ended_by, **arguments}, self.answer)
