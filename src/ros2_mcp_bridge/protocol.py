@@ -366,7 +366,6 @@ class StoppedTopic(TypedDict):
     topic: str
     type: str
     matched: int
-    ours: int
     acked: bool | None
     problem: str
 
