@@ -102,7 +102,8 @@ class Tour:
         path = self._folder / "transcript.json"
         path.write_text(json.dumps(self.transcript, indent=1, ensure_ascii=False))
         seconds = time.monotonic() - self._started
-        print(f"\nThe tour took {seconds:.0f} s. Pictures and transcript: {self._folder.resolve()}")
+        kept = "Pictures and transcript" if self._pictures else "Transcript"
+        print(f"\nThe tour took {seconds:.0f} s. {kept}: {self._folder.resolve()}")
         for failure in self.failures:
             print(_paint(_RED, f"failed: {failure}"), file=sys.stderr)
         return 1 if self.failures else 0

@@ -169,6 +169,8 @@ def _checked_inputs(inputs: Mapping[str, Any]) -> Mapping[str, Any]:
 def _hint(message: str) -> str:
     if message.startswith("KeyError"):
         return "print(message.keys()) shows what is there; fields of messages are those of ros2_get_message_fields."
+    if "'Messages' object is not iterable" in message:
+        return "A stream goes into a for: for m in robot.messages(...): found.append(m), or [m for m in ...]."
     if message.startswith("NotImplementedError"):
         return "The sandbox has no generators, no classes that inherit, and no async for: write a plain loop."
     return ""

@@ -174,7 +174,11 @@ def evaluate(
     compared = [_row(one) for one in differences(first, second, partners)]
     delays_ns = second.kept.read_ns[in_second] - first.kept.read_ns[in_first]
     delays_s = sorted(row.delay_s for row in compared if row.delay_s is not None)
+    delay_s = delays_s[len(delays_s) // 2] if delays_s else None
     verdict, reasons = _judge(first, second, len(in_first), compared, tolerance_percent)
+    if delay_s and abs(delay_s) > max(_period_s(first), _period_s(second)):  # shorter ones correlation makes of noise
+        earlier, later = (first, second) if delay_s > 0 else (second, first)
+        reasons.append(f"By its values {later.topic} is {1000 * abs(delay_s):.3g} ms later than {earlier.topic}.")
     for capture in (first, second):
         troubles = (capture.mixed, capture.kept.skipped, capture.kept.bounds("Compared are those", capture.began_ns))
         reasons += [f"{capture.topic}: {trouble}" for trouble in troubles if trouble]
@@ -190,10 +194,16 @@ def evaluate(
         pairs=len(in_first),
         equal_messages=int(np.count_nonzero(first.kept.marks[in_first] == second.kept.marks[in_second])),
         receive_delay_s=float(delays_ns.mean()) / 1e9 if len(delays_ns) else None,
-        delay_s=delays_s[len(delays_s) // 2] if delays_s else None,
+        delay_s=delay_s,
         fields=compared,
         source=first.source,
     )
+
+
+def _period_s(capture: Capture[Paired]) -> float:
+    """From one message to the next, on average; infinite for fewer than two."""
+    read_ns = capture.kept.read_ns
+    return float(read_ns[-1] - read_ns[0]) / 1e9 / (len(read_ns) - 1) if len(read_ns) > 1 else math.inf
 
 
 def _pairing_times(

@@ -102,6 +102,8 @@ class _Search:
     condition: Condition
     message: Message | None = None
     received_ns: int = 0
+    published_ns: int = 0
+    is_old: bool = False
     met: bool = False
     looked_at: int = 0
     undecided: int = 0
@@ -123,14 +125,14 @@ class _Search:
             except BadData:
                 self.undecodable += 1
                 continue
-            self.received_ns = sample.received_ns
+            self.received_ns, self.published_ns = sample.received_ns, sample.source_ns
             self.looked_at += 1
             holds = self.condition.holds(self.message)
             if holds is None:
                 self.undecided += 1
                 self.why_undecided = self.why_undecided or self.condition.why_undecided(self.message)
             elif holds:
-                self.met = True
+                self.met, self.is_old = True, self.stream.is_replayed(sample)
                 return
 
     def result(self, source: Source, waited_s: float, max_bytes: int) -> Wait:
@@ -158,6 +160,9 @@ class _Search:
         if self.undecided:
             why = f"Of {self.undecided} of {self.looked_at} message(s) it cannot be said"
             notes.append(f"{why}: {self.why_undecided}")
+        if self.is_old:
+            age = f"{(self.received_ns - self.published_ns) / 1e9:.1f} s" if self.published_ns else "some time"
+            notes.append(f"That message was sent {age} before: the topic keeps it for whoever subscribes later.")
         if dropped:
             notes.append(f"{dropped} messages came too fast to be looked at.")
         return Wait(
