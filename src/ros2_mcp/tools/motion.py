@@ -29,7 +29,9 @@ async def ros2_drive(
     angle_deg: Annotated[Number | None, Field(description="Turn on the spot; positive: left.")] = None,
     radius_m: Annotated[Number | None, Field(description="With angle_deg: an arc ahead.")] = None,
     speed: Annotated[Number | None, Field(description="m/s; on the spot °/s.")] = None,
-    guard_m: Annotated[Number | None, Field(description="Stops with its outline so far from what a laser scan sees in the way.")] = None,
+    guard_m: Annotated[
+        Number | None, Field(description="Stops with its outline so far from what a laser scan sees in the way.")
+    ] = None,
     topic_name: Found = "",
     odometry: Found = "",
     scan: Found = "",
