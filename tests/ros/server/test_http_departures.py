@@ -23,6 +23,7 @@ import pytest
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
+from ros2_mcp_bridge.velocities import UNSURE_AGAIN_S
 from support.agent import FULL, until
 from support.commanded import CommandedProcess
 from support.networks import Network, NotPermitted, network
@@ -318,7 +319,7 @@ def test_a_departure_is_ended_once_though_nobody_acknowledges_its_zero(field: Fi
     until(lambda: not driver.called("ros2_topic_publish", once).get("isError") and driver.heard_by("listener"))
     clients.go(name=driver.name, resetting=False)
     until(lambda: not any(driver.heard_by("listener")[-1]["values"]))
-    time.sleep(1.0)  # a zero is sent twice, and once more to each subscriber that is discovered only then
+    time.sleep(UNSURE_AGAIN_S[-1] + 1.0)  # to who acknowledges nothing the zero is sent again so long
     zeros = len(driver.heard_by("listener"))
     time.sleep(3.0)  # a lease, and a second more
     assert len(driver.heard_by("listener")) == zeros
