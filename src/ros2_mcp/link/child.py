@@ -98,7 +98,7 @@ class Child:
     def write_at_once(self, data: bytes) -> bytes:
         """Writes what fits into the pipe to its stdin, before there is an event loop; returns the rest."""
         assert self._process.stdin
-        if self._is_threaded:
+        if sys.platform == "win32" or self._is_threaded:
             return data
         _enlarge(self._process.stdin.fileno())
         os.set_blocking(self._process.stdin.fileno(), False)
