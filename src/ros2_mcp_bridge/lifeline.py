@@ -249,7 +249,7 @@ class Lifeline:
         if "matched" in told:
             self._matched[str(told["topic"]), str(told["type"])] = int(str(told["matched"]))
         else:
-            self._tell_event("acted", f"the bridge was silent for {told['silent_s']} s: its stopper sent the zeros")
+            self._tell_event("acted", f"the bridge was {told['why']}: its stopper sent the zeros")
 
     def _tell_event(self, what: Literal["acted", "lost"], message: str) -> None:
         self._send_event({"event": "stopper", "what": what, "message": message})

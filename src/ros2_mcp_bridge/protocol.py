@@ -91,7 +91,9 @@ class RepeatBegun(TypedDict):
 
 
 class StopperEvent(TypedDict):
-    """The `stopper` event: it has `acted`, as the bridge was silent; or it was `lost`, and what moved was ended."""
+    """The `stopper` event: it has `acted`, as the bridge was stopped or silent; or it was `lost`, and what moved was
+    ended.
+    """
 
     event: Literal["stopper"]
     what: Literal["acted", "lost"]

@@ -1,9 +1,9 @@
 """The stopper as a process: it sends the zeros where its bridge cannot, because that has died or hangs, and cancels
 the goals where the server has died, too.
 
-Its stdin is the lifeline (see `lifeline.py`): the end of it tells of the bridge's death, silence of a hang. It has a
-participant of its own, and publishers that are matched before anything moves, so that it discovers nobody when it has
-to act. See docs/decisions/0030-a-second-process-that-stops.md.
+Its stdin is the lifeline (see `lifeline.py`): the end of it tells of the bridge's death, silence of a hang; that it is
+stopped, the kernel tells. It has a participant of its own, and publishers that are matched before anything moves, so
+that it discovers nobody when it has to act. See docs/decisions/0030-a-second-process-that-stops.md.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def main(lifeline: int, told: int) -> NoReturn:
     with udp.alone():
         node = ros.join(f"{participants.STOPPER_NODE}{bridge}")
     signal.setitimer(signal.ITIMER_REAL, 0)
-    Stopper(node, lifeline, told).run(first)
+    Stopper(node, bridge, lifeline, told).run(first)
     ros.destroy(node)
     sys.stderr.flush()
     os._exit(0)  # no thread of the middleware holds up the end
@@ -126,8 +126,9 @@ class Call:
 class Stopper:
     """What it was told of each topic, and the zeros that it sends; single-threaded."""
 
-    def __init__(self, node: Node, lifeline: int, told: int) -> None:
+    def __init__(self, node: Node, bridge: int, lifeline: int, told: int) -> None:
         self._node = node
+        self._bridge = bridge
         self._lifeline = lifeline
         self._told = told
         self._poll = select.poll()
@@ -174,12 +175,16 @@ class Stopper:
         return [topic for topic in self._topics.values() if topic.moves]
 
     def _look_for_silence(self, turn_s: float) -> None:
-        """A silence counts only as far as this process was there to hear it."""
+        """A silence counts only as far as this process was there to hear it; a stop needs none (SIGSTOP; `t`, in which
+        a debugger or profiler holds it for moments, is none).
+        """
         moving = self._moving()
         self._silent_s = self._silent_s + min(turn_s, 2 * TURN_S) if moving else 0.0
-        if self._silent_s >= SILENCE_S and not self._zeros:
-            self._zeros = [Zero(topic) for topic in moving]
-            self._tell({"silent_s": round(self._silent_s, 3)})
+        if moving and not self._zeros:
+            is_stopped = _state(self._bridge) == "T"
+            if is_stopped or self._silent_s >= SILENCE_S:
+                self._zeros = [Zero(topic) for topic in moving]
+                self._tell({"why": "stopped" if is_stopped else f"silent for {self._silent_s:.3g} s"})
         for zero in self._zeros:
             zero.send()
 
@@ -274,12 +279,15 @@ def _is_gone(process: int) -> bool:
     """Whether a process of this machine has ended, though nobody may have asked for its end yet; of 0 and 1, which are
     no server (a container, a server that had ended before), it is not known.
     """
-    if process <= 1:
-        return False
+    return process > 1 and _state(process) in ("", "Z", "X")
+
+
+def _state(process: int) -> str:
+    """The state of a process of this machine, a letter as in proc_pid_stat(5); "" if there is none."""
     try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
-    except FileNotFoundError:
-        return True
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):  # the second if it ends while it is read
+        return ""
 
 
 def _untold(_topic: str, _frame_id: str) -> None:

@@ -7,7 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -21,6 +21,8 @@ STARVED_S = 0.15
 """Of that time; a process that begins waits for a shorter part of it on any machine with few processors."""
 
 Measured = TypeVar("Measured")
+Judged = Callable[[], AbstractContextManager[None]]
+"""A context in which what happens is judged."""
 
 
 @contextmanager
@@ -62,17 +64,43 @@ def undisturbed(measure: Callable[[], Measured], shortest_s: float = STOOD_STILL
     other test runs beside it: who is starved then is so by the test itself. `shortest_s` is the shortest standstill
     that would make a difference.
     """
-    with standstills(shortest_s, starved=True) as found:
-        measured = measure()
-    if not found:
+
+    def whole(judged: Judged) -> Measured:
+        with judged():
+            return measure()
+
+    return undisturbed_where_judged(whole, shortest_s)
+
+
+def undisturbed_where_judged(measure: Callable[[Judged], Measured], shortest_s: float = STOOD_STILL_S) -> Measured:
+    """As `undisturbed`, but only the time inside of `with judged():` counts, which `measure` enters once. Something
+    that takes LOOKS_S should follow it, since a starvation is seen when it is looked for next.
+    """
+    measured, is_disturbed = _measured(measure, shortest_s, starved=True)
+    if not is_disturbed:
         return measured
     with alone():
         for _ in range(TIMES - 1):
-            with standstills(shortest_s) as found:
-                measured = measure()
-            if not found:
+            measured, is_disturbed = _measured(measure, shortest_s, starved=False)
+            if not is_disturbed:
                 break
     return measured
+
+
+def _measured(measure: Callable[[Judged], Measured], shortest_s: float, *, starved: bool) -> tuple[Measured, bool]:
+    """What was measured, and whether the machine stood still in the time that counts."""
+    began = ended = 0.0
+
+    @contextmanager
+    def judged() -> Iterator[None]:
+        nonlocal began, ended
+        began = time.time()
+        yield
+        ended = time.time()
+
+    with standstills(shortest_s, starved=starved) as found:
+        measured = measure(judged)
+    return measured, any(since <= ended and until >= began for since, until in found)
 
 
 async def undisturbed_async(measure: Callable[[], Awaitable[Measured]]) -> Measured:
