@@ -36,7 +36,7 @@ def name(place: Place) -> str:
         *(sys.executable, "-m", "pip", "index", "versions", place.facts.name), codes=(0, 1), env=dict(os.environ)
     )
     if "No module named pip" in answer:
-        answer = place.tool("pip", "pip", "index", "versions", place.facts.name)
+        answer = place.tool("pip", "pip", "index", "versions", place.facts.name, codes=(0, 1))
     if found := re.search(rf"^{re.escape(place.facts.name)} \((.+)\)", answer, re.MULTILINE):
         return f"is taken, newest version {found[1]}; {INDEX_NAME_WARNING}"
     return f"nothing is found under it in the index of this machine; {INDEX_NAME_WARNING}"

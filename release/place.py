@@ -70,13 +70,13 @@ class Place:
             raise CheckFailed(f"{' '.join(words)} ended with {ended.returncode}:\n{last}")
         return ended.stdout
 
-    def uv(self, *words: str | Path, cwd: Path | None = None) -> str:
+    def uv(self, *words: str | Path, cwd: Path | None = None, codes: Sequence[int] = (0,)) -> str:
         """Runs uv, which is what runs this, or is found on PATH."""
-        return self.run(uv(), *words, cwd=cwd)
+        return self.run(uv(), *words, cwd=cwd, codes=codes)
 
-    def tool(self, requirement: str, *words: str | Path) -> str:
+    def tool(self, requirement: str, *words: str | Path, codes: Sequence[int] = (0,)) -> str:
         """Runs a command of a package that is in no environment of ours; its name is the first of the words."""
-        return self.uv("tool", "run", "--from", requirement, *words)
+        return self.uv("tool", "run", "--from", requirement, *words, codes=codes)
 
     def checkout(self) -> Path:
         """A copy of what git knows of this checkout, as others get it."""
@@ -105,7 +105,7 @@ def uv() -> str:
     """
     found = os.environ.get("UV") or shutil.which("uv")
     if not found:
-        raise CannotCheck("needs uv")
+        raise CannotCheck("needs uv, on PATH or run by it: uv run python -m release check")
     return found
 
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -52,6 +55,17 @@ def test_a_new_version_and_owner_reach_every_manifest(tmp_path: Path) -> None:
         assert "somebody" in text, path
         assert "7.8.9" in text or path in ("pyproject.toml", "README.md"), path
         assert FACTS.owner != NOBODY or not re.search(rf"(github.com/|io\.github\.){NOBODY}\b", text), path
+
+
+def test_the_ros_package_finds_its_modules_in_a_checkout_without_links(tmp_path: Path) -> None:
+    pytest.importorskip("setuptools")  # it comes with the wheels of ROS 2
+    package = tmp_path / "deploy/ros/ros2_mcp_bridge"
+    shutil.copytree(ROOT / "deploy/ros/ros2_mcp_bridge", package, ignore=shutil.ignore_patterns("ros2_mcp_bridge"))
+    (tmp_path / "src/ros2_mcp_bridge").mkdir(parents=True)
+    (tmp_path / "src/ros2_mcp_bridge/__main__.py").touch()
+    said = subprocess.run([sys.executable, "setup.py", "--version"], cwd=package, capture_output=True, check=True)
+    assert said.stdout.decode().split() == [FACTS.version]
+    assert (package / "ros2_mcp_bridge/__main__.py").exists()
 
 
 def test_a_line_that_has_gone_is_told(tmp_path: Path) -> None:

@@ -1,10 +1,15 @@
 """The bridge as a ROS package; its version is that of package.xml."""
 
+from pathlib import Path
 from xml.etree import ElementTree
 
 from setuptools import setup
 
 NAME = "ros2_mcp_bridge"
+# colcon takes modules from the package's own folder. They are linked there at the first build: git keeps a link as a
+# file where links are not to be had.
+if not Path(NAME).is_dir():
+    Path(NAME).symlink_to(Path("../../../src", NAME))
 package = ElementTree.parse("package.xml")
 
 setup(

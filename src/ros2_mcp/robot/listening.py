@@ -34,6 +34,10 @@ class Listening:
         """The samples that wait; waits for the first one, returns an empty list when none came in time."""
         return await self._subscription.take(timeout_s)
 
+    async def end(self) -> None:
+        """Nothing more is wanted; what had come by then can still be taken, and the counts are the last ones."""
+        await self._subscription.close()
+
     async def samples(self, duration_s: float) -> AsyncIterator[Sample]:
         """The samples of that time, one by one as they come."""
         ends_at = monotonic() + duration_s

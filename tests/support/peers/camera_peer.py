@@ -1,7 +1,7 @@
 """A camera: `camera_peer.py WIDTH HEIGHT HZ [compressed]` publishes /camera/image_raw, and the same compressed.
 
 The raw pictures are noise, which nothing makes smaller; the compressed ones are real JPEG.
-It says `ready` and ends with its stdin.
+It says `ready`, answers each line of its stdin with how many raw pictures it has published, and ends with it.
 """
 
 from __future__ import annotations
@@ -27,14 +27,24 @@ def main() -> None:
         small = node.create_publisher(CompressedImage, "/camera/image_raw/compressed", qos_profile_sensor_data)
     jpeg = CompressedImage(format="rgb8; jpeg compressed bgr8", data=jpeg_of(width, height))
 
+    published = 0
+
     def tick() -> None:
+        nonlocal published
         image.header.stamp = jpeg.header.stamp = node.get_clock().now().to_msg()
         raw.publish(image)
+        published += 1
         if small:
             small.publish(jpeg)
 
     node.create_timer(1 / hertz, tick)
-    threading.Thread(target=lambda: (sys.stdin.read(), os._exit(0)), daemon=True).start()
+
+    def answer() -> None:
+        for _ in sys.stdin:
+            print(published, flush=True)
+        os._exit(0)
+
+    threading.Thread(target=answer, daemon=True).start()
     print("ready", flush=True)
     rclpy.spin(node)
 

@@ -158,10 +158,12 @@ class _LiveStream(Stream):
         far = " Over this link a large message takes longer: give more time." if self.robot.is_remote else ""
         return f"{len(now.publishers)} publisher(s) there, but no message came while this listened: {nodes}.{far}"
 
-    async def take_until(self, deadline: float) -> AsyncGenerator[Sequence[Sample], None]:
-        """What comes before that steady time."""
+    async def take_until(self, deadline: float, *, ends: bool = False) -> AsyncGenerator[Sequence[Sample], None]:
+        """What comes before that steady time; nothing more is listened to then if it `ends` so."""
         while (left := deadline - monotonic()) > 0:
             yield self.look_at(await self.listening.take(min(left, _TURN_S)))
+        if ends and self.robot.is_remote:  # the counts come with samples: of those that never left it tells at the end
+            await self.listening.end()
         yield self.look_at(await self.listening.take(0.0))
         if names.UNKNOWN_NODE in {publisher.node for publisher in self.publishers}:  # they had only just appeared
             named = {one.gid: one for one in (await self.robot.graph.endpoints(self.topic)).publishers}
@@ -305,7 +307,7 @@ class Live(Source):
         ) as listening:
             stream = self._stream(listening, asked_at)
             stream.thinned = every_n > 1
-            stream.batches = stream.take_until((monotonic() if self._whole else asked_at) + self.duration_s)
+            stream.batches = stream.take_until((monotonic() if self._whole else asked_at) + self.duration_s, ends=True)
             async with aclosing(stream.batches):
                 yield stream
 
