@@ -49,10 +49,14 @@ class StdioClient:
 
     async def greet(self) -> list[dict[str, Any]]:
         """Handshake; returns the list of tools."""
+        await self.initialize()
+        return (await self.request("tools/list"))["tools"]
+
+    async def initialize(self) -> None:
+        """Handshake."""
         me = {"name": "bench", "version": "1"}
         await self.request("initialize", protocolVersion=PROTOCOL, capabilities={}, clientInfo=me)
         self._send({"method": "notifications/initialized"})
-        return (await self.request("tools/list"))["tools"]
 
     async def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
         """The structured content of one call."""
