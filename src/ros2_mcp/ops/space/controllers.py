@@ -22,12 +22,15 @@ _TELLS = ("broadcaster", "status")
 async def listed_controllers(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Sequence[Mapping[str, Any]]]:
     """What each controller manager says of its controllers, by its node; empty where none is there, or answers."""
     found: dict[str, Sequence[Mapping[str, Any]]] = {}
-    services = [name for name in graph.services or () if name.endswith("/list_controllers")]
-    for service in services[:2]:
+
+    async def ask(service: str) -> None:
         with suppress(RobotError, asyncio.TimeoutError):
             asked = robot.ask_service(service, _LIST, {}, timeout_s=_ANSWER_S)
             answer = await robot.fields_of(await asyncio.wait_for(asked, _ANSWER_S))
             found[service.rpartition("/")[0]] = answer["controller"]
+
+    services = [name for name in graph.services or () if name.endswith("/list_controllers")]
+    await asyncio.gather(*map(ask, services[:2]))
     return found
 
 

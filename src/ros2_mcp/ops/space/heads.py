@@ -7,6 +7,9 @@ import struct
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from time import monotonic
+
+import anyio
 
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.samples import STAMP_END, Sample
@@ -15,6 +18,8 @@ from ros2_mcp.robot import Robot
 
 _HEAD_BYTES = 256
 """Up to the end of a frame's name: a camera's picture stays on the robot."""
+_ENOUGH, _ENOUGH_NS = 5, 600_000_000
+"""So many messages over so long tell a rate."""
 _RECENT_NS = 5_000_000_000
 """Of a recording, its end: enough for what comes once a second."""
 
@@ -29,17 +34,27 @@ class Head:
 
 
 async def heads_of(robot: Robot, source: Source, topics: Sequence[str], listen_s: float) -> Mapping[str, Head]:
-    """Listens to all of them at the same time; of a recording the end is read."""
+    """Listens to all of them at the same time until each one's rate is known; of a recording the end is read.
+
+    Those that could not be listened to within that time are left out.
+    """
     found = await asyncio.gather(*(_samples(robot, source, topic, listen_s) for topic in topics))
-    return {topic: _head(samples) for topic, samples in zip(topics, found, strict=True)}
+    return {topic: _head(samples) for topic, samples in zip(topics, found, strict=True) if samples is not None}
 
 
-async def _samples(robot: Robot, source: Source, topic: str, listen_s: float) -> Sequence[Sample]:
+async def _samples(robot: Robot, source: Source, topic: str, listen_s: float) -> Sequence[Sample] | None:
     found: list[Sample] = []
-    with suppress(RobotError):
-        if source.is_live:
+    if source.is_live:
+        ends_at, is_listening = monotonic() + listen_s, False
+        with suppress(RobotError), anyio.move_on_after(listen_s):
             async with robot.listen(topic, head_bytes=_HEAD_BYTES) as listening:
-                return [sample async for sample in listening.samples(listen_s)]
+                is_listening = True
+                async for sample in listening.samples(ends_at - monotonic()):
+                    found.append(sample)
+                    if len(found) >= _ENOUGH and sample.received_ns - found[0].received_ns >= _ENOUGH_NS:
+                        break
+        return found if is_listening else None
+    with suppress(RobotError):
         end_ns = source.covers_ns[1] if source.covers_ns else 0
         part = source.part(end_ns - _RECENT_NS, end_ns) if end_ns else source
         async with part.follow(topic, latched=False) as stream:

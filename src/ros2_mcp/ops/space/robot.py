@@ -9,7 +9,10 @@ import math
 from collections.abc import Awaitable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from time import monotonic
 from typing import Any
+
+import anyio
 
 from ros2_mcp.codec.footprint import outline, reach
 from ros2_mcp.codec.robot_kind import arm_of, kind_of, rotors_of, wheels_of
@@ -35,8 +38,11 @@ from ros2_mcp.robot.transforms import LISTENS
 
 MOST_BYTES = 2_000
 """Of the answer: it is read at the beginning of most sessions."""
-_LISTEN_S = 1.2
-"""For each message, all at the same time: with what the graph takes, the answer is there within two seconds."""
+_ANSWERED_S, _GIVEN_UP_S = 1.4, 1.7
+"""After the call: so long messages are waited for, all at the same time, and so long any part of it at most. The
+answer is there within two seconds, with some for the machine that has much to do."""
+_LEAST_S = 0.4
+"""For messages, however long the graph took: what comes twice a second is mostly heard, too."""
 _INPUTS = ("Twist", "TwistStamped", "AckermannDrive", "AckermannDriveStamped", "JointTrajectory", "Joy")
 _SENSORS = (
     "sensor_msgs/msg/LaserScan",
@@ -117,6 +123,12 @@ class _Seen:
     odometry_topic: str = ""
     problems: list[str] = field(default_factory=list[str])
     stands: str = ""
+    asked_at: float = field(default_factory=monotonic)
+
+    @property
+    def listen_s(self) -> float:
+        """For how long messages are still waited for."""
+        return max(self.asked_at + _ANSWERED_S - monotonic(), _LEAST_S)
 
 
 async def in_brief(robot: Robot, source: Source) -> RobotInBrief:
@@ -126,33 +138,39 @@ async def in_brief(robot: Robot, source: Source) -> RobotInBrief:
         NotFound: if no robot is there.
         LinkError: if there is no bridge.
     """
+    asked_at = monotonic()
     await load("ros2_mcp.codec.cdr", "ros2_mcp.codec.select")  # with numpy: not before it is needed
     graph = await source.graph()
     if graph.absence:
         raise NotFound(graph.absence, "ros2_status tells domain and middleware.")
-    seen = _Seen(graph)
-    await asyncio.gather(
-        _safely(seen, "The description", _description(robot, source, seen)),
-        _safely(seen, "The frames", _frames(source, seen)),
-        _safely(seen, "The rates of the sensors", _heads(robot, source, seen)),
-        _safely(seen, "The ranges of the sensors", _ranges(source, seen)),
-        _safely(seen, "The positions of the joints", _joint_states(source, seen)),
-        _safely(seen, "The batteries", _batteries(source, seen)),
-        _safely(seen, "The diagnostics", _reports(source, seen)),
-        _safely(seen, "The odometry", _odometry(source, seen)),
-        _safely(seen, "The footprint", _published_footprint(source, seen)),
-        _safely(seen, "The controllers", _managed(robot, source, seen)),
+    seen = _Seen(graph, asked_at=asked_at)
+    given_up_at = max(asked_at + _GIVEN_UP_S, monotonic() + _LEAST_S) if source.is_live else math.inf
+    parts = (
+        ("The description", _description(robot, source, seen)),
+        ("The frames", _frames(source, seen)),
+        ("The rates of the sensors", _heads(robot, source, seen)),
+        ("The ranges of the sensors", _ranges(source, seen)),
+        ("The positions of the joints", _joint_states(source, seen)),
+        ("The batteries", _batteries(source, seen)),
+        ("The diagnostics", _reports(source, seen)),
+        ("The odometry", _odometry(source, seen)),
+        ("The footprint", _published_footprint(source, seen)),
+        ("The controllers", _managed(robot, source, seen)),
     )
+    await asyncio.gather(*(_safely(seen, what, work, given_up_at) for what, work in parts))
     return _within(_brief(source, seen), MOST_BYTES)
 
 
 # ── gathering ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-async def _safely(seen: _Seen, what: str, work: Awaitable[None]) -> None:
-    """One part of it: what cannot be read is told, and takes nothing else away."""
+async def _safely(seen: _Seen, what: str, work: Awaitable[None], given_up_at: float) -> None:
+    """One part of it: what cannot be read, or not in time, is told, and takes nothing else away."""
     try:
-        await work
+        with anyio.move_on_after(given_up_at - monotonic()) as scope:
+            await work
+        if scope.cancelled_caught:
+            seen.problems.append(f"{what} could not be read in time.")
     except Exception as error:
         _logger.warning("%s could not be read", what, exc_info=True)
         seen.problems.append(f"{what} could not be read: {quoted(str(error)[:120])}.")
@@ -164,51 +182,53 @@ def _topics(graph: GraphSnapshot, *types: str) -> list[TopicEndpoints]:
     return sorted(found, key=lambda one: one.topic)
 
 
-async def _message(source: Source, topic: str, type_name: str) -> Any:
+async def _message(source: Source, seen: _Seen, topic: str, type_name: str) -> Any:
     """The next message of a topic; None if none comes."""
     with suppress(RobotError):
-        return (await next_message(source.lasting(_LISTEN_S), topic, type_name, silent)).message
+        return (await next_message(source.lasting(seen.listen_s), topic, type_name, silent)).message
     return None
 
 
 async def _description(robot: Robot, source: Source, seen: _Seen) -> None:
     kind = "std_msgs/msg/String"
-    for one in _topics(seen.graph, kind):
-        if one.topic.rpartition("/")[2] == "robot_description" and (said := await _message(source, one.topic, kind)):
+    for topic in (one.topic for one in _topics(seen.graph, kind)):
+        if topic.rpartition("/")[2] == "robot_description" and (said := await _message(source, seen, topic, kind)):
             try:
                 seen.urdf = await asyncio.to_thread(parse, said.data)
             except RobotError as error:
-                seen.problems.append(f"{named(one.topic)}: {error.message}")
+                seen.problems.append(f"{named(topic)}: {error.message}")
             return
-    if source.is_live:
-        with suppress(
-            RobotError, asyncio.TimeoutError
-        ):  # a state publisher of older robots has it as a parameter alone
-            seen.urdf = await asyncio.wait_for(described(robot), _LISTEN_S)
+    if source.is_live:  # a state publisher of older robots has it as a parameter alone
+        with suppress(RobotError, asyncio.TimeoutError):
+            seen.urdf = await asyncio.wait_for(described(robot), seen.listen_s)
 
 
 async def _frames(source: Source, seen: _Seen) -> None:
     def is_whole(tree: FrameTree) -> bool:
-        return bool(tree.base) and tree.root_of(tree.base) == "map"
+        return bool(tree.base) and tree.root_of(tree.base).rpartition("/")[2] == "map"
 
     with suppress(RobotError):
         topics = seen.graph.topics
         if source.transforms and not any(topics[name].publishers for name in LISTENS if name in topics):
             await source.transforms.moved()  # at once: the graph is settled, and frames_of would first wait for /tf
-        seen.tree = await frames_of(source, until=is_whole, patience_s=_LISTEN_S)
+        seen.tree = await frames_of(source, until=is_whole, patience_s=seen.listen_s)
         seen.stands = await standing_time(source, seen.tree, _now_ns(source))
 
 
 async def _heads(robot: Robot, source: Source, seen: _Seen) -> None:
     topics = [one.topic for one in _topics(seen.graph, *_SENSORS)]
-    seen.heads = await heads_of(robot, source, topics[: _MOST["sensors"] + 4], _LISTEN_S)
+    seen.heads = await heads_of(robot, source, topics[: _MOST["sensors"] + 4], seen.listen_s)
 
 
 async def _ranges(source: Source, seen: _Seen) -> None:
     """How far sensors see, and a scanner over which angle."""
-    for one in _topics(seen.graph, *_WITH_RANGE)[:4]:
-        kind = next(kind for kind in one.types if kind in _WITH_RANGE)
-        if not (message := await _message(source, one.topic, kind)):
+    topics = _topics(seen.graph, *_WITH_RANGE)[:4]
+    kinds = [next(kind for kind in one.types if kind in _WITH_RANGE) for one in topics]
+    found = await asyncio.gather(
+        *(_message(source, seen, one.topic, kind) for one, kind in zip(topics, kinds, strict=True))
+    )
+    for one, kind, message in zip(topics, kinds, found, strict=True):
+        if message is None:
             continue
         if kind.endswith("Range"):
             seen.ranges[one.topic] = f"{message.min_range:.3g} to {message.max_range:.3g} m"
@@ -220,15 +240,16 @@ async def _ranges(source: Source, seen: _Seen) -> None:
 
 async def _joint_states(source: Source, seen: _Seen) -> None:
     kind = "sensor_msgs/msg/JointState"
-    found = await asyncio.gather(*(_message(source, one.topic, kind) for one in _topics(seen.graph, kind)[:3]))
+    found = await asyncio.gather(*(_message(source, seen, one.topic, kind) for one in _topics(seen.graph, kind)[:3]))
     for message in filter(None, found):
         seen.positions |= {name: float(at) for name, at in zip(message.name, message.position, strict=False)}
 
 
 async def _batteries(source: Source, seen: _Seen) -> None:
     """How full each is, from 0 to 1; None where it does not tell it, or said nothing."""
-    for one in _topics(seen.graph, _BATTERY)[:2]:
-        message = await _message(source, one.topic, _BATTERY)
+    topics = _topics(seen.graph, _BATTERY)[:2]
+    found = await asyncio.gather(*(_message(source, seen, one.topic, _BATTERY) for one in topics))
+    for one, message in zip(topics, found, strict=True):
         share = float(message.percentage) if message else math.nan
         share = share / 100 if share > 1 else share  # some drivers give percent, against the definition
         seen.batteries[one.topic] = share if 0 <= share <= 1 else None
@@ -240,7 +261,7 @@ async def _reports(source: Source, seen: _Seen) -> None:
     worst: dict[str, str] = {}
     for one in _topics(seen.graph, kind)[:1]:
         with suppress(RobotError):
-            async with source.lasting(_LISTEN_S).follow(one.topic, limit=20) as stream:
+            async with source.lasting(seen.listen_s).follow(one.topic, limit=20) as stream:
                 async for batch in stream.batches:
                     for sample in batch:
                         message: Any = stream.codec.decode(stream.type, sample.data)
@@ -255,7 +276,7 @@ async def _odometry(source: Source, seen: _Seen) -> None:
     found = [one.topic for one in _topics(seen.graph, kind)]
     found.sort(key=lambda name: ("filtered" not in name, name.rpartition("/")[2] != "odom", name))  # the better first
     for topic in found[:1]:
-        seen.odometry, seen.odometry_topic = await _message(source, topic, kind), topic
+        seen.odometry, seen.odometry_topic = await _message(source, seen, topic, kind), topic
 
 
 async def _published_footprint(source: Source, seen: _Seen) -> None:
@@ -263,7 +284,7 @@ async def _published_footprint(source: Source, seen: _Seen) -> None:
     for one in _topics(seen.graph, "geometry_msgs/msg/PolygonStamped"):
         if "footprint" not in one.topic:
             continue
-        if message := await _message(source, one.topic, "geometry_msgs/msg/PolygonStamped"):
+        if message := await _message(source, seen, one.topic, "geometry_msgs/msg/PolygonStamped"):
             seen.footprint = [(float(at.x), float(at.y), float(at.z)) for at in message.polygon.points[:_MOST_CORNERS]]
             seen.footprint_frame = message.header.frame_id.lstrip("/")
             return
@@ -378,9 +399,9 @@ def _sensors(seen: _Seen, base: str) -> list[str]:
         kind = next(kind for kind in one.types if kind in _SENSORS).rpartition("/")[2]
         head = seen.heads.get(one.topic)
         said = [named(one.topic), kind]
-        if head is None or not head.count:
+        if head and not head.count:
             said.append("silent")
-        elif head.rate_hz:
+        elif head and head.rate_hz:
             said.append(f"{head.rate_hz:.3g} Hz")
         if head and head.frame:
             said.append(f"in {named(head.frame)}{_mounted(seen, base, head.frame)}")
