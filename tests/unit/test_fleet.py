@@ -46,6 +46,14 @@ def test_beyond_fifteen_robots_the_names_are_no_longer_in_every_tool() -> None:
     assert "ros2_robots" in argument[1]["description"]
 
 
+def test_a_second_robot_costs_little_in_the_list_of_tools() -> None:
+    def taken(assembly: Assembly) -> int:
+        return sum(len(json.dumps(tool.input_schema, separators=(",", ":"))) for tool in assembly.fleet.listed)
+
+    two = several("lab", "yard")
+    assert taken(two) - taken(assemble(Settings())) <= 70 * len(two.fleet.listed)
+
+
 async def test_the_instructions_name_the_robots_and_those_under_a_policy(tmp_path: Path) -> None:
     file = tmp_path / "robots.yaml"
     entries = {"lab": {"at": "local?domain_id=1"}, "yard": {"at": "local?domain_id=2", "policy": "teleop-slow"}}

@@ -37,11 +37,12 @@ def listed_tools(members: Sequence[Member]) -> list[Tool]:
 
 def _with_robot(tool: Tool, names: Sequence[str], *, is_stop: bool) -> Tool:
     taken: Mapping[str, Any] = tool.input_schema
-    argument: dict[str, Any] = {"type": "string", "description": f"Which robot, as {ROBOTS} shows them."}
-    if len(names) <= _MOST_IN_ENUM:
-        argument = {"type": "string", "enum": list(names), "description": "Which robot."}
-    if is_stop:
-        argument["description"] += " Default: all."
+    told = [] if len(names) <= _MOST_IN_ENUM else [f"As {ROBOTS} shows them."]
+    told += ["Default: all."] if is_stop else []
+    # No more than this: it stands in every tool, and the instructions say the rest once.
+    argument: dict[str, Any] = {"type": "string"}
+    argument |= {"enum": list(names)} if len(names) <= _MOST_IN_ENUM else {}
+    argument |= {"description": " ".join(told)} if told else {}
     required = [*(() if is_stop else (ROBOT,)), *taken.get("required", ())]
     schema = {**taken, "properties": {ROBOT: argument, **taken["properties"]}}
     if required:

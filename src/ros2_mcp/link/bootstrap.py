@@ -11,6 +11,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import re
 import secrets
 import zipfile
 import zlib
@@ -50,6 +51,10 @@ _PYTHON = (
 WORDS = ("sh", "-c", f":; exec sh -c '{_SCRIPT}' '{_PYTHON}'")
 """What completes a way in. One that executes words (docker, kubectl) runs `sh` with this script. One that joins them
 for a shell (ssh, adb) runs `sh -c :`, which does nothing and reads nothing, and then the rest, which is the same."""
+
+# What does nothing in a program: lines of comment, and docstrings that begin and end on lines of their own.
+_COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
+_DOCSTRING = re.compile(r'^( *)"""(?:[^"\\]|"(?!""))*"""$', re.MULTILINE)
 
 # What logins print before the marker; a program that sends more than this without it is not ours. Chosen.
 _MOST_NOISE_BYTES = 64 * 1024
@@ -239,15 +244,27 @@ def _sent(nonce: str, search: Search, container: str, options: Sequence[str]) ->
         "search": search.as_json(),
         "options": tuple(options),
     }
-    stage1 = base64.b64encode(zlib.compress((_SOURCES / "stage1.py").read_bytes(), 9))
+    stage1 = base64.b64encode(zlib.compress(bare((_SOURCES / "stage1.py").read_text("utf-8")).encode(), 9))
     return stage1 + b"\n" + json.dumps(head).encode() + b"\n" + archive
 
 
 @cache
 def packed_bridge() -> bytes:
-    """The bridge as a zip, from which Python imports it; compressed as a whole, a fifth smaller than file by file."""
+    """The bridge as a zip, from which Python imports it; compressed as a whole, a fifth smaller than file by file.
+
+    Its comments and docstrings stay here: they are a third of what would be sent.
+    """
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
         for source in sorted(_SOURCES.glob("*.py")):
-            file.write(source, f"{_SOURCES.name}/{source.name}")
+            file.writestr(f"{_SOURCES.name}/{source.name}", bare(source.read_text("utf-8")))
     return zlib.compress(archive.getvalue(), 9)
+
+
+def bare(source: str) -> str:
+    """A module of ours without comments and docstrings; what is left has the line numbers that it had."""
+
+    def emptied(docstring: re.Match[str]) -> str:
+        return f'{docstring[1]}""' + "\n" * docstring[0].count("\n")
+
+    return _DOCSTRING.sub(emptied, _COMMENT.sub("", source))

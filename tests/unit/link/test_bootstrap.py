@@ -12,10 +12,12 @@ import sys
 import zipfile
 import zlib
 from pathlib import Path
+from typing import cast
 
 import pytest
 
-from ros2_mcp.link.bootstrap import WORDS, Arrival, bootstrap, packed_bridge
+import ros2_mcp_bridge
+from ros2_mcp.link.bootstrap import WORDS, Arrival, bare, bootstrap, packed_bridge
 from ros2_mcp_bridge.finding import Search
 from ros2_mcp_bridge.stage1 import MARKER
 
@@ -108,7 +110,7 @@ def test_both_programs_stand_in_single_quotes_of_every_shell_and_the_whole_is_sh
 def test_stage_1_and_the_whole_bridge_are_sent_and_nothing_else() -> None:
     sent = bootstrap(("ssh", "robot"), Search(distro="jazzy")).sent
     stage1, head, archive = sent.split(b"\n", 2)
-    assert zlib.decompress(base64.b64decode(stage1)).startswith(b'"""Stage 1')
+    assert zlib.decompress(base64.b64decode(stage1)).startswith(b'""\n')
     assert json.loads(head)["size"] == len(archive) == len(packed_bridge())
     names = zipfile.ZipFile(io.BytesIO(zlib.decompress(archive))).namelist()
     assert "ros2_mcp_bridge/__main__.py" in names
@@ -178,6 +180,27 @@ def test_a_terminal_and_a_machine_without_python_have_their_exit_codes(tmp_path:
     explained = Arrival(NONCE).explain(ended)
     assert explained
     assert "terminal" in explained.message
+
+
+def test_what_is_sent_is_the_same_program_with_the_same_lines() -> None:
+    def statements(text: str) -> list[tuple[str, int | None]]:
+        tree = ast.parse(text)
+        for node in ast.walk(tree):
+            for side in ("body", "orelse"):
+                parts: list[ast.stmt] | object = getattr(node, side, None)
+                if isinstance(parts, list):
+                    setattr(node, side, [part for part in cast("list[ast.stmt]", parts) if not is_docstring(part)])
+        nodes = [(type(node).__name__, getattr(node, "lineno", None)) for node in ast.walk(tree)]
+        return [*nodes, (ast.dump(tree), None)]
+
+    def is_docstring(part: ast.stmt) -> bool:
+        return isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant) and isinstance(part.value.value, str)
+
+    for source in Path(ros2_mcp_bridge.__file__).parent.glob("*.py"):
+        text = source.read_text("utf-8")
+        assert statements(bare(text)) == statements(text), source.name
+        assert len(bare(text).splitlines()) == len(text.splitlines()), source.name
+    assert len(packed_bridge()) < 110_000
 
 
 def test_stage_1_is_read_by_a_python_that_is_too_old_and_the_finding_by_the_oldest_that_will_do() -> None:

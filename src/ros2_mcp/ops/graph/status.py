@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -73,8 +74,7 @@ async def status(robot: Robot, limitations: Sequence[str] = ()) -> Status:
     Raises:
         LinkError: saying what is missing, if there is no bridge.
     """
-    bridge = await robot.graph.bridge_status()
-    absence = await robot.graph.absence()
+    bridge, absence = await asyncio.gather(robot.graph.bridge_status(), robot.graph.absence())
     found = list(limitations)
     in_force = " and ".join(document.name for document in robot.policy.documents) or NO_POLICY
     if robot.policy.read_only:
