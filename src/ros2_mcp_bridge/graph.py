@@ -134,6 +134,10 @@ class Graph:
             for info in self.subscribers(topic)
         )
 
+    def count(self, topic: str) -> tuple[int, int]:
+        """How many publishers and subscribers a topic has, those of stoppers among them."""
+        return rcl.count_publishers(self._node, topic), rcl.count_subscribers(self._node, topic)
+
     def publishers(self, topic: str) -> list[TopicEndpointInfo]:
         """rclpy's information about every publisher of a topic but stoppers."""
         return _without_stoppers(self._node.get_publishers_info_by_topic(topic))

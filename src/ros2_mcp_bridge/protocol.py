@@ -281,7 +281,7 @@ class Guarded(TypedDict):
 class PublishReply(Guarded):
     """How many got it, and how many of them are this server's own; `acked` is None where somebody acknowledges nothing.
     `limited` is 1 where less was sent than was asked for; `hold_s` is after how long the policy sends the zero, 0 where
-    it does not.
+    it does not. `endpoints` is how many publishers and subscribers the topic has afterwards, whoever they are.
     """
 
     matched: int
@@ -291,6 +291,7 @@ class PublishReply(Guarded):
     waited_s: float
     limited: int
     hold_s: float
+    endpoints: tuple[int, int]
 
 
 class RepeatReply(Ended, Guarded):

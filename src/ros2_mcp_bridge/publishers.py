@@ -32,6 +32,9 @@ FIRST_ACK_S = 0.5
 FINAL_ACK_S = 0.1
 # A subscriber discovers a new publisher a little later than the publisher discovers the subscriber. Chosen.
 DISCOVERED_S = 0.1
+# A listing of the subscribers costs as much as publishing. It holds while their number is the same, for so long: then one
+# that has taken the place of another is seen, too. Only what is told of a message depends on it. Chosen.
+LISTED_S = 1.0
 # A latched publisher keeps as many messages for late joiners as it was asked for, up to this. Chosen.
 MAX_LATCHED_DEPTH = 1000
 # A period counts as missed, or the end as reached, with this share of a period to spare: sums of floats are inexact.
@@ -71,6 +74,7 @@ class Publisher:
         self.kind: tuple[str, str] = (self._profile.reliability.name.lower(), self._profile.durability.name.lower())
         self.is_busy = False
         self._accepted: tuple[int, int] | None = None
+        self._listed: tuple[tuple[int, int], float, list[bool], int] | None = None
         self._interface = request.interface
         self._raw = rcl.publisher(node, request.interface, self._topic, self._profile)
         self.velocity = velocities.topic(request)  # not before: nothing is kept of a publisher that could not be made
@@ -124,14 +128,18 @@ class Publisher:
 
     def ours(self) -> int:
         """The number of matched subscribers that are this server's own: its reads, recordings, relays, black box."""
-        return min(self._graph.own_subscribers(self._topic, self._type), self.matched())
+        return min(self._lately_listed()[1], self.matched())
+
+    def endpoints(self) -> tuple[int, int]:
+        """How many publishers and subscribers its topic has, whoever they are."""
+        return self._graph.count(self._topic)
 
     def wait_match(self, created: bool, wait_s: float) -> Steps[None]:
         """Steps until every subscriber in the graph that can match does, or no more of them come, or time is up."""
         changed_at = time.monotonic()
         deadline, before = changed_at + wait_s, None
         while time.monotonic() < deadline:
-            matched, fitting = now = self.matched(), len(self._subscribers_reliable())
+            matched, fitting = now = self.matched(), len(self._lately_listed()[0])
             if now != before:
                 before, changed_at = now, time.monotonic()
             no_more = now == self._accepted or time.monotonic() - changed_at > NO_MORE_MATCHES_S
@@ -174,6 +182,7 @@ class Publisher:
         try:
             matched = self.matched()
             is_limited = self.publish(message, request)
+            yield 0.0  # what else is to be published goes first
             acked = yield from self.wait_acknowledged(wait_s)
         finally:
             self.is_busy = False
@@ -182,17 +191,19 @@ class Publisher:
     def wait_acknowledged(self, wait_s: float) -> Steps[bool | None]:
         """Steps until all that acknowledge have done so, or time is up: returns `acknowledged`."""
         deadline = time.monotonic() + wait_s
-        if self.acknowledged() is False:
-            while not self.done() and time.monotonic() < deadline:
-                yield POLL_S
-        return self.acknowledged()
+        while (is_acked := self._acknowledged(self._lately_listed()[0])) is False and time.monotonic() < deadline:
+            yield POLL_S
+        return is_acked
 
     def acknowledged(self) -> bool | None:
         """Whether every subscriber has acknowledged everything; None where one of them acknowledges nothing.
 
         False as long as a reliable one has not: it is worth waiting for.
         """
-        matched, reliable = self.matched(), self._subscribers_reliable()
+        return self._acknowledged(self._subscribers_reliable())
+
+    def _acknowledged(self, reliable: list[bool]) -> bool | None:
+        matched = self.matched()
         if not matched or self._profile.reliability.name != "RELIABLE" or not any(reliable):
             return None
         if not self.done():
@@ -211,6 +222,14 @@ class Publisher:
         if self.velocity is None or not self.velocity.publishers:
             self.limits.zeros.pop(self.velocity or self, None)
         self._raw.destroy_when_not_in_use()
+
+    def _lately_listed(self) -> tuple[list[bool], int]:
+        """`_subscribers_reliable`, and how many subscribers of its type are this bridge's own."""
+        now, present = time.monotonic(), (self.matched(), self._graph.count(self._topic)[1])
+        if self._listed is None or self._listed[0] != present or now - self._listed[1] > LISTED_S:
+            own = self._graph.own_subscribers(self._topic, self._type)
+            self._listed = present, now, self._subscribers_reliable(), own
+        return self._listed[2:]
 
     def _subscribers_reliable(self) -> list[bool]:
         """For each subscriber in the graph that can match, whether it is reliable."""
@@ -284,7 +303,7 @@ class Publishers:
             guarded = yield from publisher.wait_stopper(message)
             matched, acked, is_limited = yield from publisher.publish_acknowledged(message, request, wait_ack_s)
             ours = publisher.ours()
-            hold_s = publisher.limits.hold_s
+            hold_s, endpoints = publisher.limits.hold_s, publisher.endpoints()
         return {
             "matched": matched,
             "ours": ours,
@@ -293,6 +312,7 @@ class Publishers:
             "waited_s": round(time.monotonic() - started, 6),
             "limited": int(is_limited),
             "hold_s": hold_s,
+            "endpoints": endpoints,
             "stopper_s": guarded.waited_s,
             "unguarded": guarded.problem,
         }

@@ -128,7 +128,7 @@ class Noting:
             "late": 0,
         }
         told |= {"limited": 0, "hold_s": 0.0}
-        told |= {"stopper_s": 0.0, "unguarded": ""}
+        told |= {"stopper_s": 0.0, "unguarded": "", "endpoints": (1, 1)}
         return Reply({**told, "final_sent": True, "ended_by": self.ended_by, **arguments}, self.answer)
 
 

@@ -18,6 +18,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from threading import Lock
 from time import monotonic
 from typing import Any
 
@@ -37,6 +38,9 @@ COPIED_EVERY_S = 60.0
 write in the folder of the audit. Lines before a copy cannot be cut off or written anew unseen."""
 MOST_QUEUED = 10_000
 """Lines that wait for a disk that hangs, 30 MB at most; what comes then is counted, and not written."""
+TOGETHER_S = 0.02
+"""How long a line that nobody waits for may wait for others: ten programs that react at once hold this process up less.
+Without a policy; a kill takes lines of that time with it. Chosen."""
 _logger = logging.getLogger(__name__)
 
 
@@ -53,6 +57,8 @@ _call: ContextVar[CallOfTool] = ContextVar("call", default=CallOfTool())  # noqa
 
 Line = Future[Head]
 """A line that is being written: its result is the head after it."""
+_Queued = tuple[Line, Mapping[str, Any], int, Line | None]
+"""A line in the queue: what it says, the room that it needs on the disk, and the line of the act that it is about."""
 Listener = Callable[[int, Mapping[str, Any]], None]
 """Is told of each entry: when it was made (UNIX time in ns), and what it says. Must neither wait nor raise."""
 
@@ -93,7 +99,6 @@ class Audit:
         self._policy = policy
         self._listeners: list[Listener] = []
         self._unwritten = 0
-        self._queued = self._taken = 0
         self._folder = folder
         self._open = partial(AuditFile, file_bytes=file_bytes, keep_bytes=keep_bytes)
         self._file: AuditFile | None = None
@@ -101,6 +106,8 @@ class Audit:
         self._writer = ThreadPoolExecutor(1, "audit")
         self._syncer = ThreadPoolExecutor(1, "audit-sync")
         self._syncing: Future[None] | None = None
+        self._queue_lock = Lock()
+        self._queue_of_lines: list[_Queued] = []
         self._copied, self._copied_at = 0, monotonic()
 
     @property
@@ -183,15 +190,20 @@ class Audit:
         entry = self._entry(kind, fields)
         if self._folder is None:
             return None
-        if self._queued - self._taken >= MOST_QUEUED and not self.required:
-            self._unwritten += 1
-            return None
-        try:
-            line = self._writer.submit(self._append, entry, room_bytes, of)
-        except RuntimeError:  # the audit is closed: the server ends
-            return None
-        self._queued += 1
+        line = Line()
         line.add_done_callback(self._note_outcome)
+        with self._queue_lock:
+            if len(self._queue_of_lines) >= MOST_QUEUED and not self.required:
+                self._unwritten += 1
+                return None
+            is_first = not self._queue_of_lines
+            self._queue_of_lines.append((line, entry, room_bytes, of))
+        if is_first:
+            try:
+                self._writer.submit(self._write_queued)
+            except RuntimeError:  # the audit is closed: the server ends
+                self._queue_of_lines.clear()
+                return None
         return line
 
     def _note_outcome(self, line: Line) -> None:
@@ -212,22 +224,42 @@ class Audit:
 
     # ── in the threads ─────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _append(self, entry: Mapping[str, Any], room_bytes: int, of: Line | None) -> Head:
-        self._taken += 1
-        if self._file is None:
-            assert self._folder
-            self._file = self._open(self._folder())
+    def _write_queued(self) -> None:
+        """Writes all that is in the queue."""
+        if not (self.required or self._policy):
+            time.sleep(TOGETHER_S)
+        with self._queue_lock:
+            queued, self._queue_of_lines = self._queue_of_lines, []
+        running = [one for one in queued if one[0].set_running_or_notify_cancel()]
+        try:
+            if self._file is None:
+                assert self._folder
+                self._file = self._open(self._folder())
+            with self._file.held():
+                for one in running:
+                    self._write(self._file, *one)
+        except Exception as error:  # noqa: BLE001 - whatever it is, who waits for a line is told
+            for line, *_ in running:
+                if not line.done():
+                    line.set_exception(error)
+        if self._file and (self._syncing is None or self._syncing.done()):
+            # One at a time: what comes meanwhile is synced with the next.
+            self._syncing = self._syncer.submit(partial(_fsync, self._file.descriptor()))
+
+    def _write(self, file: AuditFile, line: Line, entry: Mapping[str, Any], room_bytes: int, of: Line | None) -> None:
         if of:
             entry = {**entry, "of": _number_of(of)}
         if self._unwritten:  # of acts that were done when the disk had become full: their outcomes are missing
             entry = {**entry, "unwritten_before": self._unwritten}
-        head = self._file.append(entry, room_bytes)
+        try:
+            head = file.append(entry, room_bytes)
+        except (OSError, RobotError) as error:
+            line.set_exception(error)
+            return
         self.failed, self._unwritten = "", 0
         if monotonic() - self._copied_at >= COPIED_EVERY_S:
             self._copy_head(head)
-        if self._syncing is None or self._syncing.done():  # one at a time: what comes meanwhile is synced with the next
-            self._syncing = self._syncer.submit(partial(_fsync, self._file.descriptor()))
-        return head
+        line.set_result(head)
 
     def _copy_head(self, head: Head) -> None:
         if self._policy and head.seq != self._copied:

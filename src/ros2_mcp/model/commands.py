@@ -54,7 +54,8 @@ class Sent:
     periods of a repetition, which ends with a zero command (`stopped_with_zero`) where its type is a velocity command;
     `ended_by` is what ended it before its time. Under a policy, `limited` messages left slower than was asked for, as a
     ramp lets them, and after `hold_s` without another one the bridge sends the zero (0: it does not). `stopper_s` is
-    how long it waited for the stopper, `unguarded` why it went on without one, in words.
+    how long it waited for the stopper, `unguarded` why it went on without one, in words. `endpoints` is how many
+    publishers and subscribers the topic has, where that is known.
     """
 
     topic: str
@@ -72,6 +73,7 @@ class Sent:
     hold_s: float = 0.0
     stopper_s: float = 0.0
     unguarded: str = ""
+    endpoints: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ async def latest(
     """The newest message of a topic; waits only for the first one."""
     source = await use.sources.open(bag, waits=False, report=use.report)
     if source.is_live:
-        return await use.streams.latest(source.lasting(LONGEST_S), topic_name, fields or (), timeout)
+        return await use.streams.latest(source.lasting(LONGEST_S).prompt(), topic_name, fields or (), timeout)
     number = await use.streams.follow(source, FollowRequest(topics=[topic_name], fields=fields or (), count=1))
     message = await use.streams.next(number)
     if message is None:
@@ -53,7 +53,7 @@ async def messages(
     source = await use.sources.open(bag, start, end, waits=duration is not None, report=use.report)
     lasting = source.lasting(LONGEST_S if duration is None else duration, recorded_s=duration, whole=True)
     wanted = FollowRequest(topics=topic_names, fields=fields or (), count=message_limit, every_n=every_n)
-    return await use.follow(lasting, wanted)
+    return await use.follow(lasting.prompt(), wanted)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -47,6 +47,7 @@ async def publish(core: Core, command: Publish) -> Sent:
         hold_s=reply["hold_s"],
         stopper_s=reply["stopper_s"],
         unguarded=reply["unguarded"],
+        endpoints=(reply["endpoints"][0], reply["endpoints"][1]),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from time import monotonic
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model import names, qos
@@ -21,6 +22,11 @@ _SEND_GOAL = "/_action/send_goal"
 _LISTED = "ros2_interface_list shows what is there."
 _MOST_TOLD = 6
 """Endpoints of a topic with several types that its error names: more are no help in one sentence."""
+_SEEN_S = 1.0
+"""How long it is taken that a topic has the endpoints that it had when its last message left: who publishes faster
+asks the graph once, and not before each message. What comes meanwhile may miss one message. Chosen."""
+_MOST_SEEN = 256
+"""Topics whose endpoints are remembered: more than a robot is sent messages on at a time."""
 _APPEARING_S = 1.0
 """How long a publication without a type waits for a topic that is coming up; discovery on one machine takes less."""
 
@@ -34,12 +40,24 @@ class Destination:
     choice: Choice
 
 
+@dataclass(slots=True)
+class _Seen:
+    """A destination as the graph had it, the number of endpoints when the last message left, and until when that is
+    taken to be so.
+    """
+
+    destination: Destination
+    endpoints: tuple[int, int] | None = None
+    until: float = 0.0
+
+
 class Types:
     """The types of topics, services and actions. Raises `TypeConflict` and `NotFound` with the way out."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
         self._only_type: dict[str, str] = {}
+        self._seen: dict[tuple[str, str], _Seen] = {}
 
     async def full_name(self, requested: str, kind: str = "", in_use: Collection[str] = ()) -> str:
         """The full name of a type: `Twist` and `geometry_msgs/Twist` are `geometry_msgs/msg/Twist`.
@@ -95,12 +113,30 @@ class Types:
     async def destination(self, topic: str, requested: str = "") -> Destination:
         """Where a message for this topic goes; raises `NotFound` if it has no type and none is requested."""
         topic = names.absolute(topic)
+        seen = self._seen.get((topic, requested))
+        if seen and monotonic() < seen.until:
+            return seen.destination
         present = await self._graph.endpoints(topic)
         if not (requested or present.types):
             present = await self._graph.wait_for(topic, subscribers=1, timeout_s=_APPEARING_S)
         type_name = await self.topic(present, requested)
         subscribers = [subscriber for subscriber in present.subscribers if subscriber.type == type_name]
-        return Destination(topic, type_name, qos.for_publishing(subscribers))
+        found = Destination(topic, type_name, qos.for_publishing(subscribers))
+        self._seen[topic, requested] = _Seen(found, seen.endpoints if seen else None)
+        if len(self._seen) > _MOST_SEEN:
+            del self._seen[next(iter(self._seen))]
+        return found
+
+    def note_sent(self, destination: Destination, requested: str, endpoints: tuple[int, int] | None) -> None:
+        """Notes how many endpoints a topic had when a message had left for that destination.
+
+        As many as when the one before had left: then none has come or gone since, and the destination stays as it is.
+        """
+        seen = self._seen.get((destination.topic, requested))
+        if not seen or seen.destination is not destination:
+            return
+        seen.until = monotonic() + _SEEN_S if endpoints is not None and endpoints == seen.endpoints else 0.0
+        seen.endpoints = endpoints
 
     # ── services ───────────────────────────────────────────────────────────────────────────────────────────────
 

@@ -288,6 +288,7 @@ class Robot(Core):
         head_bytes: int = 0,
         every_n: int = 1,
         newest_of_old: bool = False,
+        drain_s: float | None = None,
     ) -> AsyncGenerator[Listening, None]:
         """A subscription that matches every publisher there is.
 
@@ -303,6 +304,7 @@ class Robot(Core):
             head_bytes: only so many of the first bytes of each sample are needed (0: all).
             every_n: only every n-th sample is needed; those between stay on the robot, and count as received.
             newest_of_old: of what a latched topic replays, only the newest.
+            drain_s: how long a sample may wait in the bridge; None: as mostly.
 
         Raises:
             NotFound: if the topic is not there and no type is given.
@@ -324,6 +326,7 @@ class Robot(Core):
                 head_bytes=head_bytes,
                 every_n=every_n,
                 newest_of_old=newest_of_old and choice.qos.durability == "transient_local",
+                **({} if drain_s is None else {"drain_s": drain_s}),
             )
 
         subscription: Subscription | None = None

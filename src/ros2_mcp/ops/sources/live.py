@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import AsyncExitStack, aclosing, asynccontextmanager
+from copy import copy
 from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import TYPE_CHECKING
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 
 _MATCHING_S = 0.5
 """Matching takes 20 to 200 ms on one host; a topic that is slower than 2 Hz would only keep the others waiting."""
+_PROMPT_S = 0.002
+"""As short as the bridge allows."""
 _BURST_NS = 1_000_000_000
 """What was kept for late subscribers comes at once when they match; even large maps within a second."""
 _TURN_S = 1.0
@@ -199,6 +202,7 @@ class Live(Source):
         self._waits = waits
         self._judges = judges
         self._report = report
+        self._drain_s: float | None = None
 
     @property
     def codec(self) -> Codec:
@@ -215,6 +219,12 @@ class Live(Source):
         return Live(
             self._robot, self.duration_s, whole=self._whole, waits=self._waits, judges=True, report=self._report
         )
+
+    def prompt(self) -> Live:
+        """The same, whose messages wait for less long in the bridge."""
+        found = copy(self)
+        found._drain_s = _PROMPT_S
+        return found
 
     def words_after(self, took_s: float) -> str:
         """How long it took, and the bound apart."""
@@ -304,6 +314,7 @@ class Live(Source):
             head_bytes=head_bytes,
             every_n=every_n,
             newest_of_old=self._judges,
+            drain_s=self._drain_s,
         ) as listening:
             stream = self._stream(listening, asked_at)
             stream.thinned = every_n > 1

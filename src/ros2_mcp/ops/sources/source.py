@@ -297,6 +297,10 @@ class Source(ABC):
         """
         return self
 
+    def prompt(self) -> Source:
+        """The same for those who react to each message: live, none waits in the bridge for long."""
+        return self
+
     async def lightest(self, topic: str) -> str:
         """The topic with the same pictures that is the least to read: itself, where that makes no difference."""
         return topic

@@ -115,6 +115,7 @@ async def publish(robot: Robot, request: PublishRequest, report: Report = silent
         sent, reason = await _repeat(robot, command, report)
     else:
         sent = await robot.do(command)
+        robot.types.note_sent(to, request.message_type, sent.endpoints)
     definitions = robot.values.definitions
     own = f"{sent.ours} of the {sent.matched} subscriber(s) are this server's own (it records, reads or relays it)."
     notes = (
