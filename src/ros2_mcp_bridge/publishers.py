@@ -32,8 +32,8 @@ FIRST_ACK_S = 0.5
 FINAL_ACK_S = 0.1
 # A subscriber discovers a new publisher a little later than the publisher discovers the subscriber. Chosen.
 DISCOVERED_S = 0.1
-# A listing of the subscribers costs as much as publishing. It holds while their number is the same, for so long: then one
-# that has taken the place of another is seen, too. Only what is told of a message depends on it. Chosen.
+# A listing of the subscribers costs as much as publishing. It holds while their number is the same, for so long: then
+# one that has taken the place of another is seen, too. Only what is told of a message depends on it. Chosen.
 LISTED_S = 1.0
 # A latched publisher keeps as many messages for late joiners as it was asked for, up to this. Chosen.
 MAX_LATCHED_DEPTH = 1000

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import cast
 
@@ -399,6 +400,31 @@ def test_a_link_in_the_place_of_a_file_is_not_followed(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="symbolic links"):
         AuditFile(folder).append({"kind": "act"})
     assert target.read_bytes() == b""
+
+
+def test_lines_that_nobody_waits_for_are_written_together(tmp_path: Path) -> None:
+    held: list[int] = []
+
+    async def act() -> None:
+        audit = Audit(lambda: tmp_path)
+        for number in range(20):
+            audit.after(await audit.before({"name": f"/t{number}"}), "done")
+        await audit.written()
+        audit.close()
+
+    class Counted(AuditFile):
+        def held(self) -> AbstractContextManager[None]:
+            held.append(1)
+            return super().held()
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("ros2_mcp.guard.audit.AuditFile", Counted)
+        asyncio.run(act())
+    assert (verify(tmp_path).head.seq, len(held) < 20) == (40, True)
+    lines = list(chain.newest(tmp_path))
+    assert [line["of"] for line in lines if line["kind"] == "outcome"] == [
+        line["seq"] for line in lines if line["kind"] == "act"
+    ]
 
 
 def test_listeners_hear_of_every_entry_and_long_values_are_cut(tmp_path: Path) -> None:

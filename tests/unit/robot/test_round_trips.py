@@ -140,3 +140,18 @@ async def test_no_subscription_is_left_of_a_topic_that_has_gone(bridge: SlowBrid
         with pytest.raises(NotFound):
             await rounds_of_a_read(bridge, robot)
     assert bridge.open_subscriptions == 0
+
+
+def test_who_publishes_again_and_again_asks_for_the_endpoints_only_when_one_has_come_or_gone() -> None:
+    async def times_asked(*endpoints: tuple[int, int] | None) -> int:
+        bridge = SlowBridge()
+        robot = Robot(cast("Bridge", bridge))
+        async with bridge.answering():
+            for counted in endpoints:
+                to = await robot.types.destination("/cmd", NUMBER)
+                robot.types.note_sent(to, NUMBER, counted)
+        return bridge.asked.count("endpoints")
+
+    assert asyncio.run(times_asked((1, 1), (1, 1), (1, 1), (1, 1))) == 2
+    assert asyncio.run(times_asked((1, 1), (1, 1), (1, 2), (1, 2), (1, 2))) == 3
+    assert asyncio.run(times_asked(None, None, None)) == 3
