@@ -114,7 +114,7 @@ class Toolset:
         """Why this server does not offer these tools, in words that continue a sentence."""
         tools = [tool for tool in TOOLS if tool.name in names]
         if any(tool.runs_programs for tool in tools) and not is_installed():
-            return "the extra `programs` is not installed (pip install 'ros2-mcp[programs]')"
+            return "the extra `programs` is not installed (ros2-mcp doctor tells the command)"
         if self._policy.recorded:
             return "the robot of this server is a recording (ros2_bag_info tells what is in it)"
         if self._policy.read_only and any(tool.risk != "read" for tool in tools):

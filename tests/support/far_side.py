@@ -46,7 +46,7 @@ def begun(start: Bootstrap, env: dict[str, str]) -> Iterator[subprocess.Popen[by
         assert process.stdin
         try:
             with suppress(BrokenPipeError):  # stage 1 has no use for the rest where it fails
-                rest = memoryview(start.sent)
+                rest = memoryview(start.pack())
                 while rest:
                     rest = rest[process.stdin.write(rest) or 0 :]
             yield process

@@ -16,6 +16,7 @@ from importlib.metadata import version
 from ros2_mcp.entries import entries_of
 from ros2_mcp.library import guard_for
 from ros2_mcp.link.diagnosis import Finding, diagnose, probe
+from ros2_mcp.link.provenance import own_provenance
 from ros2_mcp.link.refusals import by_doctor, by_hand
 from ros2_mcp.link.remote import ssh_words
 from ros2_mcp.model.errors import BadInput
@@ -118,7 +119,7 @@ def programs_here() -> Finding:
     """Whether programs run here: their sandbox is an extra."""
     if sandbox.is_installed():
         return Finding(True, "Programs", f"run in the sandbox pydantic-monty {version('pydantic-monty')}")
-    extra = 'Install the extra "programs": ros2-mcp[programs].'
+    extra = f"For the extra that has one, run: {own_provenance().installing('programs')}"
     return Finding(None, "Programs", "have no sandbox here: ros2_run is not offered", extra)
 
 

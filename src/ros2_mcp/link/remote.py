@@ -153,7 +153,7 @@ class RemoteBridge(Child):
             )
             raise Unreachable(f"{way[0]} cannot be started: {error.strerror}.", hint, is_lasting=True) from error
         # So that it comes up while the rest of the server is imported, and not only after that.
-        self._to_be_sent = self.write_at_once(start.sent)
+        self._to_be_sent = self.write_at_once(start.pack())
 
     @property
     def arrival(self) -> Arrival:

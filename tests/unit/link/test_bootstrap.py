@@ -108,7 +108,7 @@ def test_both_programs_stand_in_single_quotes_of_every_shell_and_the_whole_is_sh
 
 
 def test_stage_1_and_the_whole_bridge_are_sent_and_nothing_else() -> None:
-    sent = bootstrap(("ssh", "robot"), Search(distro="jazzy")).sent
+    sent = bootstrap(("ssh", "robot"), Search(distro="jazzy")).pack()
     stage1, head, archive = sent.split(b"\n", 2)
     assert zlib.decompress(base64.b64decode(stage1)).startswith(b'""\n')
     assert json.loads(head)["size"] == len(archive) == len(packed_bridge())
@@ -123,7 +123,9 @@ def test_stage_1_answers_whether_the_way_in_executes_words_or_joins_them(joins_w
     (tmp_path / "json.py").write_text("raise SystemExit('the wrong json')\n")
     start = bootstrap((), Search(ros_root=str(tmp_path), distro="none"))
     argv = ["sh", "-c", " ".join(start.argv)] if joins_words else start.argv
-    done = subprocess.run(argv, input=start.sent, env=HERE, cwd=tmp_path, capture_output=True, timeout=60, check=False)
+    done = subprocess.run(
+        argv, input=start.pack(), env=HERE, cwd=tmp_path, capture_output=True, timeout=60, check=False
+    )
     assert start.arrival.feed(done.stdout) == b""
     assert [report.stage for report in start.arrival.reports] == ["reached"]
     assert start.arrival.failure
@@ -135,7 +137,7 @@ def stage_1_where(path: Path, **search: str) -> Arrival:
     """What stage 1 says in a machine with this PATH, without any ROS."""
     start = bootstrap((), Search(ros_root=str(path), distro="none"), container=search.get("container", ""))
     env = {"PATH": str(path), "HOME": str(path)}
-    done = subprocess.run(start.argv, input=start.sent, env=env, capture_output=True, timeout=60, check=False)
+    done = subprocess.run(start.argv, input=start.pack(), env=env, capture_output=True, timeout=60, check=False)
     start.arrival.feed(done.stdout)
     return start.arrival
 

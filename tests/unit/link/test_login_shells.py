@@ -47,7 +47,7 @@ def log_in(
         start_new_session=True,
     ) as process:
         try:
-            output, _ = process.communicate(start.sent, timeout_s)
+            output, _ = process.communicate(start.pack(), timeout_s)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             return None, start.arrival

@@ -149,4 +149,4 @@ async def test_a_file_that_is_no_program_is_told_and_is_no_prompt(made, settings
 def test_doctor_says_whether_programs_run_here(monkeypatch):
     assert programs_here().detail.startswith("run in the sandbox pydantic-monty 1.")
     monkeypatch.setattr(sandbox, "is_installed", lambda: False)
-    assert (programs_here().ok, "ros2-mcp[programs]" in programs_here().fix) == (None, True)
+    assert (programs_here().ok, "programs" in programs_here().fix.partition("run: ")[2]) == (None, True)
