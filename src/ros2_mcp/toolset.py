@@ -35,6 +35,10 @@ _SENTENCE = re.compile(r"(?<=\.)(\s+)")
 _OTHER_NAMES = {tool.also_named: tool.name for tool in TOOLS if tool.also_named}
 
 
+_BESIDE = {"turn": "drive", "feedback": "goal"}
+"""Functions that only programs have, and those of tools without which they are not there either."""
+
+
 class Toolset:
     """The tools that the chosen groups and the policy leave, in the order of `tools/list`.
 
@@ -89,10 +93,13 @@ class Toolset:
 
     @cache  # noqa: B019 - a toolset lives as long as its server
     def functions(self) -> Sequence[Function]:
-        """The module `robot` of programs: what only they have, and the tools that are allowed here, offered or not."""
-        tools = [function_of(self._bind(tool)) for tool in self._allowed if tool.program]
+        """The module `robot` of programs: what only they have, and what is allowed of the groups that are offered."""
+        groups = {tool.declaration.group for tool in self.by_name.values()}
+        tools = [function_of(self._bind(tool)) for tool in self._allowed if tool.program and tool.group in groups]
         may_act, recorded = not self._robot.policy.read_only, self._robot.policy.recorded
-        own = [each for each in FUNCTIONS if (may_act or each.risk == "read") and (each.recorded or not recorded)]
+        names = {"", *(each.name for each in tools)}
+        own = [each for each in FUNCTIONS if (may_act or each.risk == "read") and _BESIDE.get(each.name, "") in names]
+        own = [each for each in own if each.recorded or not recorded]
         return [*own, *tools]
 
     @property

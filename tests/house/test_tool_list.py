@@ -91,6 +91,18 @@ def test_the_agent_is_told_to_look_whether_the_robot_moved() -> None:
     assert "read odometry and sensors to verify what happened" in " ".join(str(made().server.instructions).split())
 
 
+def test_the_module_of_programs_follows_the_groups_and_what_is_allowed() -> None:
+    def functions(*groups: str, read_only: bool = False) -> set[str]:
+        return {each.name for each in made(*groups, read_only=read_only).toolset.functions()}
+
+    assert {"publish", "goal", "feedback", "drive", "turn", "stop", "latest", "mean"} <= functions()
+    assert functions("core", "programs").isdisjoint({"goal", "feedback", "drive", "turn", "call", "set_parameter"})
+    assert {"publish", "latest"} <= functions("core", "programs")
+    reads = functions("all", read_only=True)
+    assert {"latest", "tf", "statistics"} <= reads
+    assert reads.isdisjoint({"publish", "goal", "feedback", "drive", "turn", "call", "stop", "set_parameter"})
+
+
 def test_a_tool_that_there_is_not_is_refused_with_the_nearest_name() -> None:
     with pytest.raises(CallFailed, match=r"There is no tool ros2_topic_lists\. Did you mean ros2_topic_list\?"):
         asyncio.run(made().toolset.call("ros2_topic_lists", {}, silent))

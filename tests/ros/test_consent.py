@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
 from ros2_mcp.guard.chain import entries, file_name, verify
-from support.agent import Agent, agent_for
+from support.agent import Agent, agent_for, until
 from support.observer import Observer
 from support.velocities import TWIST
 
@@ -156,3 +157,44 @@ def test_under_a_policy_nothing_is_done_that_cannot_be_written_down(
         assert "audit cannot be written" in agent.refusal("ros2_topic_publish", **drive(0.1))
         agent.call("ros2_stop")
     assert not any(observer.driven(topic=TOPIC).values())
+
+
+def test_a_program_waits_for_a_person_and_a_dry_run_tells_what_would_be_held(
+    ros_environment: dict[str, str], observer: Observer, options: list[str], state: Path
+) -> None:
+    pytest.importorskip("pydantic_monty", reason="needs the extra programs")
+    code = """import robot
+def drive(speed):
+    robot.publish("/cmd_vel", {"linear": {"x": speed}})
+drive(0.1)
+print("went")
+drive(0.2)
+"""
+
+    def waiting(speed: float) -> str:
+        """The id under which the program waits for a person."""
+        line = until(
+            lambda: next((each for each in operate(state).splitlines() if f"linear.x {speed} m/s" in each), "")
+        )
+        before = operate(state).partition(line)[0]
+        return re.findall(r"\b[A-Z0-9]{4}\b", before)[-1]
+
+    with agent_for(ros_environment, *options) as agent:
+        agent.knows(TOPIC)
+        observer.forget()
+        other = 'robot.publish("/other", {"data": 1}, message_type="std_msgs/msg/UInt64")\n'
+        dry = agent.call("ros2_run", program=f"{code}{other}", dry_run=True)
+        assert [(one["line"], one["outcome"].partition(": ")[2][:25]) for one in dry["commands"]] == [
+            (3, "would wait for a person's"),
+            (3, "would wait for a person's"),
+            (7, "would be refused: Publish"),
+        ], dry
+        running = agent.begin("ros2_run", program=code, timeout=60)
+        operate(state, "approve", waiting(0.1))
+        observer.until_driven(TOPIC, of=4)
+        assert not running.done()
+        operate(state, "deny", waiting(0.2))
+        ran = running.result(60)
+        assert (ran["outcome"], ran["printed"], ran["error"]["line"]) == ("failed", ["went"], 3), ran
+        assert "denied" in ran["error"]["message"]
+        assert set(observer.driven(topic=TOPIC).values()) == {1}

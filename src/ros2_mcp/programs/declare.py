@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.sources.source import Source
     from ros2_mcp.programs.streams import FollowRequest, Streams
     from ros2_mcp.robot import Robot
+    from ros2_mcp.robot.goals import Goal
 
 Risk = Literal["read", "act"]
 """`act` changes or moves something: such a call is a command, and counted as one."""
@@ -61,6 +62,10 @@ class Use(Protocol):
 
     async def follow(self, source: Source, wanted: FollowRequest) -> Any:
         """Follows topics; what stands for their messages in the program."""
+        ...
+
+    def follow_goal(self, goal: Goal | None) -> Any:
+        """Follows the feedback of a goal; what stands for it in the program."""
         ...
 
     def keep(self, picture: Picture) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.pictures import LASER_SCAN
@@ -17,6 +17,7 @@ from ros2_mcp.programs.declare import Use, function
 from ros2_mcp.programs.sandbox import LONGEST_S
 from ros2_mcp.programs.streams import FollowRequest
 from ros2_mcp.programs.stub import Stream
+from ros2_mcp.robot.goals import Goal
 
 
 @function()
@@ -54,6 +55,19 @@ async def messages(
     lasting = source.lasting(LONGEST_S if duration is None else duration, recorded_s=duration, whole=True)
     wanted = FollowRequest(topics=topic_names, fields=fields or (), count=message_limit, every_n=every_n)
     return await use.follow(lasting.prompt(), wanted)
+
+
+@function(recorded=False)
+async def feedback(use: Use, goal: Any) -> Stream:
+    """Each feedback of a goal that `goal(…)` has sent, until it has ended, for `for`."""
+    given: Mapping[str, Any] = {"goal_id": goal}
+    if isinstance(goal, Mapping):
+        given = cast("Mapping[str, Any]", goal)
+    goal_id = given.get("goal_id")
+    sent = use.robot.jobs.get(Goal, str(goal_id))
+    if sent is None and goal_id and given.get("accepted", True):
+        raise BadInput("This is no goal of this server.", "goal = robot.goal(…), then for m in robot.feedback(goal).")
+    return use.follow_goal(sent)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

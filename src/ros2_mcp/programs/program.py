@@ -27,6 +27,7 @@ from ros2_mcp.programs.sandbox import Failure, Sandbox
 from ros2_mcp.programs.streams import FollowRequest, Streams
 from ros2_mcp.programs.stub import stub
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp.robot.stops import Accepted
 
@@ -117,6 +118,9 @@ class _Use:
     async def follow(self, source: Source, wanted: FollowRequest) -> Any:
         return await self.program.follow(source, wanted)
 
+    def follow_goal(self, goal: Goal | None) -> Any:
+        return self.program.follow_goal(self.robot, goal)
+
     def keep(self, picture: Picture) -> None:
         self.program.keep(picture)
 
@@ -193,6 +197,10 @@ class Program(Job):
     async def follow(self, source: Source, wanted: FollowRequest) -> Any:
         """Follows topics; what stands for their messages in the sandbox."""
         return self._sandbox.stream(await self.streams.follow(source, wanted))
+
+    def follow_goal(self, robot: Robot, goal: Goal | None) -> Any:
+        """Follows the feedback of a goal; what stands for it in the sandbox."""
+        return self._sandbox.stream(self.streams.follow_goal(robot, goal))
 
     def keep(self, picture: Picture) -> None:
         """Keeps a picture for the result."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic
@@ -16,7 +16,10 @@ from ros2_mcp.model.aside import aside
 from ros2_mcp.model.errors import BadData, Refused, RobotError, TimedOut
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
+from ros2_mcp.ops.actions.send_goal import follow
 from ros2_mcp.ops.sources.source import Source, Stream
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.goals import Goal
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.render import RenderOptions
@@ -163,6 +166,41 @@ class Followed:
         return value
 
 
+class FollowedGoal:
+    """The feedback of one goal that was sent, until it has ended; none of a goal that nobody took."""
+
+    def __init__(self, robot: Robot, goal: Goal | None) -> None:
+        self._waiting: deque[dict[str, Any]] = deque(maxlen=MOST_WAITING)
+        self._changed = asyncio.Event()
+        self._task = asyncio.create_task(follow(robot, goal, heard=self._hear)) if goal else None
+        if self._task:
+            self._task.add_done_callback(lambda _: self._changed.set())
+
+    def _hear(self, feedback: Mapping[str, Any]) -> None:
+        self._waiting.append(dict(feedback))
+        self._changed.set()
+
+    async def next(self) -> dict[str, Any] | None:
+        """The next feedback, None when the goal has ended; raises `NotFound` if its server left."""
+        while not self._waiting:
+            if not self._task:
+                return None
+            if self._task.done():
+                self._task.result()
+                return None
+            self._changed.clear()
+            await self._changed.wait()
+        return self._waiting.popleft()
+
+    async def close(self) -> None:
+        """Follows it no more; the goal goes on."""
+        if self._task:
+            self._task.cancel()
+            await asyncio.wait({self._task})
+            if not self._task.cancelled():
+                self._task.exception()  # which nobody asks for any more
+
+
 class _Topic:
     """One followed topic: the samples that wait, the last one, and what became of others."""
 
@@ -207,7 +245,7 @@ class Streams:
     """All that one program follows; closed with it."""
 
     def __init__(self) -> None:
-        self._followed: dict[int, Followed] = {}
+        self._followed: dict[int, Followed | FollowedGoal] = {}
         self._latest: dict[tuple[str, tuple[str, ...]], Followed] = {}
         self._count = 0
 
@@ -218,16 +256,25 @@ class Streams:
             Refused: if it follows too many already.
             RobotError: as `Source.follow`.
         """
-        if len(self._followed) + len(self._latest) >= MOST_STREAMS:
-            raise Refused(
-                f"A program follows at most {MOST_STREAMS} topics at a time.", "Begin messages() before a loop, once."
-            )
-        number = next(number for number in range(MOST_STREAMS) if number not in self._followed)
+        number = self._free()
         limit = wanted.count if len(wanted.topics) == 1 and not source.is_live else None
         followed = self._followed[number] = Followed(source, wanted, limit=limit)
         await followed.opened()
         self._count += 1
         return number
+
+    def follow_goal(self, robot: Robot, goal: Goal | None) -> int:
+        """Follows the feedback of a goal; the number by which `next` asks for it. Raises `Refused` as `follow`."""
+        number = self._free()
+        self._followed[number] = FollowedGoal(robot, goal)
+        return number
+
+    def _free(self) -> int:
+        if len(self._followed) + len(self._latest) >= MOST_STREAMS:
+            raise Refused(
+                f"A program follows at most {MOST_STREAMS} topics at a time.", "Begin messages() before a loop, once."
+            )
+        return next(number for number in range(MOST_STREAMS) if number not in self._followed)
 
     async def next(self, number: int) -> dict[str, Any] | None:
         """The next message of one, None at its end, with which it is closed; raises as `Followed.next`."""

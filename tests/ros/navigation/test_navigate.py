@@ -2,11 +2,13 @@
 
 import json
 import math
+import re
 import time
 
 import pytest
 
 from support.agent import until
+from support.source import ROOT
 
 HASHES = {
     "nav2_msgs/action/NavigateToPose": "RIHS01_a56dba8a3234a1215e610180dc703ae25bbf406dded8b54887891c9732857eab",
@@ -47,6 +49,16 @@ def test_a_place_is_kept_previewed_and_reached_with_a_heading(agent):
     (path,) = [layer for layer in later["layers"] if layer["kind"] == "path"]
     assert (path["name"], path["x_m"], path["y_m"]) == ("/plan", pytest.approx(0.7), pytest.approx(0.2))
     assert any("/plan was sent" in line for line in later["missing"]), later["missing"]
+
+
+def test_the_patrol_of_the_how_to_visits_its_places_with_nav2(agent):
+    pytest.importorskip("pydantic_monty", reason="needs the extra programs")
+    (code,) = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs/how-to/programs/patrol.md").read_text("utf-8"), re.DOTALL
+    )
+    ran = agent.call("ros2_run", program=code, inputs={"places": [[0.4, 0.1], [0.7, 0.2]], "action": ""}, timeout=90)
+    assert ran["returned"] == {"value": ["reached", "reached"]}, ran
+    assert math.dist(position(agent), (0.7, 0.2)) < 0.3
 
 
 @pytest.mark.promise("ros2_navigate", "of a goal that failed the cause, and what would help")

@@ -102,10 +102,27 @@ def test_free_directions_are_told_by_sector(agent: Agent) -> None:
 
 
 def test_patrol_visits_its_places(agent: Agent) -> None:
-    ran = run(agent, "patrol", places=[[0.3, 0.0], [0.3, 0.3]])
+    ran = run(agent, "patrol", places=[[0.3, 0.0], [0.3, 0.3]], action="/navigate_to")
     assert ran["returned"]["value"] == ["SUCCEEDED", "SUCCEEDED"], ran
     assert len(ran["printed"]) == 2
 
 
 def test_self_test_finds_what_is_in_order_and_what_is_not(agent: Agent) -> None:
     assert run(agent, "self-test", transforms=[["odom", "no_such_frame"]])["returned"]["value"] is False
+
+
+def test_a_program_iterates_over_the_feedback_of_its_goal_and_cancels_it(agent: Agent) -> None:
+    code = """import robot
+at = robot.latest('/odom', fields=['pose.pose.position.x'])['pose.pose.position.x']
+goal = robot.goal('/navigate_to', {'x': at + 2.0, 'y': 0.0})
+seen = []
+async for m in robot.feedback(goal):
+    seen.append(m['distance_remaining'])
+    if len(seen) == 2:
+        robot.cancel('/navigate_to', goal['goal_id'])
+print(robot.result('/navigate_to', goal['goal_id'])['status'])
+seen
+"""
+    ran = agent.call("ros2_run", program=code, timeout=60)
+    assert ran["printed"] == ["CANCELED"] and len(ran["returned"]["value"]) >= 2, ran
+    until(lambda: stands(agent))

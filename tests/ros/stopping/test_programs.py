@@ -1,4 +1,6 @@
-"""Whatever ends a program that drives, every subscriber has its zero. Most ends here, all in full, 20 of each."""
+"""Whatever ends a program that drives, every subscriber has its zero. Most ends here; all in full, 20 of each, or as
+many as `ROS2_MCP_ROUNDS` says.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ from support.raw_server import children, lives
 from support.standstill import undisturbed
 from support.velocities import TWIST
 
-ROUNDS = 20 if FULL else 1
+ROUNDS = int(os.environ.get("ROS2_MCP_ROUNDS", "20")) if FULL else 1
 COMES_S = 15.0
 """For a zero that is late."""
 BAR_S = 0.5 if FULL else COMES_S
@@ -39,7 +41,7 @@ FOR_EVER = f"{DRIVES}\nwhile True: drive()"
 FOR_A_WHILE = f"{DRIVES}\nfor _ in range(90): drive()\n"
 """Longer than the 3 s after which a publisher is discovered whose first announcement was missed."""
 
-pytestmark = pytest.mark.timeout(1500 if FULL else 240)
+pytestmark = pytest.mark.timeout(max(1500, 15 * ROUNDS) if FULL else 240)
 
 
 def started_by(server: Driver, program: str) -> int:
