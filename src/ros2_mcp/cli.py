@@ -176,6 +176,23 @@ def _config(arguments: argparse.Namespace) -> int:
 _STATE = "the robot's state folder (default: that of the settings)"
 
 
+def _declare_view(view: argparse.ArgumentParser) -> None:
+    _declare_robot(view)
+    bag = OPTIONS["bag"]
+    view.add_argument(bag.flag, **{**_argument(bag), "default": argparse.SUPPRESS})
+    # under a name of its own: --port is that of MCP over HTTP
+    view.add_argument("--page-port", type=int, default=0, metavar="N", help="on 127.0.0.1 (default: any that is free)")
+    view.add_argument("--state", type=Path, metavar="DIR", help=_STATE)
+
+
+def _view(arguments: argparse.Namespace) -> int:
+    from ros2_mcp.commands.view import view
+    from ros2_mcp.entries import only_one
+
+    settings = only_one(settings_from(arguments), "view")
+    return view(settings, _state(arguments), arguments.page_port)
+
+
 def _declare_operate(operate: argparse.ArgumentParser) -> None:
     steps = "list, show ID, approve ID, deny ID, grant ID 10m linear=0.2, revoke ID, mode MODE, stop, reset"
     operate.add_argument("step", nargs="?", default="", metavar="STEP", help=f"{steps}; without it, a screen")
@@ -265,6 +282,7 @@ VERBS: Mapping[str, Verb] = {
     "call": Verb("call one tool, such as: call ros2_topic_list pattern=scan", _call, _declare_call),
     "interfaces": Verb("build interface packages for a ROS 2 from wheels", _interfaces, _declare_interfaces),
     "operate": Verb("approve, deny, stop, reset the latch: the operator's terminal", _operate, _declare_operate),
+    "view": Verb("show what the agent sees and does, and a stop button, in a browser", _view, _declare_view),
     "audit": Verb("show what was done, or verify that nobody changed what is written of it", _audit, _declare_audit),
     "prompts": Verb("check a folder of prompts in Markdown", _prompts, _declare_prompts),
     "policy": Verb("check, explain, compare and draft what an agent may do", _policy, _declare_policy),

@@ -188,6 +188,7 @@ async def leave(robot: Robot, store: BagStore) -> None:
     finally:
         try:
             await robot.transforms.close()
+            await robot.newest.close()
             await store.close()
         finally:
             await robot.bridge.close()

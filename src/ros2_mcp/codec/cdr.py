@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from struct import error as StructError
+from threading import Lock
 from typing import Any, TypeAlias
 
 from rosbags.serde import SerdeError
@@ -17,6 +19,8 @@ Message: TypeAlias = object
 
 _PADDING = 3
 """Bytes. DDS pads a message to a multiple of four."""
+_REMEMBERED = 24
+"""Messages: each layer of a map, and some more."""
 
 
 class Codec:
@@ -65,3 +69,25 @@ class Codec:
         if field_type.is_message:
             return own + sum(self._estimates(field_type.base, element) for element in elements)
         return own
+
+
+class RememberingCodec(Codec):
+    """A codec for who looks at the same bytes again and again: it decodes them once. Its messages are not changed."""
+
+    def __init__(self, definitions: Definitions) -> None:
+        super().__init__(definitions)
+        self._last: OrderedDict[int, tuple[bytes, Message]] = OrderedDict()
+        self._turn = Lock()
+
+    def decode(self, type_name: str, data: bytes) -> Message:
+        """As `Codec.decode`."""
+        with self._turn:
+            if id(data) in self._last:  # the bytes are kept, so that no others have their place in memory
+                self._last.move_to_end(id(data))
+                return self._last[id(data)][1]
+        message = super().decode(type_name, data)
+        with self._turn:
+            self._last[id(data)] = data, message
+            while len(self._last) > _REMEMBERED:
+                self._last.popitem(last=False)
+        return message

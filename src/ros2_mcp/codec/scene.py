@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -207,6 +208,29 @@ def _pooled(grid: GridLayer, metres: float) -> tuple[NDArray[np.int16], float]:
         for axis, length in enumerate(cells.shape):
             cells = np.maximum.reduceat(cells, range(0, length, together), axis=axis)
     return cells, resolution * together
+
+
+@dataclass(frozen=True, slots=True)
+class PackedGrid:
+    """The cells of a grid as signed bytes (-1 unknown, 0 to 100), rows upwards, packed with zlib."""
+
+    width: int
+    height: int
+    resolution_m: float
+    data: bytes
+
+
+def packed(grid: GridLayer, most_cells: int) -> PackedGrid:
+    """The grid for who draws it elsewhere; with more cells than that, several are taken together as in `_pooled`.
+
+    Raises:
+        BadData: if it does not fit its size.
+    """
+    cells, resolution = _cells(grid.message), float(grid.message.info.resolution)
+    if cells.size > most_cells:
+        cells, resolution = _pooled(grid, resolution * math.ceil(math.sqrt(cells.size / most_cells)) * (1 + 1e-9))
+    height, width = cells.shape
+    return PackedGrid(width, height, resolution, zlib.compress(cells.astype(np.int8).tobytes(), 1))
 
 
 def _known_corners(grid: GridLayer) -> NDArray[np.float64]:

@@ -10,16 +10,17 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from ros2_mcp.commands.keys import DOWN, UP, Restored, key, single_keys
 from ros2_mcp.guard.audit import Audit
 from ros2_mcp.guard.consent import audit_folder
-from ros2_mcp.guard.operating import RESET, sockets_of
-from ros2_mcp.guard.operators import connected, name_of, own_uid
+from ros2_mcp.guard.operating import RESET
+from ros2_mcp.guard.operators import name_of, own_uid
+from ros2_mcp.guard.servers import Ended, Row, Server, servers_in
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import BadInput, NotFound, Refused, RobotError
 from ros2_mcp.model.text import visible
@@ -31,97 +32,6 @@ _SETTLED_S = 0.7
 """A request must have been on the screen for this long before a key answers it: nobody has read what is younger."""
 _KEYS = "↑↓ choose  a approve  d deny  g grant for a time  s STOP  r reset the latch  m mode  q quit"
 _STEPS = ("list", "show", "approve", "deny", "grant", "revoke", "mode", "stop", "reset")
-_ANSWER_BYTES = 16_000_000
-"""Of one answer: a value of a few megabytes, written as JSON."""
-
-Row = Mapping[str, Any]
-
-
-class Ended(RobotError):
-    """The server has ended, or has closed the connection."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            "The server has ended, and with it what waited for approval.",
-            "Run ros2-mcp operate again when there is one; without one, operate reset (with the same --policy) resets "
-            "the latch.",
-        )
-
-
-class Server:
-    """One server that an operator is connected to; `folder` is the state folder of its robot."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.folder = path.resolve().parent
-        self._connection = connected(path)
-        self._lines = self._connection.makefile("rb")
-
-    def do(self, what: str, **arguments: Any) -> Row:
-        """One request and its answer.
-
-        Raises:
-            RobotError: with what the server answers, or because it is gone.
-        """
-        try:
-            self._connection.sendall(json.dumps({"do": what, **arguments}).encode() + b"\n")
-            line = self._lines.readline(_ANSWER_BYTES)
-        except ConnectionError as error:
-            raise Ended from error
-        except OSError as error:
-            raise RobotError(f"The server does not answer: {error}.") from error
-        if not line:
-            raise Ended
-        answer = json.loads(line)
-        if not answer["ok"]:
-            raise RobotError(answer["error"])
-        return cast("Row", answer)
-
-    def close(self) -> None:
-        """Ends the connection."""
-        self._lines.close()
-        self._connection.close()
-
-
-def servers_in(folder: Path) -> list[Server]:
-    """Connections to all servers of that robot; sockets that a dead one left are removed.
-
-    Where that folder has none, those of the one robot that has a folder of its own and a link here.
-
-    Raises:
-        NotFound: if there is none.
-        BadInput: if links lead to several robots.
-        RobotError: if the sockets cannot be reached.
-    """
-    found: list[Server] = []
-    try:
-        for path in sockets_of(folder):
-            try:
-                found.append(Server(path))
-            except (ConnectionRefusedError, FileNotFoundError):
-                path.unlink(missing_ok=True)
-    except OSError as error:
-        raise RobotError(
-            f"The server cannot be reached: {error.strerror or error}.",
-            "Operators are the user of the server, or the members of the group ros2-operators where there is one.",
-        ) from error
-    if not found:
-        raise NotFound(
-            f"No server of the robot {folder.name} runs.",
-            f"It would have a socket in {folder}. Of a robot that its policy names: ros2-mcp --policy FILE operate, or "
-            "--state DIR. Without a server, the same with operate reset resets the latch.",
-        )
-    return _of_one_robot(found)
-
-
-def _of_one_robot(servers: list[Server]) -> list[Server]:
-    own = [server for server in servers if not server.path.is_symlink()]
-    folders = sorted({str(server.folder) for server in own or servers})
-    if len(folders) == 1:
-        return own or servers
-    for server in servers:
-        server.close()
-    raise BadInput("Servers of several robots run.", f"Name one: --state {' or --state '.join(folders)}")
 
 
 def folder_of(folder: Path) -> Path:

@@ -244,3 +244,16 @@ def newest(folder: Path) -> Iterator[Mapping[str, Any]]:
     """The same, the newest first. Reads a whole file at a time."""
     for path in reversed(files_of(folder)):
         yield from filter(None, map(_entry, reversed(path.read_bytes().splitlines())))
+
+
+def tail(folder: Path, most_bytes: int) -> list[Mapping[str, Any]]:
+    """The last lines, the oldest first, of the newest file that has some, as far as they are in so many bytes."""
+    for path in reversed(files_of(folder)):
+        with path.open("rb") as file:
+            file.seek(0, 2)
+            start = max(0, file.tell() - most_bytes)
+            file.seek(start)
+            lines = file.read().splitlines()
+        if found := [entry for entry in map(_entry, lines[1:] if start else lines) if entry]:
+            return found
+    return []

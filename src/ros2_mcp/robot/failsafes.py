@@ -40,6 +40,8 @@ _LOOK_S = 1.0
 """For looking up who subscribes: the bridge knows it at once, unless discovery is still under way."""
 ZERO_S = 3.0
 """For the answer about zeros, beyond these two: a bridge that is alive has given it long before."""
+_STILL_S = 0.5
+"""For the zero on a topic of others: its publisher is new, and subscribers match it within 0.2 s on one host."""
 _AGAIN_S = 1.0
 """While no bridge can be started: how often it is asked for again. The link itself pauses between its attempts."""
 _logger = logging.getLogger(__name__)
@@ -218,6 +220,28 @@ class Failsafes:
         )
         await self.rest(reply["topics"], before)
         return reply["topics"]
+
+    async def still(self, topic: str, type_name: str) -> str:
+        """Publishes the zero on a topic that this server has not driven, as one that another bridge has left moving.
+
+        Returns:
+            Why that could not be; empty where it was sent.
+        """
+        try:
+            with anyio.move_on_after(_STILL_S):
+                await self._graph.ask(
+                    "failsafe_publish",
+                    topic=topic,
+                    type=type_name,
+                    qos=QoS("reliable", "volatile").request(),
+                    frame=self._graph.frame_id_of(topic),
+                    joints=[],
+                    now=True,
+                    timeout_s=NO_END_S,
+                )
+        except RobotError as error:
+            return str(error)
+        return ""
 
     async def _make_room(self) -> None:
         """Lets a topic that is at rest give up its place, if there is no other place."""

@@ -26,6 +26,7 @@ from ros2_mcp.robot.jobs import Job
 from ros2_mcp.robot.last_plans import LastPlans
 from ros2_mcp.robot.listening import Listening, subscribed_while
 from ros2_mcp.robot.log import LogRing
+from ros2_mcp.robot.newest import NewestSamples
 from ros2_mcp.robot.places import Places
 from ros2_mcp.robot.transforms import TransformListener
 from ros2_mcp.robot.translation import as_meant
@@ -119,6 +120,7 @@ class Robot(Core):
         self.transforms = TransformListener(bridge, self.graph, self.values)
         self.places = Places()
         self.last_plans = LastPlans(lambda topic: self.listen(topic, keep="latest"))
+        self.newest = NewestSamples(lambda topic: self.listen(topic, keep="latest"), self._fits)
         self.programs_folder: Path | None = None  # of kept programs; None: none are kept
         self._listened: dict[tuple[str, str, str], tuple[str, Choice]] = {}
         self.result_bytes = result_bytes
@@ -213,6 +215,13 @@ class Robot(Core):
     async def zero(self, topics: Sequence[str]) -> Sequence[StoppedTopic]:
         """Publishes the zero on some of the velocity topics that are driven. Raises as `Graph.ask`."""
         return await self.failsafes.zero(topics)
+
+    async def still(self, topics: Mapping[str, str]) -> Mapping[str, str]:
+        """Publishes the zero on topics (with their types) that another server has left moving, and for a tenth of a
+        second to whoever is discovered. Returns why it could not be sent, by topic.
+        """
+        said = await asyncio.gather(*(self.failsafes.still(*topic) for topic in topics.items()))
+        return {topic: why for topic, why in zip(topics, said, strict=True) if why}
 
     def moves_for(self, principal: Principal) -> bool:
         """Whether this client may keep something moving: a job, a goal, a velocity topic that it drives, or a request
@@ -351,6 +360,9 @@ class Robot(Core):
         finally:
             if subscription:
                 await subscription.close()
+
+    async def _fits(self, listening: Listening) -> bool:
+        return listening.still_fits(await self.graph.endpoints(listening.topic))
 
     def _remember(self, key: tuple[str, str, str], how: tuple[str, Choice]) -> None:
         """Notes how a topic was subscribed to, for the next time; the topic that was read longest ago is forgotten."""

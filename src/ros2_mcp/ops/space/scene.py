@@ -6,6 +6,7 @@ import asyncio
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.codec.footprint import outline
@@ -158,8 +159,13 @@ async def scene(robot: Robot, source: Source, request: SceneRequest, report: Rep
         NotFound: if the grid or the frame is not there.
         BadData: if there is nothing at all to show, or the grid does not fit its size.
     """
+    return await _picture(await gather(robot, source, request, report), request)
+
+
+async def gather(robot: Robot, source: Source, request: SceneRequest, report: Report = silent) -> Gathered:
+    """What is around the robot, read and placed in one frame, for a picture or for the page; raises as `scene`."""
     await load("ros2_mcp.codec.scene", "ros2_mcp.codec.scans")  # with numpy: not before it is needed
-    gathered = _Gathered(source, robot)
+    gathered = Gathered(source, robot)
     async with reporting(report, _GRID_S, "gathering what is around the robot"):
         await gathered.read(request)
         await gathered.locate(request)
@@ -167,11 +173,11 @@ async def scene(robot: Robot, source: Source, request: SceneRequest, report: Rep
         await gathered.place(robot)
         if request.way:
             gathered.place_way(request.way)
-    return await _picture(gathered, request)
+    return gathered
 
 
 @dataclass
-class _Gathered:
+class Gathered:
     """What has been read, and where it is in the frame `frame` at the time `at_ns`."""
 
     source: Source
@@ -369,6 +375,7 @@ class _Gathered:
         )
 
     def place_scan(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
+        """What it hit."""
         from ros2_mcp.codec.scans import moved, scan_points
 
         try:
@@ -379,6 +386,7 @@ class _Gathered:
         self.layers.append(SceneLayer("scan", name, age_s=age_s))
 
     def place_path(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
+        """Its points."""
         import numpy as np  # not at the start of the server
 
         poses = [*message.poses[:: max(1, len(message.poses) // _MOST_POINTS)], *message.poses[-1:]]
@@ -391,6 +399,7 @@ class _Gathered:
         self.layers.append(SceneLayer("path", name, round(ends[-1][0], 3), round(ends[-1][1], 3), age_s=age_s))
 
     def place_footprint(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
+        """Its corners."""
         import numpy as np  # not at the start of the server
 
         corners = [pose.applied((corner.x, corner.y, corner.z))[:2] for corner in message.polygon.points[:_MOST_POINTS]]
@@ -404,16 +413,16 @@ class _Gathered:
 
         at, base = self.robot, self.tree.base
         try:
-            urdf = await aside(len(description), parse, description)
+            body = await aside(len(description), _outline, description, base)
         except BadData:  # not what this picture is about
             return
-        body = outline(urdf, base or next((one for one in BASES if one in urdf.links), ""))
         if at and body:
             pose = planar(at.x_m, at.y_m, at.yaw_rad)
             self.footprint = np.array([pose.applied((x, y, 0.0))[:2] for x, y in body])
             self.layers.append(SceneLayer("footprint", name))
 
     def place_goal(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
+        """Where it is."""
         try:
             at = _place(pose @ pose_of(message.pose))
         except ValueError:  # numbers that are not finite
@@ -478,15 +487,15 @@ class _Gathered:
         self.layers.append(SceneLayer(kind, name, round(x_m, 3), round(y_m, 3), yaw_deg, age_s))
 
 
-_PLACERS: dict[str, Callable[[_Gathered, str, Any, Pose, float | None], None]] = {
-    "scan": _Gathered.place_scan,
-    "path": _Gathered.place_path,
-    "goal": _Gathered.place_goal,
-    "footprint": _Gathered.place_footprint,
+_PLACERS: dict[str, Callable[[Gathered, str, Any, Pose, float | None], None]] = {
+    "scan": Gathered.place_scan,
+    "path": Gathered.place_path,
+    "goal": Gathered.place_goal,
+    "footprint": Gathered.place_footprint,
 }
 
 
-async def _picture(gathered: _Gathered, request: SceneRequest) -> ScenePicture:
+async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
     source, at = gathered.source, gathered.robot
     if request.radius_m is not None and at is None:
         raise BadInput(f"Without the robot's place in {named(gathered.frame)} nothing can be shown around it.")
@@ -527,7 +536,7 @@ async def _picture(gathered: _Gathered, request: SceneRequest) -> ScenePicture:
     )
 
 
-def _drawn(gathered: _Gathered, request: SceneRequest) -> tuple[SceneDrawing, Scene, Picture]:
+def _drawn(gathered: Gathered, request: SceneRequest) -> tuple[SceneDrawing, Scene, Picture]:
     import numpy as np  # not at the start of the server
 
     from ros2_mcp.codec.raster import finished
@@ -571,6 +580,13 @@ def _chosen_grid(asked: str, grids: Sequence[str]) -> str:
     if asked.strip():
         return names.absolute(asked)
     return next((name for name in maps if name.rpartition("/")[2] == "map"), (maps or costmaps or [""])[0])
+
+
+@lru_cache(maxsize=2)  # the page asks several times a second
+def _outline(description: str, base: str) -> Sequence[tuple[float, float]]:
+    """The outline of the body that a description tells of, about its base."""
+    urdf = parse(description)
+    return outline(urdf, base or next((one for one in BASES if one in urdf.links), ""))
 
 
 async def _next(source: Source, topic: str, type_name: str, wait_s: float) -> Next | RobotError:

@@ -1,0 +1,97 @@
+"""`ros2-mcp view`: the page beside the agent, in a browser of this machine."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import socket
+import sys
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ros2_mcp.commands.endings import when_told_to_end
+from ros2_mcp.commands.serve import launch, show_log
+from ros2_mcp.guard.state import StateFolder
+from ros2_mcp.model.text import visible
+from ros2_mcp.settings import Settings
+
+if TYPE_CHECKING:
+    import uvicorn
+
+    from ros2_mcp.link.client import Bridge
+    from ros2_mcp.view.local import LocalPage
+
+_TOKEN_BYTES = 32
+
+
+def view(settings: Settings, state: Path, port: int = 0) -> int:
+    """Shows the page until it is told to end.
+
+    Args:
+        settings: of one robot, or with `bag` of a recording.
+        state: the state folder of the robot that the button stops.
+        port: on 127.0.0.1; 0 takes any that is free.
+    """
+    settings = replace(settings, read_only=True)
+    bridge = launch(settings)
+    show_log(settings)
+    asyncio.run(_view(settings, bridge, StateFolder(state), port))
+    return 0
+
+
+async def _view(settings: Settings, bridge: Bridge | None, state: StateFolder, port: int) -> None:
+    # Imported here because the bridge has been launched now, and comes up meanwhile.
+    import anyio
+
+    from ros2_mcp.assembly import SOURCE_KINDS
+    from ros2_mcp.library import robot_for, running, store_for
+    from ros2_mcp.ops.sources.kinds import Sources
+    from ros2_mcp.ops.view.acting import Acting
+    from ros2_mcp.view.local import LocalPage
+    from ros2_mcp.view.views import Views
+
+    ending = asyncio.Event()
+    when_told_to_end(ending.set)
+    store = store_for(settings)
+    robot = robot_for(settings, store, bridge)
+    listener = socket.create_server(("127.0.0.1", port))
+    token = secrets.token_urlsafe(_TOKEN_BYTES)
+    async with running(robot, store), anyio.create_task_group() as tasks:
+        source = await Sources(robot, store, SOURCE_KINDS).open()
+        title = settings.bag.name if settings.bag else state.path.name
+        views = Views(robot, source, title, Acting(state), tasks)
+        taken = listener.getsockname()[1]
+        server = _server(LocalPage(views, token, taken))
+        tasks.start_soon(server.serve, [listener])
+        _say(f"The page of {visible(title)}, for this machine alone (Ctrl+C ends it):\n  {_address(taken, token)}\n")
+        await ending.wait()
+        tasks.cancel_scope.cancel()  # a page waits for news for a second and more
+
+
+def _address(port: int, token: str) -> str:
+    """Where the browser finds it. What stands behind # is not sent to anybody."""
+    return f"http://127.0.0.1:{port}/#{token}"
+
+
+def _server(app: LocalPage) -> uvicorn.Server:
+    import uvicorn
+
+    class Server(uvicorn.Server):
+        """A server that leaves signals to this command, which ends it."""
+
+        @contextmanager
+        def capture_signals(self) -> Generator[None, None, None]:
+            """Captures none."""
+            yield
+
+    config = uvicorn.Config(
+        app, ws="none", lifespan="off", log_level="warning", access_log=False, server_header=False, proxy_headers=False
+    )
+    return Server(config)
+
+
+def _say(text: str) -> None:
+    print(text, end="", file=sys.stdout, flush=True)  # noqa: T201 - the address, for a person

@@ -1,0 +1,105 @@
+"""The robot as it is now, for who looks several times a second: a topic that was read stays subscribed."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import aclosing, asynccontextmanager
+from time import monotonic
+from typing import TYPE_CHECKING
+
+from ros2_mcp.model import names
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.ops.sources.live import Live
+from ros2_mcp.ops.sources.source import GraphSnapshot, Source, Stream
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.transforms import TransformListener
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.cdr import Codec
+
+_FIRST_S = 0.3
+"""For the first message of a topic: what is not here by then is shown with the next look, and holds nothing else up."""
+_LISTED_S = 1.0
+"""Which topics there are is asked again only then: people notice a new one a second later as well."""
+
+
+class NewestOfRobot(Source):
+    """Gives of each topic the newest message alone, at once where it has come before."""
+
+    title = "the robot"
+    words = "live"
+    is_live = True
+    duration_s = _FIRST_S
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._live = Live(robot)
+        self._codec: Codec | None = None
+        self._listed: dict[tuple[str, ...], tuple[float, list[str]]] = {}
+
+    @property
+    def codec(self) -> Codec:
+        """Reads its samples, each once."""
+        if self._codec is None:
+            from ros2_mcp.codec.cdr import RememberingCodec  # with numpy: not at the start
+
+            self._codec = RememberingCodec(self._robot.values.definitions)
+        return self._codec
+
+    @property
+    def transforms(self) -> TransformListener:
+        """What listens to the frames of the robot."""
+        return self._robot.transforms
+
+    async def type_of(self, topic: str) -> str:
+        """As `Source.type_of`."""
+        return await self._live.type_of(topic)
+
+    async def graph(self) -> GraphSnapshot:
+        """The graph now."""
+        return await self._live.graph()
+
+    def lasting(self, live_s: float, *, recorded_s: float | None = None, whole: bool = False) -> Source:  # noqa: ARG002
+        """The same: a message that has not come is not waited for longer than `_FIRST_S`."""
+        found = copy.copy(self)
+        found.duration_s = min(live_s, _FIRST_S)
+        return found
+
+    async def publishing(self, *types: str) -> list[str]:
+        """As `Source.publishing`, as it was a second ago at most."""
+        at, found = self._listed.get(types, (0.0, []))
+        if not at or monotonic() - at > _LISTED_S:
+            found = await self._live.publishing(*types)
+            self._listed[types] = monotonic(), found
+        return found
+
+    @asynccontextmanager
+    async def follow(
+        self,
+        topic: str,
+        type_name: str = "",
+        *,
+        limit: int | None = None,  # noqa: ARG002 - there is one
+        every_n: int = 1,  # noqa: ARG002
+        latched: bool = True,  # noqa: ARG002
+        times_only: bool = False,  # noqa: ARG002
+    ) -> AsyncGenerator[Stream, None]:
+        """The newest message; raises as `Source.follow`."""
+        topic = names.absolute(topic)
+        newest = self._robot.newest.of(topic)
+        sample = newest.sample or await newest.newer(None, max(newest.since + self.duration_s - monotonic(), 0.0))
+        if newest.error:
+            raise newest.error.again()
+        listening = newest.listening
+        kind = listening.type if listening else type_name or await self.type_of(topic)
+        publishers = listening.publishers if listening else ()
+        stream = Stream(topic=topic, type=kind, codec=self.codec, publishers=publishers)
+        stream.batches = _one(sample)
+        async with aclosing(stream.batches):
+            yield stream
+
+
+async def _one(sample: Sample | None) -> AsyncGenerator[Sequence[Sample], None]:
+    if sample:
+        yield [sample]

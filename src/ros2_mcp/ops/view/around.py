@@ -1,0 +1,104 @@
+"""The map: what `ros2_scene` draws, as numbers, for a page that draws it itself."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ros2_mcp.model.pictures import OCCUPANCY_GRID
+from ros2_mcp.ops.space.scene import Gathered, SceneLayer, SceneRequest, gather
+from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
+
+if TYPE_CHECKING:
+    from ros2_mcp.codec.scene import GridLayer, Mark
+
+_MOST_CELLS = 4_000_000
+"""Of a grid: 2000 × 2000, which a page draws in some milliseconds."""
+_MILLIMETRES = 3
+
+
+class MapPanel(Panel):
+    """What is around the robot, seen from above, in metres of one frame."""
+
+    name = "map"
+    period_s = 0.2
+    """A robot that drives 1 m/s has moved by less than its own length."""
+
+    def __init__(self, chunks: Chunks) -> None:
+        self._chunks = chunks
+        self._grid: tuple[object, Mapping[str, Any]] = (None, {})
+
+    async def show(self, look: Look) -> Content | None:
+        """Everything that can be placed; what cannot stands in `missing`, with the reason."""
+        grids = await look.source.publishing(OCCUPANCY_GRID)
+        request = SceneRequest(grid=look.chosen if look.chosen in grids else "")
+        found = await gather(look.robot, look.source, request)
+        at = found.robot
+        robot = at and {
+            "x": round(at.x_m, 4),
+            "y": round(at.y_m, 4),
+            "yaw": round(at.yaw_rad, 5),
+            "at_s": found.robot_stamp_ns / 1e9 if found.robot_stamp_ns else None,
+        }
+        grid = None
+        if found.grid_layer:
+            grid = await self._packed(found.grid_layer, found.grid_topic)
+        return {
+            "frame": found.frame,
+            "grids": grids,
+            "robot": robot,
+            "grid": grid,
+            "footprint": _rounded(found.footprint) if found.footprint is not None else None,
+            "paths": [
+                {"name": name, "points": _rounded(points)}
+                for name, points in zip(found.path_names, found.paths, strict=True)
+            ],
+            "goals": [_mark(mark) for mark in found.goals],
+            "places": [_mark(mark) for mark in found.places],
+            "layers": [_told(layer, found) for layer in found.layers],
+            "missing": list(found.missing),
+            "bulk": [_points(scan) for scan in found.scans],
+        }
+
+    async def _packed(self, grid: GridLayer, topic: str) -> Mapping[str, Any]:
+        """What is to be known of the grid; its cells are asked for by the key, once."""
+        if self._grid[0] is not grid.message:
+            from ros2_mcp.codec.scene import packed
+
+            made = await asyncio.to_thread(packed, grid, _MOST_CELLS)
+            key = hashlib.sha256(made.data).hexdigest()[:32]
+            self._chunks.keep(key, made.data)
+            facts = {"key": key, "width": made.width, "height": made.height, "resolution": made.resolution_m}
+            self._grid = grid.message, facts
+        corner = grid.corner
+        return {
+            **self._grid[1],
+            "name": topic,
+            "costs": grid.costs,
+            "x": corner.x_m,
+            "y": corner.y_m,
+            "yaw": corner.yaw_rad,
+        }
+
+
+def _rounded(points: Any) -> Sequence[Sequence[float]]:
+    return [[round(float(x), _MILLIMETRES), round(float(y), _MILLIMETRES)] for x, y in points]
+
+
+def _points(points: Any) -> str:
+    """x, y, x, y, … as little-endian 32-bit floats in base64: a page reads them without parsing numbers."""
+    return base64.b64encode(points.astype("<f4").tobytes()).decode("ascii")
+
+
+def _mark(mark: Mark) -> Mapping[str, Any]:
+    return {"name": mark.name, "x": mark.x_m, "y": mark.y_m, "yaw": mark.yaw_rad}
+
+
+def _told(layer: SceneLayer, found: Gathered) -> Mapping[str, Any]:
+    """A layer with the time that it is of, in place of its age: the page counts on."""
+    at_s = None if layer.age_s is None or not math.isfinite(layer.age_s) else found.at_ns / 1e9 - layer.age_s
+    return {"kind": layer.kind, "name": layer.name, "at_s": at_s}

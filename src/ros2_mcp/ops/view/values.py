@@ -1,0 +1,139 @@
+"""Values of one topic, the log, and what there is to be looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import named
+from ros2_mcp.ops import log
+from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.results import as_json, silent
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.view.look import Content, Look, Panel
+from ros2_mcp.robot.log import LOG_TYPE
+
+_FIRST = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState", "sensor_msgs/msg/BatteryState")
+"""What is shown where nothing is chosen: what moves, or else what there is."""
+_MOST_ARRAY, _MOST_STRING, _MOST_BYTES = 12, 400, 12_000
+"""Of one message: as much as a person looks at while it changes."""
+_MOST_LINES, _MOST_LINE_BYTES = 120, 40_000
+_MOST_TOPICS = 1000
+_WAIT_S = 0.5
+_BEFORE_NS = 60_000_000_000
+"""Of a recording's log: what was said in the minute before the time that is shown."""
+
+
+class ValuesPanel(Panel):
+    """The newest message of a topic, with its rate."""
+
+    name = "values"
+    period_s = 0.2
+
+    def __init__(self) -> None:
+        self._shown: tuple[str, Sample] | None = None
+
+    async def show(self, look: Look) -> Content | None:
+        """The newest message of the chosen topic, else of one that tells how the robot moves."""
+        from ros2_mcp.codec.render import RenderOptions  # numpy: not at the start
+
+        topic = look.chosen or await _first_topic(look.source)
+        if not topic:
+            raise NotFound("There is no topic to show.")
+        rate_hz: float | None = None
+        publishers: Sequence[str] = ()
+        if look.source.is_live:
+            newest = look.robot.newest.of(topic)
+            before = self._shown[1] if self._shown and self._shown[0] == topic else None
+            sample = await newest.newer(before, _WAIT_S)
+            if sample is None:
+                if newest.error:
+                    raise newest.error.again()
+                return None if before else {"topic": topic, "why": f"No message has come on {named(topic)} yet."}
+            assert newest.listening
+            self._shown = topic, sample
+            kind, rate_hz = newest.listening.type, newest.rate_hz()
+            publishers = sorted({one.who for one in newest.listening.publishers})
+        else:
+            kind = await look.source.type_of(topic)
+            sample = (await next_message(look.source, topic, kind, silent)).sample
+            await look.robot.values.learn(kind)
+        options = RenderOptions(max_array=_MOST_ARRAY, max_string=_MOST_STRING, max_bytes=_MOST_BYTES)
+        rendered = await look.robot.values.render(kind, sample.data, options)
+        return {
+            "topic": topic,
+            "type": kind,
+            "at_s": sample.received_ns / 1e9,
+            "rate_hz": rate_hz,
+            "publishers": list(publishers),
+            "bytes": sample.size,
+            "value": rendered.value,
+        }
+
+
+class LogPanel(Panel):
+    """What the robot's nodes say."""
+
+    name = "log"
+    period_s = 0.5
+
+    async def show(self, look: Look) -> Content | None:
+        """The newest lines, the oldest first."""
+        request = log.LogRequest(level="info", limit=_MOST_LINES)
+        if look.source.is_live:
+            return {"lines": as_json(await self._live(look))}
+        span_ns = look.source.covers_ns or (0, 0)
+        part = look.source.part(span_ns[1] - _BEFORE_NS, span_ns[1])
+        return {"lines": as_json((await log.read_recorded(part, request, _MOST_LINE_BYTES)).lines)}
+
+    async def _live(self, look: Look) -> list[log.LogLine]:
+        robot = look.robot
+        robot.log.start()
+        kept = robot.log.lines[-_MOST_LINES:]
+        if not kept:
+            return []
+        await robot.values.learn(LOG_TYPE)
+        lines: list[log.LogLine] = []
+        for sample in kept:
+            try:
+                lines.append(log.line_of(robot, sample))
+            except RobotError:  # a line that cannot be decoded hides no other one
+                continue
+        return lines
+
+
+class RobotPanel(Panel):
+    """Which robot it is, whether it is reached, and which topics there are."""
+
+    name = "robot"
+    period_s = 1.0
+
+    def __init__(self, title: str, source: Source) -> None:
+        self._title = title
+        self._source = source
+
+    async def show(self, look: Look) -> Content | None:
+        """Its state; never raises, as it is what says why the others show nothing."""
+        content: dict[str, Any] = {"title": self._title, "live": look.source.is_live, "topics": []}
+        if self._source.covers_ns:
+            begin_ns, end_ns = self._source.covers_ns
+            content |= {"source": self._source.title, "begin_s": begin_ns / 1e9, "end_s": end_ns / 1e9}
+        graph = look.robot.graph
+        try:
+            rows = sorted(await graph.topics())[:_MOST_TOPICS]
+        except RobotError as error:
+            return {**content, "why": str(error)}
+        own = ("/parameter_events",)
+        content["topics"] = [[row.name, *row.types[:1]] for row in rows if row.publishers and row.name not in own]
+        if look.source.is_live:
+            content["why"] = await graph.absence() or graph.failure
+        return content
+
+
+async def _first_topic(source: Source) -> str:
+    for kind in _FIRST:
+        if found := await source.publishing(kind):
+            return found[0]
+    return ""

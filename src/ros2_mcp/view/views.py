@@ -1,0 +1,248 @@
+"""Views: what each open page looks at, kept up to date while it asks, and given up when it does not."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import logging
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from time import monotonic
+from typing import Any
+
+import anyio
+from anyio.abc import TaskGroup
+
+from ros2_mcp.model.errors import BadInput, NotFound, RobotError
+from ros2_mcp.model.text import visible_json
+from ros2_mcp.ops.sources.newest import NewestOfRobot
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.view.acting import Acting, AgentPanel
+from ros2_mcp.ops.view.around import MapPanel
+from ros2_mcp.ops.view.image import ImagePanel
+from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
+from ros2_mcp.ops.view.values import LogPanel, RobotPanel, ValuesPanel
+from ros2_mcp.robot import Robot
+
+MOST_VIEWS = 4
+"""Pages at once: somebody has it open on a screen and a phone, and forgets to close one."""
+MOST_WAIT_MS = 1500
+"""Of one update: hosts of chats pass calls on through one or two processes that have time limits of their own."""
+IDLE_S = 10.0
+"""A view that nobody has asked for so long is given up: a page that is hidden or gone costs nothing."""
+_UNWANTED_S = 4.0
+"""A panel that was not asked for so long is not made: it is hidden, or off the screen."""
+_FAILED_S = 1.0
+"""Between two tries of a panel that cannot be shown."""
+_MOST_TOPIC = 300
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateRequest:
+    """What a page asks for: its view (empty: a new one), the panels with what is chosen in each, what it has `seen`
+    of each, how long it waits for news, and of a recording the time that is shown (Unix time, s).
+    """
+
+    view: str = ""
+    panels: Mapping[str, str] = field(default_factory=dict[str, str])
+    seen: Mapping[str, int] = field(default_factory=dict[str, int])
+    wait_ms: int = 0
+    at_s: float | None = None
+
+
+@dataclass(eq=False)
+class _Shown:
+    """One panel with what it shows: `number` grows with each change."""
+
+    panel: Panel
+    chosen: str = ""
+    number: int = 0
+    content: Content | None = None
+    asked_at: float = 0.0
+    asked: asyncio.Event = field(default_factory=asyncio.Event)
+    scope: anyio.CancelScope | None = None
+
+    def wake(self, *, anew: bool) -> None:
+        """It is asked for; `anew`: what is under way is about something else."""
+        self.asked_at = monotonic()
+        if anew:
+            self.content = None
+        if anew and self.scope:
+            self.scope.cancel()
+        self.asked.set()
+
+
+class View:
+    """One open page."""
+
+    def __init__(self, robot: Robot, source: Source, panels: Sequence[Panel], chunks: Chunks) -> None:
+        self.id = secrets.token_hex(16)
+        self.chunks = chunks
+        self.asked_at = monotonic()
+        self._robot, self._source = robot, source
+        self._live = NewestOfRobot(robot) if source.is_live else None
+        self._until_ns: int | None = None
+        self._shown = {panel.name: _Shown(panel) for panel in panels}
+        self._news = asyncio.Event()
+
+    async def run(self) -> None:
+        """Until nobody has asked for it for a while."""
+        async with anyio.create_task_group() as tasks:
+            for shown in self._shown.values():
+                tasks.start_soon(self._keep, shown)
+            while monotonic() - self.asked_at < IDLE_S:
+                await anyio.sleep(0.5)
+            tasks.cancel_scope.cancel()
+
+    async def update(self, request: UpdateRequest) -> Mapping[str, Any]:
+        """The panels that have something newer than what the page has seen; waits for the first one."""
+        self.asked_at = monotonic()
+        until_ns = None if request.at_s is None or self._live else round(request.at_s * 1e9)
+        has_moved, self._until_ns = until_ns != self._until_ns, until_ns
+        for name, chosen in request.panels.items():
+            if shown := self._shown.get(name):
+                is_other, shown.chosen = chosen != shown.chosen, chosen
+                if has_moved or is_other or monotonic() - shown.asked_at > _UNWANTED_S / 2 or self._live:
+                    shown.wake(anew=is_other)
+        deadline = monotonic() + min(request.wait_ms, MOST_WAIT_MS) / 1000
+        while not (newer := self._newer(request)) and monotonic() < deadline:
+            news = self._news
+            with anyio.move_on_after(max(deadline - monotonic(), 0.0)):
+                await news.wait()
+        self.asked_at = monotonic()
+        return {"view": self.id, "now_s": self._look("").now_ns / 1e9, "panels": newer}
+
+    def _newer(self, request: UpdateRequest) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name in request.panels:
+            shown = self._shown.get(name)
+            if shown and shown.content is not None and shown.number != request.seen.get(name):
+                found[name] = {"number": shown.number, **shown.content}
+        return found
+
+    def _look(self, chosen: str) -> Look:
+        if self._live:
+            return Look(self._robot, self._live, chosen)
+        begin_ns, end_ns = self._source.covers_ns or (0, 0)
+        until_ns = end_ns if self._until_ns is None else min(max(self._until_ns, begin_ns + 1), end_ns)
+        return Look(self._robot, self._source.part(begin_ns, until_ns), chosen)
+
+    async def _keep(self, shown: _Shown) -> None:
+        """Shows one panel again and again, while it is asked for."""
+        while True:
+            await shown.asked.wait()
+            shown.asked.clear()
+            began = monotonic()
+            with anyio.CancelScope() as shown.scope:
+                content = await self._content(shown)
+                if content is not None and content != shown.content:
+                    shown.content = content
+                    shown.number += 1
+                    news, self._news = self._news, asyncio.Event()
+                    news.set()
+            shown.scope = None
+            period_s = shown.panel.period_s
+            if content := shown.content:
+                period_s = max(period_s, _FAILED_S if content.get("failed") else 0.0)
+            if self._live:
+                await anyio.sleep(max(began + period_s - monotonic(), 0.0))
+                if monotonic() - shown.asked_at < _UNWANTED_S:
+                    shown.asked.set()
+
+    async def _content(self, shown: _Shown) -> Content | None:
+        try:
+            found = await shown.panel.show(self._look(shown.chosen))
+        except RobotError as error:
+            found = {"why": str(error), "failed": True}
+        except Exception:
+            _logger.exception("the panel %s failed", shown.panel.name)
+            found = {"why": "This panel failed; the log of ros2-mcp view says how.", "failed": True}
+        if found is None:
+            return None
+        told, _ = visible_json({name: value for name, value in found.items() if name != "bulk"})
+        return {**told, "bulk": found["bulk"]} if "bulk" in found else told
+
+
+class Views:
+    """All open pages of one robot or recording. `acting` knows who acts on it."""
+
+    def __init__(self, robot: Robot, source: Source, title: str, acting: Acting, tasks: TaskGroup) -> None:
+        self._robot, self._source, self._title = robot, source, title
+        self.acting = acting
+        self._tasks = tasks
+        self._views: dict[str, View] = {}
+
+    async def update(self, request: UpdateRequest) -> Mapping[str, Any]:
+        """What is new for a page; a page whose view was given up gets a new one.
+
+        Raises:
+            BadInput: if there are too many.
+        """
+        view = self._views.get(request.view)
+        if view is None:
+            view, request = self._open(), replace(request, seen={})
+        return await view.update(request)
+
+    async def chunk(self, view: str, key: str) -> Mapping[str, Any]:
+        """A large part that was offered to this view, packed with zlib, in base64. Raises `NotFound`."""
+        found = self._views[view].chunks.find(key) if view in self._views else None
+        if found is None:
+            raise NotFound("This is no longer shown.")
+        return {"key": key, "bulk": base64.b64encode(found).decode("ascii")}
+
+    async def stop(self) -> Mapping[str, Any]:
+        """Presses the button."""
+        stopped = await self.acting.stop(self._robot)
+        return {
+            "summary": stopped.summary(),
+            "is_all_well": stopped.is_all_well,
+            "servers": [{"name": one.name, "answered": one.answered, "said": one.said} for one in stopped.servers],
+            "zeros": stopped.zeros,
+            "latched": stopped.latched,
+            "problems": stopped.problems,
+        }
+
+    def _open(self) -> View:
+        if len(self._views) >= MOST_VIEWS:
+            raise BadInput(f"{MOST_VIEWS} pages are open already.", "Close one; it is given up ten seconds later.")
+        chunks = Chunks()
+        panels = (
+            *(ImagePanel(), MapPanel(chunks), ValuesPanel(), LogPanel()),
+            *(RobotPanel(self._title, self._source), AgentPanel(self.acting)),
+        )
+        view = View(self._robot, self._source, panels, chunks)
+        self._views[view.id] = view
+        self._tasks.start_soon(self._run, view)
+        return view
+
+    async def _run(self, view: View) -> None:
+        try:
+            await view.run()
+        finally:
+            self._views.pop(view.id, None)
+
+
+def update_request(arguments: Mapping[str, Any]) -> UpdateRequest:
+    """The request that a page's JSON is. Raises `BadInput` for what is none."""
+    try:
+        panels = {str(name): str(chosen)[:_MOST_TOPIC] for name, chosen in dict(arguments["panels"]).items()}
+        seen = {str(name): int(number) for name, number in dict(arguments.get("seen") or {}).items()}
+        at_s = arguments.get("at_s")
+        return UpdateRequest(
+            view=str(arguments.get("view", "")),
+            panels=panels,
+            seen=seen,
+            wait_ms=max(0, int(arguments.get("wait_ms", 0))),
+            at_s=None if at_s is None else _time(at_s),
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise BadInput("This is no question of the page.", str(error)) from error
+
+
+def _time(value: Any) -> float:
+    at_s = float(value)
+    if not 0 <= at_s < 1e11:
+        raise ValueError(f"{at_s} is no time")
+    return at_s
