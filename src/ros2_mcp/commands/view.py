@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from ros2_mcp.view.local import LocalPage
 
 _TOKEN_BYTES = 32
+_LAST_S = 8
+"""For what is under way at the end: a stop waits 6 s for the last server."""
 
 
 def view(settings: Settings, state: Path, port: int = 0) -> int:
@@ -65,10 +67,16 @@ async def _view(settings: Settings, bridge: Bridge | None, state: StateFolder, p
         views = Views(robot, source, title, Acting(state), tasks)
         taken = listener.getsockname()[1]
         server = _server(LocalPage(views, token, taken))
-        tasks.start_soon(server.serve, [listener])
+
+        async def serve() -> None:
+            await server.serve([listener])
+            tasks.cancel_scope.cancel()
+
+        tasks.start_soon(serve)
         _say(f"The page of {visible(title)}, for this machine alone (Ctrl+C ends it):\n  {_address(taken, token)}\n")
         await ending.wait()
-        tasks.cancel_scope.cancel()  # a page waits for news for a second and more
+        views.close()  # a page waits for news for a second and more
+        server.should_exit = True  # a stop that is under way is finished
 
 
 def _address(port: int, token: str) -> str:
@@ -88,7 +96,14 @@ def _server(app: LocalPage) -> uvicorn.Server:
             yield
 
     config = uvicorn.Config(
-        app, ws="none", lifespan="off", log_level="warning", access_log=False, server_header=False, proxy_headers=False
+        app,
+        ws="none",
+        lifespan="off",
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        timeout_graceful_shutdown=_LAST_S,
     )
     return Server(config)
 

@@ -86,6 +86,12 @@ class View:
         self._until_ns: int | None = None
         self._shown = {panel.name: _Shown(panel) for panel in panels}
         self._news = asyncio.Event()
+        self._is_closed = False
+
+    def close(self) -> None:
+        """Answers who waits for news."""
+        self._is_closed = True
+        self._news.set()
 
     async def run(self) -> None:
         """Until nobody has asked for it for a while."""
@@ -107,7 +113,7 @@ class View:
                 if has_moved or is_other or monotonic() - shown.asked_at > _UNWANTED_S / 2 or self._live:
                     shown.wake(anew=is_other)
         deadline = monotonic() + min(request.wait_ms, MOST_WAIT_MS) / 1000
-        while not (newer := self._newer(request)) and monotonic() < deadline:
+        while not (newer := self._newer(request)) and monotonic() < deadline and not self._is_closed:
             news = self._news
             with anyio.move_on_after(max(deadline - monotonic(), 0.0)):
                 await news.wait()
@@ -184,6 +190,11 @@ class Views:
         if view is None:
             view, request = self._open(), replace(request, seen={})
         return await view.update(request)
+
+    def close(self) -> None:
+        """Answers all pages that wait for news: the server ends."""
+        for view in self._views.values():
+            view.close()
 
     async def chunk(self, view: str, key: str) -> Mapping[str, Any]:
         """A large part that was offered to this view, packed with zlib, in base64. Raises `NotFound`."""

@@ -21,8 +21,8 @@ from ros2_mcp_bridge.velocity import VELOCITY_TYPES
 
 _ALIVE_S = 0.5
 """For the answer of a server that is alive: it looks nothing up. One that hangs has lost its link lease in a second."""
-_STOPPED_S = 8.0
-"""For the whole answer of a stop, which waits for goals to end and looks whether the robot stands."""
+_STOPPED_S = 6.0
+"""For the whole answer of a stop, which waits 3 s for goals to end and a second to see that the robot stands."""
 _ASKED_EVERY_S = 0.5
 """Servers are asked what they do: a person sees what has changed within a second."""
 _TAIL_BYTES = 96_000

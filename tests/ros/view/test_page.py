@@ -1,0 +1,175 @@
+"""The page in a real Chromium, beside a real agent that drives the simulated robot, and of a recording."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
+
+from support.agent import Agent, agent_for
+from support.browser import CHROMIUM, Page, browsing
+from support.observer import Observer
+from support.processes import running
+from support.room_bag import room_bag
+
+pytestmark = pytest.mark.skipif(not CHROMIUM, reason="needs Chromium")
+
+TWIST = {"linear": {"x": 0.1}}
+STOP = "document.getElementById('stop').click()"
+PICTURES = os.environ.get("ROS2_MCP_PICTURES")
+"""A folder for what the page looked like, to be looked at by a person."""
+
+
+def text(of: str) -> str:
+    return f"document.querySelector('{of}').textContent"
+
+
+@contextmanager
+def viewing(environment: dict[str, str], *options: str) -> Iterator[str]:
+    """The address of a page."""
+    command = [sys.executable, "-m", "ros2_mcp", "view", *options]
+    with running(environment, *command) as process:
+        assert process.stdout
+        yield process.stdout.readline().strip()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Page]:
+    with browsing() as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def agent(demo_environment: dict[str, str], demo_robot: object) -> Iterator[Agent]:
+    with agent_for(demo_environment) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def page(demo_environment: dict[str, str], agent: Agent, browser: Page) -> Iterator[Page]:
+    """The page of the simulated robot."""
+    with viewing(demo_environment) as address:
+        browser.look()
+        browser.open(address)
+        yield browser
+
+
+def pictured(page: Page, name: str) -> None:
+    if PICTURES:
+        page.picture(Path(PICTURES) / f"{name}.png")
+
+
+def test_the_page_shows_what_the_robot_sees_and_where_it_is(page: Page) -> None:
+    page.until("document.querySelector('#image canvas').ariaLabel")
+    page.until("/Robot at -?[0-9.]+, -?[0-9.]+ metres in map/.test(document.querySelector('#map canvas').ariaLabel)")
+    page.until(f"{text('#values .tree')}.includes('base_link')")
+    assert page.run(text("#state")) == "live"
+    assert "#" not in page.run("location.href")  # the token is out of the address
+    for name, width, height, dark in (
+        ("wide", 1440, 900, False),
+        ("dark", 1440, 900, True),
+        ("narrow", 390, 800, True),
+    ):
+        page.look(width=width, height=height, dark=dark)
+        page.until(f"document.documentElement.dataset.theme === '{'dark' if dark else 'light'}'")
+        assert page.run("document.documentElement.scrollWidth <= innerWidth"), name
+        pictured(page, name)
+    page.look()
+    assert page.complaints == []
+
+
+def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Agent, observer: Observer) -> None:
+    observer.watch("/cmd_vel")
+    driving = agent.begin(
+        "ros2_topic_publish",
+        **{"topic_name": "/cmd_vel", "message_type": "geometry_msgs/msg/Twist", "data": TWIST},
+        frequency=10.0,
+        duration=40.0,
+    )
+    observer.until_driven("/cmd_vel")
+    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
+    page.until(f"{text('#agent .running')}.includes('under way')")
+    pictured(page, "driving")
+    page.run(STOP)
+    assert observer.comes_to_rest("/cmd_vel", 2.0) == []
+    said = page.until(f"/1 of 1 server/.test({text('#said')}) && {text('#said')}")
+    assert "the latch is set" in said
+    page.until(f"{text('#moves')}.startsWith('LATCHED by operator')")
+    pictured(page, "stopped")
+    assert driving.exception(10.0) is not None or driving.result()["status"]
+    assert "latch" in agent.refusal(
+        "ros2_topic_publish", topic_name="/cmd_vel", message_type="geometry_msgs/msg/Twist", data=TWIST
+    )
+    assert page.complaints == []
+
+
+def test_where_a_server_hangs_the_latch_is_set_and_the_page_says_that_it_did_not_answer(
+    page: Page, agent: Agent, demo_environment: dict[str, str], observer: Observer
+) -> None:
+    operate = [sys.executable, "-m", "ros2_mcp", "operate"]
+    subprocess.run([*operate, "reset"], env=demo_environment, check=True, stdout=subprocess.DEVNULL)
+    observer.watch("/cmd_vel")
+    agent.begin(
+        "ros2_topic_publish",
+        **{"topic_name": "/cmd_vel", "message_type": "geometry_msgs/msg/Twist", "data": TWIST},
+        frequency=10.0,
+        duration=40.0,
+    )
+    observer.until_driven("/cmd_vel")
+    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
+    pid = server_of(demo_environment)
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        page.run(STOP)
+        assert observer.comes_to_rest("/cmd_vel", 3.0) == []
+        page.until(f"{text('#said')}.includes('NO ANSWER')")
+        said = page.run(text("#said"))
+        assert "zeros sent from here on /cmd_vel" in said and "the latch is set" in said
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+def server_of(environment: dict[str, str]) -> int:
+    """The process of the only server that has acted: the one that has written the lock."""
+    (lock,) = Path(environment["XDG_STATE_HOME"]).glob("ros2-mcp/*/server.lock")
+    found = re.search(r'"pid": (\d+)', lock.read_text())
+    assert found
+    return int(found[1])
+
+
+def test_what_is_old_looks_old_and_a_page_without_its_server_says_so(
+    page: Page, demo_robot: subprocess.Popen[bytes]
+) -> None:
+    page.until("!document.getElementById('image').classList.contains('stale')")
+    os.kill(demo_robot.pid, signal.SIGSTOP)
+    try:
+        page.until("['image', 'map', 'values'].every(id => document.getElementById(id).classList.contains('stale'))")
+        pictured(page, "stale")
+    finally:
+        os.kill(demo_robot.pid, signal.SIGCONT)
+    page.until("!document.getElementById('image').classList.contains('stale')")
+
+
+def test_a_recording_is_shown_at_any_of_its_times(
+    browser: Page, ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    where = "document.querySelector('#map canvas').ariaLabel"
+    with viewing(ros_environment, "--bag", str(room_bag(tmp_path / "room"))) as address:
+        browser.open(address)
+        browser.until("document.querySelector('footer input') !== null")
+        last = browser.until(f"/Robot at/.test({where} ?? '') && {where}")
+        pictured(browser, "recording")
+        browser.run(
+            "(() => { const r = document.querySelector('footer input'); r.value = '1'; r.dispatchEvent(new Event('input')); })()"
+        )
+        browser.until(f"/Robot at/.test({where}) && {where} !== {last!r}")
+        assert browser.run(text("#state")).startswith("recording")

@@ -1,0 +1,81 @@
+// The agent: what it does now, what waits for a person, what became of the rest.
+
+import { Frame, clock, make } from "./dom.ts";
+
+type Waiting = { id: string; left_s: number; summary: string[] };
+type Server = { name: string; answers: boolean; why?: string; mode?: string; moves: string[]; waiting?: Waiting[]; grants?: string[]; audit_failed?: string };
+type Act = { seq: number; time: string; kind: string; who: string; tool?: string; verb?: string; name?: string; type?: string; by?: string; reason?: string; outcome?: string; now?: string; rate_hz?: number; duration_s?: number; program?: string; value?: unknown };
+export type AgentState = { servers?: Server[]; latch?: { by: string; reason: string; since_s: number } | null; acts?: Act[]; folder?: string; why?: string };
+
+const VERBS: Record<string, string> = {
+  publish: "publishes", repeat: "publishes", move: "moves by feedback", relay: "relays", play: "plays a recording", feed: "feeds", record: "records",
+  call: "calls", set_parameters: "sets parameters of", change_state: "changes the state of", send_goal: "sends a goal to", cancel_goals: "cancels goals of",
+};
+
+export class AgentPanel {
+  private readonly frame: Frame;
+  private readonly waits = make("div");
+  private readonly rows = make("ol", { class: "rows" });
+  private readonly none = make("p", { class: "empty" });
+
+  constructor(section: HTMLElement) {
+    this.frame = new Frame(section, "Agent", false);
+    this.frame.body.append(this.waits, this.rows, this.none);
+  }
+
+  update(state: AgentState): void {
+    const servers = state.servers ?? [];
+    const waiting = servers.flatMap((server) => server.waiting ?? []);
+    this.waits.replaceChildren(...waiting.map((one) => make(
+      "div", { class: "waits" }, make("b", {}, `Waits for a person, ${one.left_s} s left: ${one.id}. `),
+      ...one.summary.map((line) => make("div", {}, line)), make("small", {}, "Answer it in a terminal: ros2-mcp operate"))));
+    const acts = [...(state.acts ?? [])].reverse();
+    const atEnd = this.frame.body.scrollTop;
+    this.rows.replaceChildren(...acts.map(row));
+    this.frame.body.scrollTop = atEnd < 40 ? 0 : atEnd;
+    this.none.hidden = acts.length > 0;
+    this.none.textContent = servers.length ? "Nothing was done yet." : `No server acts on ${state.folder ?? "this robot"} from this machine.`;
+    const modes = [...new Set(servers.map((server) => server.mode).filter(Boolean))].join(", ");
+    const silent = servers.filter((server) => !server.answers).length;
+    const told = `${servers.length} server${servers.length === 1 ? "" : "s"}${silent ? `, ${silent} NOT answering` : ""}${modes ? ` · ${modes}` : ""}`;
+    this.frame.tellAge(told, silent > 0);
+    const failed = servers.map((server) => server.audit_failed).filter(Boolean).map((text) => `The audit cannot be written: ${text}.`);
+    const grants = servers.flatMap((server) => server.grants ?? []).map((text) => `Granted: ${text}`);
+    this.frame.tellFoot([state.why ?? "", ...failed, ...grants].filter(Boolean).map((text) => make("div", { class: "warn" }, text)));
+  }
+}
+
+/** An act is under way while its outcome is not written; one whose time is long over has lost its server. */
+function isRunning(act: Act): boolean {
+  if (act.kind !== "act" || act.outcome) return false;
+  const ends = new Date(act.time).getTime() + ((act.duration_s ?? 60) + 5) * 1000;
+  return Date.now() < ends;
+}
+
+function row(act: Act): HTMLElement {
+  const verb = act.kind === "act" || act.kind.startsWith("refused") || act.kind === "waits" ? VERBS[act.verb ?? ""] ?? act.verb ?? act.tool ?? act.kind : act.kind;
+  const often = [act.rate_hz ? `${act.rate_hz} Hz` : "", act.duration_s ? `for ${act.duration_s} s` : ""].filter(Boolean).join(" ");
+  const value = brief(act.value);
+  const running = isRunning(act);
+  const end = running ? "under way" : act.kind.startsWith("refused") ? `refused` : act.kind === "waits" ? "waits" : act.outcome ?? (act.kind === "act" ? "no outcome" : "");
+  const tone = act.kind.startsWith("refused") || ["latched", "stop"].includes(act.kind) || end.startsWith("failed") ? "bad" : act.kind === "waits" || end === "no outcome" || end.startsWith("stopped") ? "warn" : "";
+  return make("li", { class: `${tone}${running ? " running" : ""}`.trim() || undefined, title: act.tool ?? "" },
+    make("time", {}, clock(act.time)),
+    make("span", { class: "what" }, make("b", {}, verb), act.name ? " " : "", act.name ? make("code", {}, act.name) : "",
+      make("small", {}, ` ${[often, value, act.reason ?? "", act.by ? `by ${act.by}` : "", act.now ?? ""].filter(Boolean).join(" · ")}`)),
+    make("span", { class: "end", title: end }, end));
+}
+
+/** The values that are not zero, in one line. */
+function brief(value: unknown): string {
+  const leaves: string[] = [];
+  const walk = (at: unknown, path: string, depth: number): void => {
+    if (leaves.length > 5 || depth > 5) return;
+    if (Array.isArray(at)) { if (at.length) leaves.push(`${path} [${at.length}]`); return; }
+    if (at && typeof at === "object") { for (const [name, inner] of Object.entries(at)) walk(inner, path ? `${path}.${name}` : name, depth + 1); return; }
+    if (at === 0 || at === "" || at === null || at === undefined || at === false) return;
+    leaves.push(`${path} ${typeof at === "number" ? Number(at.toPrecision(4)) : String(at).slice(0, 40)}`.trim());
+  };
+  walk(value, "", 0);
+  return leaves.slice(0, 5).join(", ");
+}

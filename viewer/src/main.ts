@@ -1,0 +1,170 @@
+// The page: asks for what is new, one question at a time, and shows it. It changes nothing but by the stop button.
+
+import { AgentPanel, type AgentState } from "./agent.ts";
+import { Refused, call, pressStop } from "./call.ts";
+import { byId, make, say } from "./dom.ts";
+import { ImagePanel } from "./image.ts";
+import { MapPanel } from "./map.ts";
+import { LogPanel, ValuesPanel } from "./values.ts";
+
+type Robot = { title?: string; live?: boolean; why?: string; topics?: [string, string?][]; source?: string; begin_s?: number; end_s?: number };
+type Update = { view: string; now_s: number; panels: Record<string, { number: number; [name: string]: unknown }> };
+type Stopped = { summary: string; is_all_well: boolean; servers: { name: string; answered: boolean; said: string }[]; problems: string[] };
+
+const WAIT_MS = 1000;
+const AGAIN_MS = 700;
+const LEAST_MS = 30; // between two questions: thirty a second are more than anybody sees
+
+// ── theme ───────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+const prefersDark = matchMedia("(prefers-color-scheme: dark)");
+let pickedTheme = "";
+function applyTheme(): void {
+  document.documentElement.dataset.theme = pickedTheme || (prefersDark.matches ? "dark" : "light");
+  map.repaint();
+}
+
+// ── panels ──────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+let view = "";
+const map = new MapPanel(byId("map"), async (key) => String((await call("ros2_view_ask", { view, key }) as { bulk: unknown }).bulk));
+const image = new ImagePanel(byId("image"));
+const agent = new AgentPanel(byId("agent"));
+const values = new ValuesPanel(byId("values"));
+const log = new LogPanel(byId("log"));
+const chosen: Record<string, () => string> = { map: () => map.chosen, image: () => image.chosen, values: () => values.chosen, log: () => "", agent: () => "", robot: () => "" };
+let seen: Record<string, number> = {};
+let serverS = 0, heardAt = 0, lost = "connecting", robot: Robot = {}, latest: AgentState = {};
+
+const nowS = (): number => serverS + (robot.live === false ? 0 : (performance.now() - heardAt) / 1000);
+
+function show(name: string, content: never): void {
+  if (name === "map") map.update(content);
+  else if (name === "image") image.update(content);
+  else if (name === "agent") agent.update(latest = content);
+  else if (name === "values") values.update(content);
+  else if (name === "log") log.update(content);
+  else if (name === "robot") showRobot(content);
+}
+
+function showRobot(state: Robot): void {
+  robot = state;
+  say(byId("title"), state.title ?? "");
+  document.title = `${state.title ?? ""} · ros2-mcp`;
+  values.offer((state.topics ?? []).map(([name]) => name));
+  if (state.live === false && state.begin_s !== undefined && state.end_s !== undefined) showTime(state.begin_s, state.end_s);
+}
+
+// ── the recording's time ────────────────────────────────────────────────────────────────────────────────────────────
+
+let atS: number | null = null, speed = 1, playing = 0;
+let timeBar: { range: HTMLInputElement; told: HTMLElement; play: HTMLButtonElement } | null = null;
+
+function showTime(begin: number, end: number): void {
+  if (timeBar) return;
+  const range = make("input", { type: "range", min: "0", max: String(end - begin), step: "0.05", "aria-label": "Time of the recording" });
+  const play = make("button", { type: "button", title: "Play (space)" }, "▶");
+  const faster = make("button", { type: "button", title: "Speed" }, "1×");
+  const told = make("output");
+  range.value = String(end - begin);
+  const seek = (s: number): void => { atS = begin + Math.min(Math.max(s, 0), end - begin); range.value = String(atS - begin); };
+  const step = (s: number): void => { playing = 0; seek((atS ?? end) - begin + s); };
+  range.addEventListener("input", () => seek(Number(range.value)));
+  play.addEventListener("click", () => { if (!playing && atS !== null && atS >= end) seek(0); if (atS === null) seek(0); playing = playing ? 0 : performance.now(); });
+  faster.addEventListener("click", () => { speed = speed >= 8 ? 0.5 : speed * 2; say(faster, `${speed}×`); });
+  document.addEventListener("keydown", (event) => {
+    if (isTyping(event) || event.target instanceof HTMLButtonElement) return;
+    if (event.key === " ") { event.preventDefault(); play.click(); }
+    if (event.key === "," || event.key === ".") step(event.key === "," ? -0.1 : 0.1);
+  });
+  setInterval(() => {
+    if (playing) { const now = performance.now(); seek((atS ?? begin) - begin + ((now - playing) / 1000) * speed); playing = atS !== null && atS >= end ? 0 : now; }
+    const shown = atS ?? end;
+    say(told, `${(shown - begin).toFixed(1)} s of ${(end - begin).toFixed(1)} s · ${new Date(shown * 1000).toTimeString().slice(0, 8)}`);
+    say(play, playing ? "❚❚" : "▶");
+  }, 50);
+  timeBar = { range, told, play };
+  const footer = byId("time");
+  footer.hidden = false;
+  footer.append(play, faster, range, told);
+}
+
+// ── the header ──────────────────────────────────────────────────────────────────────────────────────────────────────
+
+function tell(): void {
+  const state = byId("state"), moves = byId("moves");
+  const why = lost || robot.why || "";
+  say(state, why || (robot.live === false ? `recording · ${robot.source ?? ""}` : "live"));
+  state.classList.toggle("bad", !!why);
+  const servers = latest.servers ?? [], moved = [...new Set(servers.flatMap((server) => server.moves))];
+  const isLatched = !!latest.latch;
+  say(moves, lost ? "" : isLatched ? `LATCHED by ${latest.latch?.by}: ${latest.latch?.reason}` : moved.length ? `moves ${moved.join(", ")}` : servers.length ? "moves nothing now" : "nobody acts here");
+  moves.classList.toggle("latched", isLatched);
+  moves.classList.toggle("still", !isLatched && moved.length === 0);
+  const at = nowS();
+  map.tick(at, !!lost);
+  image.tick(at, !!lost);
+  values.tick(at, !!lost);
+}
+
+// ── stop ────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+const button = byId<HTMLButtonElement>("stop");
+function tellStop(text: string, lines: string[], isWell: boolean): void {
+  const said = byId("said");
+  said.hidden = false;
+  said.classList.toggle("ok", isWell);
+  said.replaceChildren(text, ...(lines.length ? [make("ul", {}, ...lines.map((line) => make("li", {}, line)))] : []));
+}
+
+async function stop(): Promise<void> {
+  button.setAttribute("aria-busy", "true");
+  tellStop("Stopping …", [], true);
+  try {
+    const stopped = await pressStop() as Stopped;
+    const lines = [...stopped.problems, ...stopped.servers.map((one) => `${one.name}: ${one.answered ? one.said : `NO ANSWER. ${one.said}`}`)];
+    tellStop(stopped.summary, lines, stopped.is_all_well);
+  } catch (error) {
+    tellStop(`NOT STOPPED from here (${error instanceof Error ? error.message : "?"}). Use the robot's own emergency stop, or a terminal: ros2-mcp operate stop`, [], false);
+  } finally {
+    button.removeAttribute("aria-busy");
+  }
+}
+button.addEventListener("click", () => void stop());
+
+function isTyping(event: KeyboardEvent): boolean {
+  return event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLSelectElement || event.target instanceof HTMLInputElement;
+}
+document.addEventListener("keydown", (event) => {
+  if (isTyping(event) || event.repeat) return;
+  if (event.key === "s" || event.key === "S") void stop();
+  if (event.key === "t") byId("theme").click();
+});
+byId("theme").addEventListener("click", () => { pickedTheme = document.documentElement.dataset.theme === "dark" ? "light" : "dark"; applyTheme(); });
+prefersDark.addEventListener("change", applyTheme);
+
+// ── asking ──────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+const pause = (ms: number): Promise<void> => new Promise((resolve) => setTimeout(resolve, ms));
+
+async function ask(): Promise<void> {
+  while (true) {
+    if (document.hidden) { await pause(200); continue; } // the server gives the view up by itself
+    const began = performance.now();
+    try {
+      const panels = Object.fromEntries(Object.entries(chosen).map(([name, topic]) => [name, topic()]));
+      const update = await call("ros2_view_frame", { view, panels, seen, wait_ms: WAIT_MS, at_s: atS }) as Update;
+      if (update.view !== view) { view = update.view; seen = {}; }
+      [serverS, heardAt, lost] = [update.now_s, performance.now(), ""];
+      for (const [name, content] of Object.entries(update.panels)) { seen[name] = content.number; show(name, content as never); }
+    } catch (error) {
+      lost = error instanceof Refused ? error.message : `ros2-mcp view does not answer (${error instanceof Error ? error.message : "?"}): what is shown is old`;
+      await pause(AGAIN_MS);
+    }
+    await pause(Math.max(0, LEAST_MS - (performance.now() - began)));
+  }
+}
+
+applyTheme();
+setInterval(tell, 100);
+void ask();

@@ -1,0 +1,340 @@
+// The map: what is around the robot, from above. Drag moves, the wheel or + and - zoom, 0 shows all, f follows.
+
+import { Frame, Sheet, ageText, bytesOf, colour, make } from "./dom.ts";
+
+type Mark = { name: string; x: number; y: number; yaw: number | null };
+type Grid = { key: string; name: string; width: number; height: number; resolution: number; costs: boolean; x: number; y: number; yaw: number };
+type Around = {
+  why?: string; frame?: string; grids?: string[];
+  robot?: { x: number; y: number; yaw: number; at_s: number | null } | null;
+  grid?: Grid | null; footprint?: [number, number][] | null;
+  paths?: { name: string; points: [number, number][] }[]; goals?: Mark[]; places?: Mark[];
+  layers?: { kind: string; name: string; at_s: number | null }[]; missing?: string[]; bulk?: string[];
+};
+type Tint = [number, number, number];
+
+const MOST_TRAIL = 3000;
+const STALE_S = 3;
+
+export class MapPanel {
+  chosen = "";
+  private readonly frame: Frame;
+  private readonly sheet: Sheet;
+  private around: Around = {};
+  private scans: Float32Array[] = [];
+  private cells = new Map<string, Uint8Array>();
+  private asked = new Set<string>();
+  private ground: { key: string; canvas: HTMLCanvasElement } | null = null;
+  private trail: [number, number][] = [];
+  private centre: [number, number] = [0, 0];
+  private scale = 0; // pixels for each metre; 0: fit
+  private fitted = true;
+  private pointer: [number, number] | null = null;
+
+  constructor(section: HTMLElement, private readonly askChunk: (key: string) => Promise<string>) {
+    this.frame = new Frame(section, "Map", true, (topic) => { this.chosen = topic; this.fitted = true; });
+    this.sheet = new Sheet(this.frame.body, () => this.draw());
+    const canvas = this.sheet.canvas;
+    canvas.classList.add("shown");
+    canvas.tabIndex = 0;
+    let from: [number, number] | null = null;
+    canvas.addEventListener("pointerdown", (event) => { from = [event.offsetX, event.offsetY]; canvas.setPointerCapture(event.pointerId); });
+    canvas.addEventListener("pointerup", () => { from = null; });
+    canvas.addEventListener("pointerleave", () => { this.pointer = null; this.draw(); });
+    canvas.addEventListener("pointermove", (event) => {
+      this.pointer = [event.offsetX, event.offsetY];
+      if (from) { this.move(event.offsetX - from[0], event.offsetY - from[1]); from = [event.offsetX, event.offsetY]; }
+      this.draw();
+    });
+    canvas.addEventListener("wheel", (event) => { event.preventDefault(); this.zoom(Math.exp(-event.deltaY / 400), event.offsetX, event.offsetY); }, { passive: false });
+    canvas.addEventListener("keydown", (event) => this.press(event));
+  }
+
+  update(around: Around): void {
+    if (around.frame !== this.around.frame) { this.trail = []; this.fitted = true; }
+    if (around.grid?.name !== this.around.grid?.name) this.fitted = true;
+    this.around = around;
+    this.scans = (around.bulk ?? []).map((text) => new Float32Array(bytesOf(text).buffer));
+    const at = around.robot, last = this.trail.at(-1);
+    if (at && last && Math.hypot(at.x - last[0], at.y - last[1]) > 3) this.trail = []; // set anew, or another time
+    if (at && (!last || Math.hypot(at.x - last[0], at.y - last[1]) > 0.02)) this.trail.push([at.x, at.y]);
+    if (this.trail.length > MOST_TRAIL) this.trail = this.trail.filter((_, index) => index % 2 === 0);
+    this.frame.offer(around.grids ?? [], this.chosen || around.grid?.name || "");
+    this.frame.tell(around.why ?? "");
+    this.frame.tellFoot((around.missing ?? []).map((text) => make("div", {}, text)));
+    if (around.grid) void this.fetchCells(around.grid.key);
+    this.sheet.canvas.setAttribute("aria-label", this.inWords());
+    this.draw();
+  }
+
+  private inWords(): string {
+    const { robot, frame, goals = [], places = [] } = this.around;
+    const where = robot ? `Robot at ${robot.x.toFixed(2)}, ${robot.y.toFixed(2)} metres in ${frame}, heading ${Math.round((robot.yaw * 180) / Math.PI)} degrees.` : "Nobody says where the robot is.";
+    const named = [...goals, ...places].map((mark) => `${mark.name} at ${mark.x.toFixed(1)}, ${mark.y.toFixed(1)}`);
+    return `Map. ${where} ${named.slice(0, 8).join("; ")}`;
+  }
+
+  tick(nowS: number, lost: boolean): void {
+    const at = this.around.robot?.at_s ?? null;
+    const age = at === null ? NaN : nowS - at;
+    const stale = lost || age > STALE_S;
+    this.frame.tellAge(this.around.frame ? `${this.around.frame} · ${at === null ? "pose unknown" : `pose ${ageText(age)}`}` : "", stale);
+  }
+
+  repaint(): void { this.ground = null; this.draw(); }
+
+  private async fetchCells(key: string): Promise<void> {
+    if (this.cells.has(key) || this.asked.has(key)) return;
+    this.asked.add(key);
+    try {
+      const packed = bytesOf(await this.askChunk(key));
+      const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+      this.cells.set(key, new Uint8Array(await new Response(stream).arrayBuffer()));
+      for (const old of [...this.cells.keys()].slice(0, -3)) this.cells.delete(old);
+      this.draw();
+    } catch { /* the next update asks again */ } finally { this.asked.delete(key); }
+  }
+
+  // ── where it looks ──────────────────────────────────────────────────────────────────────────────────────────────
+
+  private fit(): void {
+    const x: number[] = [], y: number[] = [];
+    const { grid, robot, goals = [], paths = [] } = this.around;
+    const add = (px: number, py: number) => { if (Math.abs(px) < 1e5 && Math.abs(py) < 1e5) { x.push(px); y.push(py); } };
+    if (grid) for (const [u, v] of this.known(grid)) {
+      const [cos, sin] = [Math.cos(grid.yaw), Math.sin(grid.yaw)];
+      add(grid.x + cos * u - sin * v, grid.y + sin * u + cos * v);
+    }
+    if (robot) add(robot.x, robot.y);
+    for (const goal of goals) add(goal.x, goal.y);
+    for (const path of paths) for (const [px, py] of path.points) add(px, py);
+    if (!grid) for (const scan of this.scans) for (let at = 0; at < scan.length; at += 8) add(scan[at] ?? 0, scan[at + 1] ?? 0);
+    if (x.length === 0) return;
+    const low = [Math.min(...x), Math.min(...y)] as const, high = [Math.max(...x), Math.max(...y)] as const;
+    this.centre = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
+    const room = 28;
+    this.scale = Math.min((this.sheet.width - 2 * room) / Math.max(high[0] - low[0], 2), (this.sheet.height - 2 * room) / Math.max(high[1] - low[1], 2));
+  }
+
+  /** The corners of the part of a grid that is known. */
+  private known(grid: Grid): [number, number][] {
+    const cells = this.cells.get(grid.key);
+    let [left, right, low, high] = [0, grid.width, 0, grid.height];
+    if (cells) {
+      [left, right, low, high] = [grid.width, 0, grid.height, 0];
+      for (let row = 0; row < grid.height; row++) for (let column = 0; column < grid.width; column++) if (cells[row * grid.width + column] !== 255) {
+        left = Math.min(left, column); right = Math.max(right, column + 1); low = Math.min(low, row); high = Math.max(high, row + 1);
+      }
+      if (right <= left) [left, right, low, high] = [0, grid.width, 0, grid.height];
+    }
+    const metres = grid.resolution;
+    return [[left * metres, low * metres], [right * metres, low * metres], [left * metres, high * metres], [right * metres, high * metres]];
+  }
+
+  private move(dx: number, dy: number): void {
+    this.fitted = false;
+    this.centre = [this.centre[0] - dx / this.scale, this.centre[1] + dy / this.scale];
+    this.draw();
+  }
+
+  private zoom(by: number, x = this.sheet.width / 2, y = this.sheet.height / 2): void {
+    const before = this.toMetres(x, y);
+    this.fitted = false;
+    this.scale = Math.min(2000, Math.max(0.05, this.scale * by));
+    const after = this.toMetres(x, y);
+    this.centre = [this.centre[0] + before[0] - after[0], this.centre[1] + before[1] - after[1]];
+    this.draw();
+  }
+
+  private press(event: KeyboardEvent): void {
+    const steps: Record<string, () => void> = {
+      "+": () => this.zoom(1.25), "=": () => this.zoom(1.25), "-": () => this.zoom(0.8),
+      "0": () => { this.fitted = true; this.draw(); },
+      ArrowLeft: () => this.move(40, 0), ArrowRight: () => this.move(-40, 0), ArrowUp: () => this.move(0, 40), ArrowDown: () => this.move(0, -40),
+    };
+    const step = steps[event.key];
+    if (step && !event.ctrlKey && !event.metaKey) { event.preventDefault(); step(); }
+  }
+
+  private toMetres(x: number, y: number): [number, number] {
+    return [this.centre[0] + (x - this.sheet.width / 2) / this.scale, this.centre[1] - (y - this.sheet.height / 2) / this.scale];
+  }
+
+  private px = (x: number): number => this.sheet.width / 2 + (x - this.centre[0]) * this.scale;
+  private py = (y: number): number => this.sheet.height / 2 - (y - this.centre[1]) * this.scale;
+
+  // ── drawing ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+  draw(): void {
+    const { pen } = this.sheet;
+    this.sheet.clear();
+    if (this.fitted && this.sheet.width > 0) this.fit();
+    if (this.scale <= 0) return;
+    const isDark = document.documentElement.dataset.theme === "dark";
+    if (this.around.grid) this.drawGrid(this.around.grid, isDark);
+    this.drawLines(isDark);
+    pen.lineJoin = pen.lineCap = "round";
+    this.line(this.trail, isDark ? "#ffb45488" : "#c2600088", 2);
+    const paths = isDark ? ["#4cc38a", "#3fb8c4", "#b3c24a"] : ["#0a8a4a", "#007f8c", "#6d7f00"];
+    (this.around.paths ?? []).forEach((path, index) => this.line(path.points, paths[index % 3] ?? "", 3));
+    pen.fillStyle = isDark ? "#ff6f91" : "#d6003a";
+    for (const scan of this.scans) for (let at = 0; at + 1 < scan.length; at += 2) {
+      const x = this.px(scan[at] ?? 0), y = this.py(scan[at + 1] ?? 0);
+      if (x > 0 && y > 0 && x < this.sheet.width && y < this.sheet.height) pen.fillRect(x - 1.25, y - 1.25, 2.5, 2.5);
+    }
+    for (const mark of this.around.places ?? []) this.mark(mark, isDark ? "#7cb2ff" : "#0050c8", true);
+    for (const mark of this.around.goals ?? []) this.mark(mark, isDark ? "#ea8bf0" : "#a800a8", false);
+    this.drawRobot(isDark);
+    this.drawScale();
+  }
+
+  private line(points: [number, number][], stroke: string, width: number): void {
+    if (points.length < 2) return;
+    const { pen } = this.sheet;
+    pen.beginPath();
+    for (const [x, y] of points) pen.lineTo(this.px(x), this.py(y));
+    pen.strokeStyle = stroke;
+    pen.lineWidth = width;
+    pen.stroke();
+  }
+
+  private drawGrid(grid: Grid, isDark: boolean): void {
+    const cells = this.cells.get(grid.key);
+    if (!cells || cells.length !== grid.width * grid.height) return;
+    const key = `${grid.key} ${isDark} ${grid.costs}`;
+    if (this.ground?.key !== key) this.ground = { key, canvas: painted(grid, cells, isDark) };
+    const { pen, ratio } = this.sheet;
+    const side = grid.resolution * this.scale * ratio;
+    const [cos, sin] = [Math.cos(grid.yaw), Math.sin(grid.yaw)];
+    pen.save();
+    pen.imageSmoothingEnabled = side < 1;
+    pen.setTransform(side * cos, -side * sin, -side * sin, -side * cos, this.px(grid.x) * ratio, this.py(grid.y) * ratio);
+    pen.drawImage(this.ground.canvas, 0, 0);
+    pen.restore();
+  }
+
+  private drawLines(isDark: boolean): void {
+    const { pen, width, height } = this.sheet;
+    const metres = this.roundMetres(64);
+    pen.lineWidth = 1;
+    pen.strokeStyle = isDark ? "#ffffff14" : "#00000012";
+    pen.beginPath();
+    const [left, top] = this.toMetres(0, 0), [right, bottom] = this.toMetres(width, height);
+    for (let x = Math.ceil(left / metres) * metres; x <= right; x += metres) { pen.moveTo(this.px(x), 0); pen.lineTo(this.px(x), height); }
+    for (let y = Math.ceil(bottom / metres) * metres; y <= top; y += metres) { pen.moveTo(0, this.py(y)); pen.lineTo(width, this.py(y)); }
+    pen.stroke();
+  }
+
+  private roundMetres(pixels: number): number {
+    const least = pixels / this.scale, digit = 10 ** Math.floor(Math.log10(least));
+    return ([1, 2, 5, 10].find((step) => step * digit >= least) ?? 10) * digit;
+  }
+
+  private drawScale(): void {
+    const { pen, width, height } = this.sheet;
+    const metres = this.roundMetres(64), long = metres * this.scale;
+    pen.font = "12px system-ui, sans-serif";
+    const text = this.pointer ? this.toMetres(...this.pointer).map((value) => value.toFixed(2)).join(", ") + " m" : "";
+    for (const [at, said] of [[width - 12 - long, `${metres} m`], [12, text]] as const) {
+      if (!said) continue;
+      pen.fillStyle = colour("ink");
+      pen.strokeStyle = colour("panel");
+      pen.lineWidth = 4;
+      pen.strokeText(said, at, height - 16);
+      pen.fillText(said, at, height - 16);
+    }
+    pen.strokeStyle = colour("ink");
+    pen.lineWidth = 2;
+    pen.beginPath();
+    pen.moveTo(width - 12 - long, height - 9);
+    pen.lineTo(width - 12, height - 9);
+    pen.stroke();
+  }
+
+  private mark(mark: Mark, fill: string, square: boolean): void {
+    const { pen } = this.sheet;
+    const x = this.px(mark.x), y = this.py(mark.y);
+    if (x < -50 || y < -50 || x > this.sheet.width + 50 || y > this.sheet.height + 50) return;
+    if (mark.yaw !== null) this.arrow(x, y, mark.yaw, 20, fill);
+    pen.beginPath();
+    if (square) pen.rect(x - 4.5, y - 4.5, 9, 9); else pen.arc(x, y, 6, 0, 7);
+    pen.fillStyle = fill;
+    pen.strokeStyle = colour("panel");
+    pen.lineWidth = 1.5;
+    pen.fill();
+    pen.stroke();
+    const name = mark.name.length > 28 ? `${mark.name.slice(0, 27)}…` : mark.name;
+    pen.font = "600 12px system-ui, sans-serif";
+    pen.lineWidth = 4;
+    pen.strokeText(name, x + 9, y - 7);
+    pen.fillText(name, x + 9, y - 7);
+  }
+
+  private arrow(x: number, y: number, yaw: number, long: number, stroke: string): void {
+    const { pen } = this.sheet;
+    const at = (turn: number, far: number): [number, number] => [x + far * Math.cos(yaw + turn), y - far * Math.sin(yaw + turn)];
+    pen.beginPath();
+    pen.moveTo(x, y);
+    pen.lineTo(...at(0, long));
+    pen.moveTo(...at(0.28, long - 7));
+    pen.lineTo(...at(0, long));
+    pen.lineTo(...at(-0.28, long - 7));
+    pen.strokeStyle = stroke;
+    pen.lineWidth = 2.5;
+    pen.stroke();
+  }
+
+  private drawRobot(isDark: boolean): void {
+    const { pen } = this.sheet, at = this.around.robot;
+    if (!at) return;
+    const x = this.px(at.x), y = this.py(at.y), body = this.around.footprint;
+    let reach = 9;
+    pen.beginPath();
+    if (body && body.length > 2) {
+      for (const [px, py] of body) { pen.lineTo(this.px(px), this.py(py)); reach = Math.max(reach, Math.hypot(this.px(px) - x, this.py(py) - y)); }
+      pen.closePath();
+    } else pen.arc(x, y, 8, 0, 7);
+    pen.fillStyle = isDark ? "#ffa63d66" : "#ff8c0066";
+    pen.strokeStyle = isDark ? "#ffb95e" : "#b85c00";
+    pen.lineWidth = 2;
+    pen.fill();
+    pen.stroke();
+    this.arrow(x, y, at.yaw, reach + 14, isDark ? "#ffd29a" : "#7a3d00");
+  }
+}
+
+/** A grid as pixels, row 0 below in metres, which the transform turns up. */
+function painted(grid: Grid, cells: Uint8Array, isDark: boolean): HTMLCanvasElement {
+  const canvas = document.createElement("canvas");
+  canvas.width = grid.width;
+  canvas.height = grid.height;
+  const pen = canvas.getContext("2d");
+  if (!pen) return canvas;
+  const image = pen.createImageData(grid.width, grid.height), table = tints(grid.costs, isDark);
+  const pixels = new Uint32Array(image.data.buffer);
+  for (let at = 0; at < cells.length; at++) pixels[at] = table[cells[at] ?? 255] ?? 0;
+  pen.putImageData(image, 0, 0);
+  return canvas;
+}
+
+function tints(costs: boolean, isDark: boolean): Uint32Array {
+  const table = new Uint32Array(256);
+  const free: Tint = isDark ? [35, 45, 42] : [255, 255, 255];
+  const full: Tint = isDark ? [226, 236, 232] : [28, 36, 33];
+  const unknown: Tint = isDark ? [22, 29, 27] : [229, 233, 230];
+  const mix = (one: Tint, two: Tint, share: number): Tint => [0, 1, 2].map((at) => Math.round((one[at] ?? 0) + ((two[at] ?? 0) - (one[at] ?? 0)) * share)) as Tint;
+  const pack = ([red, green, blue]: Tint): number => ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
+  for (let value = 0; value < 256; value++) {
+    let tint = unknown;
+    if (value <= 100) tint = costs ? cost(value, free, mix) : mix(free, full, value / 100);
+    table[value] = pack(tint);
+  }
+  return table;
+}
+
+/** Inscribed cyan and lethal magenta as RViz has them; what costs less in violet, which both eyes and themes bear. */
+function cost(value: number, free: Tint, mix: (one: Tint, two: Tint, share: number) => Tint): Tint {
+  if (value === 100) return [214, 0, 200];
+  if (value === 99) return [0, 176, 190];
+  return value === 0 ? free : mix(free, [112, 84, 214], 0.12 + 0.6 * (value / 98));
+}
