@@ -17,6 +17,7 @@ SHARED = {
     "observed": "whether the robot is seen to stand, for whatever has stopped it",
     "results": "what all results have in common, and progress",
     "sources": "what is read from, live or recorded: arguments of tools in several rooms",
+    "view": "what the page shows, for `ros2-mcp view` and not for tools",
     "watch": "changes on the robot, for resources and not for tools",
 }
 """Rooms without tools of their own."""

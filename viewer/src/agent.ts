@@ -59,7 +59,7 @@ function row(act: Act): HTMLElement {
   const running = isRunning(act);
   const end = running ? "under way" : act.kind.startsWith("refused") ? `refused` : act.kind === "waits" ? "waits" : act.outcome ?? (act.kind === "act" ? "no outcome" : "");
   const tone = act.kind.startsWith("refused") || ["latched", "stop"].includes(act.kind) || end.startsWith("failed") ? "bad" : act.kind === "waits" || end === "no outcome" || end.startsWith("stopped") ? "warn" : "";
-  return make("li", { class: `${tone}${running ? " running" : ""}`.trim() || undefined, title: act.tool ?? "" },
+  return make("li", { class: `${tone}${running ? " running" : ""}`.trim() || undefined, title: [act.tool, act.reason].filter(Boolean).join(": ") },
     make("time", {}, clock(act.time)),
     make("span", { class: "what" }, make("b", {}, verb), act.name ? " " : "", act.name ? make("code", {}, act.name) : "",
       make("small", {}, ` ${[often, value, act.reason ?? "", act.by ? `by ${act.by}` : "", act.now ?? ""].filter(Boolean).join(" · ")}`)),

@@ -30,4 +30,4 @@ async function post(path: string, body: unknown, patienceMs: number): Promise<un
 }
 
 export const call = (name: string, args: unknown): Promise<unknown> => post("/call", { name, arguments: args }, 8000);
-export const pressStop = (): Promise<unknown> => post("/stop", {}, 20000);
+export const pressStop = (): Promise<unknown> => post("/stop", {}, 25000);

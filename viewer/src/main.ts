@@ -139,6 +139,7 @@ document.addEventListener("keydown", (event) => {
   if (isTyping(event) || event.repeat) return;
   if (event.key === "s" || event.key === "S") void stop();
   if (event.key === "t") byId("theme").click();
+  if (event.key === "Escape") byId("said").hidden = true;
 });
 byId("theme").addEventListener("click", () => { pickedTheme = document.documentElement.dataset.theme === "dark" ? "light" : "dark"; applyTheme(); });
 prefersDark.addEventListener("change", applyTheme);

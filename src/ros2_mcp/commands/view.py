@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from ros2_mcp.view.local import LocalPage
 
 _TOKEN_BYTES = 32
-_LAST_S = 8
-"""For what is under way at the end: a stop waits 6 s for the last server."""
+_LAST_S = 16
+"""For what is under way at the end: a stop waits 15 s for the last server."""
 
 
 def view(settings: Settings, state: Path, port: int = 0) -> int:

@@ -48,8 +48,21 @@ class Server:
         Raises:
             RobotError: with what the server answers, or because it is gone.
         """
+        self.tell(what, **arguments)
+        return self.answer()
+
+    def tell(self, what: str, **arguments: Any) -> None:
+        """One request, whose answer is taken later. Raises `RobotError` if the server is gone."""
         try:
             self._connection.sendall(json.dumps({"do": what, **arguments}).encode() + b"\n")
+        except OSError as error:
+            raise Ended from error
+
+    def answer(self, patience_s: float | None = None) -> Row:
+        """The answer to what was told; raises as `do`."""
+        try:
+            if patience_s is not None:
+                self._connection.settimeout(patience_s)
             line = self._lines.readline(_ANSWER_BYTES)
         except ConnectionError as error:
             raise Ended from error

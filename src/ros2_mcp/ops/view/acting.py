@@ -19,10 +19,12 @@ from ros2_mcp.ops.view.look import Content, Look, Panel
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.velocity import VELOCITY_TYPES
 
-_ALIVE_S = 0.5
+_ALIVE_S = 1.0
 """For the answer of a server that is alive: it looks nothing up. One that hangs has lost its link lease in a second."""
-_STOPPED_S = 6.0
-"""For the whole answer of a stop, which waits 3 s for goals to end and a second to see that the robot stands."""
+_STOPPED_S = 15.0
+"""For the whole answer of a stop, which waits some seconds for goals to end and to see that the robot stands."""
+_LATE_S = 2.0
+"""For that of a server that was found silent, and may only have been slow: all is done in its place meanwhile."""
 _ASKED_EVERY_S = 0.5
 """Servers are asked what they do: a person sees what has changed within a second."""
 _TAIL_BYTES = 96_000
@@ -119,7 +121,7 @@ class Acting:
     async def stop(self, robot: Robot) -> StoppedAll:
         """Stops every server, sends the zeros for those that do not answer, and sees to it that the latch is set."""
         answers, (zeros, problems) = await asyncio.gather(
-            self._all(lambda server: server.do("stop"), _STOPPED_S, of_one=False), self._instead(robot)
+            self._all(_stop_of, _STOPPED_S, of_one=False), self._instead(robot)
         )
         if not self.at.latch().look().is_set:
             problems = [*problems, *await self._latch()]
@@ -232,6 +234,22 @@ async def _or_none(
     except RobotError as error:
         failed(error)
         return []
+
+
+def _stop_of(server: Server) -> Row:
+    """Stops one, and waits for its answer as long as it is alive. Raises `RobotError`."""
+    server.tell("stop")
+    try:
+        check = Server(server.path, _ALIVE_S)
+    except OSError as error:
+        raise RobotError(f"The server cannot be reached: {error.strerror or error}.") from error
+    try:
+        check.do("list")
+    except RobotError:
+        return server.answer(_LATE_S)
+    finally:
+        check.close()
+    return server.answer()
 
 
 def _acts(entries: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
