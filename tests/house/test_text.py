@@ -8,7 +8,7 @@ from support.source import trees
 
 OUTLETS = (
     *("binding", "server", "incoming", "completions", "cli", "commands/call", "commands/doctor", "commands/serve"),
-    *("commands/operate", "commands/audit"),
+    *("commands/operate", "commands/audit", "commands/view", "view/views"),
     *("resources/fitting", "resources/offering", "resources/push", "prompts/serving", "prompts/mistakes"),
     "following",
 )

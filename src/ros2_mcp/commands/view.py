@@ -21,7 +21,6 @@ from ros2_mcp.settings import Settings
 if TYPE_CHECKING:
     import uvicorn
 
-    from ros2_mcp.link.client import Bridge
     from ros2_mcp.view.local import LocalPage
 
 _TOKEN_BYTES = 32
@@ -38,13 +37,13 @@ def view(settings: Settings, state: Path, port: int = 0) -> int:
         port: on 127.0.0.1; 0 takes any that is free.
     """
     settings = replace(settings, read_only=True)
-    bridge = launch(settings)
     show_log(settings)
-    asyncio.run(_view(settings, bridge, StateFolder(state), port))
+    asyncio.run(_view(settings, StateFolder(state), port))
     return 0
 
 
-async def _view(settings: Settings, bridge: Bridge | None, state: StateFolder, port: int) -> None:
+async def _view(settings: Settings, state: StateFolder, port: int) -> None:
+    bridge = launch(settings)
     # Imported here because the bridge has been launched now, and comes up meanwhile.
     import anyio
 
