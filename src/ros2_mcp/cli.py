@@ -179,7 +179,9 @@ _STATE = "the robot's state folder (default: that of the settings)"
 def _declare_view(view: argparse.ArgumentParser) -> None:
     _declare_robot(view)
     bag = OPTIONS["bag"]
-    view.add_argument(bag.flag, **{**_argument(bag), "default": argparse.SUPPRESS})
+    keywords = _argument(bag)
+    keywords["default"] = argparse.SUPPRESS  # as in `_declare_robot`
+    view.add_argument(bag.flag, **keywords)
     # under a name of its own: --port is that of MCP over HTTP
     view.add_argument("--page-port", type=int, default=0, metavar="N", help="on 127.0.0.1 (default: any that is free)")
     view.add_argument("--state", type=Path, metavar="DIR", help=_STATE)
