@@ -161,6 +161,20 @@ class Guard:
         await self._rule(act, find_facts)
         return act.decision
 
+    def check_keeping(self, what: str) -> None:
+        """Before something is kept on this machine, such as a place or a program. It moves nothing, and what is made of
+        it is decided then: the mode alone decides.
+
+        Raises:
+            Refused: in the mode observe.
+        """
+        if self.mode != "observe":
+            return
+        reason = f"Keeping {what} is refused by the policy: the mode is observe: only reading and stopping is allowed."
+        if self.audit:
+            self.audit.note("refused", reason=reason)
+        raise Refused(reason, "ros2_policy tells all that is allowed.")
+
     @property
     def mode(self) -> Mode:
         """What holds now: the stricter one of the policy's mode and the operator's."""

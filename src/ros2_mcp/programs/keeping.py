@@ -114,7 +114,9 @@ async def save_program(robot: Robot, programs: Programs, request: ProgramRequest
     Raises:
         BadInput: if something in it cannot be right, too.
         BadInput, NotFound, BadData, RobotError: as `KeptPrograms.save` and `remove`.
+        Refused: under a policy in the mode observe.
     """
+    robot.guard.check_keeping("programs")
     kept = KeptPrograms(robot.programs_folder)
     if request.remove:
         gone = await to_thread.run_sync(kept.remove, request.name)

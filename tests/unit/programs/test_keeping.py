@@ -150,3 +150,19 @@ def test_doctor_says_whether_programs_run_here(monkeypatch):
     assert programs_here().detail.startswith("run in the sandbox pydantic-monty 1.")
     monkeypatch.setattr(sandbox, "is_installed", lambda: False)
     assert (programs_here().ok, "programs" in programs_here().fix.partition("run: ")[2]) == (None, True)
+
+
+@pytest.mark.parametrize("profile", ["observe", "teleop-slow"])
+async def test_in_the_mode_observe_nothing_is_kept_and_elsewhere_it_is_as_it_moves_nothing(settings, profile):
+    made = assemble(replace(settings, policy=(profile,)))
+    kept = [
+        ("ros2_program_save", {"name": "look", "program": CODE, "description": "Looks", "inputs": INPUTS}),
+        ("ros2_place_set", {"name": "door", "x": 1, "y": 2}),
+        ("ros2_place_set", {"name": "door", "remove": True}),
+    ]
+    for tool, arguments in kept:
+        if profile == "observe":
+            with pytest.raises(CallFailed, match="refused by the policy: the mode is observe"):
+                await call(made, tool, **arguments)
+        else:
+            await call(made, tool, **arguments)

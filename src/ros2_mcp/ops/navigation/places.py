@@ -105,7 +105,9 @@ async def set_place(robot: Robot, request: PlaceRequest) -> PlaceKept:
         BadInput: for a name or numbers that cannot be.
         NotFound: if there is nothing to remove, or nobody knows where the robot is.
         BadData, RobotError: if the places cannot be read or written.
+        Refused: under a policy in the mode observe.
     """
+    robot.guard.check_keeping("places")
     if request.remove:
         gone = robot.places.remove(request.name)
         _audit(robot, "place removed", gone)
