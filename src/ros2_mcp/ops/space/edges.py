@@ -147,7 +147,8 @@ def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_ot
     if age_ns > limit_ns:
         by = f", by {publisher}" if publisher else ""
         if edge.received == 1:
-            parts.append(f"was told once, {seconds_in_words(age_ns)} ago{by}: what does not move belongs on /tf_static")
+            rarely = "too rarely for what moves; what does not move belongs on /tf_static"
+            parts.append(f"was told once, {seconds_in_words(age_ns)} ago{by}: {rarely}")
         elif silent_ns > limit_ns:
             usual = f", after {edge.rate_hz:.3g} Hz" if edge.rate_hz else ""
             parts.append(f"is stale: last told {seconds_in_words(age_ns)} ago{usual}{by}")

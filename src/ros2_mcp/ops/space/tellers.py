@@ -67,11 +67,13 @@ class Tellers:
 
     def of(self, edge: Edge) -> str:
         """The node: its name, `probably …` where it is concluded, `one of …` where it is not known; empty of none."""
-        return self._named(edge, edge.writers)
+        return self._named(TF_STATIC if edge.on_static else TF, edge.writers)
 
     def by_whom(self, edge: Edge, parent: str) -> str:
         """Who tells it with that parent, in words that follow a name: " by …"; empty where that is not known."""
-        who = self._named(edge, edge.writers_of(parent))
+        is_moving = any(one.parent == parent for one in edge.moving)
+        topic = TF_STATIC if not is_moving and (parent in edge.static or edge.on_static) else TF
+        who = self._named(topic, edge.writers_of(parent))
         return f" by {who}" if who else ""
 
     def silent(self, topic: str) -> tuple[int, Sequence[str]]:
@@ -83,8 +85,7 @@ class Tellers:
         heard = set[str]().union(*nodes.values())
         return count, [name for name in publishers.now if name not in heard] or publishers.now
 
-    def _named(self, edge: Edge, writers: Sequence[int]) -> str:
-        topic = TF_STATIC if edge.on_static else TF
+    def _named(self, topic: str, writers: Sequence[int]) -> str:
         names = _all(self._publishers.get(topic))
         if len(names) < 2:
             return self._with_fate(topic, names[0]) if names else ""

@@ -71,6 +71,15 @@ def test_each_of_two_parents_has_its_publishers() -> None:
     assert tellers.by_whom(tree.edges["odom"], "map") == " by probably /amcl"
 
 
+def test_a_parent_of_tf_static_is_that_of_a_publisher_there() -> None:
+    tree = tree_of((1, (("odom", "base_link"),)))
+    message = SimpleNamespace(transforms=[told("laser", "base_link", SECOND)])
+    tree.add(message, 1_700_000_001 * SECOND, is_static=True, sequence=1)
+    tellers = Tellers(tree, {"/tf": Publishers(["/ekf"]), "/tf_static": Publishers(["/laser_tf"])}, {})
+    told_by = [tellers.by_whom(tree.edges["base_link"], parent) for parent in ("odom", "laser")]
+    assert told_by == [" by /ekf", " by /laser_tf"]
+
+
 def test_a_publisher_that_has_sent_nothing_is_named() -> None:
     tree = tree_of((1, (("odom", "base_link"),)))
     tellers = Tellers(tree, {"/tf": Publishers(["/amcl", "/diff_drive"])}, {})
