@@ -211,6 +211,8 @@ async def _frames(source: Source, seen: _Seen) -> None:
         topics = seen.graph.topics
         if source.transforms and not any(topics[name].publishers for name in LISTENS if name in topics):
             await source.transforms.moved()  # at once: the graph is settled, and frames_of would first wait for /tf
+        if source.transforms:  # it grows as they come: what has come is there if time is up
+            seen.tree = await source.transforms.listening()
         seen.tree = await frames_of(source, until=is_whole, patience_s=seen.listen_s)
         seen.stands = await standing_time(source, seen.tree, _now_ns(source))
 
