@@ -54,6 +54,9 @@ _APPEARING_S = 1.0
 _QUESTION = "rcl_interfaces/srv/GetParameterTypes"
 _ANSWER_S = 1.0
 """A node that spins answers within milliseconds, also over a wireless network."""
+_REPAIRED_S = 4.0
+"""What discovery lost of a node that has just come up, its answer and its messages, it repairs within 3 s; then the
+bridge asks once more."""
 _ASKED_NODES, _AT_A_TIME = 20, 5
 """One of them that answers is enough, and the question should not weigh on the robot. Some never answer, such as a node
 that nobody spins: so many of them there are not."""
@@ -376,10 +379,9 @@ class Live(Source):
         asked = [node for node in dict.fromkeys(nodes) if is_of_robot(node) and service_of(node, _QUESTION) in offered]
         asked = asked[:_ASKED_NODES]
 
-        async def answers(node: str) -> bool:
+        async def answers(node: str, within_s: float = _ANSWER_S) -> bool:
             try:
-                question = ask_node(self._robot, node, _QUESTION, {"names": []}, timeout_s=_ANSWER_S, wait_s=_ANSWER_S)
-                await question
+                await ask_node(self._robot, node, _QUESTION, {"names": []}, timeout_s=within_s, wait_s=within_s)
             except RobotError:  # also what is not found: one that hangs is never matched with a new client
                 return False
             return True
@@ -387,7 +389,8 @@ class Live(Source):
         for first in range(0, len(asked), _AT_A_TIME):
             if any(await asyncio.gather(*map(answers, asked[first : first + _AT_A_TIME]))):
                 return ()
-        return asked
+        again = (answers(node, _REPAIRED_S) for node in asked[:_AT_A_TIME])
+        return () if any(await asyncio.gather(*again)) else asked
 
     async def _absent(self, present: TopicEndpoints) -> None:
         """Says of a topic that is not there what is near: as an error, or as the first progress of a wait for it."""
