@@ -69,7 +69,7 @@ stream = os.dup(1)
 os.dup2(2, 1)
 try:
     import rclpy.node, geometry_msgs.msg
-except Exception:
+except Exception:  # why, the bridge says when it does so again
     pass
 sys.stdout.flush()
 os.dup2(stream, 1)

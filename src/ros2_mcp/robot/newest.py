@@ -43,7 +43,7 @@ class Newest:
     came: asyncio.Event = field(default_factory=asyncio.Event)
     task: asyncio.Task[None] | None = None
     looked_at: float = 0.0
-    _counted: list[tuple[float, int]] = field(default_factory=list[tuple[float, int]])
+    counted: list[tuple[float, int]] = field(default_factory=list[tuple[float, int]])
 
     async def newer(self, than: Sample | None, timeout_s: float) -> Sample | None:
         """A sample that is not that one, as soon as there is one; None if none came in time."""
@@ -61,9 +61,9 @@ class Newest:
         if self.listening is None:
             return None
         now, received = monotonic(), self.listening.counts.received
-        self._counted = [one for one in self._counted if now - one[0] <= _RATE_S]
-        self._counted.append((now, received))
-        began, first = self._counted[0]
+        self.counted = [one for one in self.counted if now - one[0] <= _RATE_S]
+        self.counted.append((now, received))
+        began, first = self.counted[0]
         return (received - first) / (now - began) if now - began > _RATE_S / 2 else None
 
     def tell(self) -> None:
@@ -102,7 +102,7 @@ class NewestSamples:
         while monotonic() - newest.looked_at < _IDLE_S:
             try:
                 async with self._listen(newest.topic) as listening:
-                    newest.listening, newest.error = listening, None
+                    newest.listening, newest.error, newest.counted = listening, None, []
                     await self._take(newest, listening)
             except RobotError as error:
                 newest.error = error

@@ -162,7 +162,7 @@ class View:
             found = await shown.panel.show(self._look(shown.chosen))
         except RobotError as error:
             found = {"why": str(error), "failed": True}
-        except Exception:
+        except Exception:  # whatever one panel meets: the others, and the button, go on
             _logger.exception("the panel %s failed", shown.panel.name)
             found = {"why": "This panel failed; the log of ros2-mcp view says how.", "failed": True}
         if found is None:

@@ -9,14 +9,11 @@ from typing import Any
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Bounds
-from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results import silent
-from ros2_mcp.ops.view.look import Content, Look, Panel
+from ros2_mcp.ops.view.look import Content, Look, Panel, Shown
 
-_WAIT_S = 0.5
-"""For the next picture, before it is looked whether there is still a camera."""
 _BOUNDS = Bounds(max_side=800, max_bytes=120_000)
 """A panel is some 600 pixels wide, and a chat host passes 130 kB on; JPEG of 640 × 480 has 40 to 90 kB."""
 
@@ -29,7 +26,7 @@ class ImagePanel(Panel):
     """15 pictures a second: more no panel of this size needs."""
 
     def __init__(self) -> None:
-        self._shown: tuple[str, Sample] | None = None
+        self._shown = Shown()
 
     async def show(self, look: Look) -> Content | None:
         """The newest picture of the chosen camera, else of the first one."""
@@ -39,21 +36,17 @@ class ImagePanel(Panel):
             raise NotFound("Nobody publishes pictures.")
         source = look.source
         if source.is_live:
-            newest = look.robot.newest.of(topic)
-            before = self._shown[1] if self._shown and self._shown[0] == topic else None
-            sample = await newest.newer(before, _WAIT_S)
-            if sample is None:
-                if newest.error:
-                    raise newest.error.again()
-                return None if before else {"topic": topic, "topics": topics, "why": _silent(look, topic, topics)}
-            assert newest.listening
-            self._shown = topic, sample
-            message: Any = await asyncio.to_thread(look.robot.values.codec.decode, newest.listening.type, sample.data)
-            kind, rate_hz = newest.listening.type, newest.rate_hz()
+            found = await self._shown.newer(look.robot, topic)
+            if found is None:
+                is_shown = self._shown.sample is not None
+                return None if is_shown else {"topic": topic, "topics": topics, "why": _silent(look, topic, topics)}
+            sample, newest, listening = found
+            message: Any = await asyncio.to_thread(look.robot.values.codec.decode, listening.type, sample.data)
+            kind, rate_hz = listening.type, newest.rate_hz()
         else:
             kind, rate_hz = await source.type_of(topic), None
-            found = await next_message(source, topic, kind, silent)
-            message, sample = found.message, found.sample
+            recorded = await next_message(source, topic, kind, silent)
+            message, sample = recorded.message, recorded.sample
         picture = await _picture(kind, message)
         return {
             "topic": topic,

@@ -7,8 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
+from ros2_mcp.robot.listening import Listening
+from ros2_mcp.robot.newest import Newest
+
+WAIT_S = 0.5
+"""For the next message, before it is looked whether there is still a publisher."""
 
 Content = Mapping[str, Any]
 """What a panel shows, as JSON. `why` says in words why there is nothing; `bulk` is base64, which hides no text."""
@@ -42,6 +48,31 @@ class Panel(ABC):
         """What there is to be shown; None if that is what was shown before. Raises `RobotError` with the reason why
         there is nothing.
         """
+
+
+@dataclass
+class Shown:
+    """The message of a live topic that a panel has shown last."""
+
+    topic: str = ""
+    sample: Sample | None = None
+
+    async def newer(self, robot: Robot, topic: str) -> tuple[Sample, Newest, Listening] | None:
+        """The newest message of a topic, as soon as it is another one; None if none comes for a moment.
+
+        Raises:
+            RobotError: why it is not listened to.
+        """
+        if topic != self.topic:
+            self.topic, self.sample = topic, None
+        newest = robot.newest.of(topic)
+        sample = await newest.newer(self.sample, WAIT_S)
+        if sample is None and newest.error:
+            raise newest.error.again()
+        if sample is None or newest.listening is None:  # which is so for a moment, while it is listened to anew
+            return None
+        self.sample = sample
+        return sample, newest, newest.listening
 
 
 @dataclass

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from ros2_mcp.model.errors import NotFound, RobotError
-from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.ops import log
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results import as_json, silent
 from ros2_mcp.ops.sources.source import Source
-from ros2_mcp.ops.view.look import Content, Look, Panel
+from ros2_mcp.ops.view.look import Content, Look, Panel, Shown
 from ros2_mcp.robot.log import LOG_TYPE
 
 _FIRST = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState", "sensor_msgs/msg/BatteryState")
@@ -21,7 +20,6 @@ _MOST_ARRAY, _MOST_STRING, _MOST_BYTES = 12, 400, 12_000
 """Of one message: as much as a person looks at while it changes."""
 _MOST_LINES, _MOST_LINE_BYTES = 120, 40_000
 _MOST_TOPICS = 1000
-_WAIT_S = 0.5
 _BEFORE_NS = 60_000_000_000
 """Of a recording's log: what was said in the minute before the time that is shown."""
 
@@ -33,7 +31,7 @@ class ValuesPanel(Panel):
     period_s = 0.2
 
     def __init__(self) -> None:
-        self._shown: tuple[str, Sample] | None = None
+        self._shown = Shown()
 
     async def show(self, look: Look) -> Content | None:
         """The newest message of the chosen topic, else of one that tells how the robot moves."""
@@ -45,17 +43,13 @@ class ValuesPanel(Panel):
         rate_hz: float | None = None
         publishers: Sequence[str] = ()
         if look.source.is_live:
-            newest = look.robot.newest.of(topic)
-            before = self._shown[1] if self._shown and self._shown[0] == topic else None
-            sample = await newest.newer(before, _WAIT_S)
-            if sample is None:
-                if newest.error:
-                    raise newest.error.again()
-                return None if before else {"topic": topic, "why": f"No message has come on {named(topic)} yet."}
-            assert newest.listening
-            self._shown = topic, sample
-            kind, rate_hz = newest.listening.type, newest.rate_hz()
-            publishers = sorted({one.who for one in newest.listening.publishers})
+            found = await self._shown.newer(look.robot, topic)
+            if found is None:
+                why = f"No message has come on {named(topic)} yet."
+                return None if self._shown.sample else {"topic": topic, "why": why}
+            sample, newest, listening = found
+            kind, rate_hz = listening.type, newest.rate_hz()
+            publishers = sorted({one.who for one in listening.publishers})
         else:
             kind = await look.source.type_of(topic)
             sample = (await next_message(look.source, topic, kind, silent)).sample
