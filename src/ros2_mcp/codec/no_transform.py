@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from ros2_mcp.codec.transforms import Edge, FrameTree, Located
+from ros2_mcp.codec.frame_edges import Edge
+from ros2_mcp.codec.transforms import FrameTree, Located
 from ros2_mcp.model.errors import NoTransform
-from ros2_mcp.model.names import nearest
+from ros2_mcp.model.names import may_be_one, nearest
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.model.times import recorded_time
 
@@ -63,7 +64,9 @@ def why_none(tree: FrameTree, target: str, frame: str, at_ns: int | None) -> NoT
     lacking = [edge for edge in edges if edge.moving and sought_ns is not None and edge.at(sought_ns) is None]
     if not lacking or sought_ns is None:
         return NoTransform("not connected", f"{named(frame)} and {named(target)} were not connected at that time.")
-    return _no_common_time(edges, lacking, sought_ns) if at_ns is None else _not_then(lacking, sought_ns)
+    if at_ns is None:
+        return _no_common_time(tree, edges, lacking, sought_ns)
+    return _not_then(tree, lacking, sought_ns)
 
 
 def _unknown(tree: FrameTree, name: str) -> NoTransform:
@@ -119,8 +122,28 @@ def _two_trees(tree: FrameTree, target: str, frame: str) -> NoTransform:
         if edge.refused
     )
     message = f"Two trees, and no transform between them: {'; '.join(parts)}."
-    hint = "" if why else _missing_edge(tree, target, frame)
+    hint = "" if why else _misspelt(tree, target, frame) or _missing_edge(tree, target, frame)
     return NoTransform("not valid" if why else "two trees", f"{message} {why}".rstrip(), hint)
+
+
+def alike(tree: FrameTree, target: str, frame: str) -> tuple[str, str] | None:
+    """Two frames of different trees that may be meant to be one; one is the root of the target's or of the frame's."""
+    roots = {name: tree.root_of(name) for name in tree.frames}
+    for root in dict.fromkeys((roots[frame], roots[target])):
+        others = [name for name, top in roots.items() if top != root and may_be_one(root, name)]
+        if others:
+            return root, nearest(root, others) or others[0]
+    return None
+
+
+def _misspelt(tree: FrameTree, target: str, frame: str) -> str:
+    pair = alike(tree, target, frame)
+    if pair is None:
+        return ""
+    one, other = map(named, pair)
+    if ("/" in pair[0]) != ("/" in pair[1]):
+        return f"{one} and {other} differ by a prefix alone: are they meant to be one frame?"
+    return f"{one} and {other} are nearly the same name: is one of them misspelt?"
 
 
 def _missing_edge(tree: FrameTree, target: str, frame: str) -> str:
@@ -135,7 +158,7 @@ def _missing_edge(tree: FrameTree, target: str, frame: str) -> str:
     return f"Nobody tells where {named(one)} is in {named(other)}, or the other way round."
 
 
-def _no_common_time(edges: Iterable[Edge], lacking: Sequence[Edge], common_ns: int) -> NoTransform:
+def _no_common_time(tree: FrameTree, edges: Iterable[Edge], lacking: Sequence[Edge], common_ns: int) -> NoTransform:
     """Of edges that have no time in common: one of them has ended, or stamps with another clock."""
     moving = [edge for edge in edges if edge.moving]
     oldest = min(moving, key=lambda edge: edge.stamps[-1])
@@ -146,11 +169,14 @@ def _no_common_time(edges: Iterable[Edge], lacking: Sequence[Edge], common_ns: i
     if abs(behind_ns - silent_ns) > max(_CLOCKS_NS, silent_ns // 2):
         jumped = [f"the stamps of {edge_in_words(edge)} {_jump_of(edge)}" for edge in (oldest, newest) if edge.jumps]
         reason = "clock jump" if jumped else "two clocks"
-        clocks = f"they are stamped by different clocks: {_clock_of(oldest)}, {_clock_of(newest)}"
+        told = [_clock_of(edge, tree.clock_ns) for edge in (oldest, newest)]
+        clocks = f"they are stamped by different clocks: {', '.join(told)}"
         message = (
             f"No time in common: by its stamps {ends}, although both were told within {seconds_in_words(silent_ns)}"
         )
         hint = "Set use_sim_time alike everywhere, and mind the clocks of all computers."
+        if not jumped and all(edge.stamps[-1] >= UNIX_FROM_NS for edge in (oldest, newest)):
+            hint = "Set the clocks of all computers alike (chrony, NTP), or mend the stamps of whoever tells it."
         return NoTransform(reason, f"{message}: {' and '.join(jumped) or clocks}.", hint)
     if silent_ns > _STALE_NS:
         message = f"Stale: {ends} ({stamp_in_words(common_ns)}), and nothing of it has come since."
@@ -169,26 +195,28 @@ def _jump_of(edge: Edge) -> str:
     return f"jumped {back} by {seconds_in_words(jump.to_ns - jump.from_ns)}, {ago} before the last of it"
 
 
-def _clock_of(edge: Edge) -> str:
-    """By which clock an edge is stamped, as far as its stamps differ from when it came."""
+def _clock_of(edge: Edge, clock_ns: int) -> str:
+    """By which clock an edge is stamped, as far as its stamps differ from when it came; `clock_ns` as of the tree."""
     ahead_ns = edge.stamps[-1] - edge.last_received_ns
     if abs(ahead_ns) <= _CLOCKS_NS:
         return f"{edge_in_words(edge)} by the robot's"
     if edge.stamps[-1] < UNIX_FROM_NS:
-        return f"{edge_in_words(edge)} by simulated time"
+        off_ns = ahead_ns + clock_ns if clock_ns else 0
+        off = f", {seconds_in_words(off_ns)} {'ahead of' if off_ns > 0 else 'behind'} the others"
+        return f"{edge_in_words(edge)} by simulated time{off if abs(off_ns) > _CLOCKS_NS else ''}"
     away = f"{seconds_in_words(ahead_ns)} {'in the future' if ahead_ns > 0 else 'in the past'}"
     return f"{edge_in_words(edge)} {away} (another computer's clock?)"
 
 
-_CLOCKS_NS = 5_000_000_000
-"""Between stamps and receipts: no delay, and no tolerance of a localisation, is as long."""
+_CLOCKS_NS = 2_500_000_000
+"""Between stamps and receipts: localisations stamp up to 1 s ahead, on purpose, and no usual delay is as long."""
 _SLOW_NS = 1_500_000_000
 """Between two transforms; the slowest usual publishers send once a second."""
 _STALE_NS = 1_000_000_000
 """Without a message of what moves; the slowest usual publishers send once a second."""
 
 
-def _not_then(lacking: Sequence[Edge], sought_ns: int) -> NoTransform:
+def _not_then(tree: FrameTree, lacking: Sequence[Edge], sought_ns: int) -> NoTransform:
     edge = max(lacking, key=lambda one: min(abs(one.stamps[0] - sought_ns), abs(one.stamps[-1] - sought_ns)))
     first_ns, last_ns = edge.stamps[0], edge.stamps[-1]
     is_later = sought_ns > last_ns
@@ -198,6 +226,10 @@ def _not_then(lacking: Sequence[Edge], sought_ns: int) -> NoTransform:
         f"Nothing of {edge_in_words(edge)} at {stamp_in_words(sought_ns)}: the nearest is {away} "
         f"{'earlier' if is_later else 'later'}, at {stamp_in_words(nearest_ns)}."
     )
+    ahead_ns = tree.clock_ns - edge.lag_ns
+    if abs(ahead_ns) > _CLOCKS_NS:
+        side = "ahead of" if ahead_ns > 0 else "behind"
+        message += f" Its stamps are {seconds_in_words(ahead_ns)} {side} the time when it came."
     if len(edge.stamps) > 1:
         message += f" What is kept reaches from {stamp_in_words(first_ns)} to {stamp_in_words(last_ns)}."
         period_ns = (last_ns - first_ns) // (len(edge.stamps) - 1)

@@ -9,16 +9,14 @@ stamp of an edge there is nothing.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, bisect_right
-from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, islice, pairwise
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
+from ros2_mcp.codec.frame_edges import KEPT_NS, Edge, Told
 from ros2_mcp.codec.writers import Writers
 from ros2_mcp.model.errors import BadData
-from ros2_mcp.model.poses import Pose, angle_between_rad, between, normalised
+from ros2_mcp.model.poses import Pose, normalised
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.cdr import Codec
@@ -26,8 +24,6 @@ if TYPE_CHECKING:
 
 BASES = ("base_link", "base_footprint")
 """What the frame of a robot's body is called, by REP 105; with a prefix where there are several robots."""
-KEPT_NS = 30_000_000_000
-"""How far a live tree reaches back. tf2 keeps 10 s; an agent asks some seconds after it saw something."""
 MOST_KEPT = 6_000
 """Of one edge: 30 s at 200 Hz, the fastest that is usual."""
 MOST_TOLD = 300_000
@@ -37,236 +33,12 @@ MOST_FRAMES = 2_000
 _TF_TYPE = "tf2_msgs/msg/TFMessage"
 _DEEPEST = 1_000
 """Frames from a leaf to the root; deeper trees go in circles."""
-_JUMP_NS = 2_000_000_000
-"""A stamp that goes back so far is no late message: localisations stamp up to 1 s ahead, and networks delay less."""
 OTHER_CLOCK_NS = 60_000_000_000
 """Between stamp and receipt: no delay, and no badly set clock of a second computer, is usually as long."""
-_FASTEST = 10.0
-"""Simulated time runs at most so many times as fast; a stamp that goes forward faster than that has jumped."""
-_MOST_JUMPS = 50
 _STANDS_NS, _STANDS_PERIODS = 1_000_000_000, 5
 """All stamps stand still after a second, and five periods of the edge that is told most often."""
 _UNIT = 0.01
 """How far the squared length of a quaternion may be from 1; tf2 refuses what is further off."""
-_LOOKED_BACK = 60
-"""Transforms of an edge that are looked at for two parents or two publishers: some seconds."""
-_PAUSES, _LEAST_PAUSE_NS, _ONCE_NS = 3, 1_000_000_000, 5_000_000_000
-"""A publisher of several has ended after three times its longest pause, and a second at least; one that was heard once
-only, whose rate nobody knows, after 5 s."""
-_Value = TypeVar("_Value", bound=Hashable)
-
-
-@dataclass(frozen=True, slots=True)
-class Told:
-    """One transform of a frame, as a message told it: its parent, and where it is in it. Times in ns of Unix time.
-
-    `writer` tells publishers of one topic apart (`writers.py`); 0 where that is not known.
-    """
-
-    parent: str
-    pose: Pose
-    stamp_ns: int
-    received_ns: int
-    writer: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Jump:
-    """The stamps of a frame's transforms went from one time to another that does not follow it. Times in ns."""
-
-    child: str
-    from_ns: int
-    to_ns: int
-    received_ns: int
-
-
-class Edge:
-    """All that was told of one frame and its parent: `moving` by stamps, and `static` by parents.
-
-    `received` counts the moving ones, `repeated` those of them with a stamp that was there already, which tf2 ignores,
-    too, and `unstamped` those whose stamp is 0: nobody has set it, and the last of them holds for all times, as of a
-    static one. `last_received_ns` is the time of receipt of the newest message. `refused` says in words why the last
-    transform of it was not taken, `refused_parent` and `refused_writer` of which parent, and by whom. `jumps` are those
-    of its stamps. `on_static` is whether the last came on /tf_static. `slashed` is how it was told, where that was with
-    a leading slash; `frozen` how many of the last messages in a row had a stamp that did not change.
-    """
-
-    def __init__(self, child: str) -> None:
-        self.child = child
-        self.static: dict[str, Told] = {}
-        self.moving: list[Told] = []
-        self.stamps: list[int] = []
-        self.received = 0
-        self.repeated = 0
-        self.unstamped = 0
-        self.last_received_ns = 0
-        self.refused = ""
-        self.refused_parent = ""
-        self.refused_writer = 0
-        self.jumps: list[Jump] = []
-        self.on_static = False
-        self.slashed = ""
-        self.frozen = 0
-        self._last_stamp_ns: int | None = None
-        self._told_by: deque[tuple[int, int]] = deque(maxlen=_LOOKED_BACK)
-        self._first_received_ns = 0
-        self._static_by: dict[int, Told] = {}
-        self._same_time: tuple[Told, Told] | None = None
-
-    @property
-    def is_static(self) -> bool:
-        """Whether it holds for all times."""
-        return not self.moving and not self.unstamped and bool(self.static)
-
-    @property
-    def newest(self) -> Told | None:
-        """What it was last."""
-        if self.moving:
-            return self.moving[-1]
-        return next(reversed(self.static.values())) if self.static else None
-
-    @property
-    def parents(self) -> list[str]:
-        """Every parent that was told of it and is still kept, the newest last."""
-        moving = dict.fromkeys(_still_told((told.parent, told.received_ns) for told in self.moving[-_LOOKED_BACK:]))
-        return list({**dict.fromkeys(self.static), **moving})
-
-    @property
-    def two_parents(self) -> bool:
-        """Whether two are told at the same time; a frame that was once given another parent has one."""
-        if len(self.static) > 1 or (self.static and {told.parent for told in self.moving} - set(self.static)):
-            return True
-        return _turns(_still_told([(told.parent, told.received_ns) for told in self.moving[-_LOOKED_BACK:]])) > 1
-
-    @property
-    def writers(self) -> list[int]:
-        """The publishers that tell it at the same time, where they can be told apart."""
-        recent = _still_told(self._told_by)
-        if _turns(recent) > 1:
-            return sorted(set(recent))
-        return recent[-1:] or sorted({told.writer for told in self.static.values()}) or [self.refused_writer]
-
-    def writers_of(self, parent: str) -> list[int]:
-        """The publishers that tell it with that parent, of the last messages."""
-        told = [one for one in self.moving[-_LOOKED_BACK:] if one.parent == parent]
-        found = {one.writer for one in told or self.static.values() if one.parent == parent}
-        return sorted(found) or [self.refused_writer]
-
-    @property
-    def apart(self) -> tuple[float, float] | None:
-        """How far what several publishers tell of it, with one parent and for one time, is apart: m and degrees."""
-        by_writer: dict[int, list[Told]] = {}
-        for told in self.moving[-_LOOKED_BACK:] if len(self.writers) > 1 else ():
-            by_writer.setdefault(told.writer, []).append(told)
-        pairs: list[tuple[Told, Told]] = [self._same_time] if self._same_time else []
-        for one, other in combinations(by_writer.values(), 2):
-            pairs += _at_one_time(one, other)[-1:]
-        if self.on_static:
-            pairs += combinations(self._static_by.values(), 2)
-        found = [_apart(*pair) for pair in pairs if pair[0].parent == pair[1].parent]
-        return max(found, default=None)
-
-    @property
-    def rate_hz(self) -> float | None:
-        """How often it is told, by the times of receipt; None for what is static, or was told once."""
-        count = self.received + self.unstamped
-        if len(self.moving) < 2 and count > 1 and not self.on_static:  # without stamps, or just after a jump of them
-            span_ns = self.last_received_ns - self._first_received_ns
-            return (count - 1) / span_ns * 1e9 if span_ns > 0 else None
-        if len(self.moving) < 2:
-            return None
-        span_ns = max(told.received_ns for told in self.moving[-2:]) - self.moving[0].received_ns
-        return (len(self.moving) - 1) / span_ns * 1e9 if span_ns > 0 else None
-
-    @property
-    def lag_ns(self) -> int:
-        """How far its newest stamp was behind its receipt, when that stamp first came."""
-        return self.moving[-1].received_ns - self.stamps[-1]
-
-    def gap_ns(self, at_ns: int) -> int:
-        """How far the two transforms are apart between which that time lies; 0 where it is that of one, or outside."""
-        after = bisect_left(self.stamps, at_ns)
-        if after in (0, len(self.stamps)) or self.stamps[after] == at_ns:
-            return 0
-        return self.stamps[after] - self.stamps[after - 1]
-
-    def at(self, at_ns: int) -> Told | None:
-        """What it is at that time; None where that is before the first or after the last that was told."""
-        if not self.moving:
-            return self.newest
-        after = bisect_left(self.stamps, at_ns)
-        if after < len(self.stamps) and self.stamps[after] == at_ns:
-            return self.moving[after]
-        if after in (0, len(self.stamps)):
-            return None
-        first, second = self.moving[after - 1], self.moving[after]
-        if first.parent != second.parent:  # as tf2 does: until it has the other parent
-            return Told(first.parent, first.pose, at_ns, first.received_ns, first.writer)
-        share = (at_ns - first.stamp_ns) / (second.stamp_ns - first.stamp_ns)
-        pose = between(first.pose, second.pose, share)
-        return Told(first.parent, pose, at_ns, second.received_ns, second.writer)
-
-    def add_static(self, told: Told) -> None:
-        """Takes in what holds for all times; another one with the same publisher replaces its last."""
-        for parent, former in list(self.static.items()):
-            if parent != told.parent and told.writer and former.writer == told.writer:
-                del self.static[parent]
-        self.static.pop(told.parent, None)
-        self.static[told.parent] = told
-        if told.writer:
-            self._static_by[told.writer] = told
-        self.last_received_ns = max(self.last_received_ns, told.received_ns)
-
-    def add_moving(self, told: Told) -> Jump | None:
-        """Takes in one with a stamp; after a jump of the stamps what was told before does not count any more."""
-        self._first_received_ns = self._first_received_ns or told.received_ns
-        if not told.stamp_ns:
-            self.unstamped += 1
-            self.add_static(told)
-            return None
-        jump = self._jump_to(told)
-        if jump:
-            self.moving.clear()
-            self.stamps.clear()
-            self.jumps = [*self.jumps, jump][-_MOST_JUMPS:]
-        self.received += 1
-        self._told_by.append((told.writer, told.received_ns))
-        self.last_received_ns = max(self.last_received_ns, told.received_ns)
-        self._last_stamp_ns = told.stamp_ns
-        self._same_time = None if jump else self._same_time
-        place = bisect_right(self.stamps, told.stamp_ns)
-        if place and self.stamps[place - 1] == told.stamp_ns:
-            self.repeated += 1
-            there = self.moving[place - 1]
-            self.frozen += 1
-            if there.writer != told.writer:
-                self._same_time = there, told
-            if there.parent == told.parent:
-                return jump
-        else:
-            self.frozen = 0
-        self.stamps.insert(place, told.stamp_ns)
-        self.moving.insert(place, told)
-        return jump
-
-    def _jump_to(self, told: Told) -> Jump | None:
-        last_ns = self._last_stamp_ns
-        if last_ns is None:
-            return None
-        step_ns, waited_ns = told.stamp_ns - last_ns, told.received_ns - self.last_received_ns
-        if -_JUMP_NS <= step_ns <= _JUMP_NS + max(waited_ns, 0) * _FASTEST:
-            return None
-        return Jump(self.child, last_ns, told.stamp_ns, told.received_ns)
-
-    def forget(self, keep: int, around_ns: int | None, kept_ns: int = KEPT_NS) -> None:
-        """Gives up the oldest, or where there is a time that counts, those that are farthest from it."""
-        if around_ns is None:
-            gone = max(len(self.moving) - keep, bisect_left(self.stamps, self.stamps[-1] - kept_ns), 0)
-            del self.moving[:gone], self.stamps[:gone]
-            return
-        while len(self.moving) > keep:
-            gone = 0 if around_ns - self.stamps[0] > self.stamps[-1] - around_ns else len(self.moving) - 1
-            del self.moving[gone], self.stamps[gone]
 
 
 @dataclass(frozen=True, slots=True)
@@ -517,47 +289,6 @@ class _Chain:
         names = [frame, *(told.parent for _, told in self.up), *(edge.child for edge, _ in reversed(self.down))]
         pose = target_in_common.inverse @ frame_in_common
         return Located(target, frame, pose, stamp_ns, names, self.edges)
-
-
-def _still_told(values: Iterable[tuple[_Value, int]]) -> list[_Value]:
-    """Those without what has ended: it was not told for longer than it ever paused, while others were."""
-    told = list(values)
-    times: dict[_Value, list[int]] = {}
-    for value, received_ns in told:
-        times.setdefault(value, []).append(received_ns)
-    newest_ns = max((received_ns for _, received_ns in told), default=0)
-    ended: set[_Value] = set()
-    for value, heard in times.items():
-        pauses = [after - before for before, after in pairwise(heard)]
-        patience_ns = max(_PAUSES * max(pauses), _LEAST_PAUSE_NS) if pauses else _ONCE_NS
-        if newest_ns - heard[-1] > patience_ns:
-            ended.add(value)
-    return [value for value, _ in told if value not in ended]
-
-
-def _turns(values: Sequence[object]) -> int:
-    """How often one is followed by another."""
-    return sum(one != other for one, other in zip(values, islice(values, 1, None), strict=False))
-
-
-def _at_one_time(one: Sequence[Told], other: Sequence[Told]) -> list[tuple[Told, Told]]:
-    """What two publishers told for one time: of each message of the one between two of the other's, that in between."""
-    ordered = sorted(other, key=lambda told: told.stamp_ns)
-    stamps = [told.stamp_ns for told in ordered]
-    found: list[tuple[Told, Told]] = []
-    for told in one:
-        place = bisect_right(stamps, told.stamp_ns)
-        if 0 < place < len(stamps) and ordered[place - 1].parent == ordered[place].parent:
-            first, second = ordered[place - 1], ordered[place]
-            share = (told.stamp_ns - first.stamp_ns) / (second.stamp_ns - first.stamp_ns)
-            there = Told(first.parent, between(first.pose, second.pose, share), told.stamp_ns, second.received_ns)
-            found.append((told, there))
-    return found
-
-
-def _apart(one: Told, other: Told) -> tuple[float, float]:
-    turned = math.degrees(angle_between_rad(one.pose.rotation, other.pose.rotation))
-    return math.dist(one.pose.translation, other.pose.translation), turned
 
 
 def _composed(steps: Iterable[tuple[Edge, Told]]) -> Pose:

@@ -143,6 +143,22 @@ def nearest(name: str, known: Sequence[str]) -> str:
     return by_folded[close[0]] if close else ""
 
 
+def may_be_one(one: str, other: str) -> bool:
+    """Whether two names of frames may be meant to be the same: misspelt, or with a prefix that the other lacks.
+
+    Names that differ in a number, or have two prefixes, are those of several things.
+    """
+    if one.rpartition("/")[2].lower() == other.rpartition("/")[2].lower():
+        return ("/" in one) != ("/" in other) or one.lower() == other.lower()
+    if re.findall(r"\d+", one) != re.findall(r"\d+", other):
+        return False
+    return difflib.SequenceMatcher(None, one.lower(), other.lower()).ratio() >= _ALIKE
+
+
+_ALIKE = 0.85
+"""A letter that is lacking, wrong or changed with the next one in the names of frames; not left for right."""
+
+
 def did_you_mean(name: str, known: Sequence[str], otherwise: str = "") -> str:
     """A hint for an unknown name: the nearest known one, or `otherwise`."""
     near = nearest(name, known)

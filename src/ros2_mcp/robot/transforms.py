@@ -77,6 +77,7 @@ class TransformListener:
         self._publishers: dict[str, tuple[float, Sequence[Endpoint]]] = {}
         self._lives: dict[str, dict[str, Life]] = {}
         self._looked_ns: dict[str, int] = {}
+        self._clock: tuple[float, Sequence[str]] = (-_SEEN_S, ())
         self._also: tuple[float, tuple[str, ...], Mapping[str, Sequence[str]]] = (0.0, (), {})
 
     async def listening(self) -> FrameTree:
@@ -137,8 +138,12 @@ class TransformListener:
         return self._lives.get(topic, {})
 
     async def clock_publishers(self) -> Sequence[str]:
-        """The nodes that tell simulated time now; raises as `Graph.endpoints`."""
-        return sorted({one.who for one in (await self._graph.endpoints("/clock")).publishers})
+        """The nodes that tell simulated time, as it was seconds ago at most; raises as `Graph.endpoints`."""
+        seen_at, names = self._clock
+        if monotonic() - seen_at > _SEEN_S:
+            names = sorted({one.who for one in (await self._graph.endpoints("/clock")).publishers})
+            self._clock = monotonic(), names
+        return names
 
     async def also_publish(self, nodes: Sequence[str]) -> Mapping[str, Sequence[str]]:
         """Which of these nodes publish odometry, a localisation (a pose or a map) and a description besides.

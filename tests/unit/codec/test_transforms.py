@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ros2_mcp.codec.frame_edges import KEPT_NS
 from ros2_mcp.codec.no_transform import located
-from ros2_mcp.codec.transforms import KEPT_NS, MOST_FRAMES, MOST_KEPT, FrameTree
+from ros2_mcp.codec.transforms import MOST_FRAMES, MOST_KEPT, FrameTree
 from ros2_mcp.model.errors import NoTransform
 from ros2_mcp.model.poses import Pose, about_z, from_roll_pitch_yaw, mean_of, normalised
 from support.agent import FULL
@@ -454,3 +455,94 @@ def test_a_blank_at_the_end_of_a_name_is_told() -> None:
     tell(tree, transform("base", "lidar "), static=True)
     with pytest.raises(NoTransform, match="told with a blank before or behind its name"):
         located(tree, "base", "lidar")
+
+
+def test_two_names_of_trees_that_are_nearly_the_same_are_told() -> None:
+    tree = FrameTree()
+    follows(tree, "odom", "base_footprnt", 0, 1)
+    tell(tree, transform("base_footprint", "base_link"), static=True)
+    why, words = reason(tree, "odom", "base_link")
+    assert why == "two trees" and "base_footprint and base_footprnt are nearly the same name" in words
+
+
+@pytest.mark.parametrize(
+    ("child", "root", "said"),
+    [
+        ("odom", "robot1/odom", "differ by a prefix alone"),
+        ("odm", "odom", "nearly the same name"),
+        ("robot1/base", "robot2/base", ""),
+        ("leg_1", "leg_2", ""),
+        ("left_wheel", "right_wheel", ""),
+        ("base_link", "base_footprint", ""),
+    ],
+)
+def test_names_that_may_be_meant_to_be_one_are_told_from_those_of_two_things(child: str, root: str, said: str) -> None:
+    tree = FrameTree()
+    tell(tree, transform("map", child), static=True)
+    tell(tree, transform(root, "tip"), static=True)
+    words = reason(tree, "map", "tip")[1]
+    assert said in words if said else "nearly" not in words and "prefix" not in words
+
+
+def test_stamps_a_few_seconds_in_the_future_are_another_clock_and_nothing_that_begins_soon() -> None:
+    tree = FrameTree()
+    for number in range(20):
+        seconds = number / 20
+        tell(tree, transform("map", "odom", stamp_ns=at(seconds)), after_s=seconds)
+        tell(tree, transform("odom", "base_link", stamp_ns=at(seconds + 5)), after_s=seconds)
+    why, words = reason(tree, "map", "base_link")
+    assert why == "two clocks" and "odom → base_link 5 s in the future (another computer's clock?)" in words
+    why, words = reason(tree, "odom", "base_link", at(1))
+    assert why == "not at that time" and "Its stamps are 5 s ahead of the time when it came." in words
+
+
+def test_of_two_edges_on_simulated_time_the_one_that_is_ahead_is_told() -> None:
+    tree = FrameTree()
+    for number in range(20):
+        tell(tree, transform("map", "odom", stamp_ns=(100 + number) * SECOND // 20), after_s=number / 20)
+        tell(tree, transform("odom", "base_link", stamp_ns=(300 + number) * SECOND // 20), after_s=number / 20)
+    why, words = reason(tree, "map", "base_link")
+    assert why == "two clocks" and "map → odom by simulated time, 10 s behind the others" in words
+
+
+def moves(tree: FrameTree, places: list[float], hz: float = 20.0, yaws: list[float] | None = None) -> None:
+    for number, x in enumerate(places):
+        yaw = yaws[number] if yaws else 0.0
+        one = transform("odom", "base_link", (x, 0.0, 0.0), about_z(yaw), stamp_ns=at(number / hz))
+        tell(tree, one, after_s=number / hz, sequence=number + 1)
+
+
+def test_a_jump_of_the_place_is_told_from_motion_however_fast() -> None:
+    tree = FrameTree()
+    moves(tree, [0.05 * n + (5.0 if n >= 10 else 0.0) for n in range(20)])
+    (leap,) = tree.edges["base_link"].leaps
+    assert leap.far_m == pytest.approx(5.05) and leap.within_ns == pytest.approx(SECOND / 20)
+    assert leap.received_ns == at(10 / 20)
+    for places in ([2.0 * n for n in range(20)], [0.0] * 10 + [1.5 * n for n in range(10)], [0.0, 5.0]):
+        fast = FrameTree()
+        moves(fast, places)
+        assert not fast.edges["base_link"].leaps, "a car, one that starts, and what nothing is known beside"
+    turned = FrameTree()
+    moves(turned, [0.0] * 20, yaws=[0.0] * 10 + [2.0] * 10)
+    assert turned.edges["base_link"].leaps[0].turned_deg == pytest.approx(math.degrees(2.0))
+    spinning = FrameTree()
+    moves(spinning, [0.0] * 20, yaws=[0.0] * 10 + [1.0 * n for n in range(10)])
+    assert not spinning.edges["base_link"].leaps
+
+
+def test_two_publishers_of_one_edge_that_disagree_do_not_make_it_jump() -> None:
+    tree = FrameTree()
+    for number in range(20):
+        for first, x in ((1, 0.0), (500, 3.0)):
+            one = transform("odom", "base_link", (x, 0.0, 0.0), stamp_ns=at(number / 20) + first)
+            tell(tree, one, after_s=number / 20, sequence=first + number)
+    assert not tree.edges["base_link"].leaps
+
+
+def test_the_rate_of_an_edge_outlasts_a_jump_of_its_stamps() -> None:
+    tree = FrameTree()
+    follows(tree, "odom", "base_link", 0, 4, hz=20)
+    for number in range(1, 3):
+        tell(tree, transform("odom", "base_link", stamp_ns=at(number / 30)), after_s=4 + number / 20)
+    edge = tree.edges["base_link"]
+    assert edge.jumps and len(edge.moving) == 2 and edge.rate_hz == pytest.approx(20)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ros2_mcp.codec.frame_edges import Edge
 from ros2_mcp.codec.no_transform import UNIX_FROM_NS, seconds_in_words
-from ros2_mcp.codec.transforms import OTHER_CLOCK_NS, Edge, FrameTree
+from ros2_mcp.codec.transforms import OTHER_CLOCK_NS, FrameTree
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.results import four_digits, microseconds
 from ros2_mcp.ops.space.tellers import Tellers
@@ -20,6 +21,8 @@ _FROZEN = 10
 """Messages in a row with a stamp that was there already; nobody resends as often on purpose."""
 _SAME_M, _SAME_DEG = 1e-3, 0.1
 """What two publishers tell is the same up to there: the rounding of float32, and of a description."""
+_RARELY_HZ = 1 / 1.5
+"""The slowest usual publishers of what moves send once a second."""
 _AHEAD_NS = 2_500_000_000
 """Localisations stamp up to 1 s ahead, on purpose (`transform_tolerance`)."""
 
@@ -77,6 +80,7 @@ def edge_row(
             [
                 *_who_tells(edge, tellers),
                 *_how_told(edge, at_ns),
+                *_leaps(edge, at_ns),
                 *(
                     ()
                     if time_stands and is_with_others
@@ -131,6 +135,21 @@ def _how_told(edge: Edge, at_ns: int) -> list[str]:
     return parts
 
 
+def _leaps(edge: Edge, at_ns: int) -> list[str]:
+    """Whether it went suddenly to another place; a localisation may once, when it finds where it is."""
+    leaps, corrects = edge.leaps, edge.child.rpartition("/")[2] == "odom"
+    if not leaps or (corrects and len(leaps) == 1):
+        return []
+    last = leaps[-1]
+    many = f", the last of {len(leaps)} such jumps" if len(leaps) > 1 else ""
+    ago = seconds_in_words(max(at_ns - last.received_ns, 0))
+    cause = "a localisation that changes its mind" if corrects else "odometry that was reset, or a fault of its source"
+    return [
+        f"jumped by {last.far_m:.3g} m and {last.turned_deg:.3g}° within {seconds_in_words(last.within_ns)}, {ago} "
+        f"ago{many} ({cause})"
+    ]
+
+
 def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_other_clock: bool) -> list[str]:
     """Whether it is late, silent or early, by its stamps and by when it came."""
     if not edge.moving:
@@ -158,6 +177,9 @@ def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_ot
         else:
             old = f"stamps that are {seconds_in_words(age_ns)} old"
             parts.append(f"is told now with {old}: a delay, or the clock of another computer")
+    elif edge.rate_hz and edge.rate_hz < _RARELY_HZ:
+        every = f"every {1 / edge.rate_hz:.3g} s ({edge.rate_hz:.2g} Hz)"
+        parts.append(f"is told too rarely for what moves, {every}: what is looked up is as old, and not there for now")
     if ahead_ns > _AHEAD_NS and not is_other_clock:
         parts.append(
             f"is stamped {seconds_in_words(ahead_ns)} ahead, in the future (by the clock of another computer?)"

@@ -1,4 +1,6 @@
-"""Simulated time that stands still, and all stamps with it: said once, and not as the silence of each publisher."""
+"""Stamps of another clock than the robot's, such as simulated time, also where it stands still: said once, and not of
+each publisher.
+"""
 
 from __future__ import annotations
 
@@ -39,6 +41,17 @@ async def standing_time(source: Source, tree: FrameTree, at_ns: int) -> str:
         f"Simulated time stands still since {seconds_in_words(stood_ns)} ago, at {stamp_in_words(newest_ns)}, and all "
         f"stamps with it: {said}."
     )
+
+
+async def other_clock(source: Source, tree: FrameTree) -> list[str]:
+    """That all stamps are of another clock than the robot's, and whether somebody tells that clock."""
+    if not tree.clock_ns:
+        return []
+    away = f"{seconds_in_words(tree.clock_ns)} {'behind' if tree.clock_ns > 0 else 'ahead of'} the robot's clock"
+    what = "simulated time, or a bag that is played"
+    if source.transforms and not await source.transforms.clock_publishers():
+        what = f"nobody publishes {_CLOCK}: a bag that is played without it, or clocks that are set wrong"
+    return [f"Stamps are {away} ({what}): ages are by receipt."]
 
 
 async def _clock_in_words(source: Source, newest_ns: int, *, is_told: bool) -> str:

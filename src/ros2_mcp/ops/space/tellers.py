@@ -12,7 +12,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from ros2_mcp.codec.transforms import BASES, Edge, FrameTree
+from ros2_mcp.codec.frame_edges import Edge
+from ros2_mcp.codec.transforms import BASES, FrameTree
 from ros2_mcp.model.qos import mismatch
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import Source
@@ -28,6 +29,10 @@ _CALLED = {
     "description": re.compile(r"state_publisher|description|joint"),
 }
 """What nodes with a role are called: those of Nav2, slam_toolbox, robot_localization, ros2_control and such."""
+_AS = {"placing": "localisation"}
+"""Who places the base in the map itself, past odom, is a localisation, too."""
+_CORRECTS = re.compile(r"amcl")
+"""Localisations that tell map → odom alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,11 +179,12 @@ def _concluded(
     """
     possible = {writer: set(there.get(writer, names)) for writer in writers if writer}
     roles = {
-        writer: {_role(tree.edges[child]) for child in writers[writer] if child in tree.edges} for writer in possible
+        writer: {_role(tree.edges[child], writer) for child in writers[writer] if child in tree.edges}
+        for writer in possible
     }
     fitting = [
-        {writer: {name for role in roles[writer] for name in also.get(role, ())} for writer in possible},
-        {writer: {name for name in names if _role_of_name(name) in roles[writer]} for writer in possible},
+        {writer: {name for role in roles[writer] for name in also.get(_AS.get(role, role), ())} for writer in possible},
+        {writer: {name for name in names if roles[writer] & _roles_of_name(name)} for writer in possible},
     ]
     for fits in fitting:
         groups: dict[frozenset[str], list[int]] = {}
@@ -205,17 +211,19 @@ def _are(possible: dict[int, set[str]], writers: Sequence[int], nodes: frozenset
             possible[writer] = others - nodes
 
 
-def _role(edge: Edge) -> str:
-    """What a node that tells such an edge is, by the names of REP 105; a mount is of the description."""
+def _role(edge: Edge, writer: int) -> str:
+    """What a publisher that tells such an edge is, by the names of REP 105; a mount is of the description."""
     if edge.on_static:
         return "description"
-    child = edge.child.rpartition("/")[2]
-    parent = edge.newest.parent.rpartition("/")[2] if edge.newest else edge.refused_parent
-    if child == "odom" or parent == "map":
+    child, parent = edge.child.rpartition("/")[2], edge.parent_by(writer).rpartition("/")[2]
+    if child == "odom":
         return "localisation"
+    if parent == "map":
+        return "placing"
     return "odometry" if child in BASES or parent == "odom" else "description"
 
 
-def _role_of_name(name: str) -> str:
+def _roles_of_name(name: str) -> set[str]:
     last = name.rpartition("/")[2].lower()
-    return next((role for role, pattern in reversed(_CALLED.items()) if pattern.search(last)), "")
+    role = next((role for role, pattern in reversed(_CALLED.items()) if pattern.search(last)), "")
+    return {role, "placing"} if role == "localisation" and not _CORRECTS.search(last) else {role}

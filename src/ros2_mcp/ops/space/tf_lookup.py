@@ -9,7 +9,7 @@ from time import monotonic
 
 import anyio
 
-from ros2_mcp.codec.no_transform import edge_in_words, seconds_in_words, stamp_in_words, why_none
+from ros2_mcp.codec.no_transform import alike, edge_in_words, seconds_in_words, stamp_in_words, why_none
 from ros2_mcp.codec.transforms import FrameTree, Located
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, BadValue, NoTransform
@@ -23,7 +23,7 @@ from ros2_mcp.ops.space.described import described_frame
 from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
 from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.space.message_field import given_in
-from ros2_mcp.ops.space.standing_time import standing_time
+from ros2_mcp.ops.space.standing_time import other_clock, standing_time
 from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
 
@@ -35,6 +35,8 @@ _MOST_POSES = 5_000
 """Over a duration: 100 s at 50 Hz are all looked at; of more, every n-th."""
 _LOOK_S = 0.5
 """Between two looks at what has come over a duration; the tree keeps 30 s."""
+_WATCHED_S = 4.5
+"""From the first question on, where stamps are of a clock that nobody tells."""
 _MOST_TOLD = 8
 """Edges whose publishers an error names."""
 _LONG_GAP_NS = 1_000_000_000
@@ -235,10 +237,23 @@ async def _at(
         return tree.find(target, frame, sought(tree)) is not None
 
     tree = await frames_of(source, wall_ns, until=is_there, report=report)
+    await _watched(source, tree)
     found = tree.find(target, frame, sought(tree))
     if found is None:
         raise await _more_of(source, why_none(tree, target, frame, sought(tree)), tree, (frame, target))
     return tree, found
+
+
+async def _watched(source: Source, tree: FrameTree) -> None:
+    """Looks at the stamps of a clock that nobody tells for some seconds, whether they begin again: a bag in a loop."""
+    listener = source.transforms
+    if listener is None or not tree.clock_ns or listener.listened_s > _WATCHED_S or await listener.clock_publishers():
+        return
+    while listener.tree is tree and (left_s := _WATCHED_S - listener.listened_s) > 0:
+        if any(edge.jumps for edge in tree.edges.values()):
+            await anyio.sleep(min(left_s, _LOOK_S))  # for the others, which begin again with it
+            return
+        await listener.news(left_s)
 
 
 async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: Sequence[str]) -> NoTransform:
@@ -260,6 +275,11 @@ async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: S
     ][:_MOST_TOLD]
     if tree.nameless:
         more.append(f"{tree.nameless} transform(s) came whose frame has no name (child_frame_id is empty).")
+    if error.reason == "two trees" and (pair := alike(tree, names[1], names[0])):
+        concerned = [edge for edge in tree.edges.values() if {edge.child, *edge.parents} & set(pair)]
+        who = [(edge, tellers.by_whom(edge, edge.parents[-1])) for edge in concerned if edge.parents]
+        told = [f"{edge_in_words(edge)}{by}" for edge, by in who if by]
+        more += [f"Told: {', '.join(told[:_MOST_TOLD])}."] if told else []
     if unknown := next((name for name in names if name not in tree.frames), ""):
         more += filter(None, [await described_frame(source, unknown)])
     return NoTransform(error.reason, " ".join([error.message, *more]), error.hint)
@@ -388,9 +408,7 @@ async def _answer(
     notes += [in_words(row) for row in rows if row.problem]
     notes += [*_gaps(located), *followed_in_words(source, tree)]
     notes += [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []
-    if clock_ns:
-        behind = f"{seconds_in_words(clock_ns)} {'behind' if clock_ns > 0 else 'ahead of'} the robot's clock"
-        notes.append(f"Stamps are {behind} (simulated time, or a bag that is played): ages are by receipt.")
+    notes += await other_clock(source, tree)
     age_ns = None if stamp_ns is None else reference_ns - stamp_ns - clock_ns
     unstamped = [edge.last_received_ns for edge in located.edges if edge.unstamped and not edge.moving]
     if stamp_ns is None and unstamped:

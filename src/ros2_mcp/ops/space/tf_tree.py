@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from time import monotonic
 
-from ros2_mcp.codec.no_transform import seconds_in_words
 from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, NoTransform
@@ -19,12 +18,15 @@ from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
 from ros2_mcp.ops.space.frames import frames_of
-from ros2_mcp.ops.space.standing_time import standing_time
+from ros2_mcp.ops.space.standing_time import other_clock, standing_time
 from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
 
 _MOST_LINES = 150
 """Of the text: the largest robots have that many frames, and a result has 32 kB."""
+
+_AGAIN_NS = 4_000_000_000
+"""For the second message of an edge that came once: its rate is not known before."""
 
 _MOST_DRAWN = 80
 """Characters of a name, and of what is said of it, in the picture: more make it too wide to be read."""
@@ -57,7 +59,8 @@ class Tree(WithPictures):
 async def tf_tree(
     source: Source, frame: str = "", duration_s: float = 2.0, *, picture: bool = True, report: Report = silent
 ) -> Tree:
-    """The frames that are told, or those below one; live after listening for a while, so that rates are known.
+    """The frames that are told, or those below one; live after listening for a while, so that rates are known, and for
+    up to 4 s more for an edge that came once.
 
     Raises:
         NoTransform: if nothing is told at all.
@@ -76,6 +79,7 @@ async def tf_tree(
     at_ns = listener.now_ns() if listener else covers[1] if covers else _newest_ns(tree)
     tellers = await tellers_of(source, tree)
     stands = await standing_time(source, tree, at_ns)
+    said = [*_note(tree), *await other_clock(source, tree), *followed_in_words(source, tree), *_silent(source, tellers)]
     rows = {child: edge_row(tree, edge, at_ns, tellers, time_stands=bool(stands)) for child, edge in tree.edges.items()}
     walk = list(_walk(tree, [top] if top else tree.roots))
     lines = [_line(name, depth, rows.get(name)) for name, depth in walk]
@@ -86,7 +90,7 @@ async def tf_tree(
         edges=[rows[name] for name, _ in walk if name in rows],
         problems=[*unheard, *filter(None, [stands]), *_problems(tree, rows, [name for name, _ in walk], whole=not top)],
         read_from="live" if source.is_live else source.words,
-        note=" ".join([*_note(tree), *followed_in_words(source, tree), *_silent(source, tellers)]),
+        note=" ".join(said),
         lines=lines,
         pictures=facts(images),
         images=images,
@@ -105,7 +109,15 @@ async def _listened(source: Source, duration_s: float, report: Report) -> FrameT
             await listener.news(left_s)
         if not tree.frames:
             tree = await frames_of(source, until=lambda tree: bool(tree.frames))
+        while duration_s and listener.tree is tree and (left_ns := _once_ns(tree, listener.now_ns())) > 0:
+            await listener.news(left_ns / 1e9)
     return tree
+
+
+def _once_ns(tree: FrameTree, now_ns: int) -> int:
+    """How much longer the second message of an edge that came once is waited for."""
+    once = [edge for edge in tree.edges.values() if edge.moving and edge.received == 1]
+    return max((edge.last_received_ns + _AGAIN_NS - now_ns for edge in once), default=0)
 
 
 def _newest_ns(tree: FrameTree) -> int:
@@ -154,9 +166,6 @@ def _note(tree: FrameTree) -> list[str]:
     notes = [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []
     if tree.left_out:
         notes.append(f"{tree.left_out} transform(s) of further frames, or of frames without a name, are left out.")
-    if tree.clock_ns:
-        away = f"{seconds_in_words(tree.clock_ns)} {'behind' if tree.clock_ns > 0 else 'ahead of'} the robot's clock"
-        notes.append(f"Stamps are {away} (simulated time, or a bag that is played): ages are by receipt.")
     return notes
 
 

@@ -134,3 +134,13 @@ def test_a_publisher_that_is_first_heard_with_the_next_number_of_another_is_told
         tell(number, ("odom", "base_link"))
     assert len(tree.edges["odom"].writers) == len(tree.edges["base_link"].writers) == 1
     assert tree.edges["odom"].writers != tree.edges["base_link"].writers
+
+
+def test_of_two_localisations_the_one_that_corrects_odometry_is_not_said_to_place_the_base() -> None:
+    tree = tree_of((1, (("odom", "base_link"),)), (500, (("map", "odom"),)), (9000, (("map", "base_link"),)))
+    for also in ({}, {"localisation": ["/amcl", "/slam_node"]}):
+        tellers = Tellers(tree, {"/tf": Publishers(["/amcl", "/ekf_node", "/slam_node"])}, also)
+        base = tree.edges["base_link"]
+        assert tellers.by_whom(base, "map") == " by probably /slam_node"
+        assert tellers.by_whom(base, "odom") == " by probably /ekf_node"
+        assert tellers.by_whom(tree.edges["odom"], "map") == " by probably /amcl"

@@ -178,3 +178,28 @@ async def test_a_pause_around_the_time_that_is_asked_for_is_told(window: Make) -
         Recorded([window("/tf", TF, told)]), request("odom", "base_link", time=f"{START_NS / 1e9 + 3:.3f}")
     )
     assert "odom → base_link was silent for 5 s around then: it is interpolated." in found.note
+
+
+@pytest.mark.parametrize(
+    ("edge", "jumps", "said"),
+    [
+        (("odom", "base_link"), 1, "odom → base_link jumped by 5 m and 0° within 0.1 s, 1 s ago (odometry that was"),
+        (("map", "odom"), 1, ""),
+        (("map", "odom"), 2, "map → odom jumped by 5 m and 0° within 0.1 s, 0.5 s ago, the last of 2 such jumps (a"),
+    ],
+)
+async def test_a_jump_of_the_place_is_told_of_a_localisation_only_where_it_jumps_again(
+    window: Make, edge: tuple[str, str], jumps: int, said: str
+) -> None:
+    told = [
+        (n / 10, {"transforms": [tf(*edge, 5.0 * ((n >= 20) - (n >= 25) * (jumps - 1)), 0.0, at_s=n / 10)]})
+        for n in range(31)
+    ]
+    found = await tf_lookup(Recorded([window("/tf", TF, told)]), request(*edge))
+    assert said in found.note if said else not found.note
+
+
+async def test_what_moves_and_is_told_too_rarely_is_said_with_its_rate(window: Make) -> None:
+    told = [(n * 3.0, {"transforms": [tf("map", "odom", 0.0, 0.0, at_s=n * 3.0)]}) for n in range(4)]
+    found = await tf_lookup(Recorded([window("/tf", TF, told)]), request("map", "odom"))
+    assert "map → odom is told too rarely for what moves, every 3 s (0.33 Hz)" in found.note
