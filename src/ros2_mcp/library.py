@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
@@ -15,7 +16,7 @@ from anyio import to_thread
 from ros2_mcp.entries import only_one
 from ros2_mcp.guard.consent import Auditing, Consent, with_consent
 from ros2_mcp.guard.guard import Guard
-from ros2_mcp.guard.operating import Operated, operating
+from ros2_mcp.guard.operating import Operated, StopAnswer, operating
 from ros2_mcp.guard.policy_file import policy_for
 from ros2_mcp.guard.state import ServerLock, StateFolder, state_of
 from ros2_mcp.guard.strength import strength_of
@@ -132,12 +133,17 @@ async def operated(robot: Robot, settings: Settings) -> AsyncGenerator[None, Non
         return
     folder = state_of(settings, robot.policy)
 
-    async def stop(by: str) -> str:
-        return " ".join(lines_of((await stopping.stop(robot, by)).summary()))
+    async def stop(by: str) -> StopAnswer:
+        stopped = await stopping.stop(robot, by)
+        return StopAnswer(" ".join(lines_of(stopped.summary())), stopped.is_doubted)
 
-    def moved() -> dict[str, list[str]]:
-        by_jobs = {name for job in robot.jobs.running(Job) for name in job.moves}
-        return {"moves": sorted(by_jobs.union(robot.failsafes.moving))}
+    def status() -> dict[str, Any]:
+        jobs = robot.jobs.running(Job)
+        by_jobs = {name for job in jobs for name in job.moves if name != job.id}
+        return {
+            "moves": sorted(by_jobs.union(robot.failsafes.moving)),
+            "jobs": [_told(job) for job in jobs if by_jobs.isdisjoint(job.moves)],
+        }
 
     everything = Operated(
         robot=folder.path.name,
@@ -147,12 +153,17 @@ async def operated(robot: Robot, settings: Settings) -> AsyncGenerator[None, Non
         audit=auditing.log,
         latch=robot.guard.latch,
         stop=stop,
-        status=moved,
+        status=status,
     )
     async with operating(
         folder, everything, StateFolder.of(elsewhere=settings.robot.identity, domain_id=settings.domain_id)
     ):
         yield
+
+
+def _told(job: Job) -> dict[str, Any]:
+    at_most_s = job.at_most_s if math.isfinite(job.at_most_s) else None
+    return {"id": job.id, "kind": job.kind, "for_s": int(job.elapsed_s), "at_most_s": at_most_s, "doing": job.doing()}
 
 
 @asynccontextmanager

@@ -1,12 +1,14 @@
 // The agent: what it does now, what waits for a person, what became of the rest.
 
-import { Frame, clock, make } from "./dom.ts";
+import { Frame, clock, make, say } from "./dom.ts";
 
 type Waiting = { id: string; left_s: number; summary: string[] };
-type Server = { name: string; answers: boolean; why?: string; mode?: string; moves: string[]; waiting?: Waiting[]; grants?: string[]; audit_failed?: string };
-type Act = { seq: number; time: string; kind: string; who: string; tool?: string; verb?: string; name?: string; type?: string; by?: string; reason?: string; outcome?: string; now?: string; rate_hz?: number; duration_s?: number; program?: string; value?: unknown };
-export type AgentState = { servers?: Server[]; latch?: { by: string; reason: string; since_s: number } | null; acts?: Act[]; folder?: string; why?: string };
+type Job = { id: string; kind: string; for_s: number; at_most_s: number | null; doing: string };
+type Server = { name: string; answers: boolean; why?: string; mode?: string; moves: string[]; jobs?: Job[]; waiting?: Waiting[]; grants?: string[]; audit_failed?: string };
+type Act = { seq: number | null; time: string; kind: string; who: string; tool?: string; verb?: string; name?: string; type?: string; by?: string; reason?: string; outcome?: string; now?: string; rate_hz?: number; duration_s?: number; program?: string; value?: unknown };
+export type AgentState = { servers?: Server[]; latch?: { by: string; reason: string; since_s: number } | null; acts?: Act[]; folder?: string; why?: string; origin?: string };
 
+const JOBS: Record<string, string> = { recording: "records", program: "runs a program", cancel_when: "watches a condition" };
 const VERBS: Record<string, string> = {
   publish: "publishes", repeat: "publishes", move: "moves by feedback", relay: "relays", play: "plays a recording", feed: "feeds", record: "records",
   call: "calls", set_parameters: "sets parameters of", change_state: "changes the state of", send_goal: "sends a goal to", cancel_goals: "cancels goals of",
@@ -15,29 +17,37 @@ const VERBS: Record<string, string> = {
 export class AgentPanel {
   private readonly frame: Frame;
   private readonly waits = make("div");
+  private readonly jobs = make("ol", { class: "rows" });
+  private readonly origin = make("p", { class: "origin" });
   private readonly rows = make("ol", { class: "rows" });
   private readonly none = make("p", { class: "empty" });
 
   constructor(section: HTMLElement) {
     this.frame = new Frame(section, "Agent", false);
-    this.frame.body.append(this.waits, this.rows, this.none);
+    this.frame.body.append(this.waits, this.jobs, this.origin, this.rows, this.none);
   }
 
-  update(state: AgentState): void {
+  /** `shownS` is the time that is shown of a recording, Unix time in s. */
+  update(state: AgentState, shownS: number | null = null): void {
     const servers = state.servers ?? [];
     const waiting = servers.flatMap((server) => server.waiting ?? []);
     this.waits.replaceChildren(...waiting.map((one) => make(
       "div", { class: "waits" }, make("b", {}, `Waits for a person, ${one.left_s} s left: ${one.id}. `),
       ...one.summary.map((line) => make("div", {}, line)), make("small", {}, "Answer it in a terminal: ros2-mcp operate"))));
-    const acts = [...(state.acts ?? [])].reverse();
+    this.jobs.replaceChildren(...servers.flatMap((server) => server.jobs ?? []).map((job) => make("li", { class: "running" },
+      make("time", {}, `${shownS === null ? "" : "now, "}${job.for_s} s`), make("span", { class: "what" }, make("b", {}, JOBS[job.kind] ?? job.kind), make("small", {}, ` ${[job.doing, job.id].filter(Boolean).join(" · ")}`)),
+      make("span", { class: "end" }, job.at_most_s === null ? "under way" : `of ${job.at_most_s} s`))));
+    say(this.origin, state.origin ? `${state.origin}:` : "");
+    this.origin.hidden = !state.origin;
+    const acts = [...(state.acts ?? [])].reverse(), nowMs = shownS === null ? Date.now() : shownS * 1000;
     const atEnd = this.frame.body.scrollTop;
-    this.rows.replaceChildren(...acts.map(row));
+    this.rows.replaceChildren(...acts.map((act) => row(act, nowMs)));
     this.frame.body.scrollTop = atEnd < 40 ? 0 : atEnd;
     this.none.hidden = acts.length > 0;
-    this.none.textContent = servers.length ? "Nothing was done yet." : `No server acts on ${state.folder ?? "this robot"} from this machine.`;
+    this.none.textContent = state.origin ? "nothing was done until then." : servers.length ? "Nothing was done yet." : `No server acts on ${state.folder ?? "this robot"} from this machine.`;
     const modes = [...new Set(servers.map((server) => server.mode).filter(Boolean))].join(", ");
     const silent = servers.filter((server) => !server.answers).length;
-    const told = `${servers.length} server${servers.length === 1 ? "" : "s"}${silent ? `, ${silent} NOT answering` : ""}${modes ? ` · ${modes}` : ""}`;
+    const told = `${shownS === null ? "" : "now: "}${servers.length} server${servers.length === 1 ? "" : "s"}${silent ? `, ${silent} NOT answering` : ""}${modes ? ` · ${modes}` : ""}`;
     this.frame.tellAge(told, silent > 0);
     const failed = servers.map((server) => server.audit_failed).filter(Boolean).map((text) => `The audit cannot be written: ${text}.`);
     const grants = servers.flatMap((server) => server.grants ?? []).map((text) => `Granted: ${text}`);
@@ -46,18 +56,18 @@ export class AgentPanel {
 }
 
 /** An act is under way while its outcome is not written; one whose time is long over has lost its server. */
-function isRunning(act: Act): boolean {
+function isRunning(act: Act, nowMs: number): boolean {
   if (act.kind !== "act" || act.outcome) return false;
   const ends = new Date(act.time).getTime() + ((act.duration_s ?? 60) + 5) * 1000;
-  return Date.now() < ends;
+  return nowMs < ends;
 }
 
-function row(act: Act): HTMLElement {
+function row(act: Act, nowMs: number): HTMLElement {
   const verb = act.kind === "act" || act.kind.startsWith("refused") || act.kind === "waits" ? VERBS[act.verb ?? ""] ?? act.verb ?? act.tool ?? act.kind : act.kind;
   const often = [act.rate_hz ? `${act.rate_hz} Hz` : "", act.duration_s ? `for ${act.duration_s} s` : ""].filter(Boolean).join(" ");
   const value = brief(act.value);
-  const running = isRunning(act);
-  const end = running ? "under way" : act.kind.startsWith("refused") ? `refused` : act.kind === "waits" ? "waits" : act.outcome ?? (act.kind === "act" ? "no outcome" : "");
+  const running = isRunning(act, nowMs);
+  const end = running ? "under way" : act.kind.startsWith("refused") ? `refused` : act.kind === "waits" ? "waits" : act.outcome ?? (act.kind === "act" && act.seq !== null ? "no outcome" : "");
   const tone = act.kind.startsWith("refused") || ["latched", "stop"].includes(act.kind) || end.startsWith("failed") ? "bad" : act.kind === "waits" || end === "no outcome" || end.startsWith("stopped") ? "warn" : "";
   return make("li", { class: `${tone}${running ? " running" : ""}`.trim() || undefined, title: [act.tool, act.reason].filter(Boolean).join(": ") },
     make("time", {}, clock(act.time)),

@@ -9,7 +9,7 @@ import { LogPanel, ValuesPanel } from "./values.ts";
 
 type Robot = { title?: string; live?: boolean; why?: string; topics?: [string, string?][]; source?: string; begin_s?: number; end_s?: number };
 type Update = { view: string; now_s: number; panels: Record<string, { number: number; [name: string]: unknown }> };
-type Stopped = { summary: string; is_all_well: boolean; servers: { name: string; answered: boolean; said: string }[]; problems: string[] };
+type Stopped = { summary: string; is_all_well: boolean; servers: { name: string; answered: boolean; said: string; is_doubted: boolean }[]; problems: string[] };
 
 const WAIT_MS = 1000;
 const AGAIN_MS = 700;
@@ -41,7 +41,7 @@ const nowS = (): number => serverS + (robot.live === false ? 0 : (performance.no
 function show(name: string, content: never): void {
   if (name === "map") map.update(content);
   else if (name === "image") image.update(content);
-  else if (name === "agent") agent.update(latest = content);
+  else if (name === "agent") agent.update(latest = content, robot.live === false ? serverS : null);
   else if (name === "values") values.update(content);
   else if (name === "log") log.update(content);
   else if (name === "robot") showRobot(content);
@@ -98,7 +98,7 @@ function tell(): void {
   state.classList.toggle("bad", !!why);
   const servers = latest.servers ?? [], moved = [...new Set(servers.flatMap((server) => server.moves))];
   const isLatched = !!latest.latch;
-  say(moves, lost ? "" : isLatched ? `LATCHED by ${latest.latch?.by}: ${latest.latch?.reason}` : moved.length ? `moves ${moved.join(", ")}` : servers.length ? "moves nothing now" : "nobody acts here");
+  say(moves, lost ? "" : (robot.live === false ? "now: " : "") + (isLatched ? `LATCHED by ${latest.latch?.by}: ${latest.latch?.reason}` : moved.length ? `moves ${moved.join(", ")}` : servers.length ? "moves nothing now" : "nobody acts here"));
   moves.classList.toggle("latched", isLatched);
   moves.classList.toggle("still", !isLatched && moved.length === 0);
   const at = nowS();
@@ -123,6 +123,7 @@ async function stop(): Promise<void> {
   try {
     const stopped = await pressStop() as Stopped;
     const lines = [...stopped.problems, ...stopped.servers.map((one) => `${one.name}: ${one.answered ? one.said : `NO ANSWER. ${one.said}`}`)];
+    if (!stopped.is_all_well) lines.push("Use the robot's own emergency stop where it still moves.");
     tellStop(stopped.summary, lines, stopped.is_all_well);
   } catch (error) {
     tellStop(`NOT STOPPED from here (${error instanceof Error ? error.message : "?"}). Use the robot's own emergency stop, or a terminal: ros2-mcp operate stop`, [], false);

@@ -36,11 +36,20 @@ _MOST_CLIENTS = 16
 _logger = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True)
+class StopAnswer:
+    """What was observed of a stop, in words; `is_doubted` where it is not confirmed that all it knows of stands."""
+
+    done: str
+    is_doubted: bool
+
+
 @dataclass(frozen=True, kw_only=True)
 class Operated:
-    """What an operator works on. `stop` stops the robot on behalf of a name, and says in words what was observed.
+    """What an operator works on. `stop` stops the robot on behalf of a name, and says what was observed.
 
-    `status` has what else the list says: `moves`, the topics and actions that this server moves the robot by now.
+    `status` has what else the list says: `moves`, the topics and actions that this server moves the robot by now, and
+    `jobs`, what runs and is no command, such as a recording.
     """
 
     robot: str
@@ -49,7 +58,7 @@ class Operated:
     modes: Modes
     audit: Audit
     latch: Latch
-    stop: Callable[[str], Awaitable[str]]
+    stop: Callable[[str], Awaitable[StopAnswer]]
     status: Callable[[], Mapping[str, Any]] = field(default=dict[str, Any])
 
 
@@ -176,7 +185,8 @@ class _Clients:
             return {"done": f"The mode is {operated.modes.now}; it was {before}."}
         if what == "stop":
             operated.audit.note("stop", by=by)
-            return {"done": await operated.stop(by)}
+            stopped = await operated.stop(by)
+            return {"done": stopped.done, "is_doubted": stopped.is_doubted}
         if what == "reset":
             state = operated.latch.look()
             if not state.is_set:

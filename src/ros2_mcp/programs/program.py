@@ -188,6 +188,11 @@ class Program(Job):
                 await self.streams.close()
                 self.record.ended += await self.end_own(self.stop_reason or f"the end of {self.id}")
 
+    def doing(self) -> str:
+        """Its commands so far, and whose answer it waits for."""
+        told = "rehearsal" if self._is_rehearsal else f"{self.record.commands} command(s)"
+        return f"{told}; {self.waits_for}" if self.waits_for else told
+
     async def end_own(self, reason: str = "its program") -> list[str]:
         """Ends what it has in motion; in words, what that was. What it begins later is not touched by it."""
         ended = list(await self._robot.stop_owned(self._principal, reason))

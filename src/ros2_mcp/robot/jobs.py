@@ -86,6 +86,10 @@ class Job(ABC):
         than whether `stop` was called how it ended sets `outcome`.
         """
 
+    def doing(self) -> str:
+        """What it does, in some words beside its kind, for a person; "" where the kind says all."""
+        return ""
+
     def check_beside(self, running: Sequence[Job]) -> None:  # noqa: B027 - most kinds may run beside any other
         """Raises a `RobotError` if it must not run beside those that do; nothing can start in between."""
 

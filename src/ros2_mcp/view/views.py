@@ -7,7 +7,7 @@ import base64
 import logging
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from time import monotonic
 from typing import Any
 
@@ -209,7 +209,7 @@ class Views:
         return {
             "summary": stopped.summary(),
             "is_all_well": stopped.is_all_well,
-            "servers": [{"name": one.name, "answered": one.answered, "said": one.said} for one in stopped.servers],
+            "servers": [asdict(one) for one in stopped.servers],
             "zeros": stopped.zeros,
             "latched": stopped.latched,
             "problems": stopped.problems,
@@ -218,10 +218,13 @@ class Views:
     def _open(self) -> View:
         if len(self._views) >= MOST_VIEWS:
             raise BadInput(f"{MOST_VIEWS} pages are open already.", "Close one; it is given up ten seconds later.")
-        chunks = Chunks()
+        chunks, recording = Chunks(), None if self._source.is_live else self._source
         panels = (
             *(ImagePanel(), MapPanel(chunks), ValuesPanel(), LogPanel()),
-            *(RobotPanel(self._title, self._source), AgentPanel(self.acting)),
+            *(
+                RobotPanel(self._title, self._source),
+                AgentPanel(self.acting, recording),
+            ),
         )
         view = View(self._robot, self._source, panels, chunks)
         self._views[view.id] = view

@@ -8,17 +8,19 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from support.agent import Agent, agent_for
+from support.agent import Agent, agent_for, until
 from support.browser import CHROMIUM, Page, browsing
 from support.observer import Observer
-from support.processes import running
+from support.processes import peer_command, running
 from support.room_bag import room_bag
 
 TWIST = {"linear": {"x": 0.1}}
@@ -49,8 +51,11 @@ def browser() -> Iterator[Page]:
 
 
 @pytest.fixture(scope="module")
-def agent(demo_environment: dict[str, str], demo_robot: object) -> Iterator[Agent]:
-    with agent_for(demo_environment) as client:
+def agent(
+    demo_environment: dict[str, str], demo_robot: object, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Agent]:
+    folder = str(tmp_path_factory.mktemp("recordings"))
+    with agent_for(demo_environment, "--tools", "default,memory", "--record-dir", folder) as client:
         yield client
 
 
@@ -88,18 +93,32 @@ def test_the_page_shows_what_the_robot_sees_and_where_it_is(page: Page) -> None:
     assert page.complaints == []
 
 
-@pytest.mark.promise("README", "Its one button stops every server that acts on the robot from this machine")
-def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Agent, observer: Observer) -> None:
+def driving(agent: Agent, observer: Observer) -> Future[dict[str, Any]]:
+    """The agent drives the robot, and the observer has heard it."""
     observer.watch("/cmd_vel")
-    driving = agent.begin(
+    call = agent.begin(
         "ros2_topic_publish",
         **{"topic_name": "/cmd_vel", "message_type": "geometry_msgs/msg/Twist", "data": TWIST},
         frequency=10.0,
         duration=40.0,
     )
     observer.until_driven("/cmd_vel")
+    return call
+
+
+def reset(environment: dict[str, str]) -> None:
+    operate = [sys.executable, "-m", "ros2_mcp", "operate"]
+    subprocess.run([*operate, "reset"], env=environment, check=True, stdout=subprocess.DEVNULL)
+
+
+@pytest.mark.promise("README", "Its one button stops every server that acts on the robot from this machine")
+def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Agent, observer: Observer) -> None:
+    recording = agent.call("ros2_record_start", topics=["/odom"])["recording_id"]
+    call = driving(agent, observer)
     page.until(f"{text('#moves')} === 'moves /cmd_vel'")
-    page.until(f"{text('#agent .running')}.includes('under way')")
+    page.until(
+        f"{text('#agent')}.includes('1 topic(s) into') && {text('#agent .rows:last-of-type')}.includes('under way')"
+    )
     pictured(page, "driving")
     page.run(STOP)
     assert observer.comes_to_rest("/cmd_vel", 10.0) == []
@@ -107,26 +126,35 @@ def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Age
     assert "the latch is set" in said
     page.until(f"{text('#moves')}.startsWith('LATCHED by operator')")
     pictured(page, "stopped")
-    assert driving.exception(10.0) is not None or driving.result()["status"]
+    assert call.exception(10.0) is not None or call.result()["status"]
+    assert agent.call("ros2_record_stop", recording_id=recording)["messages"] > 0  # it moves nothing, and goes on
     assert "latch" in agent.refusal(
         "ros2_topic_publish", topic_name="/cmd_vel", message_type="geometry_msgs/msg/Twist", data=TWIST
     )
     assert page.complaints == []
 
 
+def test_a_stop_that_is_not_confirmed_looks_like_an_alarm(
+    page: Page, agent: Agent, demo_environment: dict[str, str], observer: Observer
+) -> None:
+    reset(demo_environment)
+    driving(agent, observer)
+    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
+    with running(demo_environment, *peer_command("stranger_peer", "/cmd_vel")):  # publishes there, too
+        until(lambda: "/stranger" in str(agent.call("ros2_topic_info", topic_name="/cmd_vel")))
+        page.run(STOP)
+        said = page.until(f"/of 1 server/.test({text('#said')}) && {text('#said')}")
+    assert "1 of them NOT confirmed: the robot may still move" in said and "also publishes on /cmd_vel" in said
+    assert "emergency stop" in said
+    assert not page.run("document.getElementById('said').classList.contains('ok')")
+    pictured(page, "doubted")
+
+
 def test_where_a_server_hangs_the_latch_is_set_and_the_page_says_that_it_did_not_answer(
     page: Page, agent: Agent, demo_environment: dict[str, str], observer: Observer
 ) -> None:
-    operate = [sys.executable, "-m", "ros2_mcp", "operate"]
-    subprocess.run([*operate, "reset"], env=demo_environment, check=True, stdout=subprocess.DEVNULL)
-    observer.watch("/cmd_vel")
-    agent.begin(
-        "ros2_topic_publish",
-        **{"topic_name": "/cmd_vel", "message_type": "geometry_msgs/msg/Twist", "data": TWIST},
-        frequency=10.0,
-        duration=40.0,
-    )
-    observer.until_driven("/cmd_vel")
+    reset(demo_environment)
+    driving(agent, observer)
     page.until(f"{text('#moves')} === 'moves /cmd_vel'")
     pid = server_of(demo_environment)
     os.kill(pid, signal.SIGSTOP)

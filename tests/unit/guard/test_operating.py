@@ -25,7 +25,7 @@ from ros2_mcp.guard.audit import Audit
 from ros2_mcp.guard.chain import entries, verify
 from ros2_mcp.guard.exact import ExactCommand
 from ros2_mcp.guard.modes import Modes
-from ros2_mcp.guard.operating import Operated, operating
+from ros2_mcp.guard.operating import Operated, StopAnswer, operating
 from ros2_mcp.guard.operators import connected, listen_at, may_operate
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.state import StateFolder
@@ -57,10 +57,10 @@ async def served(
     log = Audit(folder.make)
     stopped: list[str] = []
 
-    async def stop(by: str) -> str:
+    async def stop(by: str) -> StopAnswer:
         folder.latch().set(by=by, reason="stopped by a person")
         stopped.append(by)
-        return "Stopped."
+        return StopAnswer("Stopped.", is_doubted=False)
 
     operated = Operated(
         robot="hall-3",

@@ -40,6 +40,10 @@ class ConditionalCancel(Job):
         self.met: WhenMet | None = None
         self.problem = ""
 
+    def doing(self) -> str:
+        """Of which goal."""
+        return f"of goal {self.asked.goal_id}"
+
     async def run(self) -> None:
         """Has the bridge ask until the condition is met or the goal has ended."""
         async with anyio.create_task_group() as group:

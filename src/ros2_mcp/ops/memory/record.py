@@ -274,6 +274,10 @@ class Recording(Job):
         """Lets the subscriptions hand over what they still have."""
         self._is_ending = True
 
+    def doing(self) -> str:
+        """How many topics it writes, and where."""
+        return f"{len(self._topics)} topic(s) into {self._folder.name}" if self._folder else ""
+
     def report(self) -> RecordingState:
         """How it stands."""
         recorder, folder = self._recorder, self._folder

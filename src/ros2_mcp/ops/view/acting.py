@@ -15,7 +15,9 @@ from ros2_mcp.guard.servers import Row, Server, servers_in
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.model.times import iso_time
+from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.view.look import Content, Look, Panel
+from ros2_mcp.ops.view.recorded_acts import RecordedActs
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.velocity import VELOCITY_TYPES
 
@@ -40,11 +42,15 @@ _FIELDS = ("tool", "verb", "name", "type", "by", "reason", "rule", "program", "o
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoppedServer:
-    """One server that was told to stop: whether it has answered, and what it says was observed."""
+    """One server that was told to stop: whether it has answered, and what it says was observed.
+
+    `is_doubted`: it has answered that it is not confirmed that the robot stands.
+    """
 
     name: str
     answered: bool
     said: str
+    is_doubted: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +71,8 @@ class StoppedAll:
         """One line: how many answered, what was done for those that did not, and whether it is latched."""
         answered = sum(server.answered for server in self.servers)
         told = f"{answered} of {len(self.servers)} server(s) stopped" if self.servers else "No server acts here"
+        if doubted := sum(server.is_doubted for server in self.servers):
+            told = f"{told}, {doubted} of them NOT confirmed: the robot may still move"
         zeros = f"; zeros sent from here on {', '.join(self.zeros)}" if self.zeros else ""
         latched = "the latch is set" if self.latched else "the latch is NOT set"
         return f"{told}{zeros}; {latched}."
@@ -93,6 +101,7 @@ class Acting:
                     "answers": True,
                     "mode": answer["mode"],
                     "moves": answer.get("moves", ()),
+                    "jobs": answer.get("jobs", ()),
                     "waiting": [
                         {"id": one["id"], "left_s": round(one["left_s"]), "summary": one["summary"]}
                         for one in answer["waiting"]
@@ -115,7 +124,7 @@ class Acting:
         files = files_of(folder)[-1:] if folder.is_dir() else []
         seen = tuple((path.name, path.stat().st_size) for path in files)
         if seen != self._audit[0]:
-            self._audit = seen, list(_acts(tail(folder, _TAIL_BYTES)))[-_MOST_ACTS:]
+            self._audit = seen, list(acts_in(tail(folder, _TAIL_BYTES)))[-_MOST_ACTS:]
         return self._audit[1]
 
     async def stop(self, robot: Robot) -> StoppedAll:
@@ -130,11 +139,13 @@ class Acting:
                 name=name,
                 answered=not isinstance(answer, RobotError),
                 said=str(answer) if isinstance(answer, RobotError) else str(answer.get("done", "")),
+                # Of a server that does not say, as of an earlier version, it is not known.
+                is_doubted=not isinstance(answer, RobotError) and answer.get("is_doubted") is not False,
             )
             for name, answer in answers
         ]
         is_latched = self.at.latch().look().is_set
-        is_all_well = is_latched and not problems and all(one.answered for one in servers)
+        is_all_well = is_latched and not problems and all(one.answered and not one.is_doubted for one in servers)
         return StoppedAll(servers=servers, zeros=zeros, latched=is_latched, problems=problems, is_all_well=is_all_well)
 
     async def _instead(self, robot: Robot) -> tuple[Sequence[str], list[str]]:
@@ -201,26 +212,29 @@ class AgentPanel(Panel):
     name = "agent"
     period_s = 0.25
 
-    def __init__(self, acting: Acting, now_s: Callable[[], float] = time) -> None:
+    def __init__(self, acting: Acting, recording: Source | None = None, now_s: Callable[[], float] = time) -> None:
         self._acting = acting
+        self._recorded = RecordedActs(recording) if recording else None
         self._now_s = now_s
         self._asked_at = 0.0
         self._servers: list[Mapping[str, Any]] = []
         self._why = ""
 
-    async def show(self, look: Look) -> Content | None:  # noqa: ARG002 - what acts is now, whatever is looked at
-        """The state of all servers that act, and the newest lines of the audit."""
+    async def show(self, look: Look) -> Content | None:
+        """The state of all servers that act now, and the newest acts; of a recording, those before what is shown."""
         if abs(self._now_s() - self._asked_at) > _ASKED_EVERY_S:
             self._asked_at, self._why = self._now_s(), ""
             self._servers = await _or_none(self._acting.servers, self._fail)
-        lines = await asyncio.to_thread(self._acting.acts)
-        return {
+        content = {
             "servers": self._servers,
             "latch": self._acting.latch(),
-            "acts": lines,
             "folder": self._acting.at.path.name,
             "why": self._why,
         }
+        if self._recorded is None:
+            return {**content, "acts": await asyncio.to_thread(self._acting.acts)}
+        entries, origin = await self._recorded.until(look.now_ns, self._acting.at.path / AUDIT)
+        return {**content, "acts": list(acts_in(entries))[-_MOST_ACTS:], "origin": origin}
 
     def _fail(self, error: RobotError) -> None:
         self._why = str(error)
@@ -252,7 +266,8 @@ def _stop_of(server: Server) -> Row:
     return server.answer()
 
 
-def _acts(entries: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
+def acts_in(entries: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
+    """What a person wants to see of lines of the audit, each act with what became of it by then."""
     outcomes = {entry.get("of"): str(entry.get("outcome", "")) for entry in entries if entry.get("kind") == "outcome"}
     for entry in entries:
         kind = entry.get("kind")

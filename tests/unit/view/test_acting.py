@@ -1,0 +1,135 @@
+"""What the page is told of who acts: stops that are not confirmed, and what was done at the time of a recording."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from ros2_mcp.bags.qos import qos_text
+from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.bags.writer import BagWriter
+from ros2_mcp.guard.approvals import Approvals
+from ros2_mcp.guard.audit import Audit
+from ros2_mcp.guard.chain import GENESIS, file_name, line_of
+from ros2_mcp.guard.consent import AUDIT
+from ros2_mcp.guard.modes import Modes
+from ros2_mcp.guard.operating import Operated, StopAnswer, operating
+from ros2_mcp.guard.policy import Policy
+from ros2_mcp.guard.state import StateFolder
+from ros2_mcp.library import robot_for, store_for
+from ros2_mcp.model.qos import QoS
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.times import iso_time
+from ros2_mcp.ops.memory.record import CALLS
+from ros2_mcp.ops.sources.kinds import Sources
+from ros2_mcp.ops.view.acting import Acting, AgentPanel
+from ros2_mcp.ops.view.look import Content, Look
+from ros2_mcp.robot import Robot
+from ros2_mcp.settings import Settings
+from support.made_windows import encoded
+from support.room_bag import START_NS, room_bag
+
+SECOND_NS = 10**9
+DRIVE = {"kind": "act", "tool": "ros2_topic_publish", "verb": "repeat", "name": "/cmd_vel", "duration_s": 3.0}
+
+
+@asynccontextmanager
+async def server(folder: StateFolder, answer: StopAnswer) -> AsyncGenerator[None, None]:
+    """One that gives this answer to a stop, and has a recording under way."""
+    log = Audit(folder.make)
+
+    async def stop(by: str) -> StopAnswer:
+        folder.latch().set(by=by, reason="stopped by a person")
+        return answer
+
+    job = {"id": "recording_1", "kind": "recording", "for_s": 3, "at_most_s": None, "doing": "2 topic(s) into run"}
+    operated = Operated(
+        robot="hall-3",
+        policy=Policy(),
+        approvals=Approvals(changed=lambda kind, fields: log.note(kind, **fields)),
+        modes=Modes(folder, policy="p"),
+        audit=log,
+        latch=folder.latch(),
+        stop=stop,
+        status=lambda: {"moves": ["/cmd_vel"], "jobs": [job]},
+    )
+    async with operating(folder, operated):
+        yield
+    log.close()
+
+
+async def recorded(bag: Path) -> tuple[Robot, Any]:
+    settings = Settings(bag=bag)
+    store = store_for(settings)
+    robot = robot_for(settings, store)
+    return robot, await Sources(robot, store).open()
+
+
+async def test_a_stop_that_is_not_confirmed_is_told_as_an_alarm(tmp_path: Path) -> None:
+    robot, _ = await recorded(room_bag(tmp_path / "room"))
+    for number, (is_doubted, words) in enumerate(((True, "NOT confirmed: /base also publishes."), (False, "Stopped."))):
+        folder = StateFolder(tmp_path / f"state{number}")
+        async with server(folder, StopAnswer(words, is_doubted)):
+            stopped = await Acting(folder).stop(robot)
+        (one,) = stopped.servers
+        assert (one.answered, one.said, one.is_doubted) == (True, words, is_doubted)
+        assert stopped.is_all_well is not is_doubted
+        assert ("1 of them NOT confirmed: the robot may still move" in stopped.summary()) is is_doubted
+
+
+async def test_what_runs_and_is_no_command_is_told(tmp_path: Path) -> None:
+    folder = StateFolder(tmp_path / "state")
+    async with server(folder, StopAnswer("Stopped.", is_doubted=False)):
+        (row,) = await Acting(folder).servers()
+    assert [job["doing"] for job in row["jobs"]] == ["2 topic(s) into run"]
+
+
+async def acts_at(panel: AgentPanel, robot: Robot, source: Any, seconds: float) -> Content:
+    shown = await panel.show(Look(robot, source.part(START_NS, START_NS + round(seconds * SECOND_NS))))
+    assert shown
+    return shown
+
+
+async def test_a_recording_shows_the_audit_of_its_time(tmp_path: Path) -> None:
+    robot, source = await recorded(room_bag(tmp_path / "room"))
+    folder = StateFolder(tmp_path / "state")
+    audited(folder.make() / AUDIT)
+    panel = AgentPanel(Acting(folder), source)
+    before, during, after = [await acts_at(panel, robot, source, seconds) for seconds in (0.5, 2.0, 5.5)]
+    assert [act.get("outcome") for act in before["acts"]] == []
+    assert [act.get("outcome") for act in during["acts"]] == [""]
+    assert [(act["name"], act.get("outcome")) for act in after["acts"]] == [("/cmd_vel", "done")]
+    assert "from the audit of state on this machine" in after["origin"]
+
+
+def audited(folder: Path) -> None:
+    """Lines long before, at one and at four seconds of the recording, and long after."""
+    folder.mkdir()
+    seconds = ((-1e6, {**DRIVE, "name": "/old"}), (1, DRIVE), (4, {"kind": "outcome", "of": 2, "outcome": "done"}))
+    seq, prev = 1, GENESIS
+    with (folder / file_name(1)).open("wb") as file:
+        for at, fields in (*seconds, (1e6, {**DRIVE, "name": "/new"})):
+            line, prev = line_of(seq, prev, {"time": iso_time(START_NS + round(at * SECOND_NS)), **fields})
+            file.write(line)
+            seq += 1
+
+
+async def test_a_recording_that_has_what_the_agent_did_shows_that(tmp_path: Path) -> None:
+    bag = tmp_path / "run"
+    bag.mkdir()
+    lines: Sequence[str] = [json.dumps({"time": "x", **DRIVE}), "no line", "[]"]
+    writer = BagWriter(bag, bag.name)
+    writer.add_topic(StoredTopic(CALLS, "std_msgs/msg/String", None, "", "", qos_text([QoS()])))
+    for number, line in enumerate(lines, 1):
+        at_ns = START_NS + number * SECOND_NS
+        writer.write(CALLS, Sample(at_ns, at_ns, number, encoded("std_msgs/msg/String", {"data": line})))
+    writer.close()
+    robot, source = await recorded(bag)
+    panel = AgentPanel(Acting(StateFolder(tmp_path / "state")), source)
+    shown = await asyncio.wait_for(acts_at(panel, robot, source, 3.0), 10.0)
+    assert [(act["name"], act["time"]) for act in shown["acts"]] == [("/cmd_vel", iso_time(START_NS + SECOND_NS))]
+    assert shown["origin"] == "At the time shown, as recorded in /agent/calls"
