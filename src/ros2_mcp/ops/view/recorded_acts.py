@@ -31,15 +31,15 @@ class RecordedActs:
 
     def __init__(self, source: Source) -> None:
         self._source = source
-        self._read: asyncio.Task[tuple[Sequence[tuple[str, Entry]], str]] | None = None
+        self._read: tuple[Sequence[tuple[str, Entry]], str] | None = None
 
     async def until(self, until_ns: int, folder: Path) -> tuple[Sequence[Entry], str]:
         """The lines up to that time, the oldest first, and in words where they are from; `folder` is that of the
         audit of this machine.
         """
         if self._read is None:
-            self._read = asyncio.create_task(self._lines(folder))
-        lines, origin = await asyncio.shield(self._read)
+            self._read = await self._lines(folder)
+        lines, origin = self._read
         until = iso_time(until_ns)
         return [entry for at, entry in lines if at <= until], origin
 
