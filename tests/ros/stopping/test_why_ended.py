@@ -21,13 +21,16 @@ def test_what_it_ends_says_who_has_set_it_and_why(
     server.knows(topic, 4)
     latch = StateFolder.of(domain_id=int(ros_environment["ROS_DOMAIN_ID"]), env=ros_environment).latch()
     moving = WAYS[way](server, observer, topic)
-    observer.until_driven(topic)
+    begun = {} if way in ("repeat", "drive") else server.result(moving)
+    try:
+        observer.until_driven(topic)
+    except AssertionError as error:  # what the server knows of it is the way to the cause
+        raise AssertionError(f"{begun}: {job(server, begun) if begun else server.do('ros2_status')}") from error
     latch.set(by="watchdog", reason="it moves at 0.5 m/s, and was told to stand")
     try:
         if way in ("repeat", "drive"):
             told = str(server.answer(moving))
         else:
-            begun = server.result(moving)
             told = until(lambda: "It was ended by" in (told := job(server, begun)) and told)
     finally:
         latch.reset(by="operator", seen=latch.look().count)
