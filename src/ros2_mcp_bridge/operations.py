@@ -333,7 +333,9 @@ class Operations:
         return self._velocities.have_moved(since) or self.failsafes.has_goals
 
     def _obey_latch(self) -> Steps[None]:
-        """Whoever sets the latch ends what moves here: zeros first, then the rest; whatever is reset since."""
+        """Whoever sets the latch ends what moves here: zeros first, then the rest; also where it was reset before this
+        look. What was accepted after a reset goes on.
+        """
         latch, before = self._stops.latch, None
         while True:
             state = latch.look()
@@ -342,7 +344,8 @@ class Operations:
                 self.failsafes.carry_out()
                 self._tell_latch()
                 for acting in self._acting():
-                    acting.end("latch")
+                    if acting.acceptance is None or acting.acceptance.overtaken_by():
+                        acting.end("latch")
             before = seen
             yield LATCH_LOOKED_AT_EVERY_S
 
@@ -350,7 +353,9 @@ class Operations:
         """By whom and why it was set, once: set again while it was set, it keeps its first cause."""
         state = self._stops.latch.look()
         if (cause := (state.by, state.reason, state.since)) != self._told_latch:
-            self._outbox.send(LatchSet(event="latched", by=state.by, reason=state.reason, own=self._stops.latch.is_own))
+            # Its file tells no more who has set it once it is reset.
+            by, reason = cause[:2] if state.is_set else ("somebody", f"it was reset at once, by {state.by}")
+            self._outbox.send(LatchSet(event="latched", by=by, reason=reason, own=self._stops.latch.is_own))
         self._told_latch = cause
 
     def _leave_when_shared_memory_is_lost(self) -> Steps[None]:

@@ -112,6 +112,25 @@ def test_whoever_sets_it_what_moves_ends_with_a_zero_and_a_reset_starts_nothing(
     assert observer.moving(topic=topic)
 
 
+def test_what_begins_after_a_reset_goes_on_though_the_latch_was_set_a_moment_before(
+    begin, observer: Observer, latch: Latch
+) -> None:
+    """Set and reset between two looks of the bridge, which ends what was accepted before, and that alone."""
+    bridge = begin()
+    before, after = watched(bridge, observer), watched(bridge, observer)
+    for _ in range(ROUNDS if FULL else 5):
+        moved = {topic: max(observer.driven(topic=topic).values(), default=0) for topic in (before, after)}
+        earlier = drive(bridge, before)
+        observer.until_driven(before, number=moved[before] + 1)
+        latch.set(by="ros2_stop", reason="an agent stopped it")
+        latch.reset(by="operator", seen=latch.look().count)
+        later = drive(bridge, after)
+        assert bridge.answer(earlier)[0]["ok"]["ended_by"] == "latch"
+        observer.until_driven(after, number=moved[after] + 10, of=4)  # for 0.2 s: the bridge has looked by then
+        bridge.ok("cancel", request=later)
+        assert bridge.answer(later)[0]["ok"]["ended_by"] == "cancel"
+
+
 def test_it_holds_for_the_next_bridge(begin, observer: Observer, latch: Latch) -> None:
     latch.set(by="watchdog", reason="too fast")
     for _ in range(2):
