@@ -76,7 +76,7 @@ def _lets_in(settings: Settings) -> bool:
 
 def _without_terminal(finding: Finding, settings: Settings) -> Finding:
     """The fix of one who runs this command without a terminal names ssh itself: this same command would ask nothing."""
-    itself = by_doctor(settings.robot)
+    itself = by_doctor(settings.robot, settings.ssh_options)
     if not finding.needs_a_person or itself not in finding.fix:
         return finding
     return replace(finding, fix=finding.fix.replace(itself, by_hand(settings.robot, settings.ssh_options)))

@@ -103,13 +103,16 @@ _REFUSALS: Sequence[_Refusal] = (
 )
 
 
-def of_ssh(address: RobotAddress, exit_code: int | None, lines: Sequence[str]) -> Unreachable | None:
+def of_ssh(
+    address: RobotAddress, exit_code: int | None, lines: Sequence[str], options: Sequence[str] = ()
+) -> Unreachable | None:
     """What a start of ssh that failed means; None if ssh itself did not fail.
 
     Args:
         address: where it was to go.
         exit_code: of ssh; None if it was not told.
         lines: the last lines of its stderr, the oldest first.
+        options: those that ssh was given by the server's own; the commands in a hint have them, too.
     """
     if exit_code not in (_FAILED, None):
         return None
@@ -117,7 +120,7 @@ def of_ssh(address: RobotAddress, exit_code: int | None, lines: Sequence[str]) -
     for refusal in _REFUSALS:
         if refusal.sign.search(text):
             line = next((line for line in reversed(lines) if refusal.sign.search(line)), "")
-            words = _words(address, line)
+            words = _words(address, line, options)
             return Unreachable(
                 refusal.message.format(**words), refusal.hint.format(**words), is_lasting=refusal.is_lasting
             )
@@ -125,30 +128,33 @@ def of_ssh(address: RobotAddress, exit_code: int | None, lines: Sequence[str]) -
         return None
     said = next((line for line in reversed(lines) if line.strip()), "")
     told = f"ssh said {quoted(said)}" if said else "ssh said nothing"
-    return Unreachable(f"{address.host} was not reached: {told}.", f"Try it by hand: {by_hand(address)}")
+    return Unreachable(f"{address.host} was not reached: {told}.", f"Try it by hand: {by_hand(address, options)}")
 
 
-def _words(address: RobotAddress, line: str) -> dict[str, str]:
-    login = f"{address.user}@{address.host}" if address.user else address.host
-    port = f"-p {address.port} " if address.port else ""
+def _words(address: RobotAddress, line: str, options: Sequence[str]) -> dict[str, str]:
+    settings = [option for option in options if option.startswith(("-o", "-F"))]  # others ssh-copy-id does not know
     known = f"[{address.host}]:{address.port}" if address.port not in (0, 22) else address.host
     return {
         "host": address.host,
         "user": address.user or "this user",
         "port": str(address.port or 22),
         "said": quoted(line.rstrip(". \r")),
-        "doctor": by_doctor(address),
+        "doctor": by_doctor(address, options),
         "forget": f"ssh-keygen -R '{known}'",
-        "copy": f"ssh-copy-id {port}{login}",
+        "copy": _command("ssh-copy-id", address, settings),
     }
 
 
-def by_doctor(address: RobotAddress) -> str:
+def by_doctor(address: RobotAddress, options: Sequence[str] = ()) -> str:
     """The command by which a person at a terminal lets ssh ask what only a person can answer."""
-    return f"ros2-mcp doctor --robot {address.text}"
+    return shlex.join(["ros2-mcp", "doctor", "--robot", address.text, *(f"--ssh-option={each}" for each in options)])
 
 
 def by_hand(address: RobotAddress, options: Sequence[str] = ()) -> str:
     """The command of ssh itself that a person types, with the options that the server has, too."""
+    return _command("ssh", address, options)
+
+
+def _command(program: str, address: RobotAddress, options: Sequence[str]) -> str:
     port = ["-p", str(address.port)] if address.port else []
-    return shlex.join(["ssh", *options, *port, f"{address.user}@{address.host}" if address.user else address.host])
+    return shlex.join([program, *options, *port, f"{address.user}@{address.host}" if address.user else address.host])

@@ -133,6 +133,7 @@ class RemoteBridge(Child):
             BadInput: for settings that a bridge which is installed cannot be told.
         """
         self.address = settings.robot
+        self._ssh_options = settings.ssh_options
         way = way_to(settings)
         # Of an address of ssh the container is entered on the far side; that of docker:// is here.
         inner = self.address.container if self.address.kind == "ssh" else ""
@@ -206,7 +207,7 @@ class RemoteBridge(Child):
             return self._unreached
         code = await self.exit_code()
         lines = self.log_tail()
-        if not self._arrival.reports and self.address.kind == "ssh" and (refused := of_ssh(self.address, code, lines)):
+        if not self._arrival.reports and (refused := self._refused_by_ssh(code)):
             return refused
         if self._is_installed and not self._arrival.reports:
             said = quoted(" ".join([self._arrival.heard, *lines]).strip()[-_MOST_SAID:]) or "nothing"
@@ -229,9 +230,12 @@ class RemoteBridge(Child):
     async def ending(self) -> str:
         """How the way in ended."""
         code = await self.exit_code()
-        if self.address.kind == "ssh" and (refused := of_ssh(self.address, code, self.log_tail())):
+        if refused := self._refused_by_ssh(code):
             return f"is out of reach ({refused.message.rstrip('.')})"
         return "closed its stream" if code in (None, 0) else f"ended with code {code}"
+
+    def _refused_by_ssh(self, code: int | None) -> Unreachable | None:
+        return of_ssh(self.address, code, self.log_tail(), self._ssh_options) if self.address.kind == "ssh" else None
 
     def alive(self) -> Vitality:
         """Unknown: what can be seen here is ssh, and not the bridge."""

@@ -134,9 +134,13 @@ async def test_a_machine_that_hangs_up(reach: Callable[..., Bridge], far: Sshd) 
 
 
 async def test_a_host_key_that_is_not_known(reach: Callable[..., Bridge], far: Sshd, tmp_path: Path) -> None:
-    told = await refusal(reach(options=far.options(known_hosts=tmp_path / "none")))
+    options = far.options(known_hosts=tmp_path / "none")
+    told = await refusal(reach(options=options))
     assert told.message == "The host key of 127.0.0.1 is not known here, and the server accepts none by itself."
-    assert f"ros2-mcp doctor --robot {far.address()}" in told.hint
+    settings = " ".join(
+        f"--ssh-option={option}" for option in options
+    )  # with which it is reached, by the doctor as well
+    assert f"ros2-mcp doctor --robot {far.address()} {settings}" in told.hint
 
 
 async def test_a_host_key_that_has_changed(reach: Callable[..., Bridge], far: Sshd, tmp_path: Path) -> None:
@@ -149,9 +153,11 @@ async def test_a_host_key_that_has_changed(reach: Callable[..., Bridge], far: Ss
 
 
 async def test_a_key_that_is_not_let_in(reach: Callable[..., Bridge], far: Sshd) -> None:
-    told = await refusal(reach(options=far.options(key=far.folder / "host_key")))
+    options = far.options(key=far.folder / "host_key")
+    told = await refusal(reach(options=options))
     assert told.message.startswith(f"127.0.0.1 does not let {far.user} in: ")
-    assert f"ssh-copy-id -p {far.port} {far.user}@127.0.0.1" in told.hint
+    settings = " ".join(option for option in options if option.startswith(("-o", "-F")))
+    assert f"ssh-copy-id {settings} -p {far.port} {far.user}@127.0.0.1" in told.hint
 
 
 async def test_an_option_that_ssh_does_not_know(reach: Callable[..., Bridge], far: Sshd) -> None:
