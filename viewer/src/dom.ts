@@ -104,8 +104,9 @@ export class Frame {
     this.why.hidden = !why;
     say(this.why.firstElementChild as HTMLElement, why);
   }
-  tellAge(text: string, stale: boolean): void {
+  tellAge(text: string, stale: boolean, bad = false): void {
     say(this.age, text);
+    this.age.classList.toggle("bad", bad);
     this.section.classList.toggle("stale", stale);
   }
   tellFoot(parts: (Node | string)[]): void {

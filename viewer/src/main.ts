@@ -3,8 +3,10 @@
 import { AgentPanel, type AgentState } from "./agent.ts";
 import { Refused, call, pressStop } from "./call.ts";
 import { byId, make, say } from "./dom.ts";
+import { FramesPanel } from "./frames.ts";
 import { ImagePanel } from "./image.ts";
 import { MapPanel } from "./map.ts";
+import { enlargeable, isSeen, share } from "./tabs.ts";
 import { LogPanel, ValuesPanel } from "./values.ts";
 
 type Robot = { title?: string; live?: boolean; why?: string; topics?: [string, string?][]; source?: string; begin_s?: number; end_s?: number };
@@ -32,7 +34,10 @@ const image = new ImagePanel(byId("image"));
 const agent = new AgentPanel(byId("agent"));
 const values = new ValuesPanel(byId("values"));
 const log = new LogPanel(byId("log"));
-const chosen: Record<string, () => string> = { map: () => map.chosen, image: () => image.chosen, values: () => values.chosen, log: () => "", agent: () => "", robot: () => "" };
+const frames = new FramesPanel(byId("frames"));
+share([["values", "Values"], ["frames", "Frames"]], () => undefined);
+enlargeable(["map", "image", "agent", "values", "log", "frames"]);
+const chosen: Record<string, () => string> = { map: () => map.chosen, image: () => image.chosen, values: () => values.chosen, log: () => "", agent: () => "", frames: () => "", robot: () => "" };
 let seen: Record<string, number> = {};
 let serverS = 0, heardAt = 0, lost = "connecting", robot: Robot = {}, latest: AgentState = {};
 
@@ -44,6 +49,7 @@ function show(name: string, content: never): void {
   else if (name === "agent") agent.update(latest = content, robot.live === false ? serverS : null);
   else if (name === "values") values.update(content);
   else if (name === "log") log.update(content);
+  else if (name === "frames") frames.update(content);
   else if (name === "robot") showRobot(content);
 }
 
@@ -105,6 +111,7 @@ function tell(): void {
   map.tick(at, !!lost);
   image.tick(at, !!lost);
   values.tick(at, !!lost);
+  frames.tick(at, !!lost);
 }
 
 // ── stop ────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -154,7 +161,7 @@ async function ask(): Promise<void> {
     if (document.hidden) { await pause(200); continue; } // the server gives the view up by itself
     const began = performance.now();
     try {
-      const panels = Object.fromEntries(Object.entries(chosen).map(([name, topic]) => [name, topic()]));
+      const panels = Object.fromEntries(Object.entries(chosen).filter(([name]) => name === "agent" || isSeen(name)).map(([name, topic]) => [name, topic()]));
       const update = await call("ros2_view_frame", { view, panels, seen, wait_ms: WAIT_MS, at_s: atS }) as Update;
       if (update.view !== view) { view = update.view; seen = {}; }
       [serverS, heardAt, lost] = [update.now_s, performance.now(), ""];

@@ -20,6 +20,7 @@ from ros2_mcp.ops.sources.newest import NewestOfRobot
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.view.acting import Acting, AgentPanel
 from ros2_mcp.ops.view.around import MapPanel
+from ros2_mcp.ops.view.frames import FramesPanel
 from ros2_mcp.ops.view.image import ImagePanel
 from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
 from ros2_mcp.ops.view.values import LogPanel, RobotPanel, ValuesPanel
@@ -224,6 +225,7 @@ class Views:
             *(
                 RobotPanel(self._title, self._source),
                 AgentPanel(self.acting, recording),
+                FramesPanel(),
             ),
         )
         view = View(self._robot, self._source, panels, chunks)

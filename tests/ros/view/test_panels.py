@@ -1,0 +1,65 @@
+"""The panels that share a place with others, in a real Chromium beside the simulated robot."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
+
+from support.browser import CHROMIUM, Page, browsing
+from support.processes import running
+
+PICTURES = os.environ.get("ROS2_MCP_PICTURES")
+"""A folder for what the page looked like, to be looked at by a person."""
+LOOKS = (("wide", 1440, 900), ("middle", 900, 800), ("narrow", 390, 800))
+
+
+@pytest.fixture(scope="module")
+def page(demo_environment: dict[str, str], demo_robot: object) -> Iterator[Page]:
+    """The page of the simulated robot."""
+    if not CHROMIUM:
+        pytest.skip("needs Chromium")
+    with running(demo_environment, sys.executable, "-m", "ros2_mcp", "view") as process, browsing() as page:
+        assert process.stdout
+        page.look()
+        page.open(process.stdout.readline().strip())
+        yield page
+        assert page.complaints == []
+
+
+def show(page: Page, panel: str) -> None:
+    """Shows a panel that shares its place."""
+    page.run(f"document.querySelector('[aria-controls={panel}]').click()")
+
+
+def pictured(page: Page, panel: str) -> None:
+    """Keeps what a panel looks like in both themes and three widths, where that is wanted."""
+    if not PICTURES:
+        return
+    for dark in (False, True):
+        for name, width, height in LOOKS:
+            page.look(width=width, height=height, dark=dark)
+            page.run(f"document.getElementById('{panel}').scrollIntoView()")
+            page.run("new Promise(done => setTimeout(done, 400))")
+            page.picture(Path(PICTURES) / f"{panel}-{name}-{'dark' if dark else 'light'}.png")
+    page.look()
+    page.run(f"document.querySelector('#{panel} .enlarge').click()")
+    page.run("new Promise(done => setTimeout(done, 700))")
+    page.picture(Path(PICTURES) / f"{panel}-large.png")
+    page.run(f"document.querySelector('#{panel} .enlarge').click()")
+
+
+def test_each_frame_stands_below_its_parent_with_who_tells_it(page: Page) -> None:
+    assert page.run("document.querySelector('#frames tbody')?.textContent ?? ''") == ""  # hidden: not asked for
+    show(page, "frames")
+    row = "[...document.querySelectorAll('#frames tr')].find(row => /^base_link\\b/.test(row.textContent))"
+    told = page.until(f"{row} && /\\d Hz/.test({row}.textContent) && {row}.textContent")
+    assert "base_link in base_footprint" in told or "base_link in odom" in told
+    assert "/" in told  # the node that tells it
+    page.until("/^\\d+ frames · /.test(document.querySelector('#frames .age').textContent)")
+    pictured(page, "frames")
