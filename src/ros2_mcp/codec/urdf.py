@@ -25,6 +25,7 @@ KINDS = ("fixed", *MOVING)
 Triple = tuple[float, float, float]
 Rotation = tuple[Triple, Triple, Triple]
 _NOWHERE: Triple = (0.0, 0.0, 0.0)
+NO_POSITIONS: Mapping[str, float] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +106,15 @@ class Joint:
         """Whether it is moved on its own: not fixed, and following no other."""
         return self.kind in MOVING and self.mimic is None
 
+    def at(self, position: float) -> Mount:
+        """Where `child` sits in `parent` when the joint is at this position (of its `unit`)."""
+        if self.kind == "prismatic":
+            x, y, z = (part * position for part in self.axis)
+            return self.mount.of(Mount((x, y, z)))
+        if self.kind in ("revolute", "continuous"):
+            return self.mount.of(Mount(rpy=_angles(_about(self.axis, position))))
+        return self.mount
+
     @property
     def unit(self) -> str:
         """Of its position."""
@@ -132,16 +142,43 @@ class Urdf:
         """The joint that holds a link; None for a root."""
         return next((joint for joint in self.joints.values() if joint.child == link), None)
 
-    def mount(self, link: str, within: str = "") -> Mount | None:
-        """Where a link sits in another one above it (default: the root), every joint at 0; None if not below it."""
-        mount, at = Mount(), link
+    def mount(self, link: str, within: str = "", positions: Mapping[str, float] = NO_POSITIONS) -> Mount | None:
+        """Where a link sits in another one above it (default: the root); None if it is not below it.
+
+        `positions` are those of joints by name, in their units; every other joint is at 0 (see `moved_by`).
+        """
+        way = self._way(link, within)
+        if way is None:
+            return None
+        mount = Mount()
+        for joint in way:
+            mount = joint.at(self.position(joint, positions) or 0.0).of(mount)
+        return mount
+
+    def moved_by(self, link: str, within: str = "") -> Sequence[Joint]:
+        """The joints that move a link against another one above it (default: the root), the nearest to it first."""
+        return [joint for joint in self._way(link, within) or () if joint.kind != "fixed"]
+
+    def position(self, joint: Joint, positions: Mapping[str, float]) -> float | None:
+        """Where a joint is, which may follow another; None where that is not told, or is more than one number."""
+        if joint.kind in ("planar", "floating"):
+            return None
+        if joint.mimic is None or joint.name in positions:
+            return positions.get(joint.name)
+        followed = positions.get(joint.mimic.joint)
+        return None if followed is None else joint.mimic.multiplier * followed + joint.mimic.offset
+
+    def _way(self, link: str, within: str) -> list[Joint] | None:
+        """The joints from a link up to another (default: the root); None where it is not below it."""
+        way: list[Joint] = []
         for _ in range(_DEEPEST):
-            joint = self.above(at)
-            if at == within or (not within and joint is None):
-                return mount if at in self.links else None
+            joint = self.above(link)
+            if link == within or (not within and joint is None):
+                return way if link in self.links else None
             if joint is None:
                 return None
-            mount, at = joint.mount.of(mount), joint.parent
+            way.append(joint)
+            link = joint.parent
         return None
 
     def fixed_to(self, link: str) -> str:
@@ -321,6 +358,18 @@ def _matrix(rpy: Triple) -> Rotation:
         (f * e, f * b * a - c * d, f * b * d + c * a),
         (c * e, c * b * a + f * d, c * b * d - f * a),
         (-b, e * a, e * d),
+    )
+
+
+def _about(axis: Triple, angle: float) -> Rotation:
+    """The rotation about an axis, of any length but 0, by an angle in rad (Rodrigues)."""
+    length = math.hypot(*axis) or 1.0
+    x, y, z = (part / length for part in axis)
+    c, s, rest = math.cos(angle), math.sin(angle), 1.0 - math.cos(angle)
+    return (
+        (c + x * x * rest, x * y * rest - z * s, x * z * rest + y * s),
+        (y * x * rest + z * s, c + y * y * rest, y * z * rest - x * s),
+        (z * x * rest - y * s, z * y * rest + x * s, c + z * z * rest),
     )
 
 

@@ -62,6 +62,17 @@ def test_where_a_link_sits_is_told_in_every_frame_above_it():
     assert urdf.fixed_to("camera") == "tip"
 
 
+def test_a_link_sits_where_the_joints_above_it_have_moved_it():
+    urdf = parse(ARM)
+    assert [joint.name for joint in urdf.moved_by("camera")] == ["wrist", "shoulder"]
+    assert urdf.moved_by("camera", "tip") == []
+    down = urdf.mount("camera", positions={"shoulder": math.pi / 2})
+    assert down is not None and down.xyz == pytest.approx((0.0, 0.0, 0.4))
+    opened = urdf.mount("other_finger", "tip", {"grip": 0.02})
+    assert opened == Mount((-0.02, 0.0, 0.0))
+    assert urdf.position(urdf.joints["grip_2"], {}) is None
+
+
 def test_shapes_have_their_sizes_and_masses():
     urdf = parse(ARM)
     (cylinder,) = urdf.links["base"].collisions

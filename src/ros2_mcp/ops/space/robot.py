@@ -422,7 +422,10 @@ def _mounted(seen: _Seen, base: str, frame: str) -> str:
         return ""
     if base and (found := seen.tree.newest(base, frame)):
         pose = found.pose
-    elif seen.urdf and base in seen.urdf.links and (mount := seen.urdf.mount(frame, base)):
+    elif seen.urdf and base in seen.urdf.links and (mount := seen.urdf.mount(frame, base, seen.positions)):
+        for joint in seen.urdf.moved_by(frame, base):
+            if seen.urdf.position(joint, seen.positions) is None:
+                return f" (mount unknown: {named(joint.name)} moves it)"
         pose = Pose(mount.xyz, from_roll_pitch_yaw(*mount.rpy))
     else:
         return _NO_MOUNT

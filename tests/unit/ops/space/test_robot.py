@@ -115,6 +115,19 @@ async def test_one_sensor_that_cannot_be_read_takes_nothing_else_away(window: Ma
     assert found.unhealthy == [] and found.kind.startswith("differential")
 
 
+async def test_what_a_joint_carries_sits_where_that_joint_is_or_nowhere(window: Make, robot: Robot) -> None:
+    """Without its /tf the description says where it sits; that a joint which nobody tells is at 0 would be a guess."""
+    pan = BASE.replace('type="fixed"', 'type="revolute"').replace("</joint>", '<axis xyz="0 0 1"/></joint>')
+    made = windows(window, f'<robot name="cart">{pan}</robot>')
+    found = await in_brief(robot, source(made))
+    assert found.sensors == ["/scan LaserScan 10 Hz in laser (mount unknown: mount moves it) 0.1 to 12 m"]
+    told = window(
+        "/joint_states", "sensor_msgs/msg/JointState", [(4.9, {"name": ["mount"], "position": [-math.pi / 2]})]
+    )
+    found = await in_brief(robot, source([*made[:-1], told]))
+    assert found.sensors == ["/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 yaw 90° 0.1 to 12 m"]
+
+
 async def test_a_sensor_in_a_frame_that_nobody_tells_is_unhealthy(window: Make, robot: Robot) -> None:
     header = {"frame_id": "velodyne", "stamp": stamp(4.9)}
     cloud = window("/points", "sensor_msgs/msg/PointCloud2", [(at / 10, {"header": header}) for at in range(49)])
