@@ -15,12 +15,14 @@ from ros2_mcp.adapters.wisevision_prompts import code_of
 from ros2_mcp.entries import Entry, entries_of
 from ros2_mcp.fleet import Fleet, Member
 from ros2_mcp.guard.entrance import warnings_of
+from ros2_mcp.guard.state import state_of
 from ros2_mcp.leases import Leases
 from ros2_mcp.library import robot_for, store_for
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.sources.kinds import OWN_KINDS
+from ros2_mcp.ops.sources.kinds import OWN_KINDS, Sources
 from ros2_mcp.ops.sources.source import SourceKind
+from ros2_mcp.ops.view.acting import Acting
 from ros2_mcp.prompts.catalog import Catalog
 from ros2_mcp.prompts.several import CatalogOfSeveral
 from ros2_mcp.robot import Robot
@@ -29,6 +31,7 @@ from ros2_mcp.server import build_server
 from ros2_mcp.settings import Settings
 from ros2_mcp.tools import TOOLS
 from ros2_mcp.toolset import Toolset
+from ros2_mcp.view.viewing import Viewing
 
 SOURCE_KINDS: Sequence[SourceKind] = (DataBlackBoxes(), *OWN_KINDS)
 """Where samples can be read from, in the order in which they are asked. A vendor's kind is one line here."""
@@ -115,7 +118,9 @@ def _member(entry: Entry, bridge: Bridge | None) -> Member:
     settings = entry.settings
     store = store_for(settings)
     robot = robot_for(settings, store, bridge)
-    toolset = Toolset(robot, store, settings.tools, SOURCE_KINDS, warnings_of(settings))
+    folder = state_of(settings, robot.policy)
+    viewing = Viewing(Sources(robot, store, SOURCE_KINDS), entry.name, Acting(folder))
+    toolset = Toolset(robot, store, settings.tools, SOURCE_KINDS, warnings_of(settings), viewing)
     return Member(name=entry.name, settings=settings, robot=robot, store=store, toolset=toolset)
 
 

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from ros2_mcp.model.aside import aside, extent
 from ros2_mcp.model.brief import EXPLAINED
 from ros2_mcp.model.errors import BadInput, RobotError
+from ros2_mcp.model.finite import finite
 from ros2_mcp.model.text import as_sent, quoted, visible, visible_json
 from ros2_mcp.model.values import DIAGONAL, DIAGONAL_EXPLAINED
 from ros2_mcp.ops.memory.bag_store import BagStore
@@ -25,10 +26,12 @@ from ros2_mcp.programs.declare import Function
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import ToolDeclaration
 from ros2_mcp.tools.arguments import TimeArgument
+from ros2_mcp.tools.declare import ForPage
 from ros2_mcp.tools.injection import Call
 from ros2_mcp.tools.leniency import as_meant
 from ros2_mcp.tools.misnamed import hint_for
 from ros2_mcp.tools.schema import argument_schema, result_schema, text_for_number
+from ros2_mcp.view.viewing import Viewing
 
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
 # About 10,000 tokens: one terminal client refuses more than 25,000, and text costs the model's attention before that.
@@ -71,19 +74,23 @@ class BoundTool:
     limitations: Sequence[str]
     only_offered: Callable[[str], str]
     functions: Callable[[], Sequence[Function]]
+    viewing: Viewing | None
 
     @property
     def name(self) -> str:
         """The name under which it is listed."""
         return self.declaration.name
 
-    async def call(self, arguments: Mapping[str, Any], report: Report, robot: Robot | None = None) -> CallToolResult:
+    async def call(
+        self, arguments: Mapping[str, Any], report: Report, robot: Robot | None = None, *, shows_pages: bool = False
+    ) -> CallToolResult:
         """Validates the arguments, calls the function and renders its result.
 
         Args:
             arguments: as the client sent them.
             report: is told of progress, at most twice a second.
             robot: the robot as it is for the client that asks; the robot of the server if nobody in particular does.
+            shows_pages: whether that client shows the page beside the chat.
 
         Raises:
             CallFailed: with the text that the model reads.
@@ -99,12 +106,15 @@ class BoundTool:
         with self.store.noting_damage() as damage:
             try:
                 shown = at_most_every(_PROGRESS_S, _visibly(report))
-                result = await self._perform(checked, values, shown, view)
+                result = await self._perform(checked, values, shown, view, shows_pages=shows_pages)
                 told += view.notes
             except RobotError as error:
                 hint = self.only_offered(error.hint)
                 lines = [f"{type(error).__name__}: {error.message} {hint}".rstrip(), *told]
                 raise CallFailed(" ".join((*lines, *(f"Damage: {line}" for line in self._damage(damage()))))) from error
+            if isinstance(result, ForPage):
+                text = TextContent(type="text", text=visible(result.told))
+                return CallToolResult(content=[text], structured_content=dict(finite(result.value)))
             noted = self._with_notes(result, told)
             value = as_json(noted)
             return await aside(extent(value), answer, noted, value, self._damage(damage()), told)
@@ -124,7 +134,15 @@ class BoundTool:
         values = {name: getattr(checked, name) for name in self.arguments.model_fields}
         return await self._perform(checked, values, report, robot)
 
-    async def _perform(self, checked: StrictArguments, values: Mapping[str, Any], report: Report, robot: Robot) -> Any:
+    async def _perform(
+        self,
+        checked: StrictArguments,
+        values: Mapping[str, Any],
+        report: Report,
+        robot: Robot,
+        *,
+        shows_pages: bool = False,
+    ) -> Any:
         made_for = Call(
             robot=robot,
             store=self.store,
@@ -133,6 +151,8 @@ class BoundTool:
             limitations=self.limitations,
             given=checked.model_fields_set,
             functions=self.functions,
+            viewing=self.viewing,
+            shows_pages=shows_pages,
         )
         return await self.declaration.perform(made_for, values)
 
@@ -172,6 +192,8 @@ class BoundTool:
         unknown: list[str] = []
         for name, value in arguments.items():
             own_name = self.declaration.aliases.get(name, name)
+            if not own_name:
+                continue
             if self.declaration.risk == "stop" and own_name not in self.arguments.model_fields:
                 unknown.append(name)
                 continue
@@ -208,6 +230,7 @@ def bind(
     limitations: Sequence[str] = (),
     only_offered: Callable[[str], str] = lambda text: text,
     functions: Callable[[], Sequence[Function]] = tuple,
+    viewing: Viewing | None = None,
 ) -> BoundTool:
     """The tool with plain closed schemas, and annotations from the declared risk."""
     signature = declaration.arguments()
@@ -221,7 +244,7 @@ def bind(
         title=declaration.title,
         description=declaration.description,
         input_schema=argument_schema(arguments.model_json_schema()),
-        output_schema=result_schema(signature.return_annotation),
+        output_schema=None if declaration.audience == "page" else result_schema(signature.return_annotation),
         annotations=ToolAnnotations(
             title=declaration.title,
             read_only_hint=declaration.risk == "read",
@@ -231,9 +254,10 @@ def bind(
         ),
     )
     results: Mapping[str, Any] = listed.output_schema or {}
-    if declaration.recorded and "problems" not in results["properties"]:
+    if results and declaration.recorded and "problems" not in results["properties"]:
         results["properties"][_DAMAGE] = {"type": "array", "items": {"type": "string"}}  # only where there is some
-    results["properties"].setdefault(_NOTE, {"type": "string"})  # not the result's own: only where there is one
+    if results:
+        results["properties"].setdefault(_NOTE, {"type": "string"})  # not the result's own: only where there is one
     return BoundTool(
         declaration=declaration,
         listed=listed,
@@ -244,6 +268,7 @@ def bind(
         limitations=limitations,
         only_offered=only_offered,
         functions=functions,
+        viewing=viewing,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from functools import partial
+from functools import cached_property, partial
 from importlib.metadata import version
 from typing import Any
 
@@ -32,6 +32,7 @@ from mcp.types import (
 )
 from mcp_types.version import MODERN_PROTOCOL_VERSIONS
 
+from ros2_mcp import apps
 from ros2_mcp.binding import CallFailed
 from ros2_mcp.completions import CompletionRequest, Completions
 from ros2_mcp.elicitation import Elicitation
@@ -117,6 +118,7 @@ def build_server(fleet: Fleet, catalog: Catalog, leases: Leases, scopes: Scopes,
     )
     # Nothing in a recording changes while it is looked at: its server has no resources, and nobody can subscribe.
     live = not recording
+    page = apps.PageResource(resources.list if live else _no_resources, resources.read if live else _no_resource)
     server: Server[Any] = Server(
         "ros2-mcp",
         title="ROS 2 robot",
@@ -127,14 +129,15 @@ def build_server(fleet: Fleet, catalog: Catalog, leases: Leases, scopes: Scopes,
         on_call_tool=tools.call,
         on_list_prompts=prompts.list,
         on_get_prompt=prompts.get,
-        on_list_resources=resources.list if live else _no_resources,
+        on_list_resources=page.list,
         on_list_resource_templates=resources.list_templates if live else _no_templates,
-        on_read_resource=resources.read if live else _no_resource,
+        on_read_resource=page.read,
         on_subscribe_resource=resources.push.subscribe if live else None,
         on_unsubscribe_resource=resources.push.unsubscribe if live else None,
         on_subscriptions_listen=resources.push.listen if live else ListenHandler(events),
         on_completion=completions.complete,
     )
+    server.extensions = apps.EXTENSIONS
     server.middleware.append(scopes.check)
     server.middleware.append(leases.note)
     server.middleware.append(prompts.tell_news)
@@ -165,9 +168,13 @@ class Tools:
         self._leases = leases
         self._listed = ListToolsResult(tools=fleet.listed)
 
-    async def list(self, _: Any, __: PaginatedRequestParams | None) -> ListToolsResult:
-        """The same for every client, in a fixed order."""
-        return self._listed
+    async def list(self, context: Context, _: PaginatedRequestParams | None) -> ListToolsResult:
+        """The same for every client, in a fixed order; with the tools of the page for those that show it."""
+        return self._listed_with_pages if apps.shows_pages(context) else self._listed
+
+    @cached_property
+    def _listed_with_pages(self) -> ListToolsResult:
+        return ListToolsResult(tools=apps.marked(self._fleet.listed_with_pages))
 
     def input_schema(self, name: str) -> dict[str, Any] | None:
         """What the SDK checks the headers of a modern HTTP request against."""
@@ -208,19 +215,19 @@ class Tools:
         async def report(done: float, whole: float, line: str) -> None:
             await context.session.report_progress(done, whole, line)
 
-        robot = _view(context, member.robot)
+        robot, shows_pages = _view(context, member.robot), apps.shows_pages(context)
         elicitation = Elicitation(robot, context, member.name)
         elicitation.take_answers(params)
         try:
             try:
-                result = await member.toolset.call(params.name, arguments, report, robot)
+                result = await member.toolset.call(params.name, arguments, report, robot, shows_pages=shows_pages)
             except CallFailed as error:
                 asked = await elicitation.put_to_user(error.__cause__)
                 if asked is False:
                     raise
                 if asked is not True:
                     return asked
-                result = await member.toolset.call(params.name, arguments, report, robot)
+                result = await member.toolset.call(params.name, arguments, report, robot, shows_pages=shows_pages)
         except CallFailed as error:
             if not self._fleet.has_several:
                 raise

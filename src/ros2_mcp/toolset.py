@@ -26,14 +26,18 @@ from ros2_mcp.programs.module import FUNCTIONS
 from ros2_mcp.programs.sandbox import is_installed
 from ros2_mcp.programs.stub import short
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools import GROUPS, TOOLS, ToolDeclaration
+from ros2_mcp.tools import GROUPS, PAGE_TOOLS, TOOLS, ToolDeclaration
 from ros2_mcp.tools.declare import Risk
+from ros2_mcp.view.viewing import Viewing
 
 _TOOL = re.compile(r"\bros2_\w+")
 _CLAUSE = re.compile(r"(?<=[.;:]) ")
 _SENTENCE = re.compile(r"(?<=\.)(\s+)")
 _OTHER_NAMES = {tool.also_named: tool.name for tool in TOOLS if tool.also_named}
 
+
+_VIEW = "view"
+"""The group of the page beside the chat: without being chosen it is listed for clients that show such pages."""
 
 _BESIDE = {"turn": "drive", "feedback": "goal"}
 """Functions that only programs have, and those of tools without which they are not there either."""
@@ -43,7 +47,7 @@ class Toolset:
     """The tools that the chosen groups and the policy leave, in the order of `tools/list`.
 
     A tool that is not allowed is absent, not refused. `by_name` has those that are offered, `missing` says of each
-    other why it is not.
+    other why it is not. `with_pages` are those that only clients are offered which show pages beside the chat.
 
     Raises:
         BadInput: for a group that does not exist.
@@ -56,7 +60,9 @@ class Toolset:
         groups: Sequence[str] = (),
         kinds: Sequence[SourceKind] = OWN_KINDS,
         warnings: Sequence[str] = (),
+        viewing: Viewing | None = None,
     ) -> None:
+        self.viewing = viewing
         self._warnings = warnings
         self._robot = robot
         for group in groups:
@@ -69,7 +75,11 @@ class Toolset:
         chosen = [tool for tool in allowed if robot.policy.recorded or _is_chosen(tool, groups)]
         if any(tool.risk != "read" for tool in chosen):  # whatever can set something in motion comes with what stops it
             chosen = [tool for tool in allowed if tool in chosen or tool.risk == "stop"]
-        self._left_out = [tool for tool in allowed if tool not in chosen]
+        beside: list[ToolDeclaration] = []
+        if viewing and (robot.policy.recorded or not groups or not {"default", "all", _VIEW}.isdisjoint(groups)):
+            beside = [tool for tool in (*TOOLS, *PAGE_TOOLS) if tool.group == _VIEW and tool not in chosen]
+        self._left_out = [tool for tool in allowed if tool not in chosen and tool not in beside]
+        self.with_pages = {tool.name: self._bind(tool) for tool in beside}
         self._allowed = allowed
         self.by_name = {tool.name: self._bind(tool) for tool in chosen}
         self._groups, self._policy = groups or ("default",), robot.policy
@@ -89,6 +99,7 @@ class Toolset:
             limitations=self.limitations,
             only_offered=self._only_offered,
             functions=self.functions,
+            viewing=self.viewing,
         )
 
     @cache  # noqa: B019 - a toolset lives as long as its server
@@ -138,7 +149,7 @@ class Toolset:
 
     def risk_of(self, name: str) -> Risk:
         """The risk of a tool, offered or not; `read` where there is none of that name."""
-        for tool in TOOLS:
+        for tool in (*TOOLS, *PAGE_TOOLS):
             if tool.name == _OTHER_NAMES.get(name, name):
                 return tool.risk
         return "read"
@@ -152,19 +163,30 @@ class Toolset:
         kept = f"{' '.join(clauses).rstrip('.,;: ')}. " if clauses else ""
         return f"{kept}Tools for this are not offered here: {self.why_missing(absent)}."
 
+    def offered(self, name: str) -> BoundTool | None:
+        """The tool of that name, or of the one that it has in another server; None if it is not offered."""
+        own_name = _OTHER_NAMES.get(name, name)
+        return self.by_name.get(own_name) or self.with_pages.get(own_name)
+
     async def call(
-        self, name: str, arguments: Mapping[str, Any], report: Report, robot: Robot | None = None
+        self,
+        name: str,
+        arguments: Mapping[str, Any],
+        report: Report,
+        robot: Robot | None = None,
+        *,
+        shows_pages: bool = False,
     ) -> CallToolResult:
         """Calls a tool by its name, or by the one that it has in another server.
 
         Raises:
             CallFailed: with the text that the model reads.
         """
-        tool = self.by_name.get(_OTHER_NAMES.get(name, name))
+        tool = self.offered(name)
         with called_through(_OTHER_NAMES.get(name, name)) as call:
             try:
                 if tool:
-                    return await tool.call(arguments, report, robot)
+                    return await tool.call(arguments, report, robot, shows_pages=shows_pages)
                 if name in self.missing:
                     raise CallFailed(f"{name} is not offered: {self.missing[name]}.")
             except CallFailed as error:

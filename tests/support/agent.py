@@ -105,12 +105,18 @@ class Agent:
 
 @contextmanager
 def agent_for(
-    environment: dict[str, str], *options: str, mode: Any = "auto", command: Sequence[str] = SERVER
+    environment: dict[str, str],
+    *options: str,
+    mode: Any = "auto",
+    command: Sequence[str] = SERVER,
+    extensions: Sequence[Any] = (),
 ) -> Iterator[Agent]:
     """A client of a newly started server; both end with the block."""
     server = StdioServerParameters(command=command[0], args=[*command[1:], *options], env=environment)
     with (
         start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(Client(server, mode=mode, read_timeout_seconds=CALL_S)) as client,
+        portal.wrap_async_context_manager(
+            Client(server, mode=mode, read_timeout_seconds=CALL_S, extensions=extensions)
+        ) as client,
     ):
         yield Agent(client, portal)

@@ -20,8 +20,10 @@ PATIENCE_S = 30.0
 _OPTIONS = (
     *("--headless=new", "--no-sandbox", "--remote-debugging-pipe", "--hide-scrollbars", "--mute-audio"),
     *("--disable-gpu", "--disable-dev-shm-usage", "--no-first-run", "--disable-background-networking"),
+    *("--disable-site-isolation-trials", "--disable-features=IsolateSandboxedIframes,IsolateOrigins,site-per-process"),
 )
-"""`--no-sandbox` is for root in a container, which is what runs the tests."""
+"""All frames of a page in one process, so that what they complain about is heard. `--no-sandbox` is for
+root in a container, which is what runs the tests."""
 
 
 class Page:
@@ -33,6 +35,8 @@ class Page:
         self._last = 0
         self._session = ""
         self.complaints: list[str] = []
+        self._contexts: dict[int, str] = {}
+        """Where scripts run: by its number the frame of each."""
         target = self.ask("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         for domain in ("Runtime", "Log", "Page", "Audits"):
@@ -58,16 +62,24 @@ class Page:
         self.ask("Page.navigate", url=address)
         self.until("document.readyState === 'complete'")
 
-    def run(self, script: str) -> Any:
-        """The value of an expression in the page; a promise is awaited."""
-        answer = self.ask("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+    def run(self, script: str, *, within: int | None = None) -> Any:
+        """The value of an expression in the page, or in one of its frames; a promise is awaited."""
+        place = {} if within is None else {"contextId": within}
+        answer = self.ask("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True, **place)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def until(self, script: str, patience_s: float = PATIENCE_S) -> Any:
+    def frames(self, script: str) -> list[int]:
+        """The frames below the page where an expression is true, for `within`, in the order in which they came."""
+        self.run("0")  # hears what has come or gone
+        main = self.ask("Page.getFrameTree")["frameTree"]["frame"]["id"]
+        below = [context for context, frame in self._contexts.items() if frame != main]
+        return [context for context in below if context in self._contexts and self.run(script, within=context)]
+
+    def until(self, script: str, patience_s: float = PATIENCE_S, *, within: int | None = None) -> Any:
         """Waits until an expression is true, and gives its value."""
         deadline = time.monotonic() + patience_s
-        while not (found := self.run(script)):
+        while not (found := self.run(script, within=within)):
             assert time.monotonic() < deadline, f"waited {patience_s} s in vain for: {script}"
             time.sleep(0.05)
         return found
@@ -99,7 +111,13 @@ class Page:
 
     def _hear(self, message: Mapping[str, Any]) -> None:
         method, said = message.get("method"), message.get("params", {})
-        if method == "Runtime.exceptionThrown":
+        if method == "Runtime.executionContextCreated" and said["context"]["auxData"].get("isDefault"):
+            self._contexts[said["context"]["id"]] = said["context"]["auxData"]["frameId"]
+        elif method == "Runtime.executionContextDestroyed":
+            self._contexts.pop(said["executionContextId"], None)
+        elif method == "Runtime.executionContextsCleared":
+            self._contexts.clear()
+        elif method == "Runtime.exceptionThrown":
             self.complaints.append(json.dumps(said["exceptionDetails"])[:500])
         elif method == "Runtime.consoleAPICalled" and said["type"] in ("error", "warning", "assert"):
             self.complaints.append(json.dumps(said["args"])[:500])

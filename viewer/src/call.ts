@@ -1,4 +1,8 @@
-// The way to the server: POSTs with the token, which came in the fragment of the address and is kept in memory only.
+// The two ways to the server. Alone in a browser: POSTs with the token, which came in the fragment of the address and
+// is kept in memory only. In a chat: the host, which passes on calls of tools.
+
+import { bytesOf } from "./dom.ts";
+import { Host } from "./host.ts";
 
 const KEY = "ros2-mcp-token";
 
@@ -12,7 +16,9 @@ function takeToken(): string {
   try { return sessionStorage.getItem(KEY) ?? ""; } catch { return ""; }
 }
 
-const token = takeToken();
+/** The chat around this page; null alone in a browser, where `parent` is the page itself. */
+export const host = window.parent === window ? null : new Host();
+const token = host ? "" : takeToken();
 
 export class Refused extends Error {}
 
@@ -29,5 +35,20 @@ async function post(path: string, body: unknown, patienceMs: number): Promise<un
   return value;
 }
 
-export const call = (name: string, args: unknown): Promise<unknown> => post("/call", { name, arguments: args }, 8000);
-export const pressStop = (): Promise<unknown> => post("/stop", {}, 25000);
+const CALL_MS = 8000, STOP_MS = 25000;
+
+export const call = (name: string, args: unknown): Promise<unknown> =>
+  host ? host.callTool(name, { asked: args }, CALL_MS) : post("/call", { name, arguments: args }, CALL_MS);
+export const pressStop = (): Promise<unknown> => (host ? host.callTool("ros2_view_stop", {}, STOP_MS) : post("/stop", {}, STOP_MS));
+
+/** A large part by its key, in as many answers as it takes. */
+export async function fetchPart(view: string, key: string): Promise<Uint8Array<ArrayBuffer>> {
+  const parts: Uint8Array<ArrayBuffer>[] = [];
+  for (let from: unknown = 0; typeof from === "number";) {
+    const part = await call("ros2_view_ask", { view, key, from }) as { bulk: unknown; next: unknown };
+    parts.push(bytesOf(String(part.bulk)));
+    if (typeof part.next === "number" && part.next <= from) break;
+    from = part.next;
+  }
+  return new Uint8Array(await new Blob(parts).arrayBuffer());
+}

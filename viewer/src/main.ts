@@ -1,9 +1,10 @@
 // The page: asks for what is new, one question at a time, and shows it. It changes nothing but by the stop button.
 
 import { AgentPanel, type AgentState } from "./agent.ts";
-import { Refused, call, pressStop } from "./call.ts";
+import { Refused, call, fetchPart, host, pressStop } from "./call.ts";
 import { byId, make, say } from "./dom.ts";
 import { FramesPanel } from "./frames.ts";
+import type { Host } from "./host.ts";
 import { ImagePanel } from "./image.ts";
 import { MapPanel } from "./map.ts";
 import { enlargeable, isSeen, share } from "./tabs.ts";
@@ -22,14 +23,15 @@ const LEAST_MS = 30; // between two questions: thirty a second are more than any
 const prefersDark = matchMedia("(prefers-color-scheme: dark)");
 let pickedTheme = "";
 function applyTheme(): void {
-  document.documentElement.dataset.theme = pickedTheme || (prefersDark.matches ? "dark" : "light");
+  const around = host?.context.theme;
+  document.documentElement.dataset.theme = pickedTheme || (around === "dark" || around === "light" ? around : prefersDark.matches ? "dark" : "light");
   map.repaint();
 }
 
 // ── panels ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 let view = "";
-const map = new MapPanel(byId("map"), async (key) => String((await call("ros2_view_ask", { view, key }) as { bulk: unknown }).bulk));
+const map = new MapPanel(byId("map"), (key) => fetchPart(view, key));
 const image = new ImagePanel(byId("image"));
 const agent = new AgentPanel(byId("agent"));
 const values = new ValuesPanel(byId("values"));
@@ -72,7 +74,7 @@ function showTime(begin: number, end: number): void {
   const play = make("button", { type: "button", title: "Play (space)" }, "▶");
   const faster = make("button", { type: "button", title: "Speed" }, "1×");
   const told = make("output");
-  range.value = String(end - begin);
+  range.value = String((atS ?? end) - begin);
   const seek = (s: number): void => { atS = begin + Math.min(Math.max(s, 0), end - begin); range.value = String(atS - begin); };
   const step = (s: number): void => { playing = 0; seek((atS ?? end) - begin + s); };
   range.addEventListener("input", () => seek(Number(range.value)));
@@ -157,8 +159,8 @@ prefersDark.addEventListener("change", applyTheme);
 const pause = (ms: number): Promise<void> => new Promise((resolve) => setTimeout(resolve, ms));
 
 async function ask(): Promise<void> {
-  while (true) {
-    if (document.hidden) { await pause(200); continue; } // the server gives the view up by itself
+  while (!host?.isEnded) {
+    if (document.hidden || host?.isSeen === false) { await pause(200); continue; } // the server gives the view up by itself
     const began = performance.now();
     try {
       const panels = Object.fromEntries(Object.entries(chosen).filter(([name]) => name === "agent" || isSeen(name)).map(([name, topic]) => [name, topic()]));
@@ -167,13 +169,47 @@ async function ask(): Promise<void> {
       [serverS, heardAt, lost] = [update.now_s, performance.now(), ""];
       for (const [name, content] of Object.entries(update.panels)) { seen[name] = content.number; show(name, content as never); }
     } catch (error) {
-      lost = error instanceof Refused ? error.message : `ros2-mcp view does not answer (${error instanceof Error ? error.message : "?"}): what is shown is old`;
+      lost = error instanceof Refused ? error.message : `${host ? "the server does not answer through this chat" : "ros2-mcp view does not answer"} (${error instanceof Error ? error.message : "?"}): what is shown is old`;
       await pause(AGAIN_MS);
     }
-    await pause(Math.max(0, LEAST_MS - (performance.now() - began)));
+    await pause(Math.max(0, (host?.leastMs ?? LEAST_MS) - (performance.now() - began)));
   }
+  lost = `${host?.state}: what is shown is old`;
+}
+
+// ── in a chat ───────────────────────────────────────────────────────────────────────────────────────────────────────
+
+function showIn(chat: Host): void {
+  const root = document.documentElement, size = byId<HTMLButtonElement>("size");
+  const topics: Record<string, { chosen: string }> = { map, image, values };
+  root.dataset.home = "chat";
+  chat.onContext = () => {
+    root.dataset.mode = chat.isFull ? "full" : "inline";
+    size.hidden = !chat.canBeFull && !chat.isFull;
+    size.setAttribute("aria-label", chat.isFull ? "Small" : "Large");
+    applyTheme();
+  };
+  chat.onOpened = (opened) => {
+    for (const [name, topic] of Object.entries(opened.panels)) { const panel = topics[name]; if (panel) panel.chosen = topic; }
+    if (opened.panels.values) root.dataset.values = "shown";
+    if (opened.atS !== null) atS = opened.atS;
+  };
+  chat.onClosing = () => void call("ros2_view_ask", { view, closed: true }).catch(() => undefined);
+  size.addEventListener("click", () => void chat.change(chat.isFull ? "inline" : "fullscreen").catch(() => undefined));
+  chat.onContext();
+}
+
+async function begin(): Promise<void> {
+  if (host) {
+    showIn(host);
+    const chat = host, told = setInterval(() => { lost = chat.state || lost; }, 200);
+    await chat.start();
+    clearInterval(told);
+    if (chat.state) { lost = chat.state; return; }
+  }
+  await ask();
 }
 
 applyTheme();
 setInterval(tell, 100);
-void ask();
+void begin();

@@ -31,7 +31,7 @@ export class MapPanel {
   private fitted = true;
   private pointer: [number, number] | null = null;
 
-  constructor(section: HTMLElement, private readonly askChunk: (key: string) => Promise<string>) {
+  constructor(section: HTMLElement, private readonly askPart: (key: string) => Promise<Uint8Array<ArrayBuffer>>) {
     this.frame = new Frame(section, "Map", true, (topic) => { this.chosen = topic; this.fitted = true; });
     this.sheet = new Sheet(this.frame.body, () => this.draw());
     const canvas = this.sheet.canvas;
@@ -87,8 +87,7 @@ export class MapPanel {
     if (this.cells.has(key) || this.asked.has(key)) return;
     this.asked.add(key);
     try {
-      const packed = bytesOf(await this.askChunk(key));
-      const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+      const stream = new Blob([await this.askPart(key)]).stream().pipeThrough(new DecompressionStream("deflate"));
       this.cells.set(key, new Uint8Array(await new Response(stream).arrayBuffer()));
       for (const old of [...this.cells.keys()].slice(0, -3)) this.cells.delete(old);
       this.draw();

@@ -17,20 +17,23 @@ from mcp.types import CallToolResult, TextContent, Tool
 from ros2_mcp.binding import CallFailed, answer
 from ros2_mcp.fleet import about_all
 from ros2_mcp.fleet.about_all import ROBOTS, STOP, View
-from ros2_mcp.fleet.listing import ROBOT, listed_tools
+from ros2_mcp.fleet.listing import ROBOT, listed_tools, listed_with_pages
 from ros2_mcp.fleet.member import Member
 from ros2_mcp.library import begin, leave
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import listed, quoted
 from ros2_mcp.ops.results import as_json
-from ros2_mcp.tools import TOOLS
+from ros2_mcp.tools import PAGE_TOOLS, TOOLS
 
 _MOST_NAMED = 15
 """Robots in one error text."""
 
 
 class Fleet:
-    """The robots of one server, in the order in which they were named; at least one."""
+    """The robots of one server, in the order in which they were named; at least one.
+
+    `listed` are the tools for all clients, `listed_with_pages` those for clients that show pages beside the chat.
+    """
 
     def __init__(self, members: Sequence[Member]) -> None:
         self.members = {member.name: member for member in members}
@@ -40,7 +43,10 @@ class Fleet:
         self.listed: list[Tool] = (
             listed_tools(members) if self.has_several else [tool.listed for tool in one.by_name.values()]
         )
-        self._schemas = {tool.name: tool.input_schema for tool in self.listed}
+        self.listed_with_pages: list[Tool] = self.listed + (
+            listed_with_pages(members) if self.has_several else [tool.listed for tool in one.with_pages.values()]
+        )
+        self._schemas = {tool.name: tool.input_schema for tool in self.listed_with_pages}
 
     def input_schema(self, tool: str) -> dict[str, Any] | None:
         """What a tool takes; None where it is not offered."""
@@ -48,7 +54,7 @@ class Fleet:
 
     def acts(self, tool: str) -> bool:
         """Whether it is offered, and can change or move something, or stop it."""
-        found = (member.toolset.by_name.get(tool) for member in self.members.values())
+        found = (member.toolset.offered(tool) for member in self.members.values())
         return any(bound.acts for bound in found if bound)
 
     def named_in(self, arguments: Mapping[str, Any]) -> str:
@@ -90,7 +96,7 @@ class Fleet:
         """
         if not self.has_several:
             return self.first, arguments
-        if not any(tool in (declared.name, declared.also_named) for declared in TOOLS):
+        if not any(tool in (declared.name, declared.also_named) for declared in (*TOOLS, *PAGE_TOOLS)):
             return self.first, arguments  # its toolset says so
         rest = dict(arguments)
         named = rest.pop(ROBOT, None)
@@ -144,6 +150,8 @@ class Fleet:
                 raise error
 
     async def _leave(self, member: Member) -> None:
+        if viewing := member.toolset.viewing:
+            await viewing.close()
         if self.has_several:
             await member.robot.log.close()
         await leave(member.robot, member.store)

@@ -7,9 +7,10 @@ from typing import Any
 
 from mcp.types import Tool, ToolAnnotations
 
+from ros2_mcp.binding import BoundTool
 from ros2_mcp.fleet.about_all import ROBOTS, STOP, RobotStates, StoppedRobots
 from ros2_mcp.fleet.member import Member
-from ros2_mcp.tools import TOOLS
+from ros2_mcp.tools import PAGE_TOOLS, TOOLS, ToolDeclaration
 from ros2_mcp.tools.schema import result_schema
 
 ROBOT = "robot"
@@ -23,15 +24,24 @@ def listed_tools(members: Sequence[Member]) -> list[Tool]:
 
     A tool's `robot` allows those robots that offer it: where one is read-only, tools that write are not offered for it.
     """
-    found = [_robots_tool()]
-    for declared in TOOLS:
-        offering = [member for member in members if declared.name in member.toolset.by_name]
+    return [_robots_tool(), *_merged(TOOLS, {member.name: member.toolset.by_name for member in members})]
+
+
+def listed_with_pages(members: Sequence[Member]) -> list[Tool]:
+    """What else clients are offered that show pages, in the same form."""
+    return _merged((*TOOLS, *PAGE_TOOLS), {member.name: member.toolset.with_pages for member in members})
+
+
+def _merged(declarations: Sequence[ToolDeclaration], offered: Mapping[str, Mapping[str, BoundTool]]) -> list[Tool]:
+    found: list[Tool] = []
+    for declared in declarations:
+        offering = {name: tools[declared.name] for name, tools in offered.items() if declared.name in tools}
         if not offering:
             continue
         # Descriptions leave out sentences about tools that are not offered: the longest one has them all.
-        tools = [member.toolset.by_name[declared.name].listed for member in offering]
+        tools = [bound.listed for bound in offering.values()]
         tool = max(tools, key=lambda tool: len(tool.description or ""))
-        found.append(_with_robot(tool, [member.name for member in offering], is_stop=declared.name == STOP))
+        found.append(_with_robot(tool, [*offering], is_stop=declared.name == STOP))
     return found
 
 
@@ -51,9 +61,11 @@ def _with_robot(tool: Tool, names: Sequence[str], *, is_stop: bool) -> Tool:
         description = f"{tool.description} {_STOP_ALL}"
         update = {"description": description, "output_schema": result_schema(StoppedRobots)}
     else:
-        given: Mapping[str, Any] = tool.output_schema or {}
-        properties = {ROBOT: {"type": "string"}, **given.get("properties", {})}
-        update = {"output_schema": {**given, "properties": properties, "required": [ROBOT, *given.get("required", ())]}}
+        update: dict[str, Any] = {}
+        if given := tool.output_schema:
+            properties = {ROBOT: {"type": "string"}, **given.get("properties", {})}
+            required = [ROBOT, *given.get("required", ())]
+            update["output_schema"] = {**given, "properties": properties, "required": required}
     return tool.model_copy(update={"input_schema": schema, **update})
 
 

@@ -11,7 +11,7 @@ from importlib import import_module
 
 from ros2_mcp.tools.declare import DECLARED, ToolDeclaration
 
-__all__ = ["GROUPS", "TOOLS", "ToolDeclaration", "in_order"]
+__all__ = ["GROUPS", "PAGE_TOOLS", "TOOLS", "ToolDeclaration", "in_order"]
 
 _MODULES = [import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
 _LAST = 1000
@@ -28,8 +28,11 @@ def in_order(tools: Iterable[ToolDeclaration]) -> list[ToolDeclaration]:
     return sorted(tools, key=place)
 
 
-TOOLS = in_order(DECLARED)
+TOOLS = in_order(tool for tool in DECLARED if tool.audience == "model")
 """Every tool, in the order of `tools/list`."""
+
+PAGE_TOOLS = in_order(tool for tool in DECLARED if tool.audience == "page")
+"""The tools that only the page calls, through a chat host; they stand at the end of the list for such hosts."""
 
 GROUPS = tuple(dict.fromkeys(tool.group for tool in TOOLS))
 """The groups that a user can choose."""

@@ -18,19 +18,31 @@ Risk = Literal["read", "write", "actuate", "stop"]
 in motion, and is offered wherever a tool is that does more than read.
 """
 
+Audience = Literal["model", "page"]
+"""Who calls a tool: the model, or in a chat host the page that a tool has opened, which no model sees."""
+
 ToolFunction = Callable[..., Awaitable[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class ForPage:
+    """A result for the page alone, as it is: no model reads it. `told` is one line for the host's log."""
+
+    value: Mapping[str, Any]
+    told: str
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ToolDeclaration:
     """One tool as the model sees it.
 
-    `aliases` maps other spellings of its arguments to the right ones. Tools that are not offered `by_default` come
-    with their group: models choose well among at most forty. A call of `also_named` is answered too; it is not listed.
-    `recorded` tools also work where a recording stands for the robot. `program` is the name of the function that they
-    are in the module `robot` of programs; without one they are not in it. One that `runs_programs` is there where the
-    sandbox is installed, its description shows the module, and where nothing may be moved it only reads. `place` is
-    where the tool stands in `tools/list`; None: at the `PLACE` of its module.
+    `aliases` maps other spellings of its arguments to the right ones, and to nothing what is taken and has no meaning
+    here. Tools that are not offered `by_default` come with their group: models choose well among at most forty. A call
+    of `also_named` is answered too; it is not listed. `recorded` tools also work where a recording stands for the
+    robot. `program` is the name of the function that they are in the module `robot` of programs; without one they are
+    not in it. One that `runs_programs` is there where the sandbox is installed, its description shows the module, and
+    where nothing may be moved it only reads. `place` is where the tool stands in `tools/list`; None: at the `PLACE` of
+    its module. A tool whose `audience` is the page gives `ForPage`; one that `opens_page` has it shown beside the chat.
     """
 
     function: ToolFunction
@@ -45,6 +57,8 @@ class ToolDeclaration:
     program: str = ""
     runs_programs: bool = False
     place: int | None = None
+    audience: Audience = "model"
+    opens_page: bool = False
 
     @property
     def description(self) -> str:
@@ -86,6 +100,8 @@ def tool(
     program: str = "",
     runs_programs: bool = False,
     place: int | None = None,
+    audience: Audience = "model",
+    opens_page: bool = False,
 ) -> Callable[[ToolFunction], ToolFunction]:
     """Declares the function as a tool of the same name."""
 
@@ -104,6 +120,8 @@ def tool(
                 program=program,
                 runs_programs=runs_programs,
                 place=place,
+                audience=audience,
+                opens_page=opens_page,
             )
         )
         return function

@@ -15,6 +15,7 @@ from functools import cache
 from operator import attrgetter
 from typing import Annotated, Any
 
+from ros2_mcp.model.errors import NotFound
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.results import Report
 from ros2_mcp.ops.sources.kinds import OWN_KINDS, Sources
@@ -39,6 +40,7 @@ from ros2_mcp.tools.arguments import (
     UpToEnd,
     UpToLogEnd,
 )
+from ros2_mcp.view.viewing import Viewing
 
 _TIMES_TO_WAIT = frozenset(
     {"duration", "duration_sec", "timeout", "timeout_sec", "wait_timeout_sec", "wait_for_service_sec"}
@@ -50,7 +52,8 @@ _TIMES_TO_WAIT = frozenset(
 class Call:
     """What tools can get in every call; `limitations` says in words what this server does not offer and why.
 
-    `given` are the names of the arguments that the caller gave, `functions` gives those of the module of programs.
+    `given` are the names of the arguments that the caller gave, `functions` gives those of the module of programs,
+    `viewing` has the robot's pages in chats, and `shows_pages` says whether this client can show one.
     """
 
     robot: Robot
@@ -60,6 +63,8 @@ class Call:
     limitations: Sequence[str] = ()
     given: Collection[str] = ()
     functions: Callable[[], Sequence[Function]] = tuple
+    viewing: Viewing | None = None
+    shows_pages: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +130,12 @@ def _numbers(call: Call, fields: NumericFields = None) -> Selection:
     return _selection(call, fields=fields)
 
 
+def _viewing(call: Call) -> Viewing:
+    if call.viewing is None:
+        raise NotFound("This server has no pages.")
+    return call.viewing
+
+
 def _programs(call: Call) -> Programs:
     return Programs(functions=call.functions(), store=call.store, kinds=call.kinds)
 
@@ -135,6 +146,7 @@ OneMessage = Annotated[Selection, MadeBy(_selection, ("fields", "max_array"))]
 Numbers = Annotated[Selection, MadeBy(_numbers)]
 Limitations = Annotated[Sequence[str], MadeBy(attrgetter("limitations"), ())]
 ProgramsHere = Annotated[Programs, MadeBy(_programs, ())]
+ShowsPages = Annotated[bool, MadeBy(attrgetter("shows_pages"), ())]
 Waits = Annotated[bool, MadeBy(_waits, ())]
 RecordingSource = Annotated[Source, MadeBy(_source, ("bag",))]
 """For tools with a time of their own."""
@@ -149,6 +161,7 @@ _BY_TYPE: Mapping[Any, MadeBy] = {
     Robot: MadeBy(attrgetter("robot"), ()),
     BagStore: MadeBy(attrgetter("store"), ()),
     Report: MadeBy(attrgetter("report"), ()),
+    Viewing: MadeBy(_viewing, ()),
 }
 """Type of a parameter → how its value is made, where the type alone says what is meant."""
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import hmac
 import json
-import math
 from collections.abc import Awaitable, Callable, Mapping
 from typing import TYPE_CHECKING, Any, cast
 
 from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.model.finite import finite
 from ros2_mcp.view.page import page
 from ros2_mcp.view.views import Views, update_request
 
@@ -44,7 +44,7 @@ class LocalPage:
         self._hosts = {f"127.0.0.1:{port}".encode("ascii"), f"localhost:{port}".encode("ascii")}
         self._calls: Mapping[str, Callable[[Mapping[str, Any]], Awaitable[Mapping[str, Any]]]] = {
             "ros2_view_frame": lambda arguments: views.update(update_request(arguments)),
-            "ros2_view_ask": lambda arguments: views.chunk(str(arguments.get("view")), str(arguments.get("key"))),
+            "ros2_view_ask": views.answer,
         }
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -124,15 +124,5 @@ def _json(status: int, value: Mapping[str, Any]) -> Answer:
     try:
         text = json.dumps(value, allow_nan=False)
     except ValueError:  # a number of the robot's that is not finite, which is no JSON
-        text = json.dumps(_finite(value))
+        text = json.dumps(finite(value))
     return status, text.encode(), {b"content-type": b"application/json"}
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {name: _finite(inner) for name, inner in cast("Mapping[str, Any]", value).items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(inner) for inner in cast("list[Any]", value)]
-    return value

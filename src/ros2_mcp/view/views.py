@@ -6,16 +6,17 @@ import asyncio
 import base64
 import logging
 import secrets
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from time import monotonic
-from typing import Any
+from time import monotonic, time
+from typing import Any, Protocol
 
 import anyio
-from anyio.abc import TaskGroup
 
 from ros2_mcp.model.errors import BadInput, NotFound, RobotError
-from ros2_mcp.model.text import visible_json
+from ros2_mcp.model.text import visible, visible_json
+from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.sources.newest import NewestOfRobot
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.view.acting import Acting, AgentPanel
@@ -25,6 +26,8 @@ from ros2_mcp.ops.view.image import ImagePanel
 from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
 from ros2_mcp.ops.view.values import LogPanel, RobotPanel, ValuesPanel
 from ros2_mcp.robot import Robot
+from ros2_mcp.view.picks import Pick, picks_of
+from ros2_mcp.view.words import in_words
 
 MOST_VIEWS = 4
 """Pages at once: somebody has it open on a screen and a phone, and forgets to close one."""
@@ -37,6 +40,10 @@ _UNWANTED_S = 4.0
 _FAILED_S = 1.0
 """Between two tries of a panel that cannot be shown."""
 _MOST_TOPIC = 300
+_PART_BYTES = 300_000
+"""Of a large part in one answer: a third more in base64, which is what chat hosts are known to pass on."""
+_MOST_PAST = 4
+"""Pages that were given up, of which it is still told what they showed."""
 _logger = logging.getLogger(__name__)
 
 
@@ -51,6 +58,30 @@ class UpdateRequest:
     seen: Mapping[str, int] = field(default_factory=dict[str, int])
     wait_ms: int = 0
     at_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageState:
+    """What one page shows, or showed when it was given up: a line for each panel that is seen, and what was picked.
+
+    `asked_at` is when it last asked (Unix time, s), `who` the client whose page it is.
+    """
+
+    id: str
+    who: str
+    subject: str
+    is_open: bool
+    asked_at: float
+    shows: Sequence[str]
+    picks: Sequence[Pick]
+
+
+class Tasks(Protocol):
+    """Where work is begun that goes on beside the calls, such as a task group."""
+
+    def start_soon(self, work: Callable[..., Coroutine[Any, Any, None]], /, *arguments: object) -> object:
+        """Begins it."""
+        ...
 
 
 @dataclass(eq=False)
@@ -80,6 +111,9 @@ class View:
 
     def __init__(self, robot: Robot, source: Source, panels: Sequence[Panel], chunks: Chunks) -> None:
         self.id = secrets.token_hex(16)
+        self.who = ""
+        self.picks: Sequence[Pick] = ()
+        self._told_at = time()
         self.chunks = chunks
         self.asked_at = monotonic()
         self._robot, self._source = robot, source
@@ -99,13 +133,13 @@ class View:
         async with anyio.create_task_group() as tasks:
             for shown in self._shown.values():
                 tasks.start_soon(self._keep, shown)
-            while monotonic() - self.asked_at < IDLE_S:
+            while monotonic() - self.asked_at < IDLE_S and not self._is_closed:
                 await anyio.sleep(0.5)
             tasks.cancel_scope.cancel()
 
     async def update(self, request: UpdateRequest) -> Mapping[str, Any]:
         """The panels that have something newer than what the page has seen; waits for the first one."""
-        self.asked_at = monotonic()
+        self.asked_at, self._told_at = monotonic(), time()
         until_ns = None if request.at_s is None or self._live else round(request.at_s * 1e9)
         has_moved, self._until_ns = until_ns != self._until_ns, until_ns
         for name, chosen in request.panels.items():
@@ -113,13 +147,30 @@ class View:
                 is_other, shown.chosen = chosen != shown.chosen, chosen
                 if has_moved or is_other or monotonic() - shown.asked_at > _UNWANTED_S / 2 or self._live:
                     shown.wake(anew=is_other)
-        deadline = monotonic() + min(request.wait_ms, MOST_WAIT_MS) / 1000
+        began = monotonic()
+        deadline = began + min(request.wait_ms, MOST_WAIT_MS) / 1000
         while not (newer := self._newer(request)) and monotonic() < deadline and not self._is_closed:
             news = self._news
             with anyio.move_on_after(max(deadline - monotonic(), 0.0)):
                 await news.wait()
         self.asked_at = monotonic()
-        return {"view": self.id, "now_s": self._look("").now_ns / 1e9, "panels": newer}
+        took_ms = round((self.asked_at - began) * 1000)
+        return {"view": self.id, "now_s": self._look("").now_ns / 1e9, "took_ms": took_ms, "panels": newer}
+
+    def state(self, subject: str, *, is_open: bool = True) -> PageState:
+        """What it shows."""
+        until_ns = self._until_ns
+        at = f", at {iso_time(until_ns)}" if until_ns is not None else ""
+        seen = [shown for shown in self._shown.values() if shown.asked_at > self.asked_at - _UNWANTED_S]
+        return PageState(
+            id=self.id,
+            who=self.who,
+            subject=f"{subject}{at}",
+            is_open=is_open,
+            asked_at=self._told_at,
+            shows=[in_words(one.panel.name, one.content) for one in seen if one.panel.name != "robot"],
+            picks=self.picks,
+        )
 
     def _newer(self, request: UpdateRequest) -> dict[str, Any]:
         found: dict[str, Any] = {}
@@ -175,21 +226,32 @@ class View:
 class Views:
     """All open pages of one robot or recording. `acting` knows who acts on it."""
 
-    def __init__(self, robot: Robot, source: Source, title: str, acting: Acting, tasks: TaskGroup) -> None:
+    def __init__(self, robot: Robot, source: Source, title: str, acting: Acting, tasks: Tasks) -> None:
         self._robot, self._source, self._title = robot, source, title
         self.acting = acting
         self._tasks = tasks
         self._views: dict[str, View] = {}
+        self._past: deque[PageState] = deque(maxlen=_MOST_PAST)
 
-    async def update(self, request: UpdateRequest) -> Mapping[str, Any]:
-        """What is new for a page; a page whose view was given up gets a new one.
+    @property
+    def is_open(self) -> bool:
+        """Whether a page asks."""
+        return bool(self._views)
+
+    async def update(self, request: UpdateRequest, who: str = "") -> Mapping[str, Any]:
+        """What is new for a page, which `who` has opened; a page whose view was given up gets a new one.
 
         Raises:
             BadInput: if there are too many.
         """
         view = self._views.get(request.view)
         if view is None:
-            view, request = self._open(), replace(request, seen={})
+            view = self._open()
+            view.who = who
+            if before := next((state for state in self._past if state.id == request.view and state.who == who), None):
+                self._past.remove(before)
+                view.picks = before.picks
+            request = replace(request, seen={})
         return await view.update(request)
 
     def close(self) -> None:
@@ -197,27 +259,38 @@ class Views:
         for view in self._views.values():
             view.close()
 
-    async def chunk(self, view: str, key: str) -> Mapping[str, Any]:
-        """A large part that was offered to this view, packed with zlib, in base64. Raises `NotFound`."""
-        found = self._views[view].chunks.find(key) if view in self._views else None
-        if found is None:
+    async def answer(self, asked: Mapping[str, Any]) -> Mapping[str, Any]:
+        """What else a page asks: a large part by its key, or to note what was picked (all of it), or its end.
+
+        Raises:
+            NotFound: if the view or the part is no longer there.
+            BadInput: for what no page asks.
+        """
+        view = self._views.get(str(asked.get("view")))
+        if view is None:
             raise NotFound("This is no longer shown.")
-        return {"key": key, "bulk": base64.b64encode(found).decode("ascii")}
+        if asked.get("closed"):
+            self._forget(view)
+            return {}
+        if "picked" not in asked:
+            return _part(view.chunks, str(asked.get("key")), asked.get("from", 0))
+        view.picks = picks_of(asked["picked"])
+        return {"picked": [visible(pick.summary()) for pick in view.picks]}
+
+    def states(self) -> Sequence[PageState]:
+        """What the pages show, and the last ones that were given up."""
+        return [*(view.state(self._subject) for view in self._views.values()), *self._past]
+
+    @property
+    def _subject(self) -> str:
+        return "the robot now" if self._source.is_live else f"the recording {self._source.title}"
 
     async def stop(self) -> Mapping[str, Any]:
         """Presses the button."""
-        stopped = await self.acting.stop(self._robot)
-        return {
-            "summary": stopped.summary(),
-            "is_all_well": stopped.is_all_well,
-            "servers": [asdict(one) for one in stopped.servers],
-            "zeros": stopped.zeros,
-            "latched": stopped.latched,
-            "problems": stopped.problems,
-        }
+        return await press(self.acting, self._robot)
 
     def _open(self) -> View:
-        if len(self._views) >= MOST_VIEWS:
+        if len(self._views) >= MOST_VIEWS and not self._give_up_oldest():
             raise BadInput(f"{MOST_VIEWS} pages are open already.", "Close one; it is given up ten seconds later.")
         chunks, recording = Chunks(), None if self._source.is_live else self._source
         panels = (
@@ -233,11 +306,49 @@ class Views:
         self._tasks.start_soon(self._run, view)
         return view
 
+    def _give_up_oldest(self) -> bool:
+        """Whether a view was given up that has not asked for longer than a page that is seen ever waits."""
+        oldest = min(self._views.values(), key=lambda view: view.asked_at)
+        if monotonic() - oldest.asked_at < _UNWANTED_S:
+            return False
+        self._forget(oldest)
+        return True
+
+    def _forget(self, view: View) -> None:
+        if self._views.pop(view.id, None):
+            self._past.append(view.state(self._subject, is_open=False))
+            view.close()
+
     async def _run(self, view: View) -> None:
         try:
             await view.run()
         finally:
-            self._views.pop(view.id, None)
+            self._forget(view)
+
+
+async def press(acting: Acting, robot: Robot) -> Mapping[str, Any]:
+    """Presses the button, for a page."""
+    stopped = await acting.stop(robot)
+    return {
+        "summary": stopped.summary(),
+        "is_all_well": stopped.is_all_well,
+        "servers": [asdict(one) for one in stopped.servers],
+        "zeros": stopped.zeros,
+        "latched": stopped.latched,
+        "problems": stopped.problems,
+    }
+
+
+def _part(chunks: Chunks, key: str, begin: Any) -> Mapping[str, Any]:
+    """A part of what was offered under this key, packed with zlib, in base64; `next` is where the rest begins."""
+    found = chunks.find(key)
+    if found is None:
+        raise NotFound("This is no longer shown.")
+    if not isinstance(begin, int) or not 0 <= begin <= len(found):
+        raise BadInput("A part begins within the whole.")
+    end = min(begin + _PART_BYTES, len(found))
+    bulk = base64.b64encode(found[begin:end]).decode("ascii")
+    return {"key": key, "bulk": bulk, "next": end if end < len(found) else None}
 
 
 def update_request(arguments: Mapping[str, Any]) -> UpdateRequest:

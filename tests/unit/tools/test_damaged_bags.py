@@ -37,6 +37,7 @@ READERS: dict[str, dict[str, Any]] = {
     "ros2_get_map_as_image": {"topic_name": "/map", "start": IN_THE_HOLE},
     "ros2_get_pointcloud_as_bev": {"topic_name": "/cloud", "start": IN_THE_HOLE},
     "ros2_scene": {"time": IN_THE_HOLE},
+    "ros2_view": {"time": IN_THE_HOLE},
     "ros2_log_read": {},
     "ros2_bag_info": {},
     "ros2_bag_read": {"topic_name": "/odom", "start": "10 s in", "limit": 400},

@@ -1,0 +1,141 @@
+"""Tools of the page beside the chat: the model opens it and asks what is seen there; the page asks what it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from time import time as now_s
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from ros2_mcp.ops.results import HIDDEN, Report
+from ros2_mcp.ops.view.opening import OpenedView, OpeningRequest, opened
+from ros2_mcp.robot import Robot
+from ros2_mcp.tools.arguments import FromBag, RecordedTime
+from ros2_mcp.tools.declare import ForPage, tool
+from ros2_mcp.tools.injection import AtOneTime, ShowsPages
+from ros2_mcp.view.viewing import Viewing
+
+PLACE = 140
+
+PageRequest = Annotated[dict[str, Any], Field(description="What the page asks.")]
+
+
+def _one_or_several(value: Any) -> Any:
+    """The name of one topic is a list of one."""
+    return [value] if isinstance(value, str) else value
+
+
+_Names = BeforeValidator(_one_or_several)
+Topics = Annotated[
+    list[str] | None, _Names, Field(max_length=8, description="What the panels show. Default: the first.")
+]
+PlotFields = Annotated[list[str] | None, _Names, Field(max_length=8, description="Numeric fields of it, for a plot.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PickedPlace:
+    """A place that the user picked: metres in `frame`; `about` is what the grid has there."""
+
+    frame: str
+    x_m: float
+    y_m: float
+    time: str
+    about: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageSeen:
+    """One page: what it shows, a line for each panel, and what was picked on it, the newest last."""
+
+    subject: str
+    open: bool
+    asked_s_ago: float
+    shows: Sequence[str]
+    picked: Sequence[PickedPlace]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewState:
+    """The pages of this robot, the newest first."""
+
+    pages: Sequence[PageSeen]
+    told: Sequence[str] = field(default=(), metadata=HIDDEN)
+
+    def summary(self) -> list[str]:
+        """What each page shows, and what was picked."""
+        return list(self.told)
+
+
+@tool(
+    title="The live scene",
+    risk="read",
+    group="view",
+    by_default=False,
+    recorded=True,
+    also_named="ros2_viewer_app",
+    aliases={"topic_name": "topics", "preferred_kind": "kind", "plot_fields": "fields", "auto_start": ""},
+    opens_page=True,
+)
+async def ros2_view(
+    robot: Robot,
+    report: Report,
+    shows_pages: ShowsPages,
+    topics: Topics = None,
+    kind: Annotated[
+        Literal["auto", "image", "pointcloud", "plot"], Field(description="Of panel. Default: by the types.")
+    ] = "auto",
+    fields: PlotFields = None,
+    bag: FromBag = "",
+    time: RecordedTime = "",
+    *,
+    source: AtOneTime,
+) -> OpenedView:
+    """Show your user the live scene beside the chat: map, camera, what you do, values, log, a stop button. Where the
+    client cannot: a picture, and how to see it in a browser."""
+    at_s = source.covers_ns[1] / 1e9 if time and source.covers_ns else None
+    request = OpeningRequest(topics=topics or (), kind=kind, fields=fields or (), bag=bag, at_s=at_s)
+    return await opened(robot, source, request, shows_pages=shows_pages, report=report)
+
+
+@tool(title="What the user sees", risk="read", group="view", by_default=False, recorded=True)
+async def ros2_view_state(robot: Robot, viewing: Viewing) -> ViewState:
+    """What the pages show your user, and the places that they picked there: metres in a frame."""
+    states = viewing.states(robot.principal.name)
+    told: list[str] = [] if states else ["No page is open."]
+    pages: list[PageSeen] = []
+    for state in states:
+        ago_s = round(max(now_s() - state.asked_at, 0.0), 1)
+        page = "A page" if state.is_open else f"A page, hidden or closed {ago_s:g} s ago,"
+        told.append(f"{page} of {state.subject}:")
+        told += [f"- {line}" for line in state.shows]
+        told += [pick.summary() for pick in state.picks] or ["Nothing is picked."]
+        picked = [
+            PickedPlace(frame=one.frame, x_m=one.x_m, y_m=one.y_m, time=one.time, about=one.about)
+            for one in state.picks
+        ]
+        pages.append(
+            PageSeen(subject=state.subject, open=state.is_open, asked_s_ago=ago_s, shows=state.shows, picked=picked)
+        )
+    return ViewState(pages=pages, told=told)
+
+
+@tool(title="Update of the page", risk="read", group="view", by_default=False, recorded=True, audience="page")
+async def ros2_view_frame(robot: Robot, viewing: Viewing, asked: PageRequest, bag: FromBag = "") -> ForPage:
+    """For the page alone: what is new in its panels."""
+    update = await viewing.update(asked, bag, robot.principal.name)
+    return ForPage(update, f"New: {', '.join(update['panels']) or 'nothing'}.")
+
+
+@tool(title="Question of the page", risk="read", group="view", by_default=False, recorded=True, audience="page")
+async def ros2_view_ask(viewing: Viewing, asked: PageRequest, bag: FromBag = "") -> ForPage:
+    """For the page alone: a large part, or what was picked."""
+    return ForPage(await viewing.answer(asked, bag), "Answered.")
+
+
+@tool(title="Stop from the page", risk="stop", group="view", by_default=False, recorded=True, audience="page")
+async def ros2_view_stop(viewing: Viewing) -> ForPage:
+    """For the page alone: stops every server that acts on this robot from this machine, and latches."""
+    stopped = await viewing.stop()
+    return ForPage(stopped, str(stopped["summary"]))
