@@ -14,10 +14,14 @@ _STANDS = 0.005
 
 
 async def look_at_the_arm(tour: Tour) -> None:
-    """Where its joints are."""
-    tour.say("1. Where are the joints?")
+    """Where its joints are, its tool, and its base."""
+    tour.say("1. Where are the joints, and the tool?")
     for name, position in (await _joints(tour)).items():
         tour.show(f"{name:22} {position:7.3f}")
+    tool = await tour.call("ros2_tf_lookup", target="base_link", source="tool_link")
+    tour.show(f"{'tool_link':22} {tool['distance_m']:7.3f} m from base_link")
+    seen = await tour.call("ros2_scene")
+    tour.verify("the picture has its base in the world", (seen["frame_id"], seen["robot_x_m"]) == ("world", 0.0))
 
 
 async def move_by_name(tour: Tour) -> None:

@@ -13,6 +13,8 @@ from ros2_mcp.commands.transcript import StepFailed, Tour
 
 _X, _Y, _Z = 8.0, 5.0, 6.0
 """Metres east, north and up: some 25 s there and back."""
+_DRIFT = 1.5
+"""Metres that wind and estimate may be off while it is flown by hand."""
 _LOOKS = 30
 """At its state, one each second: a landing from 10 m takes half of it."""
 _COMPILED_S, _PAUSE_S = 240, 4
@@ -27,6 +29,10 @@ async def fly_up_one_metre(tour: Tour) -> None:
     await asyncio.sleep(1.0)
     height = await _height(tour)
     tour.verify(f"odometry says that it hovers {height:.2f} m above the ground", 0.7 < height < 1.4)
+    seen = await tour.call("ros2_scene")
+    x, y, frame = seen["robot_x_m"], seen["robot_y_m"], seen["frame_id"]
+    is_there = x is not None and abs(x) < _DRIFT and abs(y) < _DRIFT
+    tour.verify(f"the picture has it over where it stood: {x} m, {y} m of {frame}", is_there)
     await _by_hand(tour, -0.5, 4.0)
 
 

@@ -52,6 +52,14 @@ def test_joints_go_where_they_are_sent_and_the_others_stay(agent, witness, way: 
     assert moved["elapsed_s"] < moved["planned_s"] + 3.0 + 1.5  # what it says itself when it gives up
 
 
+def test_the_tool_is_looked_up_and_the_scene_has_the_base_in_the_world(agent) -> None:
+    tool = agent.call("ros2_tf_lookup", target="base_link", source="tool_link")
+    assert tool["chain"][0] == "tool_link" and 0.2 < tool["distance_m"] < 1.5 and not tool["is_static"]
+    scene = agent.call("ros2_scene")
+    assert (scene["frame_id"], scene["robot_x_m"], scene["robot_y_m"]) == ("world", 0.0, 0.0)
+    assert "footprint" in {layer["kind"] for layer in scene["layers"]}
+
+
 @pytest.mark.full
 def test_the_gripper_is_another_controller_and_is_found_by_its_joint(agent, witness) -> None:
     moved = agent.call("ros2_joint_move", joints={"gripper_joint": -0.015}, relative=True, tolerance=0.002)

@@ -134,6 +134,12 @@ def test_it_flies_up_by_velocity_commands_and_hovers_when_they_end(drone: Drone)
     drone.wait("/odom", "pose.pose.position.z > 0.4")
     drone.wait("/odom", "abs(twist.twist.linear.z) < 0.1")
     drone.until("GUIDED", armed=True)
+    height = drone.call("ros2_tf_lookup", target="map", source="base_link")["translation"]["z"]
+    assert height > 0.3
+    scene = drone.call("ros2_scene")
+    assert scene["frame_id"] == "map" and scene["robot_age_s"] is not None
+    assert (scene["robot_x_m"], scene["robot_y_m"]) == pytest.approx((0.0, 0.0), abs=2.0)
+    assert "footprint" in {layer["kind"] for layer in scene["layers"]}
 
 
 def test_wrong_orders_are_refused_in_words(drone: Drone) -> None:
