@@ -36,11 +36,15 @@ class Controller(Protocol):
         ...
 
     def hear(self, role: str, message: Any, now: float) -> None:
-        """A message of one of its feeds, as rclpy decodes it. What it raises is not heard."""
+        """A message of one of its feeds, as rclpy decodes it, and when it was received. What it raises is not heard."""
+        ...
+
+    def late_in_s(self, now: float) -> float:
+        """In how many seconds one of its feeds is late if nothing more comes, so that it is asked again then."""
         ...
 
     def step(self, now: float) -> Velocity | None:
-        """What to command now; None as soon as it has ended. Called every 0.01 s, and first when it can begin."""
+        """What to command now; None as soon as it has ended. Called every 0.01 s or sooner, first when it can begin."""
         ...
 
     def report(self) -> Mapping[str, object]:

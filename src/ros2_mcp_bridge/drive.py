@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from .clearance import LEAST_MPS, LEAST_RADPS, NOTHING_NEAR, Allowed, Clearance
@@ -84,6 +84,11 @@ class Beat:
     def age_s(self, now: float) -> float:
         """How old its last message is."""
         return now - self._at
+
+
+def late_in_s(beats: Iterable[Beat], now: float) -> float:
+    """In how many seconds the first of these is late, of those that are not."""
+    return min((-late_s for beat in beats if (late_s := beat.late_s(now)) <= 0), default=math.inf)
 
 
 class Standing:
@@ -170,6 +175,10 @@ class Drive:
     def awaits(self) -> str:
         """Topics of which too little has come to know how often they do."""
         return " and ".join(beat.topic for beat in self._beats.values() if beat.count < FIRST_MESSAGES)
+
+    def late_in_s(self, now: float) -> float:
+        """See `controller.Controller`."""
+        return late_in_s(self._beats.values(), now)
 
     def hear(self, role: str, message: Any, now: float) -> None:
         """Odometry (whatever has a pose), or a scan."""

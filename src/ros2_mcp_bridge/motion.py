@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 # Between two looks at what was heard: a condition that holds, or an obstacle, is seen within it. Chosen: half of the
 # 20 ms in which a motion has to react, and 1 % of a core.
 LOOK_S = 0.01
+# The shortest pause, before the moment in which a topic is late. Chosen.
+SOON_S = 0.001
 # For a first message on every topic: a publisher that missed our announcement is discovered with the next one, 3 s
 # later (decision 13).
 FIRST_HEARD_S = 5.0
@@ -97,7 +99,7 @@ class Motion:
             if now - told_at >= TELL_EVERY_S:
                 told_at = now
                 tell()
-            yield LOOK_S
+            yield max(min(LOOK_S, self.controller.late_in_s(time.monotonic())), SOON_S)
 
     def destroy(self) -> None:
         """End hearing."""
@@ -106,7 +108,7 @@ class Motion:
 
     def _hear(self) -> None:
         for role, ear in self._ears:
-            ear.hear(lambda message, role=role: self.controller.hear(role, message, time.monotonic()))
+            ear.hear(lambda message, role=role, ear=ear: self.controller.hear(role, message, ear.received_at))
 
     def _publish(self, publisher: Publisher, velocity: Velocity) -> bool:
         """Hand one command to the exit; False where the policy lets no more out. The first one then raises."""

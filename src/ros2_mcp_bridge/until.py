@@ -12,7 +12,7 @@ from typing import Any
 from . import interfaces
 from .asking import Asking
 from .controller import Feed, Velocity
-from .drive import SILENT_S, Beat
+from .drive import SILENT_S, Beat, late_in_s
 from .message_types import MessageTypes
 
 # The way is measured from one place to the next that is as far as this from it, m: what odometry trembles is no way.
@@ -109,6 +109,10 @@ class Until:
             for role, beat in self._beats.items()
             if beat.count < FIRST_MESSAGES and not (role == "condition" and self._may_be_silent)
         )
+
+    def late_in_s(self, now: float) -> float:
+        """See `controller.Controller`."""
+        return late_in_s(self._beats.values(), now)
 
     def hear(self, role: str, message: Any, now: float) -> None:
         """A message that the condition is asked of, or odometry."""

@@ -28,6 +28,8 @@ LOOK_S = 0.02
 REST_LOOK_S = 0.1
 # Whoever floods the topic must not keep the ROS thread; the rest is heard at the next look. Chosen.
 HEARS_AT_MOST_S = 0.01
+# A message waits longer only where this process was held up for longer. Chosen.
+WAITED_AT_MOST_S = 1.0
 BY = "watchdog"
 
 
@@ -46,7 +48,9 @@ class Heard(Protocol):
 
 
 class Ear:
-    """One topic of feedback, followed as its publishers come and go."""
+    """One topic of feedback, followed as its publishers come and go. While it gives a message, `received_at` is when
+    the middleware received it (monotonic, in s): it may have waited for the next look.
+    """
 
     def __init__(self, node: Node, graph: Graph, heard: Heard) -> None:
         request = Request({"op": "watch", "source": heard.topic, "type": heard.type}, b"")
@@ -54,6 +58,7 @@ class Ear:
         self._topic = heard.topic
         self._source = FollowedSource(node, graph, request)
         self._has_failed = False
+        self.received_at = 0.0
         self._subscription: RawSubscription | None = None
         self._old: NewestOfOld[Sample] | None = None
 
@@ -64,6 +69,8 @@ class Ear:
         deadline = time.monotonic() + HEARS_AT_MOST_S
 
         def decode(sample: Sample) -> None:
+            waited_s = (time.time_ns() - sample.received_ns) / 1e9  # by a clock that may be set
+            self.received_at = time.monotonic() - min(max(waited_s, 0.0), WAITED_AT_MOST_S)
             with suppress(Exception):  # anybody can publish a broken one, and a type need not have all that is read
                 take_in(rcl.deserialize(sample.data, self._interface))
 

@@ -17,10 +17,13 @@ from support.agent import FULL, Refusal, until
 from support.commanded import CommandedProcess
 from support.driver import Driver, fresh
 from support.raw_server import children
+from support.standstill import STOOD_STILL_S, TIMES
 
 ROUNDS = 20
 BARS_S = {"bridge": 0.5, "server": 1.0, "both": 0.5, "asleep": 1.1}
 """Those of stopping.md."""
+REACTS_S = 0.02
+"""After the message that meets a condition, which is the end of its period."""
 WAYS = ("ros2_drive", "ros2_move_until")
 
 POLICY = """
@@ -143,6 +146,33 @@ def test_a_lease_and_a_latch_in_its_middle_end_it_and_it_says_so(
             moving(server, robot, way, speed=0.2)
     finally:
         latch.reset(by="operator", seen=latch.look().count)
+
+
+@pytest.mark.full  # in CI tests/ros/motion/test_move_until.py has the same of a server that is awake
+def test_a_condition_is_judged_beside_the_robot_though_the_server_sleeps(start: Start, robot: CommandedProcess) -> None:
+    server, took = start(), list[float]()
+    for _ in range(ROUNDS):
+        for _ in range(TIMES):  # again where the robot's process was held up
+            base = fresh("sleeps")
+            robot.put(base=base, discs=[[1.2, 0.0, 0.2]])
+            server.knows(f"{base}/cmd_vel", 1)
+            until(lambda base=base: server.do("ros2_topic_info", topic_name=f"{base}/scan")["publishers"])
+            robot.note_near(range_m=0.6)
+            given = {"topic_name": f"{base}/scan", "condition": "nearest(-20, 20) < 0.6", "timeout": 30}
+            request = server.tool("ros2_move_until", command_topic=f"{base}/cmd_vel", linear_x=0.3, **given)
+            until(lambda: server.hear() or robot.state()["truth"][0] > 0.3)  # a third of a second before it is met
+            server.process.send_signal(signal.SIGSTOP)
+            zero_after(robot, 0.0)
+            state = robot.state()
+            server.process.send_signal(signal.SIGCONT)
+            result = server.result(request)
+            if state["stood_s"] < STOOD_STILL_S:
+                break
+        assert (result["outcome"], result["met"]) == ("met", True), result["note"]
+        took.append(state["zero_at"] - state["near_at"])
+    took.sort()
+    print(f"asleep, met: worst {took[-1] * 1000:.1f} ms, median {took[len(took) // 2] * 1000:.1f} ms of {len(took)}")
+    assert took[0] > 0 and took[-1] <= REACTS_S
 
 
 @pytest.mark.full

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 pytest.importorskip("rosidl_generator_py", reason="needs the interface generators of the ROS 2 wheels")
 
 from ros2_mcp_demo.base import RADIUS
 from support.agent import Agent, agent_for, until
-from support.demo_robot import build_interfaces, robot_environment, running_robot
+from support.demo_robot import Peer, build_interfaces, robot_environment, running_robot
 
 PILLAR = (1.67, -32.0)
 """Distance (m) and bearing (degrees) of the red pillar from where the rover starts."""
@@ -88,3 +92,44 @@ def test_a_scan_is_of_the_pose_that_is_shown_although_a_silent_path_is_awaited(a
         return any(layer["kind"] == "scan" and (layer["age_s"] or 9.0) < 0.8 for layer in found["layers"])
 
     until(fresh)
+
+
+LOCAL = "/local_costmap/costmap"
+CELLS, CELL_M = 30, 0.1
+"""Of a window that rolls with the robot, as Nav2's local costmap does, in the frame of the odometry."""
+OCCUPIED, MAGENTA = 100, (255, 0, 255)
+
+
+def magenta_at(agent: Agent) -> tuple[float, float] | None:
+    """The least and the greatest x of what the picture of that costmap has in the colour of obstacles, in m."""
+    result = agent.whole("ros2_scene", {"grid": LOCAL, "frame": "odom"})
+    facts, [picture] = result.structured_content or {}, [part for part in result.content if part.type == "image"]
+    pixels = np.asarray(Image.open(io.BytesIO(base64.b64decode(picture.data))).convert("RGB")).astype(int)
+    columns = np.nonzero((np.abs(pixels - MAGENTA).max(axis=2) < 40).sum(axis=0) > 50)[0]
+    if facts["frame_id"] != "odom" or not len(columns):
+        return None
+    x_m = facts["x_min_m"] + (columns - facts["left_px"]) * facts["metres_per_pixel"]
+    return float(x_m.min()), float(x_m.max())
+
+
+def test_a_local_costmap_that_rolls_is_shown_in_the_odometry_frame(domain_id: int, agent: Agent) -> None:
+    from nav_msgs.msg import OccupancyGrid
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    peer = Peer(domain_id)
+    try:
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        publisher = peer.node.create_publisher(OccupancyGrid, LOCAL, latched)
+        for corner_m in (-1.5, -0.5):  # it rolls on before anybody looks
+            grid = OccupancyGrid()
+            grid.header.frame_id, grid.header.stamp = "odom", peer.node.get_clock().now().to_msg()
+            grid.info.width = grid.info.height = CELLS
+            grid.info.resolution = CELL_M
+            grid.info.origin.position.x = grid.info.origin.position.y = corner_m
+            grid.data = [OCCUPIED if cell % CELLS == CELLS - 1 else 0 for cell in range(CELLS * CELLS)]
+            publisher.publish(grid)
+        agent.knows(LOCAL)
+        wall_m = -0.5 + CELLS * CELL_M
+        until(lambda: magenta_at(agent) == pytest.approx((wall_m - CELL_M, wall_m), abs=0.03))
+    finally:
+        peer.close()

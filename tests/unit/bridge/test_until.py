@@ -11,6 +11,7 @@ import pytest
 from ros2_mcp.codec.select import known_to
 from ros2_mcp_bridge.asking import Asking
 from ros2_mcp_bridge.controller import Feed
+from ros2_mcp_bridge.drive import LATE_S
 from ros2_mcp_bridge.until import Until
 from support.made_windows import CODEC, decoded
 
@@ -182,3 +183,14 @@ def test_values_of_texts_and_of_what_is_no_number_can_be_sent() -> None:
 def test_what_would_move_nothing_or_know_no_limit_is_refused(options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"needed|needs"):
         until(**options)
+
+
+def test_it_says_when_the_first_of_its_topics_is_late() -> None:
+    controller = until()
+    for number in range(10):
+        controller.hear("odometry", decoded(ODOMETRY, {}), 100 + number * 0.04)
+        controller.hear("condition", decoded(SCAN, scan([5])), 100 + number * 0.1)
+    at = 100 + 9 * 0.04  # the odometry is first
+    assert controller.late_in_s(at) == pytest.approx(0.04 + LATE_S)
+    assert controller.late_in_s(at + 0.04 + LATE_S + 0.001) == pytest.approx(100.9 + 0.1 + LATE_S - at - 0.101)
+    assert controller.late_in_s(200) == math.inf

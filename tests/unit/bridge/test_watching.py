@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from types import SimpleNamespace
@@ -36,8 +37,8 @@ def ear(monkeypatch: pytest.MonkeyPatch) -> Callable[[Iterable[Sample]], watchin
     return made
 
 
-def sample() -> Sample:
-    return Sample(0, 0, None, rcl.serialize(interfaces.load(POSE)()), 0)
+def sample(received_ns: int = 0) -> Sample:
+    return Sample(received_ns, 0, None, rcl.serialize(interfaces.load(POSE)()), 0)
 
 
 def test_a_flood_is_left_for_the_next_look(ear: Callable[[Iterable[Sample]], watching.Ear]) -> None:
@@ -63,3 +64,16 @@ def test_an_error_of_the_middleware_does_not_end_the_watchdog(
     heard: list[Any] = []
     ear(broken()).hear(heard.append)
     assert not heard and "cannot take" in capsys.readouterr().err
+
+
+def test_a_message_is_told_with_when_it_was_received_and_not_when_it_was_looked_at(
+    ear: Callable[[Iterable[Sample]], watching.Ear],
+) -> None:
+    now_ns, now = time.time_ns(), time.monotonic()
+    received_ns = [now_ns - 20_000_000, now_ns + 3_600_000_000_000, now_ns - 3_600_000_000_000]
+    listening, ages_s = ear([sample(each) for each in received_ns]), list[float]()
+    listening.hear(lambda _: ages_s.append(now - listening.received_at))
+    assert ages_s[0] == pytest.approx(0.02, abs=0.01)
+    later_s = time.monotonic() - now
+    assert -later_s <= ages_s[1] <= 0.0, "a clock that was set"
+    assert watching.WAITED_AT_MOST_S - later_s <= ages_s[2] <= watching.WAITED_AT_MOST_S
