@@ -14,6 +14,9 @@ const VERBS: Record<string, string> = {
   call: "calls", set_parameters: "sets parameters of", change_state: "changes the state of", send_goal: "sends a goal to", cancel_goals: "cancels goals of",
 };
 
+/** Of what has a word of ours; `constructor` and such are names like others. */
+const word = (words: Record<string, string>, name: string): string | undefined => (Object.hasOwn(words, name) ? words[name] : undefined);
+
 export class AgentPanel {
   private readonly frame: Frame;
   private readonly waits = make("div");
@@ -35,7 +38,7 @@ export class AgentPanel {
       "div", { class: "waits" }, make("b", {}, `Waits for a person, ${one.left_s} s left: ${one.id}. `),
       ...one.summary.map((line) => make("div", {}, line)), make("small", {}, "Answer it in a terminal: ros2-mcp operate"))));
     this.jobs.replaceChildren(...servers.flatMap((server) => server.jobs ?? []).map((job) => make("li", { class: "running" },
-      make("time", {}, `${shownS === null ? "" : "now, "}${job.for_s} s`), make("span", { class: "what" }, make("b", {}, JOBS[job.kind] ?? job.kind), make("small", {}, ` ${[job.doing, job.id].filter(Boolean).join(" · ")}`)),
+      make("time", {}, `${shownS === null ? "" : "now, "}${job.for_s} s`), make("span", { class: "what" }, make("b", {}, word(JOBS, job.kind) ?? job.kind), make("small", {}, ` ${[job.doing, job.id].filter(Boolean).join(" · ")}`)),
       make("span", { class: "end" }, job.at_most_s === null ? "under way" : `of ${job.at_most_s} s`))));
     say(this.origin, state.origin ? `${state.origin}:` : "");
     this.origin.hidden = !state.origin;
@@ -63,7 +66,7 @@ function isRunning(act: Act, nowMs: number): boolean {
 }
 
 function row(act: Act, nowMs: number): HTMLElement {
-  const verb = act.kind === "act" || act.kind.startsWith("refused") || act.kind === "waits" ? VERBS[act.verb ?? ""] ?? act.verb ?? act.tool ?? act.kind : act.kind;
+  const verb = act.kind === "act" || act.kind.startsWith("refused") || act.kind === "waits" ? word(VERBS, act.verb ?? "") ?? act.verb ?? act.tool ?? act.kind : act.kind;
   const often = [act.rate_hz ? `${act.rate_hz} Hz` : "", act.duration_s ? `for ${act.duration_s} s` : ""].filter(Boolean).join(" ");
   const value = brief(act.value);
   const running = isRunning(act, nowMs);

@@ -15,6 +15,7 @@ type Update = { view: string; now_s: number; panels: Record<string, { number: nu
 type Stopped = { summary: string; is_all_well: boolean; servers: { name: string; answered: boolean; said: string; is_doubted: boolean }[]; problems: string[] };
 
 const WAIT_MS = 1000;
+const STILL_MS = 150; // of a recording nothing is new but what is sought, which does not wait for it
 const AGAIN_MS = 700;
 const LEAST_MS = 30; // between two questions: thirty a second are more than anybody sees
 
@@ -41,6 +42,9 @@ share([["values", "Values"], ["frames", "Frames"]], () => undefined);
 enlargeable(["map", "image", "agent", "values", "log", "frames"]);
 const chosen: Record<string, () => string> = { map: () => map.chosen, image: () => image.chosen, values: () => values.chosen, log: () => "", agent: () => "", frames: () => "", robot: () => "" };
 let seen: Record<string, number> = {};
+const failed = new Map<string, string>();
+// What a panel has dropped for another choice it is sent again, also where the choice is the old one again.
+document.addEventListener("change", (event) => { const panel = (event.target as Element).closest("section"); if (panel) delete seen[panel.id]; });
 let serverS = 0, heardAt = 0, lost = "connecting", robot: Robot = {}, latest: AgentState = {};
 
 const nowS = (): number => serverS + (robot.live === false ? 0 : (performance.now() - heardAt) / 1000);
@@ -48,7 +52,7 @@ const nowS = (): number => serverS + (robot.live === false ? 0 : (performance.no
 function show(name: string, content: never): void {
   if (name === "map") map.update(content);
   else if (name === "image") image.update(content);
-  else if (name === "agent") agent.update(latest = content, robot.live === false ? serverS : null);
+  else if (name === "agent") { agent.update(content, robot.live === false ? serverS : null); latest = content; }
   else if (name === "values") values.update(content);
   else if (name === "log") log.update(content);
   else if (name === "frames") frames.update(content);
@@ -70,7 +74,7 @@ let timeBar: { range: HTMLInputElement; told: HTMLElement; play: HTMLButtonEleme
 
 function showTime(begin: number, end: number): void {
   if (timeBar) return;
-  const range = make("input", { type: "range", min: "0", max: String(end - begin), step: "0.05", "aria-label": "Time of the recording" });
+  const range = make("input", { type: "range", min: "0", max: String(Math.ceil((end - begin) * 20) / 20), step: "0.05", "aria-label": "Time of the recording" });
   const play = make("button", { type: "button", title: "Play (space)" }, "▶");
   const faster = make("button", { type: "button", title: "Speed" }, "1×");
   const told = make("output");
@@ -101,10 +105,10 @@ function showTime(begin: number, end: number): void {
 
 function tell(): void {
   const state = byId("state"), moves = byId("moves");
-  const why = lost || robot.why || "";
+  const why = lost || robot.why || [...failed.values()].join("; ");
   say(state, why || (robot.live === false ? `recording · ${robot.source ?? ""}` : "live"));
   state.classList.toggle("bad", !!why);
-  const servers = latest.servers ?? [], moved = [...new Set(servers.flatMap((server) => server.moves))];
+  const servers = latest.servers ?? [], moved = [...new Set(servers.flatMap((server) => server.moves ?? []))];
   const isLatched = !!latest.latch;
   say(moves, lost ? "" : (robot.live === false ? "now: " : "") + (isLatched ? `LATCHED by ${latest.latch?.by}: ${latest.latch?.reason}` : moved.length ? `moves ${moved.join(", ")}` : servers.length ? "moves nothing now" : "nobody acts here"));
   moves.classList.toggle("latched", isLatched);
@@ -164,10 +168,15 @@ async function ask(): Promise<void> {
     const began = performance.now();
     try {
       const panels = Object.fromEntries(Object.entries(chosen).filter(([name]) => name === "agent" || isSeen(name)).map(([name, topic]) => [name, topic()]));
-      const update = await call("ros2_view_frame", { view, panels, seen, wait_ms: WAIT_MS, at_s: atS }) as Update;
+      const update = await call("ros2_view_frame", { view, panels, seen, wait_ms: robot.live === false ? STILL_MS : WAIT_MS, at_s: atS }) as Update;
       if (update.view !== view) { view = update.view; seen = {}; }
       [serverS, heardAt, lost] = [update.now_s, performance.now(), ""];
-      for (const [name, content] of Object.entries(update.panels)) { seen[name] = content.number; show(name, content as never); }
+      for (const [name, content] of Object.entries(update.panels)) {
+        if (chosen[name]?.() !== panels[name]) continue; // another topic was chosen meanwhile
+        seen[name] = content.number;
+        try { show(name, content as never); } catch (error) { failed.set(name, `the panel ${name} failed: ${String(error)}`); continue; }
+        failed.delete(name); // and a panel that fails leaves the others as they are
+      }
     } catch (error) {
       lost = error instanceof Refused ? error.message : `${host ? "the server does not answer through this chat" : "ros2-mcp view does not answer"} (${error instanceof Error ? error.message : "?"}): what is shown is old`;
       await pause(AGAIN_MS);

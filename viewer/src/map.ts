@@ -50,7 +50,13 @@ export class MapPanel {
     canvas.addEventListener("keydown", (event) => this.press(event));
   }
 
+  /** What cannot be shown leaves what is shown as it is; raises then. */
   update(around: Around): void {
+    const before = this.around;
+    try { this.take(around); } catch (error) { this.around = before; throw error; }
+  }
+
+  private take(around: Around): void {
     if (around.frame !== this.around.frame) { this.trail = []; this.fitted = true; }
     if (around.grid?.name !== this.around.grid?.name) this.fitted = true;
     this.around = around;

@@ -15,7 +15,7 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.robot.listening import Listening
 
-_IDLE_S = 10.0
+_IDLE_S = 5.0
 """After the last look: who looks, looks several times a second, and a page that is gone must not cost anything."""
 _TURN_S = 1.0
 """Between two looks at whether it is still needed, where nothing comes."""

@@ -44,6 +44,8 @@ _PART_BYTES = 300_000
 """Of a large part in one answer: a third more in base64, which is what chat hosts are known to pass on."""
 _MOST_PAST = 4
 """Pages that were given up, of which it is still told what they showed."""
+_ROUNDED_NS = 1000
+"""A page's time is a float, some 100 ns too early or late: the message at which it is meant to stand is shown."""
 _logger = logging.getLogger(__name__)
 
 
@@ -140,7 +142,7 @@ class View:
     async def update(self, request: UpdateRequest) -> Mapping[str, Any]:
         """The panels that have something newer than what the page has seen; waits for the first one."""
         self.asked_at, self._told_at = monotonic(), time()
-        until_ns = None if request.at_s is None or self._live else round(request.at_s * 1e9)
+        until_ns = None if request.at_s is None or self._live else round(request.at_s * 1e9) + _ROUNDED_NS
         has_moved, self._until_ns = until_ns != self._until_ns, until_ns
         for name, chosen in request.panels.items():
             if shown := self._shown.get(name):

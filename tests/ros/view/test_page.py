@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,24 +21,9 @@ from support.browser import CHROMIUM, Page, browsing
 from support.observer import Observer
 from support.processes import peer_command, running
 from support.room_bag import room_bag
+from support.viewing import STOP, pictured, seek, text, viewing
 
 TWIST = {"linear": {"x": 0.1}}
-STOP = "document.getElementById('stop').click()"
-PICTURES = os.environ.get("ROS2_MCP_PICTURES")
-"""A folder for what the page looked like, to be looked at by a person."""
-
-
-def text(of: str) -> str:
-    return f"document.querySelector('{of}').textContent"
-
-
-@contextmanager
-def viewing(environment: dict[str, str], *options: str) -> Iterator[str]:
-    """The address of a page."""
-    command = [sys.executable, "-m", "ros2_mcp", "view", *options]
-    with running(environment, *command) as process:
-        assert process.stdout
-        yield process.stdout.readline().strip()
 
 
 @pytest.fixture(scope="module")
@@ -66,11 +50,6 @@ def page(demo_environment: dict[str, str], agent: Agent, browser: Page) -> Itera
         browser.look()
         browser.open(address)
         yield browser
-
-
-def pictured(page: Page, name: str) -> None:
-    if PICTURES:
-        page.picture(Path(PICTURES) / f"{name}.png")
 
 
 @pytest.mark.promise("README", "sees in a browser what it sees and does")
@@ -197,8 +176,7 @@ def test_a_recording_is_shown_at_any_of_its_times(
         browser.open(address)
         browser.until("document.querySelector('footer input') !== null")
         last = browser.until(f"/Robot at/.test({where} ?? '') && {where}")
-        seek = "const slider = document.querySelector('footer input'); slider.value = '1';"
-        browser.run(f"(() => {{ {seek} slider.dispatchEvent(new Event('input')); }})()")
+        browser.run(seek(1.0))
         browser.until(f"/Robot at/.test({where}) && {where} !== {last!r}")
         assert browser.run(text("#state")).startswith("recording")
         pictured(browser, "recording")

@@ -1,6 +1,7 @@
-"""A camera: `camera_peer.py WIDTH HEIGHT HZ [compressed]` publishes /camera/image_raw, and the same compressed.
+"""A camera: `camera_peer.py WIDTH HEIGHT HZ [compressed] [scene]` publishes /camera/image_raw, and the same compressed.
 
-The raw pictures are noise, which nothing makes smaller; the compressed ones are real JPEG.
+The raw pictures are noise, which nothing makes smaller, or a `scene` such as cameras see; the compressed ones are real
+JPEG.
 It says `ready`, answers each line of its stdin with how many raw pictures it has published, and ends with it.
 """
 
@@ -21,6 +22,8 @@ def main() -> None:
     node = rclpy.create_node("camera")
     raw = node.create_publisher(Image, "/camera/image_raw", qos_profile_sensor_data)
     image = Image(width=width, height=height, encoding="rgb8", step=3 * width, data=os.urandom(3 * width * height))
+    if "scene" in sys.argv:
+        image.data = scene_of(width, height)
     image.header.frame_id = "camera"
     small = None
     if "compressed" in sys.argv:
@@ -47,6 +50,21 @@ def main() -> None:
     threading.Thread(target=answer, daemon=True).start()
     print("ready", flush=True)
     rclpy.spin(node)
+
+
+def scene_of(width: int, height: int) -> bytes:
+    """Smooth surfaces, edges and a little noise."""
+    from PIL import Image as Picture
+    from PIL import ImageChops, ImageDraw
+
+    surface = Picture.radial_gradient("L").resize((width, height))
+    picture = Picture.merge("RGB", (surface, Picture.linear_gradient("L").resize((width, height)), surface))
+    pen = ImageDraw.Draw(picture)
+    for number in range(12):
+        left, top = number * width // 12, (number * 5 % 12) * height // 12
+        pen.rectangle((left, top, left + width // 16, height), fill=(number * 20, 200 - number * 15, 90))
+    noise = Picture.effect_noise((width, height), 6).convert("RGB")
+    return ImageChops.add(picture, noise, 1, -128).tobytes()
 
 
 def jpeg_of(width: int, height: int) -> bytes:

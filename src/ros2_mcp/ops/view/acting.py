@@ -32,12 +32,15 @@ _ASKED_EVERY_S = 0.5
 _TAIL_BYTES = 96_000
 """Of the audit: some hundred lines."""
 _MOST_ACTS = 60
+_MOST_TEXT = 300
+"""Of a field: the audit writes no longer ones."""
 _KINDS = (
     *("act", "waits", "refused", "goal ended", "stop", "stopped", "latched", "reset", "mode"),
     *("approved", "denied", "grant", "revoked"),
 )
 """Lines that a person wants to see; outcomes stand with their acts."""
-_FIELDS = ("tool", "verb", "name", "type", "by", "reason", "rule", "program", "outcome", "now", "rate_hz", "duration_s")
+_TEXTS = ("tool", "verb", "name", "type", "by", "reason", "rule", "program", "outcome", "now")
+_NUMBERS = ("rate_hz", "duration_s")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -267,15 +270,25 @@ def _stop_of(server: Server) -> Row:
 
 
 def acts_in(entries: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
-    """What a person wants to see of lines of the audit, each act with what became of it by then."""
-    outcomes = {entry.get("of"): str(entry.get("outcome", "")) for entry in entries if entry.get("kind") == "outcome"}
+    """What a person wants to see of lines of the audit, each act with what became of it by then.
+
+    Lines may be from a recording, which is anybody's: a field of another type than ours is told as text, or not at all.
+    """
+    outcomes = {
+        str(entry.get("of")): str(entry.get("outcome", "")) for entry in entries if entry.get("kind") == "outcome"
+    }
     for entry in entries:
-        kind = entry.get("kind")
+        kind, number = entry.get("kind"), entry.get("seq")
         if kind not in _KINDS:
             continue
-        fields = {name: entry[name] for name in _FIELDS if entry.get(name) not in (None, "")}
+        fields: dict[str, Any] = {name: str(entry[name])[:_MOST_TEXT] for name in _TEXTS if entry.get(name)}
+        fields |= {name: entry[name] for name in _NUMBERS if type(entry.get(name)) in (int, float)}
         if kind == "act":
-            fields["outcome"] = outcomes.get(entry.get("seq"), "")
-        time_ = str(entry.get("time", iso_time(0)))
-        who = str(entry.get("principal", ""))
-        yield {"seq": entry.get("seq"), "time": time_, "kind": kind, "who": who, **fields, "value": entry.get("value")}
+            fields["outcome"] = outcomes.get(str(number), "")
+        fields |= {"seq": number if isinstance(number, int) else None, "value": entry.get("value")}
+        yield {
+            "time": str(entry.get("time", iso_time(0))),
+            "kind": kind,
+            "who": str(entry.get("principal", "")),
+            **fields,
+        }

@@ -80,7 +80,9 @@ class LogPanel(Panel):
             return {"lines": as_json(await self._live(look))}
         span_ns = look.source.covers_ns or (0, 0)
         part = look.source.part(span_ns[1] - _BEFORE_NS, span_ns[1])
-        return {"lines": as_json((await log.read_recorded(part, request, _MOST_LINE_BYTES)).lines)}
+        lines = (await log.read_recorded(part, request, _MOST_LINE_BYTES)).lines
+        why = {} if lines else {"why": "No node said anything of level INFO or above in the minute before this time."}
+        return {"lines": as_json(lines), **why}
 
     async def _live(self, look: Look) -> list[log.LogLine]:
         robot = look.robot

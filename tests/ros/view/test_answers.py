@@ -1,0 +1,162 @@
+"""The page where its server fails, is slow or says too much; hidden; two at once; for hours."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
+
+from support.browser import CHROMIUM, Page, browsing
+from support.room_bag import room_bag
+from support.scripted_view import Answer, ScriptedView, good, scripted, updated
+from support.viewing import seek, text, viewing
+
+pytestmark = pytest.mark.skipif(not CHROMIUM, reason="needs Chromium")
+
+HOURS, TIMES_FASTER, GROWN_BYTES, GROWN_NODES = 3, 100, 2_000_000, 500
+FASTER = f"""(() => {{
+  const [timeout, interval, now, date] = [setTimeout, setInterval, performance.now.bind(performance), Date.now];
+  const [began, first] = [now(), date()];
+  window.setTimeout = (work, ms = 0) => timeout(work, ms / {TIMES_FASTER});
+  window.setInterval = (work, ms = 0) => interval(work, ms / {TIMES_FASTER});
+  performance.now = () => began + (now() - began) * {TIMES_FASTER};
+  Date.now = () => first + (now() - began) * {TIMES_FASTER};
+}})()"""
+"""The clock of the page."""
+LIVE = f"{text('#state')} === 'live'"
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    with browsing() as page:
+        page.look()
+        yield page
+
+
+@pytest.fixture
+def view(page: Page) -> Iterator[ScriptedView]:
+    with scripted() as view:
+        page.complaints.clear()
+        page.open(view.address)
+        page.until(LIVE)
+        yield view
+        page.ask("Page.navigate", url="about:blank")
+
+
+def test_a_server_that_fails_is_told_and_the_page_goes_on_when_it_answers(page: Page, view: ScriptedView) -> None:
+    failures: tuple[Answer, ...] = (
+        (500, "text/plain", b"out of order"),
+        (200, "application/json", b"{"),
+        *(good(wrong) for wrong in (None, {"panels": None})),
+    )
+    for failure in failures:
+        view.answers = lambda _, failure=failure: failure
+        page.until(f"{text('#state')}.includes('does not answer')")
+        view.answers = lambda asked: good(updated(asked, view.asked))
+        page.until(LIVE)
+    assert [one for one in page.complaints if "500" not in one] == []  # which the browser itself tells of the first
+
+
+def test_nonsense_in_panels_is_told_and_forgotten_with_the_next_answer(page: Page, view: ScriptedView) -> None:
+    wrong: list[dict[str, Any]] = [
+        *({"why": why} for why in (5, [[]])),
+        {"value": {"a": [None]}, "lines": 5, "acts": 5, "bulk": 5, "robot": 5, "grid": 5, "servers": 5},
+        {"bulk": "!", "paths": [{}], "layers": [1], "servers": [{}], "topics": 5, "lines": [{}], "value": "x"},
+        {"bulk": ["!"], "grid": {"key": 5}, "robot": {}, "goals": [{}], "acts": [None], "missing": [5], "topics": [5]},
+    ]
+    for one in wrong:
+
+        def answer(asked: dict[str, Any], one: dict[str, Any] = one) -> Answer:
+            update = updated(asked, view.asked)
+            update["panels"] = {name: {"number": view.asked, **one} for name in update["panels"]}
+            return good(update)
+
+        view.answers, before = answer, view.asked
+        assert wait(lambda before=before: view.asked > before + 2), one
+        view.answers, before = lambda asked: good(updated(asked, view.asked)), view.asked
+        page.until(f"{LIVE} && {text('#log')}.includes('line {before + 2}')")
+    assert page.complaints == []
+
+
+def wait(check: Any, seconds: float = 20.0) -> bool:
+    end = time.monotonic() + seconds
+    while not check() and time.monotonic() < end:
+        time.sleep(0.02)
+    return bool(check())
+
+
+def test_slow_and_huge_answers_are_waited_for_one_at_a_time(page: Page, view: ScriptedView) -> None:
+    def huge(asked: dict[str, Any]) -> Answer:
+        time.sleep(0.3)
+        update = updated(asked, view.asked)
+        lines = [{"time": "", "level": "ERROR", "node": "n" * 1000, "text": "W" * 2000}] * 500
+        value = {f"field{number}": "x" * 500 for number in range(1000)}
+        update["panels"]["log"]["lines"], update["panels"]["values"]["value"] = lines, value
+        update["panels"]["agent"]["acts"][0]["reason"] = "y" * 1_000_000
+        return good(update)
+
+    view.answers = huge
+    page.until(
+        f"{text('#log')}.length > 1000000 && {text('#values')}.length > 400000 && {text('#agent')}.length > 900000"
+    )
+    began = time.monotonic()
+    assert page.run("document.documentElement.scrollWidth <= innerWidth")
+    assert time.monotonic() - began < 5.0  # it is answered between two of them
+    assert view.most_at_once == 1
+    assert page.complaints == []
+
+
+def test_a_hidden_page_asks_nothing(page: Page, view: ScriptedView) -> None:
+    page.run("Object.defineProperty(document, 'hidden', {get: () => window.isHidden}), window.isHidden = true")
+    time.sleep(1.0)  # what was under way has ended
+    before = view.asked
+    time.sleep(1.0)
+    assert view.asked == before
+    page.run("window.isHidden = false")
+    assert wait(lambda: view.asked > before + 2)
+
+
+def test_two_pages_show_two_times_of_one_recording(page: Page, ros_environment: dict[str, str], tmp_path: Path) -> None:
+    where = "document.querySelector('#map canvas').ariaLabel"
+    with viewing(ros_environment, "--bag", str(room_bag(tmp_path / "room"))) as address, browsing() as other:
+        for each, seconds in ((page, 1.0), (other, 4.0)):
+            each.look()
+            each.open(address)
+            each.until("document.querySelector('footer input') !== null")
+            each.run(seek(seconds))
+        first, second = (each.until(f"/Robot at [^N]/.test({where} ?? '') && {where}") for each in (page, other))
+        assert first != second
+        other.ask("Page.navigate", url="about:blank")
+        page.run(seek(2.0))
+        page.until(f"{where} !== {json.dumps(first)}")
+
+
+@pytest.mark.full
+def test_the_page_does_not_grow_in_hours(page: Page) -> None:
+    with scripted() as view:
+        page.ask("Page.addScriptToEvaluateOnNewDocument", source=FASTER)
+        view.answers = lambda asked: good(updated(asked, view.asked))
+        page.open(view.address)
+        seconds = HOURS * 3600 / TIMES_FASTER
+        wait(lambda: view.asked < 0, seconds * 0.2)
+        early, updates = used(page), view.asked
+        wait(lambda: view.asked < 0, seconds * 0.8)
+        late = used(page)
+    print(
+        f"\n{HOURS} h of simulated clock, {view.asked} updates ({updates} before the first look): {early} then {late}"
+    )
+    assert late[0] - early[0] < GROWN_BYTES
+    assert late[1] - early[1] < GROWN_NODES
+
+
+def used(page: Page) -> tuple[float, float]:
+    """Bytes of the heap and nodes of the document, once what is not needed has gone."""
+    page.ask("HeapProfiler.collectGarbage")
+    metrics = {one["name"]: one["value"] for one in page.ask("Performance.getMetrics")["metrics"]}
+    return page.ask("Runtime.getHeapUsage")["usedSize"], metrics.get("Nodes", 0.0)

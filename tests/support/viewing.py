@@ -1,0 +1,53 @@
+"""`ros2-mcp view` as its tests start it, and what they ask its page."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from support.browser import Page
+from support.processes import running
+
+STOP = "document.getElementById('stop').click()"
+PICTURES = os.environ.get("ROS2_MCP_PICTURES")
+"""A folder for what the page looked like, to be looked at by a person."""
+
+
+def text(of: str) -> str:
+    """The expression of an element's text."""
+    return f"document.querySelector('{of}').textContent"
+
+
+def choose(panel: str, topic: str) -> str:
+    """The expression that chooses a topic in a panel."""
+    return (
+        f"(select => {{ select.value = {json.dumps(topic)}; select.dispatchEvent(new Event('change')); }})"
+        f"(document.querySelector('#{panel} select'))"
+    )
+
+
+def seek(seconds: float) -> str:
+    """The expression that shows another time of a recording."""
+    return (
+        f"(slider => {{ slider.value = '{seconds}'; slider.dispatchEvent(new Event('input')); }})"
+        "(document.querySelector('footer input'))"
+    )
+
+
+@contextmanager
+def viewing(environment: dict[str, str], *options: str) -> Iterator[str]:
+    """The address of a page."""
+    command = [sys.executable, "-m", "ros2_mcp", "view", *options]
+    with running(environment, *command) as process:
+        assert process.stdout
+        yield process.stdout.readline().strip()
+
+
+def pictured(page: Page, name: str) -> None:
+    """Keeps what the page looks like, where that is wanted."""
+    if PICTURES:
+        page.picture(Path(PICTURES) / f"{name}.png")
