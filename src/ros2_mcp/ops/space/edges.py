@@ -143,7 +143,8 @@ def _leaps(edge: Edge, at_ns: int) -> list[str]:
     last = leaps[-1]
     many = f", the last of {len(leaps)} such jumps" if len(leaps) > 1 else ""
     ago = seconds_in_words(max(at_ns - last.received_ns, 0))
-    cause = "a localisation that changes its mind" if corrects else "odometry that was reset, or a fault of its source"
+    what = "odometry" if edge.newest and edge.newest.parent.rpartition("/")[2] == "odom" else "its source"
+    cause = "a localisation that changes its mind" if corrects else f"{what} was reset, or is at fault"
     return [
         f"jumped by {last.far_m:.3g} m and {last.turned_deg:.3g}° within {seconds_in_words(last.within_ns)}, {ago} "
         f"ago{many} ({cause})"

@@ -183,7 +183,7 @@ async def test_a_pause_around_the_time_that_is_asked_for_is_told(window: Make) -
 @pytest.mark.parametrize(
     ("edge", "jumps", "said"),
     [
-        (("odom", "base_link"), 1, "odom → base_link jumped by 5 m and 0° within 0.1 s, 1 s ago (odometry that was"),
+        (("odom", "base_link"), 1, "odom → base_link jumped by 5 m and 0° within 0.1 s, 1 s ago (odometry was reset,"),
         (("map", "odom"), 1, ""),
         (("map", "odom"), 2, "map → odom jumped by 5 m and 0° within 0.1 s, 0.5 s ago, the last of 2 such jumps (a"),
     ],
