@@ -181,10 +181,10 @@ class Edge:
         """How often it is told, by the times of receipt; None for what is static, or was told once."""
         if not self.moving and self.on_static:
             return None
-        newest_ns = max(self._times, default=0)
-        times = [time_ns for time_ns in self._times if time_ns >= newest_ns - KEPT_NS]
-        span_ns = newest_ns - min(times, default=0)
-        return (len(times) - 1) / span_ns * 1e9 if len(times) > 1 and span_ns > 0 else None
+        if len(self._times) < 2:
+            return None
+        span_ns = max(self._times[-1], self._times[-2]) - self._times[0]
+        return (len(self._times) - 1) / span_ns * 1e9 if span_ns > 0 else None
 
     @property
     def leaps(self) -> list[Leap]:
@@ -234,7 +234,7 @@ class Edge:
         """Takes in one with a stamp; after a jump of the stamps what was told before does not count any more."""
         if not told.stamp_ns:
             self.unstamped += 1
-            self._times.append(told.received_ns)
+            self._count(told.received_ns)
             self.add_static(told)
             return None
         jump = self._jump_to(told)
@@ -259,11 +259,16 @@ class Edge:
                 return jump
         else:
             self.frozen = 0
-        self._times.append(told.received_ns)
+        self._count(told.received_ns)
         self._step_to(told)
         self.stamps.insert(place, told.stamp_ns)
         self.moving.insert(place, told)
         return jump
+
+    def _count(self, received_ns: int) -> None:
+        self._times.append(received_ns)
+        while self._times[0] < received_ns - KEPT_NS:
+            self._times.popleft()
 
     def _jump_to(self, told: Told) -> Jump | None:
         last_ns = self._last_stamp_ns

@@ -231,10 +231,12 @@ class FrameTree:
         """For how long no stamp has gone on, where all are of another clock than the receiver's; 0 where one has, or
         where that is no longer than usual.
         """
+        if not self.clock_ns:
+            return 0
         rates = [edge.rate_hz for edge in self.edges.values() if edge.moving and edge.rate_hz]
         usual_ns = max(_STANDS_NS, round(_STANDS_PERIODS * 1e9 / max(rates))) if rates else _STANDS_NS
         stood_ns = at_ns - self.advanced_ns
-        return stood_ns if self.clock_ns and stood_ns > usual_ns else 0
+        return stood_ns if stood_ns > usual_ns else 0
 
     def reaches(self, at_ns: int) -> bool:
         """Whether that time lies among the stamps."""
