@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from ros2_mcp.codec.robot_kind import legs_of
+from ros2_mcp.codec.robot_kind import above_of, legs_of, wheels_of
 from ros2_mcp.codec.urdf import Geometry, Mount, Urdf
 
 _CORNERS = 24
@@ -29,7 +29,8 @@ class Reach:
 
 
 def outline(urdf: Urdf, base: str) -> Sequence[Point]:
-    """The convex hull of what is fixed to the base and of its wheels: counter-clockwise, in metres of the frame `base`.
+    """The convex hull of what is fixed to the base and of its wheels with their steering: counter-clockwise, in metres
+    of the frame `base`.
     Of a legged robot the legs belong to it, with every joint at 0: a body narrower than its feet is no outline.
 
     Shapes of collision count; of a link that has none, those that are seen. Meshes have no size in a description. Empty
@@ -41,15 +42,26 @@ def outline(urdf: Urdf, base: str) -> Sequence[Point]:
     base_in_body = urdf.mount(base, body)
     if base_in_body is None:
         return ()
-    legs = {joint.child for joint in legs_of(urdf)}
     points: list[Point] = []
-    for name, link in urdf.links.items():
-        mount = urdf.mount(name, body) if _belongs(urdf, name, body) or _is_on(urdf, name, legs) else None
+    for name in _parts(urdf, body):
+        link, mount = urdf.links[name], urdf.mount(name, body)
         if mount is None:
             continue
         for shape in link.collisions or link.visuals:
             points += [_in_base(at, base_in_body) for at in _corners(shape, mount)]
     return _hull(points)
+
+
+def unmeasured(urdf: Urdf, base: str) -> Sequence[str]:
+    """The links of the outline of which only meshes tell the shape: it may be larger by them."""
+    if base not in urdf.links:
+        return ()
+    parts = [urdf.links[name] for name in _parts(urdf, urdf.fixed_to(base))]
+    return [
+        link.name
+        for link in parts
+        if (shapes := link.collisions or link.visuals) and all(shape.kind == "mesh" for shape in shapes)
+    ]
 
 
 def reach(points: Sequence[Point]) -> Reach | None:
@@ -60,18 +72,16 @@ def reach(points: Sequence[Point]) -> Reach | None:
     return Reach(max(x), -min(x), max(y), -min(y), max(math.hypot(*point) for point in points))
 
 
-def _belongs(urdf: Urdf, link: str, body: str) -> bool:
-    """Whether it is part of the body, or a wheel on it: what turns without end."""
-    top = urdf.fixed_to(link)
-    if top == body:
-        return True
-    joint = urdf.above(top)
-    return joint is not None and joint.kind == "continuous" and urdf.fixed_to(joint.parent) == body
-
-
-def _is_on(urdf: Urdf, link: str, legs: Collection[str]) -> bool:
-    """Whether it is part of a leg: one of these links, or fixed to one."""
-    return bool(legs) and urdf.fixed_to(link) in legs
+def _parts(urdf: Urdf, body: str) -> Sequence[str]:
+    """The links of the outline: what is fixed to the body, its legs, and its wheels with what holds these."""
+    moved = {joint.child for joint in legs_of(urdf)}
+    for wheel in wheels_of(urdf):
+        holders = [joint.child for joint in above_of(urdf, wheel.child)]
+        moved |= set(holders) if urdf.mount(wheel.child, body) else set[str]()
+    moved |= {
+        joint.child for joint in urdf.moving if joint.kind == "continuous" and urdf.fixed_to(joint.parent) == body
+    }
+    return [name for name in urdf.links if (top := urdf.fixed_to(name)) == body or top in moved]
 
 
 def _in_base(at: tuple[float, float, float], base: Mount) -> Point:

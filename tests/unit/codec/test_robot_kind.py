@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from ros2_mcp.codec.robot_kind import arm_of, kind_of, wheels_of
+from ros2_mcp.codec.robot_kind import arms_of, kind_of, wheels_of
 from ros2_mcp.codec.urdf import Urdf, parse
 
 TWIST = "geometry_msgs/msg/Twist"
@@ -74,6 +74,16 @@ SIX = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"
          "differential drive base, 2 wheels"),
         (urdf("x500", *[joint for name in "abc" for joint in chain("continuous", f"{name}_rotor")]), [], [],
          "drone, 3 rotors"),
+        (urdf("boat", *chain("continuous", "left_thruster"), *chain("continuous", "right_thruster")), [], [],
+         "vehicle on or under water, 2 thrusters"),
+        (urdf("cart", *wheels("left_wheel", "right_wheel"), *chain("fixed", "thruster_camera")), [TWIST], [],
+         "differential drive base, 2 wheels"),
+        (urdf("spot", *[joint for leg in ("fl", "fr", "rl", "rr")
+                        for joint in chain("revolute", f"{leg}_hx", f"{leg}_hy", f"{leg}_kn", parent="body")]), [], [],
+         "legged robot, 4 legs"),
+        (urdf("baxter", *[joint for side in ("left", "right")
+                          for joint in chain("revolute", *(f"{side}_{name}" for name in SIX), parent="torso")]), [], [],
+         "2 arms of 6 joints"),
         (None, [TWIST], ["MAVROS"], "drone"),
         (None, [TWIST], [], "base driven by velocities"),
         (None, ["ackermann_msgs/msg/AckermannDriveStamped"], [], "car-like base"),
@@ -88,9 +98,18 @@ def test_wheels_are_no_joints_of_an_arm_however_they_are_called() -> None:
     turning = [("a", "continuous", "base_link", "left"), ("b", "continuous", "base_link", "right")]
     robot = urdf("base", *turning, wheel=["left", "right"])
     assert [joint.name for joint in wheels_of(robot)] == ["a", "b"]
-    assert arm_of(robot) == []
+    assert arms_of(robot) == []
 
 
 def test_round_links_of_an_arm_are_no_wheels() -> None:
     robot = urdf("jaco", *chain("continuous", *SIX), wheel=[f"{name}_link" for name in SIX[:5]])
     assert kind_of(robot, [], []) == "arm of 6 joints"
+
+
+def test_the_controller_of_a_base_says_more_than_its_wheels_do() -> None:
+    """A package of controllers has `roller` in all its names."""
+    robot = urdf("box", *wheels("fl_wheel", "fr_wheel", "rl_wheel", "rr_wheel"))
+    assert kind_of(robot, [TWIST], [], ["mecanum_drive_controller/MecanumDriveController"]) == (
+        "omnidirectional base, 4 wheels"
+    )
+    assert kind_of(robot, [TWIST], [], ["diff_drive_controller/DiffDriveController"]) == "skid-steered base, 4 wheels"

@@ -12,6 +12,8 @@ from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.robot import Robot
 
+LIST_CONTROLLERS = "/list_controllers"
+"""The service of a controller manager, below its name."""
 _LIST = "controller_manager_msgs/srv/ListControllers"
 _ANSWER_S = 1.0
 """One that is alive answers within milliseconds, and the whole answer is to be there in two seconds."""
@@ -29,7 +31,7 @@ async def listed_controllers(robot: Robot, graph: GraphSnapshot) -> Mapping[str,
             answer = await robot.fields_of(await asyncio.wait_for(asked, _ANSWER_S))
             found[service.rpartition("/")[0]] = answer["controller"]
 
-    services = [name for name in graph.services or () if name.endswith("/list_controllers")]
+    services = [name for name in graph.services or () if name.endswith(LIST_CONTROLLERS)]
     await asyncio.gather(*map(ask, services[:2]))
     return found
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import anyio
 
-from ros2_mcp.codec.footprint import outline, reach
-from ros2_mcp.codec.robot_kind import arm_of, kind_of, rotors_of, wheels_of
+from ros2_mcp.codec.footprint import outline, reach, unmeasured
+from ros2_mcp.codec.robot_kind import arms_of, kind_of, rotors_of, wheels_of
 from ros2_mcp.codec.transforms import FrameTree, Located
 from ros2_mcp.codec.urdf import Joint, Urdf, parse
 from ros2_mcp.model.aside import load
@@ -28,10 +28,11 @@ from ros2_mcp.ops.measure.diagnostics import LEVELS
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results import as_json, silent
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
-from ros2_mcp.ops.space.controllers import controllers_in_words, listed_controllers
+from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_in_words, listed_controllers
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.space.heads import Head, heads_of
+from ros2_mcp.ops.space.inputs import command_inputs
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import LISTENS
@@ -43,7 +44,6 @@ _ANSWERED_S, _GIVEN_UP_S = 1.4, 1.7
 answer is there within two seconds, with some for the machine that has much to do."""
 _LEAST_S = 0.4
 """For messages, however long the graph took: what comes twice a second is mostly heard, too."""
-_INPUTS = ("Twist", "TwistStamped", "AckermannDrive", "AckermannDriveStamped", "JointTrajectory", "Joy")
 _SENSORS = (
     "sensor_msgs/msg/LaserScan",
     "sensor_msgs/msg/PointCloud2",
@@ -59,7 +59,7 @@ _BATTERY = "sensor_msgs/msg/BatteryState"
 _WITH_RANGE = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range")
 _WORLDS = ("map", "odom", "world", "earth")
 """Frames in which a robot's place is meant, the better first (REP 105)."""
-_MOST = {"command_inputs": 5, "sensors": 9, "joints": 12, "unhealthy": 6, "controllers": 8}
+_MOST = {"command_inputs": 8, "sensors": 9, "joints": 12, "unhealthy": 6, "controllers": 8}
 _ALONG = 1e-3
 """A camera that looks straight up or down has no direction seen from above."""
 _OLD_S = 2.0
@@ -79,7 +79,8 @@ class RobotInBrief:
     """The robot: `kind` of base or arm, `command_inputs` (topic, type, who listens), `sensors` (topic, type, rate,
     mount in the base's frame in m, range), `joints` (position now, limits; rad or m), and where it is (`place`: in
     which frame, how that is known, how old). `stacks` are Nav2, MoveIt, ros2_control, MAVROS and others, as far as
-    they run. `left_out` counts what did not fit into 2 kB.
+    they run. `not_read` are the parts that were not there within the time of this answer, which says nothing of the
+    robot; `left_out` counts what did not fit into 2 kB.
     """
 
     name: str
@@ -94,6 +95,7 @@ class RobotInBrief:
     stacks: Sequence[str]
     frames: str
     unhealthy: Sequence[str]
+    not_read: Sequence[str] = ()
     left_out: int = 0
     read_from: str = field(default="live")
 
@@ -101,7 +103,8 @@ class RobotInBrief:
         """A line: the rest stands in the values."""
         health = f"unhealthy: {len(self.unhealthy)} finding(s)" if self.unhealthy else "nothing unhealthy seen"
         stacks = f", with {', '.join(self.stacks)}" if self.stacks else ""
-        return f"{quoted(self.name)}: {self.kind}{stacks}. {self.place} {health}."
+        late = f" Not read in time: {', '.join(self.not_read)}; ask again." if self.not_read else ""
+        return f"{quoted(self.name)}: {self.kind}{stacks}. {self.place} {health}.{late}"
 
 
 @dataclass(slots=True)
@@ -122,6 +125,7 @@ class _Seen:
     odometry: Any = None
     odometry_topic: str = ""
     problems: list[str] = field(default_factory=list[str])
+    not_read: list[str] = field(default_factory=list[str])
     stands: str = ""
     asked_at: float = field(default_factory=monotonic)
 
@@ -146,16 +150,16 @@ async def in_brief(robot: Robot, source: Source) -> RobotInBrief:
     seen = _Seen(graph, asked_at=asked_at)
     given_up_at = max(asked_at + _GIVEN_UP_S, monotonic() + _LEAST_S) if source.is_live else math.inf
     parts = (
-        ("The description", _description(robot, source, seen)),
-        ("The frames", _frames(source, seen)),
-        ("The rates of the sensors", _heads(robot, source, seen)),
-        ("The ranges of the sensors", _ranges(source, seen)),
-        ("The positions of the joints", _joint_states(source, seen)),
-        ("The batteries", _batteries(source, seen)),
-        ("The diagnostics", _reports(source, seen)),
-        ("The odometry", _odometry(source, seen)),
-        ("The footprint", _published_footprint(source, seen)),
-        ("The controllers", _managed(robot, source, seen)),
+        ("description", _description(robot, source, seen)),
+        ("frames", _frames(source, seen)),
+        ("rates of the sensors", _heads(robot, source, seen)),
+        ("ranges of the sensors", _ranges(source, seen)),
+        ("positions of the joints", _joint_states(source, seen)),
+        ("batteries", _batteries(source, seen)),
+        ("diagnostics", _reports(source, seen)),
+        ("odometry", _odometry(source, seen)),
+        ("footprint", _published_footprint(source, seen)),
+        ("controllers", _managed(robot, source, seen)),
     )
     await asyncio.gather(*(_safely(seen, what, work, given_up_at) for what, work in parts))
     return _within(_brief(source, seen), MOST_BYTES)
@@ -170,10 +174,10 @@ async def _safely(seen: _Seen, what: str, work: Awaitable[None], given_up_at: fl
         with anyio.move_on_after(given_up_at - monotonic()) as scope:
             await work
         if scope.cancelled_caught:
-            seen.problems.append(f"{what} could not be read in time.")
+            seen.not_read.append(what)
     except Exception as error:
         _logger.warning("%s could not be read", what, exc_info=True)
-        seen.problems.append(f"{what} could not be read: {quoted(str(error)[:120])}.")
+        seen.problems.append(f"The {what} could not be read: {quoted(str(error)[:120])}.")
 
 
 def _topics(graph: GraphSnapshot, *types: str) -> list[TopicEndpoints]:
@@ -295,6 +299,8 @@ async def _published_footprint(source: Source, seen: _Seen) -> None:
 async def _managed(robot: Robot, source: Source, seen: _Seen) -> None:
     if source.is_live:
         seen.managed = await listed_controllers(robot, seen.graph)
+        if not seen.managed and any(name.endswith(LIST_CONTROLLERS) for name in seen.graph.services or ()):
+            seen.not_read.append("controllers")
 
 
 # ── composing ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -302,24 +308,30 @@ async def _managed(robot: Robot, source: Source, seen: _Seen) -> None:
 
 def _brief(source: Source, seen: _Seen) -> RobotInBrief:
     base = _base_of(seen)
-    inputs = _command_inputs(seen.graph)
+    inputs = command_inputs(seen.graph, seen.managed)
     stacks = _stacks(seen.graph)
     place, trouble = _place(source, seen, base)
     return RobotInBrief(
         name=(seen.urdf.name if seen.urdf else "") or "robot",
-        kind=kind_of(seen.urdf, [kind for _, kind, _ in inputs], stacks),
+        kind=kind_of(seen.urdf, [one.type for one in inputs], stacks, _controller_types(seen)),
         base_frame=base,
         footprint=_footprint(seen, base),
         place=place,
-        command_inputs=[_input_in_words(seen.graph, *each) for each in inputs],
+        command_inputs=list(map(str, inputs)),
         sensors=_sensors(seen, base),
         joints=_joints(seen),
         controllers=controllers_in_words(seen.graph, seen.managed, is_controlled="ros2_control" in stacks),
         stacks=stacks,
-        frames=_frames_in_words(seen.tree),
+        frames="not read" if "frames" in seen.not_read and not seen.tree.frames else _frames_in_words(seen.tree),
         unhealthy=[*trouble, *_unhealthy(source, seen)],
+        not_read=seen.not_read,
         read_from="live" if source.is_live else source.words,
     )
+
+
+def _controller_types(seen: _Seen) -> list[str]:
+    """Of those that are active, as their managers tell them."""
+    return [str(one["type"]) for all_of in seen.managed.values() for one in all_of if one["state"] == "active"]
 
 
 def _base_of(seen: _Seen) -> str:
@@ -329,17 +341,6 @@ def _base_of(seen: _Seen) -> str:
     if seen.urdf:
         return next((name for name in ("base_link", "base_footprint") if name in seen.urdf.links), seen.urdf.root)
     return ""
-
-
-def _command_inputs(graph: GraphSnapshot) -> list[tuple[str, str, str]]:
-    """Topic, type and listeners of what moves it."""
-    found: list[tuple[str, str, str]] = []
-    for one in sorted(graph.topics.values(), key=lambda one: (one.topic.count("/"), one.topic)):
-        for kind in {subscriber.type for subscriber in one.subscribers}:
-            if kind.rpartition("/")[2] in _INPUTS:
-                who = sorted({subscriber.node for subscriber in one.subscribers if subscriber.type == kind})
-                found.append((one.topic, kind, " and ".join(who[:3])))
-    return found
 
 
 def _stacks(graph: GraphSnapshot) -> list[str]:
@@ -360,22 +361,18 @@ def _stacks(graph: GraphSnapshot) -> list[str]:
     ]
 
 
-def _input_in_words(graph: GraphSnapshot, topic: str, kind: str, who: str) -> str:
-    """An input with who listens, and who else may send there, which whoever would drive there wants to know."""
-    senders = sorted({one.node for one in graph.topics[topic].publishers})
-    by = f" (from {', '.join(map(named, senders[:2]))})" if senders else ""
-    return f"{topic} {kind.rpartition('/')[2]} → {who}{by}"
-
-
 def _footprint(seen: _Seen, base: str) -> str:
     urdf = seen.urdf
-    size = reach(outline(urdf, base if base in urdf.links else urdf.root)) if urdf else None
-    if size is None:
+    root = urdf.root if urdf and base not in urdf.links else base
+    size = reach(outline(urdf, root)) if urdf else None
+    meshes = unmeasured(urdf, root) if urdf else ()
+    if size is None or (meshes and len(seen.footprint) >= 3):
         return _footprint_of_costmap(seen, base)
     long_m, wide_m = size.front_m + size.rear_m, size.left_m + size.right_m
+    least = f"; at least, {named(meshes[0])} is a mesh" if meshes else ""
     return (
         f"{long_m:.2f} × {wide_m:.2f} m: front {size.front_m:.2f}, rear {size.rear_m:.2f}, left {size.left_m:.2f}, "
-        f"right {size.right_m:.2f} of {named(base)}"
+        f"right {size.right_m:.2f} of {named(base)}{least}"
     )
 
 
@@ -462,7 +459,8 @@ def _placed(urdf: Urdf) -> list[Joint]:
     does not fit is left out.
     """
     rotors = {joint.name for joint in rotors_of(urdf)}
-    arm, wheels = ({joint.name for joint in joints} for joints in (arm_of(urdf), wheels_of(urdf)))
+    arm = {joint.name for joints in arms_of(urdf) for joint in joints}
+    wheels = {joint.name for joint in wheels_of(urdf)}
     return sorted(
         (joint for joint in urdf.moving if joint.name not in rotors),
         key=lambda joint: (joint.name in wheels, joint.name not in arm),
@@ -511,6 +509,8 @@ def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
             pose = pose_of(seen.odometry.pose.pose)
             how = f"odometry, {named(seen.odometry_topic)}"
             return _pose_in_words(seen.odometry.header.frame_id, pose.translation, pose.yaw_rad, how, None), []
+    if not seen.tree.frames and {"frames", "odometry"} & {*seen.not_read}:
+        return "Where it is was not read in time.", []
     if not seen.tree.frames:
         return "Where it is is not known: no transforms, no odometry.", []
     return f"Where it is is not known: no transform leads from {named(base or 'its base')} to a map, odom or world.", []
@@ -547,10 +547,10 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
     if seen.urdf:
         found += seen.urdf.problems[:2]
         unknown = [joint.name for joint in _placed(seen.urdf) if joint.name not in seen.positions]
-        if unknown:
+        if unknown and "positions of the joints" not in seen.not_read:
             more = f" and {len(unknown) - 3} more" if len(unknown) > 3 else ""
             found.append(f"Nobody tells the position of {', '.join(map(named, unknown[:3]))}{more}.")
-    elif not seen.problems:
+    elif not seen.problems and "description" not in seen.not_read:
         found.append("No description (URDF) was found: kind, size and joints are guessed or unknown.")
     low = [share for share in seen.batteries.values() if share is not None and share < 0.2]
     if low:

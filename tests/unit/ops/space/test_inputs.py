@@ -1,0 +1,49 @@
+"""What moves a robot, as its graph tells: by type, by name, and whether a controller takes it now."""
+
+from __future__ import annotations
+
+from ros2_mcp.model.graph import TopicEndpoints
+from ros2_mcp.model.qos import Endpoint, QoS
+from ros2_mcp.ops.sources.source import GraphSnapshot
+from ros2_mcp.ops.space.inputs import command_inputs
+
+FLOATS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
+
+
+def heard(topic: str, kind: str, node: str, *senders: str) -> TopicEndpoints:
+    def end(name: str) -> Endpoint:
+        return Endpoint(name, kind, "", "", QoS())
+
+    return TopicEndpoints(topic, list(map(end, senders)), [end(node)])
+
+
+def graph(*topics: TopicEndpoints) -> GraphSnapshot:
+    return GraphSnapshot({one.topic: one for one in topics}, [], [])
+
+
+def test_types_that_are_for_anything_command_by_the_name_of_their_topic() -> None:
+    found = command_inputs(
+        graph(
+            heard("/goal_pose", "geometry_msgs/msg/PoseStamped", "/bt_navigator"),
+            heard("/initial_guess", "geometry_msgs/msg/PoseStamped", "/localiser"),
+            heard("/commands/motor/speed", "std_msgs/msg/Float64", "/vesc"),
+            heard("/temperature", "std_msgs/msg/Float64", "/logger"),
+            heard("/cmd_vel", "geometry_msgs/msg/Twist", "/base", "/smoother"),
+        ),
+        {},
+    )
+    assert list(map(str, found)) == [
+        "/cmd_vel Twist → /base (from /smoother)",
+        "/goal_pose PoseStamped → /bt_navigator",
+        "/commands/motor/speed Float64 → /vesc",
+    ]
+
+
+def test_the_input_of_a_controller_that_is_not_active_says_so_and_comes_last() -> None:
+    arm, other = "/arm_controller", "/forward_controller"
+    present = graph(heard(f"{arm}/joint_trajectory", TRAJECTORY, arm), heard(f"{other}/commands", FLOATS, other))
+    states = [{"name": "arm_controller", "state": "inactive"}, {"name": "forward_controller", "state": "active"}]
+    assert list(map(str, command_inputs(present, {"/controller_manager": states}))) == [
+        "/forward_controller/commands Float64MultiArray → /forward_controller",
+        "/arm_controller/joint_trajectory JointTrajectory → /arm_controller, not active",
+    ]
