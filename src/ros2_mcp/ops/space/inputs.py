@@ -50,8 +50,8 @@ def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[
     `managed`: what controller managers say of their controllers, by their node.
     """
     idle = {
-        f"{manager.rpartition('/')[0]}/{one['name']}"
-        for manager, controllers in managed.items()
+        f"{listed_by.rpartition('/')[0]}/{one['name']}"
+        for listed_by, controllers in managed.items()
         for one in controllers
         if one["state"] != "active"
     }
