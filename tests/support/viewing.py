@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -47,7 +48,21 @@ def viewing(environment: dict[str, str], *options: str) -> Iterator[str]:
         yield process.stdout.readline().strip()
 
 
+SIZES = {"wide": (1440, 900), "middle": (820, 1180), "narrow": (390, 1800)}
+
+
 def pictured(page: Page, name: str) -> None:
     """Keeps what the page looks like, where that is wanted."""
     if PICTURES:
-        page.picture(Path(PICTURES) / f"{name}.png")
+        page.picture(Path(PICTURES) / f"{name}.jpg")
+
+
+def pictured_in_all_sizes(page: Page, name: str) -> None:
+    """The same in three widths and both themes."""
+    for size, (width, height) in SIZES.items() if PICTURES else ():
+        for theme in ("light", "dark"):
+            page.look(width=width, height=height, dark=theme == "dark")
+            page.until(f"document.documentElement.dataset.theme === '{theme}'")
+            time.sleep(0.5)  # two rounds of the map
+            pictured(page, f"{name}-{size}-{theme}")
+    page.look()

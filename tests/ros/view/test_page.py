@@ -21,7 +21,7 @@ from support.browser import CHROMIUM, Page, browsing
 from support.observer import Observer
 from support.processes import peer_command, running
 from support.room_bag import room_bag
-from support.viewing import STOP, pictured, seek, text, viewing
+from support.viewing import STOP, pictured, pictured_in_all_sizes, seek, text, viewing
 
 TWIST = {"linear": {"x": 0.1}}
 
@@ -98,13 +98,13 @@ def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Age
     page.until(
         f"{text('#agent')}.includes('1 topic(s) into') && {text('#agent .rows:last-of-type')}.includes('under way')"
     )
-    pictured(page, "driving")
+    pictured_in_all_sizes(page, "driving")
     page.run(STOP)
     assert observer.comes_to_rest("/cmd_vel", 10.0) == []
     said = page.until(f"/1 of 1 server/.test({text('#said')}) && {text('#said')}")
     assert "the latch is set" in said
     page.until(f"{text('#moves')}.startsWith('LATCHED by operator')")
-    pictured(page, "stopped")
+    pictured_in_all_sizes(page, "stopped")
     assert call.exception(10.0) is not None or call.result()["status"]
     assert agent.call("ros2_record_stop", recording_id=recording)["messages"] > 0  # it moves nothing, and goes on
     assert "latch" in agent.refusal(
