@@ -26,6 +26,7 @@ export class MapPanel {
   private asked = new Set<string>();
   private ground: { key: string; canvas: HTMLCanvasElement } | null = null;
   private trail: [number, number][] = [];
+  private before: number | null = null;
   private centre: [number, number] = [0, 0];
   private scale = 0; // pixels for each metre; 0: fit
   private fitted = true;
@@ -61,7 +62,10 @@ export class MapPanel {
     if (around.grid?.name !== this.around.grid?.name) this.fitted = true;
     this.around = around;
     this.scans = (around.bulk ?? []).map((text) => new Float32Array(bytesOf(text).buffer));
-    const at = around.robot, last = this.trail.at(-1);
+    const at = around.robot, then = this.before;
+    if (at?.at_s && then && at.at_s < then) this.trail = []; // an earlier time of a recording
+    this.before = at?.at_s ?? null;
+    const last = this.trail.at(-1);
     if (at && last && Math.hypot(at.x - last[0], at.y - last[1]) > 3) this.trail = []; // set anew, or another time
     if (at && (!last || Math.hypot(at.x - last[0], at.y - last[1]) > 0.02)) this.trail.push([at.x, at.y]);
     if (this.trail.length > MOST_TRAIL) this.trail = this.trail.filter((_, index) => index % 2 === 0);

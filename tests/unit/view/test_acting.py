@@ -78,7 +78,7 @@ async def test_a_stop_that_is_not_confirmed_is_told_as_an_alarm(tmp_path: Path) 
         (one,) = stopped.servers
         assert (one.answered, one.said, one.is_doubted) == (True, words, is_doubted)
         assert stopped.is_all_well is not is_doubted
-        assert ("1 of them NOT confirmed: the robot may still move" in stopped.summary()) is is_doubted
+        assert ("1 of them NOT confirmed: look whether the robot stands" in stopped.summary()) is is_doubted
 
 
 async def test_what_runs_and_is_no_command_is_told(tmp_path: Path) -> None:

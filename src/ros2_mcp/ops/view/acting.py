@@ -75,7 +75,7 @@ class StoppedAll:
         answered = sum(server.answered for server in self.servers)
         told = f"{answered} of {len(self.servers)} server(s) stopped" if self.servers else "No server acts here"
         if doubted := sum(server.is_doubted for server in self.servers):
-            told = f"{told}, {doubted} of them NOT confirmed: the robot may still move"
+            told = f"{told}, {doubted} of them NOT confirmed: look whether the robot stands"
         zeros = f"; zeros sent from here on {', '.join(self.zeros)}" if self.zeros else ""
         latched = "the latch is set" if self.latched else "the latch is NOT set"
         return f"{told}{zeros}; {latched}."
