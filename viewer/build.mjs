@@ -1,24 +1,29 @@
 // Builds the page: script and style of src/ inside shell.html, written to src/ros2_mcp/view/page.html.
 //   npm install --no-package-lock --ignore-scripts && npm run build
 // `--check` writes nothing, and fails if the committed file is another one.
-import { build } from "esbuild";
+import { build, transform } from "esbuild";
 import { readFileSync, writeFileSync } from "node:fs";
 import { gzipSync } from "node:zlib";
 
 const OUT = new URL("../src/ros2_mcp/view/page.html", import.meta.url);
 const MOST_GZ = 400_000;
 const at = (name) => new URL(name, import.meta.url);
+const read = (name) => readFileSync(at(name), "utf8");
+const { dependencies } = JSON.parse(read("package.json"));
 
 const made = await build({
   entryPoints: ["src/main.ts"], absWorkingDir: at(".").pathname, bundle: true, minify: true, write: false,
   format: "iife", target: "es2022", charset: "utf8", legalComments: "none",
 });
 const script = made.outputFiles[0].text.trim().replaceAll("</script", "<\\/script");
-const { code: style } = await (await import("esbuild")).transform(readFileSync(at("src/style.css"), "utf8"), {
-  loader: "css", minify: true, charset: "utf8",
-});
+const styles = read("node_modules/uplot/dist/uPlot.min.css") + read("src/style.css");
+const { code: style } = await transform(styles, { loader: "css", minify: true, charset: "utf8" });
+// Their licences demand to be told with each copy.
+const licences = Object.entries(dependencies).map(([name, version]) => `${name} ${version}\n\n${read(`node_modules/${name}/LICENSE`).trim()}`);
+if (licences.some((text) => text.includes("--"))) throw new Error("A licence would end the comment that it stands in.");
 // Replaced by functions: in a text, `$&` would have a meaning.
-const html = readFileSync(at("src/shell.html"), "utf8")
+const html = read("src/shell.html")
+  .replace("/*LICENCES*/", () => licences.join("\n\n"))
   .replace("/*STYLE*/", () => style.trim())
   .replace("/*SCRIPT*/", () => script);
 const size = gzipSync(html).length;

@@ -7,6 +7,7 @@ import { FramesPanel } from "./frames.ts";
 import type { Host } from "./host.ts";
 import { ImagePanel } from "./image.ts";
 import { MapPanel } from "./map.ts";
+import { PlotPanel } from "./plot.ts";
 import { enlargeable, isSeen, share } from "./tabs.ts";
 import { LogPanel, ValuesPanel } from "./values.ts";
 
@@ -27,6 +28,7 @@ function applyTheme(): void {
   const around = host?.context.theme;
   document.documentElement.dataset.theme = pickedTheme || (around === "dark" || around === "light" ? around : prefersDark.matches ? "dark" : "light");
   map.repaint();
+  plot.build();
 }
 
 // ── panels ──────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -38,9 +40,10 @@ const agent = new AgentPanel(byId("agent"));
 const values = new ValuesPanel(byId("values"));
 const log = new LogPanel(byId("log"));
 const frames = new FramesPanel(byId("frames"));
-share([["values", "Values"], ["frames", "Frames"]], () => undefined);
-enlargeable(["map", "image", "agent", "values", "log", "frames"]);
-const chosen: Record<string, () => string> = { map: () => map.chosen, image: () => image.chosen, values: () => values.chosen, log: () => "", agent: () => "", frames: () => "", robot: () => "" };
+const plot = new PlotPanel(byId("plot"));
+share([["values", "Values"], ["plot", "Plot"], ["frames", "Frames"]], () => undefined);
+enlargeable(["map", "image", "agent", "values", "log", "plot", "frames"]);
+const chosen: Record<string, () => string> = { map: () => map.chosen, image: () => image.chosen, values: () => values.chosen, log: () => "", agent: () => "", frames: () => "", plot: () => plot.chosen, robot: () => "" };
 let seen: Record<string, number> = {};
 const failed = new Map<string, string>();
 // What a panel has dropped for another choice it is sent again, also where the choice is the old one again.
@@ -55,6 +58,7 @@ function show(name: string, content: never): void {
   else if (name === "agent") { agent.update(content, robot.live === false ? serverS : null); latest = content; }
   else if (name === "values") values.update(content);
   else if (name === "log") log.update(content);
+  else if (name === "plot") plot.update(content);
   else if (name === "frames") frames.update(content);
   else if (name === "robot") showRobot(content);
 }
@@ -63,6 +67,7 @@ function showRobot(state: Robot): void {
   robot = state;
   say(byId("title"), state.title ?? "");
   document.title = `${state.title ?? ""} · ros2-mcp`;
+  plot.offer(state.topics ?? []);
   values.offer((state.topics ?? []).map(([name]) => name));
   if (state.live === false && state.begin_s !== undefined && state.end_s !== undefined) showTime(state.begin_s, state.end_s);
 }
@@ -118,6 +123,7 @@ function tell(): void {
   image.tick(at, !!lost);
   values.tick(at, !!lost);
   frames.tick(at, !!lost);
+  plot.tick(at, !!lost);
 }
 
 // ── stop ────────────────────────────────────────────────────────────────────────────────────────────────────────────

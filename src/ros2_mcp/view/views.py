@@ -24,6 +24,7 @@ from ros2_mcp.ops.view.around import MapPanel
 from ros2_mcp.ops.view.frames import FramesPanel
 from ros2_mcp.ops.view.image import ImagePanel
 from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
+from ros2_mcp.ops.view.plot import PlotPanel
 from ros2_mcp.ops.view.values import LogPanel, RobotPanel, ValuesPanel
 from ros2_mcp.robot import Robot
 from ros2_mcp.view.picks import Pick, picks_of
@@ -300,7 +301,7 @@ class Views:
             *(
                 RobotPanel(self._title, self._source),
                 AgentPanel(self.acting, recording),
-                FramesPanel(),
+                *(FramesPanel(), PlotPanel()),
             ),
         )
         view = View(self._robot, self._source, panels, chunks)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,3 +65,21 @@ def test_each_frame_stands_below_its_parent_with_who_tells_it(page: Page) -> Non
     assert "/" in told  # the node that tells it
     page.until("/^\\d+ frames · /.test(document.querySelector('#frames .age').textContent)")
     pictured(page, "frames")
+
+
+def test_numbers_are_drawn_over_time_and_what_stands_still_looks_old(
+    page: Page, demo_robot: subprocess.Popen[bytes]
+) -> None:
+    show(page, "plot")
+    told = "document.querySelector('#plot .sheet').ariaLabel ?? ''"
+    page.until(rf"/twist\.twist\.linear\.x -?[\d.]+ m\/s, between/.test({told})")
+    assert page.run("document.querySelector('#plot canvas').width > 300")
+    page.run("[...document.querySelectorAll('.curves button')].find(one => one.title.endsWith('position.x')).click()")
+    page.until(f"{told}.includes('pose.pose.position.x')")
+    demo_robot.send_signal(signal.SIGSTOP)
+    try:
+        page.until("document.getElementById('plot').classList.contains('stale')")
+    finally:
+        demo_robot.send_signal(signal.SIGCONT)
+    page.until("!document.getElementById('plot').classList.contains('stale')")
+    pictured(page, "plot")

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import base64
+import struct
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
+import pytest
+
 from ros2_mcp.library import robot_for, store_for
+from ros2_mcp.model.errors import NotFound
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.view.frames import FramesPanel
 from ros2_mcp.ops.view.look import Look
+from ros2_mcp.ops.view.plot import PlotPanel
 from ros2_mcp.settings import Settings
-from support.room_bag import START_NS, room_bag
+from support.room_bag import RATE_HZ, SPEED, START_NS, room_bag
 
 SECOND = 1_000_000_000
 
@@ -35,3 +41,26 @@ async def test_frames_are_told_parents_first(tmp_path: Path) -> None:
     assert (shown["roots"], edges["odom"]["parent"], edges["base_link"]["parent"]) == (["map"], "map", "odom")
     assert edges["base_link"]["rate_hz"] and edges["base_link"]["age_s"] <= 0.2
     assert shown["problems"] == [] and shown["at_s"] == (START_NS + 3 * SECOND) / 1e9
+
+
+async def test_a_plot_of_a_recording_ends_at_the_time_that_is_shown_also_after_a_step_back(tmp_path: Path) -> None:
+    panel, bag = PlotPanel(), room_bag(tmp_path / "room")
+    for until_s in (2.0, 4.0, 1.0):
+        async with looking(bag, until_s, "/odom") as look:
+            shown = await panel.show(look)
+        assert shown
+        width = 1 + len(shown["fields"])
+        data = base64.b64decode(shown["bulk"])
+        rows = list(struct.iter_unpack(f"<{width}d", data))
+        assert len(rows) == pytest.approx(until_s * RATE_HZ, abs=1.1)
+        assert rows == sorted(rows) and shown["at_s"] == rows[-1][0]
+        assert rows[-1][0] - START_NS / 1e9 == pytest.approx(until_s, abs=0.11)
+    along = [one["name"] for one in shown["fields"]].index("pose.pose.position.x")
+    assert shown["fields"][along]["unit"] == "m"
+    assert 0.0 < rows[-1][1 + along] - rows[0][1 + along] < SPEED  # within a second
+
+
+async def test_what_has_no_numbers_is_not_plotted(tmp_path: Path) -> None:
+    async with looking(room_bag(tmp_path / "room"), 2.0, "/tf") as look:
+        with pytest.raises(NotFound, match="no numbers to draw"):
+            await PlotPanel().show(look)

@@ -37,7 +37,7 @@ class ValuesPanel(Panel):
         """The newest message of the chosen topic, else of one that tells how the robot moves."""
         from ros2_mcp.codec.render import RenderOptions  # numpy: not at the start
 
-        topic = look.chosen or await _first_topic(look.source)
+        topic = look.chosen or await first_topic(look.source)
         if not topic:
             raise NotFound("There is no topic to show.")
         rate_hz: float | None = None
@@ -128,7 +128,8 @@ class RobotPanel(Panel):
         return content
 
 
-async def _first_topic(source: Source) -> str:
+async def first_topic(source: Source) -> str:
+    """What is shown where nothing is chosen; empty where there is none of that."""
     for kind in _FIRST:
         if found := await source.publishing(kind):
             return found[0]

@@ -1,0 +1,281 @@
+// Numbers over time. What has not come is not drawn: a gap is a gap, and where nothing comes the line ends.
+
+import uPlot from "uplot";
+import { Frame, ageText, bytesOf, colour, make, say } from "./dom.ts";
+
+type Field = { name: string; unit: string };
+type Told = { why?: string; topic?: string; fields?: Field[]; since_s?: number; first?: number; at_s?: number | null; whole?: boolean; rate_hz?: number | null; notes?: string[]; bulk?: string };
+type Column = (number | null | undefined)[];
+
+const SPANS_S = [10, 30, 60];
+const KEPT_S = 60;
+const LEAST_GAP_S = 0.5;
+const GAP_PERIODS = 4;
+const MOST_DRAWN = 6;
+const LIGHT = ["#0072b2", "#c24e00", "#00795c", "#a3327f", "#7a6400", "#4a4fc4"];
+const DARK = ["#56b4e9", "#f5a623", "#37d6a5", "#ee8fc6", "#e8dc5a", "#a9adff"];
+const TELLING = [/linear\.x$/, /angular\.z$/, /^position\[/, /percentage$/, /voltage$/, /position\.[xy]$/, /^data/, /range$/, /temperature$/];
+const DULL = /Image$|PointCloud2$|OccupancyGrid|TFMessage$|msg\/String$|LaserScan$|MarkerArray$|msg\/Path$|CameraInfo$|rcl_interfaces/;
+
+export class PlotPanel {
+  chosen = "";
+  private readonly frame: Frame;
+  private readonly fields = make("div", { class: "curves", role: "group", "aria-label": "Curves" });
+  private readonly sheet = make("div", { class: "sheet", role: "img", tabindex: "0" });
+  private readonly chips = new Map<string, HTMLElement>();
+  private topics: string[] = [];
+  private drawn: string[] = [];
+  private told: Told = {};
+  private times: number[] = [];
+  private columns: Column[] = [];
+  private next = 0; // the number of the row that has not been taken yet
+  private spanS = 30;
+  private still: [number, number] | null = null; // the time that a person has chosen to look at
+  private plot: uPlot | null = null;
+  private nowS = 0;
+  private drawnAt = 0;
+
+  constructor(section: HTMLElement) {
+    this.frame = new Frame(section, "Plot", true, (topic) => { this.chosen = topic; this.forget(); });
+    this.frame.body.append(make("div", { class: "plot" }, this.fields, this.sheet));
+    new ResizeObserver(() => {
+      const { clientWidth: width, clientHeight: height } = this.sheet;
+      if (width > 40 && height > 40) { if (this.plot) this.plot.setSize({ width, height }); else this.build(); }
+    }).observe(this.sheet);
+    this.sheet.addEventListener("keydown", (event) => this.press(event));
+    this.sheet.addEventListener("dblclick", () => this.look(null));
+  }
+
+  offer(topics: [string, string?][]): void {
+    this.topics = topics.filter(([, type]) => !DULL.test(type ?? "")).map(([name]) => name);
+    this.frame.offer(this.topics, this.chosen || this.told.topic || "");
+  }
+
+  private forget(): void {
+    [this.told, this.times, this.columns, this.next, this.drawn, this.still] = [{}, [], [], 0, [], null];
+    this.fields.replaceChildren();
+    this.chips.clear();
+    this.build();
+  }
+
+  update(told: Told): void {
+    this.frame.tell(told.why && !this.times.length ? told.why : "");
+    this.frame.tellFoot([...(told.why && this.times.length ? [told.why] : []), ...(told.notes ?? [])].map((text) => make("div", {}, text)));
+    if (!told.bulk || !told.fields) return;
+    const names = told.fields.map((field) => field.name).join("\n");
+    const isOther = told.topic !== this.told.topic || names !== (this.told.fields ?? []).map((field) => field.name).join("\n");
+    const before = this.drawn;
+    if (isOther) { const kept = told.topic === this.told.topic ? before : []; this.forget(); this.drawn = kept; }
+    if (told.whole || told.since_s !== this.told.since_s) this.next = 0;
+    this.told = told;
+    if (isOther) { this.list(told.fields); this.frame.offer(this.topics, this.chosen || told.topic || ""); }
+    if (told.whole) { this.times = []; this.columns = []; }
+    this.take(new Float64Array(bytesOf(told.bulk).buffer), told.fields.length, told.first ?? 0);
+  }
+
+  /** Appends the rows that are new. Where some were missed, or none came for long, the line has a gap. */
+  private take(rows: Float64Array, fields: number, first: number): void {
+    const width = fields + 1, count = Math.floor(rows.length / width);
+    if (this.columns.length !== fields) { this.times = []; this.columns = Array.from({ length: fields }, () => []); }
+    if (first > this.next && this.next > 0) this.cut((rows[0] ?? 0) - 1e-3);
+    for (let row = Math.max(this.next - first, 0); row < count; row++) {
+      const at = rows[row * width] ?? 0, last = this.times.at(-1);
+      if (last !== undefined && at <= last) continue;
+      if (last !== undefined && at - last > this.gapS()) this.cut((at + last) / 2);
+      this.times.push(at);
+      this.columns.forEach((column, index) => {
+        const value = rows[row * width + index + 1] ?? NaN;
+        column.push(Number.isNaN(value) ? undefined : Number.isFinite(value) ? value : null);
+      });
+    }
+    this.next = Math.max(this.next, first + count);
+    const old = this.times.findIndex((at) => at > (this.times.at(-1) ?? 0) - KEPT_S);
+    if (old > 200) { this.times.splice(0, old); for (const column of this.columns) column.splice(0, old); }
+    this.draw(true);
+  }
+
+  private cut(at: number): void {
+    if (at <= (this.times.at(-1) ?? Infinity)) return;
+    this.times.push(at);
+    for (const column of this.columns) column.push(null);
+  }
+
+  private gapS(): number {
+    const rate = this.told.rate_hz;
+    const newest = this.times.slice(-40), steps = newest.slice(1).map((at, index) => at - (newest[index] ?? at)).sort((a, b) => a - b);
+    const usual = rate ? 1 / rate : steps[Math.floor(steps.length / 2)] ?? Infinity;
+    return Math.max(LEAST_GAP_S, GAP_PERIODS * usual);
+  }
+
+  // ── which curves ────────────────────────────────────────────────────────────────────────────────────────────────
+
+  private list(fields: Field[]): void {
+    const names = fields.map((field) => field.name), labels = names.map((name) => briefName(name, names));
+    this.drawn = this.drawn.filter((name) => names.includes(name));
+    for (const pattern of TELLING) if (this.drawn.length < 2) this.drawn.push(...names.filter((name) => pattern.test(name)).slice(0, 4));
+    if (!this.drawn.length) this.drawn = names.slice(0, 3);
+    this.drawn = [...new Set(this.drawn)].slice(0, MOST_DRAWN);
+    this.fields.replaceChildren(...fields.map((field, index) => {
+      const value = make("span", { class: "value" });
+      const chip = make("button", { type: "button", "aria-pressed": "false" }, make("i", { "aria-hidden": "true" }), make("span", { class: "name" }, labels[index] ?? ""), value);
+      chip.title = field.name;
+      chip.addEventListener("click", () => {
+        if (this.drawn.includes(field.name)) this.drawn = this.drawn.filter((one) => one !== field.name);
+        else this.drawn = [...this.drawn.slice(-(MOST_DRAWN - 1)), field.name];
+        this.build();
+      });
+      this.chips.set(field.name, chip);
+      return chip;
+    }));
+    this.build();
+  }
+
+  private tint(name: string): string {
+    const tints = document.documentElement.dataset.theme === "dark" ? DARK : LIGHT;
+    return tints[this.drawn.indexOf(name) % tints.length] ?? "";
+  }
+
+  // ── drawing ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+  build(): void {
+    this.plot?.destroy();
+    this.plot = null;
+    for (const [name, chip] of this.chips) {
+      const isDrawn = this.drawn.includes(name);
+      chip.setAttribute("aria-pressed", String(isDrawn));
+      (chip.firstElementChild as HTMLElement).style.background = isDrawn ? this.tint(name) : "";
+    }
+    const { clientWidth: width, clientHeight: height } = this.sheet, fields = this.told.fields ?? [];
+    if (width <= 40 || height <= 40 || !this.drawn.length) return;
+    const curves = this.drawn.map((name) => ({ name, unit: fields.find((field) => field.name === name)?.unit ?? "" }));
+    const units = [...new Set(curves.map((curve) => curve.unit))]; // each has a scale of its own, the first two an axis
+    const scaleOf = (unit: string): string => `u${units.indexOf(unit)}`;
+    const ink = { stroke: colour("soft"), font: "11px system-ui, sans-serif", ticks: { show: false }, grid: { stroke: colour("line"), width: 1 } };
+    const yAxis = (unit: string, index: number): uPlot.Axis => ({
+      ...ink, space: 42, scale: `u${index}`, side: index ? 1 : 3, size: 54, label: unit || undefined, labelSize: unit ? 16 : 0, labelFont: ink.font, labelGap: 0,
+      grid: index ? { show: false } : ink.grid, values: (_, ticks) => ticks.map(short),
+    });
+    const range: uPlot.Range.Function = (_, low, high) => {
+      if (low === null || high === null) return [0, 1];
+      const room = Math.max((high - low) * 0.08, Math.abs(high) * 1e-6, 1e-6);
+      return high - low < 1e-9 ? [low - Math.max(Math.abs(low) * 0.2, 0.1), high + Math.max(Math.abs(high) * 0.2, 0.1)] : [low - room, high + room];
+    };
+    this.plot = new uPlot({
+      width, height, legend: { show: false }, padding: [10, units.length > 1 ? 4 : 14, 0, 0], pxAlign: 0,
+      cursor: { drag: { x: true, y: false, setScale: false }, points: { size: 6 }, y: false },
+      scales: { x: { time: false, range: () => this.range() }, ...Object.fromEntries(units.map((_, index) => [`u${index}`, { range }])) },
+      axes: [{ ...ink, size: 26, space: 76, splits: (plot, _, low, high, step) => this.marks(plot, low, high, step), values: (_, ticks) => ticks.map((at) => this.timeText(at)) }, ...units.slice(0, 2).map(yAxis)],
+      series: [{}, ...curves.map((curve) => ({ label: curve.name, scale: scaleOf(curve.unit), stroke: this.tint(curve.name), width: 1.75, points: { show: false } }))],
+      hooks: {
+        setSelect: [(plot) => {
+          if (plot.select.width > 4) this.look([plot.posToVal(plot.select.left, "x"), plot.posToVal(plot.select.left + plot.select.width, "x")]);
+          plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+        }],
+        setCursor: [() => this.tellValues()],
+      },
+    }, this.data(), this.sheet);
+    this.tellValues();
+  }
+
+  private data(): uPlot.AlignedData {
+    const names = (this.told.fields ?? []).map((field) => field.name);
+    return [this.times, ...this.drawn.map((name) => this.columns[names.indexOf(name)] ?? [])] as uPlot.AlignedData;
+  }
+
+  private range(): [number, number] {
+    const end = this.told.whole ? this.nowS : Math.max(this.nowS, this.times.at(-1) ?? 0);
+    return this.still ?? [end - this.spanS, end];
+  }
+
+  /** Marks at whole seconds before the end, so that they stand still while the time goes on. */
+  private marks(_: uPlot, low: number, high: number, step: number): number[] {
+    if (this.still) return Array.from({ length: 40 }, (_, at) => (Math.ceil(low / step) + at) * step).filter((at) => at <= high);
+    return Array.from({ length: 40 }, (_, at) => high - at * step).filter((at) => at >= low).reverse();
+  }
+
+  private timeText(at: number): string {
+    const since = at - this.range()[1];
+    if (this.still) return new Date(at * 1000).toTimeString().slice(0, 8);
+    return since > -0.05 ? "now" : `${since.toFixed(Number.isInteger(Math.round(since * 1000) / 1000) ? 0 : 1)} s`;
+  }
+
+  /** Draws at most 15 times a second: the time goes on, also where nothing comes. */
+  private draw(isNew: boolean): void {
+    const now = performance.now();
+    if (!this.plot || now - this.drawnAt < 66 || this.sheet.clientWidth < 40) return;
+    this.drawnAt = now;
+    this.plot.setData(this.data(), true);
+    if (isNew) this.tellValues();
+  }
+
+  private tellValues(): void {
+    const at = this.plot?.cursor.idx ?? null, fields = this.told.fields ?? [];
+    fields.forEach((field, index) => {
+      const column = this.columns[index] ?? [];
+      let value: number | null | undefined = at === null ? undefined : column[at];
+      for (let row = column.length - 1; at === null && row >= Math.max(0, column.length - 40) && (value === undefined || value === null); row--) value = column[row];
+      const chip = this.chips.get(field.name)?.lastElementChild;
+      if (chip) say(chip as HTMLElement, typeof value === "number" ? `${short(value)}${field.unit ? ` ${field.unit}` : ""}` : "–");
+    });
+  }
+
+  tick(nowS: number, lost: boolean): void {
+    this.nowS = nowS;
+    const at = this.told.at_s;
+    if (at === undefined || at === null) return this.frame.tellAge("", false);
+    const age = nowS - at, rate = this.told.rate_hz;
+    const seen = this.still ? " · stands still (0 or double click: goes on)" : "";
+    this.frame.tellAge(`${rate ? `${rate.toFixed(rate < 10 ? 1 : 0)} Hz · ` : ""}${ageText(age)}${seen}`, lost || age > Math.max(2, rate ? 5 / rate : 2));
+    if (!this.still && !lost) this.draw(false);
+    if (this.sheet.clientWidth && !lost) this.sheet.setAttribute("aria-label", this.inWords());
+  }
+
+  private inWords(): string {
+    const fields = this.told.fields ?? [], [begin, end] = this.range();
+    const said = this.drawn.map((name) => {
+      const index = fields.findIndex((field) => field.name === name), unit = fields[index]?.unit ?? "";
+      const values = (this.columns[index] ?? []).filter((value, row): value is number => typeof value === "number" && (this.times[row] ?? 0) >= begin && (this.times[row] ?? 0) <= end);
+      if (!values.length) return `${name}: nothing came`;
+      return `${name} ${short(values.at(-1) ?? 0)} ${unit}, between ${short(Math.min(...values))} and ${short(Math.max(...values))}`;
+    });
+    return `Plot of ${this.told.topic} over ${Math.round(end - begin)} seconds. ${said.join("; ")}`;
+  }
+
+  // ── where it looks ──────────────────────────────────────────────────────────────────────────────────────────────
+
+  private look(at: [number, number] | null): void {
+    this.still = at;
+    this.drawnAt = 0;
+    this.draw(true);
+  }
+
+  private press(event: KeyboardEvent): void {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const [begin, end] = this.range(), move = (end - begin) / 10, at = SPANS_S.indexOf(this.spanS);
+    const steps: Record<string, () => void> = {
+      "-": () => { this.spanS = SPANS_S[at + 1] ?? this.spanS; this.look(null); },
+      "+": () => { this.spanS = SPANS_S[at - 1] ?? this.spanS; this.look(null); },
+      "0": () => this.look(null), p: () => this.look(this.still ? null : [begin, end]),
+      ArrowLeft: () => this.look([begin - move, end - move]), ArrowRight: () => this.look([begin + move, end + move]),
+    };
+    const step = steps[event.key === "=" ? "+" : event.key];
+    if (step) { event.preventDefault(); step(); }
+  }
+}
+
+/** The last two parts of a name, or as many as tell it from the others. */
+function briefName(name: string, among: string[]): string {
+  const parts = name.split(".");
+  for (let most = 2; most < parts.length; most++) {
+    const end = parts.slice(-most).join(".");
+    if (among.filter((other) => other === end || other.endsWith(`.${end}`)).length === 1) return end;
+  }
+  return name;
+}
+
+function short(value: number): string {
+  if (value === 0) return "0";
+  const size = Math.abs(value);
+  if (size >= 1e6 || size < 1e-4) return value.toExponential(2);
+  return String(Number(value.toFixed(size >= 1000 ? 1 : size >= 10 ? 2 : 4)));
+}
