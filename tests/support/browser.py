@@ -19,7 +19,13 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 PATIENCE_S = 30.0
 _OPTIONS = (
     *("--headless=new", "--no-sandbox", "--remote-debugging-pipe", "--hide-scrollbars", "--mute-audio"),
-    *("--disable-gpu", "--disable-dev-shm-usage", "--no-first-run", "--disable-background-networking"),
+    *(
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--disable-dev-shm-usage",
+        "--no-first-run",
+        "--disable-background-networking",
+    ),
     *("--disable-site-isolation-trials", "--disable-features=IsolateSandboxedIframes,IsolateOrigins,site-per-process"),
 )
 """All frames of a page in one process, so that what they complain about is heard. `--no-sandbox` is for

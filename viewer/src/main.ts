@@ -8,6 +8,7 @@ import type { Host } from "./host.ts";
 import { ImagePanel } from "./image.ts";
 import { MapPanel } from "./map.ts";
 import { PlotPanel } from "./plot.ts";
+import { SpacePanel } from "./space.ts";
 import { enlargeable, isSeen, share } from "./tabs.ts";
 import { LogPanel, ValuesPanel } from "./values.ts";
 
@@ -29,6 +30,7 @@ function applyTheme(): void {
   document.documentElement.dataset.theme = pickedTheme || (around === "dark" || around === "light" ? around : prefersDark.matches ? "dark" : "light");
   map.repaint();
   plot.build();
+  space.repaint();
 }
 
 // ── panels ──────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -40,10 +42,12 @@ const agent = new AgentPanel(byId("agent"));
 const values = new ValuesPanel(byId("values"));
 const log = new LogPanel(byId("log"));
 const frames = new FramesPanel(byId("frames"));
+const space = new SpacePanel(byId("space"), (key) => fetchPart(view, key));
+share([["map", "Map"], ["space", "3D"]], () => undefined);
 const plot = new PlotPanel(byId("plot"));
 share([["values", "Values"], ["plot", "Plot"], ["frames", "Frames"]], () => undefined);
-enlargeable(["map", "image", "agent", "values", "log", "plot", "frames"]);
-const chosen: Record<string, () => string> = { map: () => map.chosen, image: () => image.chosen, values: () => values.chosen, log: () => "", agent: () => "", frames: () => "", plot: () => plot.chosen, robot: () => "" };
+enlargeable(["map", "space", "image", "agent", "values", "log", "plot", "frames"]);
+const chosen: Record<string, () => string> = { map: () => map.chosen, image: () => image.chosen, values: () => values.chosen, log: () => "", agent: () => "", frames: () => "", plot: () => plot.chosen, space: () => space.chosen, robot: () => "" };
 let seen: Record<string, number> = {};
 const failed = new Map<string, string>();
 // What a panel has dropped for another choice it is sent again, also where the choice is the old one again.
@@ -58,6 +62,7 @@ function show(name: string, content: never): void {
   else if (name === "agent") { agent.update(content, robot.live === false ? serverS : null); latest = content; }
   else if (name === "values") values.update(content);
   else if (name === "log") log.update(content);
+  else if (name === "space") space.update(content);
   else if (name === "plot") plot.update(content);
   else if (name === "frames") frames.update(content);
   else if (name === "robot") showRobot(content);
@@ -123,6 +128,7 @@ function tell(): void {
   image.tick(at, !!lost);
   values.tick(at, !!lost);
   frames.tick(at, !!lost);
+  space.tick(at, !!lost);
   plot.tick(at, !!lost);
 }
 
@@ -173,7 +179,7 @@ async function ask(): Promise<void> {
     if (document.hidden || host?.isSeen === false) { await pause(200); continue; } // the server gives the view up by itself
     const began = performance.now();
     try {
-      const panels = Object.fromEntries(Object.entries(chosen).filter(([name]) => name === "agent" || isSeen(name)).map(([name, topic]) => [name, topic()]));
+      const panels = Object.fromEntries(Object.entries(chosen).filter(([name]) => name === "agent" || (isSeen(name) && (name !== "space" || space.works))).map(([name, topic]) => [name, topic()]));
       const update = await call("ros2_view_frame", { view, panels, seen, wait_ms: robot.live === false ? STILL_MS : WAIT_MS, at_s: atS }) as Update;
       if (update.view !== view) { view = update.view; seen = {}; }
       [serverS, heardAt, lost] = [update.now_s, performance.now(), ""];

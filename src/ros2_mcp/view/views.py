@@ -25,6 +25,7 @@ from ros2_mcp.ops.view.frames import FramesPanel
 from ros2_mcp.ops.view.image import ImagePanel
 from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
 from ros2_mcp.ops.view.plot import PlotPanel
+from ros2_mcp.ops.view.space import SpacePanel
 from ros2_mcp.ops.view.values import LogPanel, RobotPanel, ValuesPanel
 from ros2_mcp.robot import Robot
 from ros2_mcp.view.picks import Pick, picks_of
@@ -301,7 +302,7 @@ class Views:
             *(
                 RobotPanel(self._title, self._source),
                 AgentPanel(self.acting, recording),
-                *(FramesPanel(), PlotPanel()),
+                *(FramesPanel(), PlotPanel(), SpacePanel(chunks)),
             ),
         )
         view = View(self._robot, self._source, panels, chunks)

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
 from support.browser import CHROMIUM, Page, browsing
-from support.processes import running
+from support.processes import peer_command, running
 
 PICTURES = os.environ.get("ROS2_MCP_PICTURES")
 """A folder for what the page looked like, to be looked at by a person."""
@@ -26,7 +26,8 @@ def page(demo_environment: dict[str, str], demo_robot: object) -> Iterator[Page]
     """The page of the simulated robot."""
     if not CHROMIUM:
         pytest.skip("needs Chromium")
-    with running(demo_environment, sys.executable, "-m", "ros2_mcp", "view") as process, browsing() as page:
+    view = running(demo_environment, sys.executable, "-m", "ros2_mcp", "view")
+    with running(demo_environment, *peer_command("cloud_peer", "laser")), view as process, browsing() as page:
         assert process.stdout
         page.look()
         page.open(process.stdout.readline().strip())
@@ -83,3 +84,25 @@ def test_numbers_are_drawn_over_time_and_what_stands_still_looks_old(
         demo_robot.send_signal(signal.SIGCONT)
     page.until("!document.getElementById('plot').classList.contains('stale')")
     pictured(page, "plot")
+
+
+def test_clouds_scans_and_frames_stand_in_one_space(page: Page) -> None:
+    show(page, "space")
+    told = "document.querySelector('#space canvas').ariaLabel"
+    page.until(f"/Robot at .* in map.*4376 points of .cloud, 1 scan, /.test({told})", 20.0)
+    assert "to map" not in page.run("document.querySelector('#space .foot').textContent")
+    page.until("[...document.querySelectorAll('#space .names span')].some(one => one.textContent === 'camera_link')")
+    pictured(page, "space")
+
+
+def test_without_webgl_it_says_so_and_the_rest_works(page: Page) -> None:
+    without = "HTMLCanvasElement.prototype.getContext = (get => function (kind, ...more) {"
+    without += " return kind.startsWith('webgl') ? null : get.call(this, kind, ...more); })"
+    without += "(HTMLCanvasElement.prototype.getContext)"
+    page.ask("Page.addScriptToEvaluateOnNewDocument", source=without)
+    page.ask("Page.reload")
+    page.until("document.querySelector('#image canvas')?.ariaLabel")
+    show(page, "space")
+    page.until("document.querySelector('#space .why').textContent.includes('no WebGL')")
+    show(page, "frames")
+    page.until("document.querySelectorAll('#frames tbody tr').length > 3")

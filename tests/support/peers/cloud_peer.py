@@ -1,10 +1,14 @@
-"""A node that publishes /cloud at 5 Hz: the floor of a room of 8 m × 4 m, its walls, a red ball, and two NaN."""
+"""A node that publishes /cloud at 5 Hz: the floor of a room of 8 m × 4 m, its walls, a red ball, and two NaN.
+
+Its frame is the argument, else `room`, which no transform names.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import struct
+import sys
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -28,7 +32,12 @@ def points() -> list[tuple[float, float, float, float, int]]:
 
 
 def cloud() -> PointCloud2:
-    message = PointCloud2(header=Header(frame_id="room"), height=1, width=len(points()), point_step=20)
+    message = PointCloud2(
+        header=Header(frame_id=sys.argv[1] if len(sys.argv) > 1 else "room"),
+        height=1,
+        width=len(points()),
+        point_step=20,
+    )
     for index, name in enumerate(("x", "y", "z", "intensity", "rgb")):
         kind = PointField.UINT32 if name == "rgb" else PointField.FLOAT32
         message.fields.append(PointField(name=name, offset=4 * index, datatype=kind, count=1))

@@ -156,5 +156,6 @@ async def test_the_page_is_one_file_that_loads_nothing_and_its_policy_lets_only_
     policy = told["content-security-policy"]
     assert "default-src 'none'" in policy and "unsafe" not in policy and policy.count("sha256-") == 2
     assert len(gzip.compress(html)) < 400_000
+    names_only = html.replace(b"http://www.w3.org/1999/xhtml", b"")  # which a namespace is called; nothing is loaded
     for never in (b"http:", b"https:", b"innerHTML", b"outerHTML", b"insertAdjacentHTML", b"document.write", b"eval("):
-        assert never not in html, never
+        assert never not in names_only, never

@@ -14,8 +14,9 @@ from ros2_mcp.library import robot_for, store_for
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.view.frames import FramesPanel
-from ros2_mcp.ops.view.look import Look
+from ros2_mcp.ops.view.look import Chunks, Look
 from ros2_mcp.ops.view.plot import PlotPanel
+from ros2_mcp.ops.view.space import SpacePanel
 from ros2_mcp.settings import Settings
 from support.room_bag import RATE_HZ, SPEED, START_NS, room_bag
 
@@ -64,3 +65,22 @@ async def test_what_has_no_numbers_is_not_plotted(tmp_path: Path) -> None:
     async with looking(room_bag(tmp_path / "room"), 2.0, "/tf") as look:
         with pytest.raises(NotFound, match="no numbers to draw"):
             await PlotPanel().show(look)
+
+
+async def test_scans_and_frames_stand_in_the_frame_of_the_map(tmp_path: Path) -> None:
+    async with looking(room_bag(tmp_path / "room"), 3.0) as look:
+        shown = await SpacePanel(Chunks()).show(look)
+    assert shown
+    frames = {one["name"]: one for one in shown["frames"]}
+    assert (shown["frame"], frames["odom"]["parent"], frames["map"]["pose"]) == ("map", "map", [0, 0, 0, 0, 0, 0, 1])
+    assert frames["base_link"]["pose"][0] == pytest.approx(0.75, abs=0.1)
+    assert [one["name"] for one in shown["scans"]] == ["/scan"] and len(shown["bulk"][0]) > 500
+    assert (shown["cloud"], shown["model"], shown["missing"]) == (None, None, [])
+
+
+def test_a_cloud_drives_no_map_out() -> None:
+    chunks = Chunks(most=2)
+    chunks.keep("map", b"map")
+    for number in range(5):
+        chunks.keep(str(number), b"cloud", "cloud")
+    assert [key for key in ("map", "2", "3", "4") if chunks.find(key)] == ["map", "3", "4"]

@@ -80,14 +80,15 @@ class Chunks:
     """Large parts of what is shown that hardly change, such as maps, by the hash of their bytes: sent once each."""
 
     most: int = 4
-    _kept: dict[str, bytes] = field(default_factory=dict[str, bytes])
+    _kept: dict[str, tuple[str, bytes]] = field(default_factory=dict[str, tuple[str, bytes]])
 
-    def keep(self, key: str, data: bytes) -> None:
-        """Keeps one; the oldest give way."""
-        self._kept[key] = data
-        while len(self._kept) > self.most:
-            del self._kept[next(iter(self._kept))]
+    def keep(self, key: str, data: bytes, kind: str = "") -> None:
+        """Keeps one; the oldest of its kind give way."""
+        self._kept[key] = kind, data
+        same = [other for other, (of, _) in self._kept.items() if of == kind]
+        for old in same[: -self.most]:
+            del self._kept[old]
 
     def find(self, key: str) -> bytes | None:
         """One of those that were shown of late."""
-        return self._kept.get(key)
+        return self._kept[key][1] if key in self._kept else None

@@ -1,0 +1,210 @@
+"""What is around the robot in three dimensions: clouds, scans, frames and the robot's shapes, each where it belongs."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import hashlib
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ros2_mcp.codec.transforms import FrameTree
+from ros2_mcp.codec.urdf import Geometry, Urdf, parse
+from ros2_mcp.model.aside import load
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.poses import Pose
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.pictures.next_message import Next, next_message
+from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.space.frames import frames_of
+from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
+
+_CLOUD, _SCAN, _TEXT = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
+_WORLDS = ("map", "odom", "world")
+_MOST_FRAMES = 150
+_MOST_SCANS = 2
+_MOST_SHAPES = 500
+_DIGITS = 4
+"""Of metres and quaternions: a tenth of a millimetre."""
+
+
+class SpacePanel(Panel):
+    """Everything that has a place. What is large, a cloud and the robot's shapes, is asked for by its key, once."""
+
+    name = "space"
+    period_s = 0.2
+
+    def __init__(self, chunks: Chunks) -> None:
+        self._chunks = chunks
+        self._cloud: tuple[object, Mapping[str, Any]] = (None, {})
+        self._model: tuple[str, Mapping[str, Any]] = ("", {})
+
+    async def show(self, look: Look) -> Content | None:
+        """What can be placed in one frame; what cannot stands in `missing`, with the reason."""
+        await load("ros2_mcp.codec.cdr")  # with numpy: not before it is needed
+        source, missing = look.source, list[str]()
+        clouds, scans, texts = await asyncio.gather(*(source.publishing(kind) for kind in (_CLOUD, _SCAN, _TEXT)))
+        topic = look.chosen if look.chosen in clouds else next(iter(clouds), "")
+        descriptions = [name for name in texts if name.rpartition("/")[2] == "robot_description"]
+        model = await self._shapes(source, descriptions[0], missing) if descriptions else None
+        read = [(name, _SCAN) for name in scans[:_MOST_SCANS]] + ([(topic, _CLOUD)] if topic else [])
+        found = await asyncio.gather(*(_next(source, name, kind, missing) for name, kind in read))
+        try:
+            tree = await frames_of(source, until=lambda tree: bool(tree.frames), patience_s=1.0)
+        except RobotError as error:
+            missing.append(f"Without transforms only what is in one frame is shown: {error.message}")
+            tree = FrameTree()
+        frame = _frame_of(tree, [one.message.header.frame_id for one in found if one])
+        placed = [
+            (kind, name, one, pose)
+            for (name, kind), one in zip(read, found, strict=True)
+            if one and (pose := _located(tree, frame, one.message.header, name, missing))
+        ]
+        rows = [(name, one, pose) for kind, name, one, pose in placed if kind == _SCAN]
+        points = await asyncio.gather(*(asyncio.to_thread(_scan, one.message, name, missing) for name, one, _ in rows))
+        cloud = None
+        for kind, name, one, pose in placed:
+            if kind == _CLOUD and (facts := await self._packed(one.message, name, missing)):
+                cloud = {**facts, "name": name, "at_s": one.sample.received_ns / 1e9, "pose": _told(pose)}
+        if model and model.get("meshes"):
+            missing.append(f"{model['meshes']} shape(s) of the robot are meshes, which are not drawn.")
+        told = [edge.last_received_ns for edge in tree.edges.values() if edge.moving]
+        return {
+            "frame": frame,
+            "base": tree.base,
+            "frames": _frames(tree, frame),
+            "clouds": clouds,
+            "cloud": cloud,
+            "scans": [
+                {"name": name, "at_s": one.sample.received_ns / 1e9, "pose": _told(pose)} for name, one, pose in rows
+            ],
+            "model": model,
+            "missing": missing,
+            "told_s": max(told) / 1e9 if told else None,
+            "bulk": list(points),
+        }
+
+    async def _packed(self, message: Any, topic: str, missing: list[str]) -> Mapping[str, Any] | None:
+        """What is to be known of a cloud, whose points are asked for by the key."""
+        if self._cloud[0] is not message:
+            from ros2_mcp.codec.space import packed
+
+            try:
+                made = await asyncio.to_thread(packed, message)
+            except RobotError as error:
+                missing.append(f"The cloud {named(topic)} is not shown: {error.message}")
+                return None
+            key = hashlib.sha256(made.data).hexdigest()[:32]
+            self._chunks.keep(key, made.data, "cloud")
+            self._cloud = (
+                message,
+                {
+                    "key": key,
+                    "count": made.count,
+                    "points": made.points,
+                    "low": made.low,
+                    "step": made.step,
+                    "colours": made.colours,
+                    "cell_m": made.cell_m,
+                },
+            )
+        return self._cloud[1]
+
+    async def _shapes(self, source: Source, topic: str, missing: list[str]) -> Mapping[str, Any] | None:
+        found = await _next(source, topic, _TEXT, missing)
+        if found is None:
+            return None
+        text = str(found.message.data)
+        if self._model[0] != text:
+            try:
+                urdf = await asyncio.to_thread(parse, text)
+            except RobotError as error:
+                missing.append(f"The robot's description cannot be read: {error.message}")
+                return None
+            shapes, meshes = _shapes_of(urdf)
+            data = zlib.compress(json.dumps(shapes).encode())
+            key = hashlib.sha256(data).hexdigest()[:32]
+            self._chunks.keep(key, data, "model")
+            self._model = text, {"key": key, "shapes": len(shapes), "meshes": meshes}
+        return self._model[1]
+
+
+async def _next(source: Source, topic: str, kind: str, missing: list[str]) -> Next | None:
+    try:
+        return await next_message(source, topic, kind, silent)
+    except RobotError as error:
+        missing.append(f"{named(topic)} is not shown: {error.message}")
+        return None
+
+
+def _frame_of(tree: FrameTree, of_messages: Sequence[str]) -> str:
+    """The frame in which all is shown: the world's where there is one."""
+    standard = [name for name in _WORLDS if name in tree.frames]
+    top = tree.root_of(tree.base) if tree.base else next(iter(tree.roots), "")
+    return next(iter([*standard, *filter(None, [top]), *(name.lstrip("/") for name in of_messages)]), "")
+
+
+def _located(tree: FrameTree, frame: str, header: Any, topic: str, missing: list[str]) -> Pose | None:
+    """Where the frame of a message was when it was made, or else is by what was told last."""
+    name = str(header.frame_id).lstrip("/")
+    if name == frame:
+        return Pose()
+    at_ns = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+    found = (tree.find(frame, name, at_ns) if at_ns else None) or tree.newest(frame, name)
+    if found is None:
+        missing.append(f"{named(topic)} is not shown: no transform leads from {named(name)} to {named(frame)}.")
+        return None
+    return found.pose
+
+
+def _frames(tree: FrameTree, frame: str) -> Sequence[Mapping[str, Any]]:
+    rows: list[Mapping[str, Any]] = []
+    for name in sorted(tree.frames)[:_MOST_FRAMES]:
+        if found := tree.newest(frame, name):
+            edge = tree.edges.get(name)
+            parent = edge.newest.parent if edge and edge.newest else ""
+            rows.append({"name": name, "parent": parent, "pose": _told(found.pose)})
+    return rows
+
+
+def _told(pose: Pose) -> Sequence[float]:
+    """x, y, z and the quaternion x, y, z, w."""
+    return [round(value, _DIGITS) for value in (*pose.translation, *pose.rotation)]
+
+
+def _scan(message: Any, topic: str, missing: list[str]) -> str:
+    """x, y, x, y, … of where the beams ended at something, as little-endian 32-bit floats in base64."""
+    from ros2_mcp.codec.scans import scan_points
+
+    try:
+        hits = scan_points(message).hits
+    except RobotError as error:
+        missing.append(f"The scan {named(topic)} is not shown: {error.message}")
+        return ""
+    return base64.b64encode(hits[:20_000].astype("<f4").tobytes()).decode("ascii")
+
+
+def _shapes_of(urdf: Urdf) -> tuple[Sequence[Mapping[str, Any]], int]:
+    """How each link looks: its shapes, or where these are meshes its simpler ones for collisions; and how many meshes
+    remain.
+    """
+    shapes: list[Mapping[str, Any]] = []
+    meshes = 0
+    for link in urdf.links.values():
+        drawn = [one for one in link.visuals if one.kind != "mesh"]
+        hidden = len(link.visuals) - len(drawn)
+        if hidden:
+            drawn += [one for one in link.collisions if one.kind != "mesh"]
+            meshes += hidden if not drawn else 0
+        elif not drawn:
+            drawn = [one for one in link.collisions if one.kind != "mesh"]
+        shapes += [_shape(link.name, one) for one in drawn]
+    return shapes[:_MOST_SHAPES], meshes
+
+
+def _shape(link: str, geometry: Geometry) -> Mapping[str, Any]:
+    mount = geometry.mount
+    return {"link": link, "kind": geometry.kind, "size": list(geometry.size), "xyz": mount.xyz, "rpy": mount.rpy}

@@ -1,0 +1,116 @@
+// What is around the robot in three dimensions. It is begun when it is first seen, and drawn only when something is new.
+
+import { Frame, ageText, bytesOf, colour, make } from "./dom.ts";
+import { Stage, type Cloud, type Place, type Shape } from "./stage.ts";
+
+type Space = {
+  why?: string; frame?: string; base?: string; frames?: Place[]; clouds?: string[];
+  cloud?: (Cloud & { name: string; at_s: number; pose: number[]; key: string; points: number; cell_m: number }) | null;
+  scans?: { name: string; at_s: number; pose: number[] }[]; model?: { key: string; shapes: number; meshes: number } | null;
+  missing?: string[]; told_s?: number | null; bulk?: string[];
+};
+
+const STALE_S = 3;
+const NO_WEBGL = "This browser gives no WebGL, without which nothing can be drawn in 3D here. The map and all the others go on.";
+
+export class SpacePanel {
+  chosen = "";
+  /** Whether it can be drawn here; what cannot is not asked for. */
+  works = true;
+  private readonly frame: Frame;
+  private readonly names = make("div", { class: "names", "aria-hidden": "true" });
+  private readonly canvas = make("canvas", { role: "img", class: "shown", tabindex: "0", "aria-label": "3D: nothing has come yet" });
+  private stage: Stage | null = null;
+  private shown: Space = {};
+  private cloudKey = "";
+  private modelKey = "";
+  private busy = false;
+
+  constructor(section: HTMLElement, private readonly askChunk: (key: string) => Promise<Uint8Array<ArrayBuffer>>) {
+    this.frame = new Frame(section, "3D", true, (topic) => { this.chosen = topic; });
+    this.frame.choice.setAttribute("aria-label", "Cloud");
+    this.frame.body.append(this.canvas, this.names);
+    this.canvas.addEventListener("keydown", (event) => { if (!event.ctrlKey && !event.metaKey && !event.altKey && this.stage?.press(event.key)) event.preventDefault(); });
+    new ResizeObserver(() => {
+      if (!this.begin()) return;
+      this.stage?.resize(this.frame.body.clientWidth, this.frame.body.clientHeight);
+    }).observe(this.frame.body);
+  }
+
+  /** Begins drawing as soon as it has a size, which is when it is first seen. */
+  private begin(): boolean {
+    if (this.stage || !this.works) return this.works;
+    if (!this.frame.body.clientWidth) return false;
+    try { this.stage = Stage.on(this.canvas, this.names); } catch { this.stage = null; }
+    this.works = this.stage !== null;
+    if (!this.works) { this.canvas.hidden = true; this.frame.tell(NO_WEBGL); }
+    this.repaint();
+    return this.works;
+  }
+
+  update(space: Space): void {
+    if (!this.works) return;
+    this.frame.tell(space.why && !this.shown.frame ? space.why : "");
+    this.frame.tellFoot([...(space.why && this.shown.frame ? [space.why] : []), ...this.notes(space)].map((text) => make("div", {}, text)));
+    if (space.frame === undefined || !this.begin()) return;
+    const isOther = space.frame !== this.shown.frame;
+    this.shown = space;
+    this.frame.offer(space.clouds ?? [], this.chosen || space.cloud?.name || "");
+    const stage = this.stage;
+    if (!stage) return;
+    stage.place(space.frames ?? [], space.base ?? "", isOther);
+    stage.scan((space.scans ?? []).map((scan, index) => ({ pose: scan.pose, xy: new Float32Array(bytesOf(space.bulk?.[index] ?? "").buffer) })));
+    if (!space.cloud) { stage.cloud(null); this.cloudKey = ""; }
+    if (!this.busy) void this.fetch();
+    this.canvas.setAttribute("aria-label", this.inWords());
+    stage.dirty();
+  }
+
+  /** Fetches what is large, one after the other: of clouds that come faster only the newest counts. */
+  private async fetch(): Promise<void> {
+    this.busy = true;
+    try {
+      const { cloud, model } = this.shown;
+      if (model && model.key !== this.modelKey) {
+        this.stage?.model(JSON.parse(new TextDecoder().decode(await this.unpacked(model.key))) as Shape[]);
+        this.modelKey = model.key;
+      }
+      if (cloud && cloud.key !== this.cloudKey) {
+        const bytes = await this.unpacked(cloud.key);
+        if (bytes.length >= cloud.count * 6) this.stage?.cloud(cloud, bytes, cloud.pose);
+        this.cloudKey = cloud.key;
+      }
+      this.stage?.dirty();
+    } catch { /* the next update names what is there by then */ } finally { this.busy = false; }
+  }
+
+  private async unpacked(key: string): Promise<Uint8Array<ArrayBuffer>> {
+    const stream = new Blob([await this.askChunk(key)]).stream().pipeThrough(new DecompressionStream("deflate"));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+  }
+
+  private notes(space: Space): string[] {
+    const cloud = space.cloud;
+    const thinned = cloud?.cell_m ? [`${cloud.count} of ${cloud.points} points are drawn: one in each ${Number(cloud.cell_m.toPrecision(2))} m.`] : [];
+    return [...thinned, ...(space.missing ?? [])];
+  }
+
+  private inWords(): string {
+    const { frame, frames = [], base, cloud, scans = [], model } = this.shown;
+    const at = frames.find((one) => one.name === base)?.pose;
+    const where = at ? `Robot at ${at.slice(0, 3).map((value) => value.toFixed(2)).join(", ")} metres in ${frame}.` : `Seen in ${frame}; nobody says where the robot is.`;
+    const seen = [cloud ? `${cloud.count} points of ${cloud.name}` : "no cloud", `${scans.length} scan${scans.length === 1 ? "" : "s"}`, `${frames.length} frames`, model ? `${model.shapes} shapes of the robot` : "no robot model"];
+    return `3D. ${where} ${seen.join(", ")}.`;
+  }
+
+  tick(nowS: number, lost: boolean): void {
+    const { frame, cloud, scans = [], told_s } = this.shown;
+    if (!frame || !this.works) return this.frame.tellAge("", false);
+    const times = [cloud?.at_s, ...scans.map((scan) => scan.at_s), told_s].filter((at): at is number => typeof at === "number");
+    const age = nowS - Math.max(...times);
+    const isOld = times.length > 0 && age > STALE_S || (!!cloud && nowS - cloud.at_s > STALE_S);
+    this.frame.tellAge(times.length ? `${frame} · ${cloud ? `cloud ${ageText(nowS - cloud.at_s)}` : ageText(age)}` : frame, lost || isOld);
+  }
+
+  repaint(): void { this.stage?.paint(colour("deep"), colour("line-deep"), colour("soft"), document.documentElement.dataset.theme === "dark"); }
+}

@@ -1,0 +1,292 @@
+// The 3D scene itself: ground, frames with their axes and names, a cloud, scans, the robot's shapes; z is up.
+
+import {
+  BoxGeometry, BufferAttribute, BufferGeometry, CapsuleGeometry, Color, CylinderGeometry, DirectionalLight, Group, HemisphereLight, LineBasicMaterial, LineSegments,
+  Mesh, MeshLambertMaterial, Object3D, PerspectiveCamera, Points, PointsMaterial, Scene, SphereGeometry, Vector3, WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { make, say } from "./dom.ts";
+
+export type Place = { name: string; parent: string; pose: number[] };
+export type Cloud = { count: number; low: number[]; step: number[]; colours: "" | "rgb" | "intensity" };
+export type Shape = { link: string; kind: string; size: number[]; xyz: number[]; rpy: number[] };
+
+const GROUND_M = 20;
+const AXIS_M = 0.25;
+const MOST_NAMES = 60;
+const TURN = Math.PI / 24;
+// Viridis, by eight of its colours: what is higher, or brighter, is lighter, for every eye.
+const VIRIDIS = [[68, 1, 84], [70, 50, 127], [54, 92, 141], [39, 127, 142], [31, 161, 135], [74, 194, 109], [159, 218, 58], [253, 231, 37]];
+
+export class Stage {
+  private readonly scene = new Scene();
+  private readonly camera = new PerspectiveCamera(50, 1, 0.02, 3000);
+  private readonly controls: OrbitControls;
+  private readonly ground: LineSegments;
+  private readonly axes = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ vertexColors: true }));
+  private readonly ties = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ transparent: true, opacity: 0.6 }));
+  private readonly scans = new Points(new BufferGeometry(), new PointsMaterial({ size: 3.5, sizeAttenuation: false, color: "#d6003a" }));
+  private readonly links = new Map<string, Group>();
+  private readonly shapeLook = new MeshLambertMaterial({ color: "#ff9f3d" });
+  private readonly labels = new Map<string, HTMLElement>();
+  private points: Points | null = null;
+  private places: Place[] = [];
+  private base = "";
+  private hasNames = true;
+  private follows = true;
+  private hasLooked = false;
+  private last: [number, number, number] | null = null;
+  private isDirty = false;
+  private isDark = false;
+  private size: [number, number] = [1, 1];
+
+  /** On a canvas; null where there is no WebGL. */
+  static on(canvas: HTMLCanvasElement, names: HTMLElement): Stage | null {
+    const trial = document.createElement("canvas");
+    const context = trial.getContext("webgl2"); // asked first, as three says it as an error in the console
+    if (!context) return null;
+    context.getExtension("WEBGL_lose_context")?.loseContext();
+    return new Stage(new WebGLRenderer({ canvas, antialias: true }), canvas, names);
+  }
+
+  private constructor(private readonly renderer: WebGLRenderer, private readonly canvas: HTMLCanvasElement, private readonly names: HTMLElement) {
+    renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+    this.camera.up.set(0, 0, 1);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = false;
+    this.controls.minDistance = 0.2;
+    this.controls.maxDistance = 500;
+    this.controls.addEventListener("change", () => this.dirty());
+    const lines: Vector3[] = [];
+    for (let at = -GROUND_M; at <= GROUND_M; at++) for (let from = -GROUND_M; from < GROUND_M; from++) { // whole lines, of which an end is behind, some drivers drop
+      lines.push(new Vector3(at, from), new Vector3(at, from + 1), new Vector3(from, at), new Vector3(from + 1, at));
+    }
+    this.ground = new LineSegments(new BufferGeometry().setFromPoints(lines), new LineBasicMaterial());
+    const sun = new DirectionalLight("#ffffff", 1.6);
+    sun.position.set(3, -4, 8);
+    this.axes.frustumCulled = this.ties.frustumCulled = this.scans.frustumCulled = false; // they change, and are few
+    this.scene.add(this.ground, this.axes, this.ties, this.scans, new HemisphereLight("#ffffff", "#667066", 1.6), sun);
+    this.reset();
+  }
+
+  // ── what there is ───────────────────────────────────────────────────────────────────────────────────────────────
+
+  place(places: Place[], base: string, isOther: boolean): void {
+    [this.places, this.base] = [places, base];
+    const at = new Map(places.map((one) => [one.name, one]));
+    const axes: number[] = [], ties: number[] = [];
+    for (const { name, parent, pose } of places) {
+      const holder = new Object3D();
+      put(holder, pose);
+      holder.updateMatrixWorld();
+      const from = holder.position;
+      for (const tip of [new Vector3(AXIS_M, 0, 0), new Vector3(0, AXIS_M, 0), new Vector3(0, 0, AXIS_M)]) {
+        const to = tip.applyMatrix4(holder.matrixWorld);
+        axes.push(from.x, from.y, from.z, to.x, to.y, to.z);
+      }
+      const above = at.get(parent)?.pose;
+      if (above) ties.push(from.x, from.y, from.z, above[0] ?? 0, above[1] ?? 0, above[2] ?? 0);
+      const link = this.links.get(name);
+      if (link) { put(link, pose); link.visible = true; }
+    }
+    for (const [name, link] of this.links) if (!at.has(name)) link.visible = false;
+    const tints = this.isDark ? [1, 0.38, 0.4, 0.35, 0.85, 0.4, 0.45, 0.62, 1] : [0.84, 0.07, 0.16, 0.05, 0.55, 0.15, 0.1, 0.25, 0.85];
+    const colours = places.flatMap(() => [0, 3, 6].flatMap((from) => [...tints.slice(from, from + 3), ...tints.slice(from, from + 3)]));
+    refill(this.axes, axes, colours);
+    refill(this.ties, ties);
+    this.follow(isOther);
+  }
+
+  scan(scans: { pose: number[]; xy: Float32Array }[]): void {
+    const all: number[] = [];
+    for (const { pose, xy } of scans) {
+      const holder = new Object3D(), point = new Vector3();
+      put(holder, pose);
+      holder.updateMatrixWorld();
+      for (let at = 0; at + 1 < xy.length; at += 2) {
+        point.set(xy[at] ?? 0, xy[at + 1] ?? 0, 0).applyMatrix4(holder.matrixWorld);
+        all.push(point.x, point.y, point.z);
+      }
+    }
+    refill(this.scans, all);
+  }
+
+  cloud(cloud: Cloud | null, bytes?: Uint8Array<ArrayBuffer>, pose: number[] = []): void {
+    if (this.points) { this.scene.remove(this.points); (this.points as unknown as { geometry: BufferGeometry }).geometry.dispose(); this.points = null; }
+    if (!cloud || !bytes) return;
+    const raw = new Uint16Array(bytes.buffer, 0, cloud.count * 3), xyz = new Float32Array(cloud.count * 3);
+    for (let at = 0; at < xyz.length; at++) xyz[at] = (raw[at] ?? 0) * (cloud.step[at % 3] ?? 0) + (cloud.low[at % 3] ?? 0);
+    const geometry = new BufferGeometry().setAttribute("position", new BufferAttribute(xyz, 3));
+    geometry.setAttribute("color", new BufferAttribute(tinted(cloud, bytes, xyz, pose), 3, true));
+    this.points = new Points(geometry, new PointsMaterial({ size: 2.2, sizeAttenuation: false, vertexColors: true }));
+    put(this.points, pose);
+    this.scene.add(this.points);
+  }
+
+  model(shapes: Shape[]): void {
+    for (const link of this.links.values()) this.scene.remove(link);
+    this.links.clear();
+    for (const shape of shapes) {
+      const made = this.shaped(shape);
+      if (!made) continue;
+      const link = this.links.get(shape.link) ?? new Group();
+      link.add(made);
+      if (!this.links.has(shape.link)) { this.links.set(shape.link, link); this.scene.add(link); }
+    }
+    this.place(this.places, this.base, false);
+  }
+
+  private shaped({ kind, size, xyz, rpy }: Shape): Object3D | null {
+    const [one = 0.1, two = 0.1, three = 0.1] = size.map((value) => Math.min(Math.max(Math.abs(value), 1e-4), 1000));
+    const geometry = kind === "box" ? new BoxGeometry(one, two, three) : kind === "sphere" ? new SphereGeometry(one, 20, 14)
+      : kind === "cylinder" ? new CylinderGeometry(one, one, two, 24) : kind === "capsule" ? new CapsuleGeometry(one, two, 6, 18) : null;
+    if (!geometry) return null;
+    const mesh = new Mesh(geometry, this.shapeLook), mount = new Group();
+    if (kind === "cylinder" || kind === "capsule") mesh.rotateX(Math.PI / 2); // theirs stand along y, a URDF's along z
+    mount.add(mesh);
+    mount.position.set(xyz[0] ?? 0, xyz[1] ?? 0, xyz[2] ?? 0);
+    mount.rotation.set(rpy[0] ?? 0, rpy[1] ?? 0, rpy[2] ?? 0, "ZYX");
+    return mount;
+  }
+
+  // ── where it looks ──────────────────────────────────────────────────────────────────────────────────────────────
+
+  private robotAt(): [number, number, number] {
+    const pose = this.places.find((one) => one.name === this.base)?.pose;
+    return [pose?.[0] ?? 0, pose?.[1] ?? 0, pose?.[2] ?? 0];
+  }
+
+  /** Moves with the robot, as far as it moves. */
+  private follow(isOther: boolean): void {
+    if (!this.places.length) return;
+    const at = this.robotAt();
+    if (!this.hasLooked || isOther) { this.hasLooked = true; this.reset(); }
+    else if (this.follows && this.last) {
+      const by = new Vector3(at[0] - this.last[0], at[1] - this.last[1], at[2] - this.last[2]);
+      this.camera.position.add(by);
+      this.controls.target.add(by);
+      this.controls.update();
+    }
+    this.last = at;
+  }
+
+  private reset(): void {
+    const [x, y, z] = this.robotAt();
+    this.controls.target.set(x, y, z + 0.2);
+    this.camera.position.set(x - 3.2, y - 3.6, z + 3.4);
+    this.controls.update();
+    this.dirty();
+  }
+
+  /** One key; whether it means something here. */
+  press(key: string): boolean {
+    const keys: Record<string, () => void> = {
+      "0": () => this.reset(), "+": () => this.turn(0, 0, 0.85), "=": () => this.turn(0, 0, 0.85), "-": () => this.turn(0, 0, 1.18),
+      ArrowLeft: () => this.turn(-TURN, 0, 1), ArrowRight: () => this.turn(TURN, 0, 1), ArrowUp: () => this.turn(0, TURN, 1), ArrowDown: () => this.turn(0, -TURN, 1),
+      f: () => { this.follows = !this.follows; }, n: () => { this.hasNames = !this.hasNames; this.dirty(); },
+    };
+    const act = keys[key];
+    act?.();
+    return !!act;
+  }
+
+  private turn(around: number, up: number, far: number): void {
+    const from = this.camera.position.clone().sub(this.controls.target);
+    const flat = Math.hypot(from.x, from.y), reach = Math.hypot(flat, from.z) * far;
+    const yaw = Math.atan2(from.y, from.x) + around, pitch = Math.min(Math.max(Math.atan2(from.z, flat) + up, -1.5), 1.5);
+    this.camera.position.set(reach * Math.cos(pitch) * Math.cos(yaw), reach * Math.cos(pitch) * Math.sin(yaw), reach * Math.sin(pitch)).add(this.controls.target);
+    this.controls.update();
+    this.dirty();
+  }
+
+  // ── drawing ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+  resize(width: number, height: number): void {
+    if (width < 2 || height < 2) return;
+    this.size = [width, height];
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.dirty();
+  }
+
+  paint(back: string, line: string, soft: string, isDark: boolean): void {
+    this.renderer.setClearColor(back, 1);
+    recolour(this.ground, line);
+    recolour(this.ties, soft);
+    recolour(this.scans, isDark ? "#ff6f91" : "#d6003a");
+    this.isDark = isDark;
+    this.place(this.places, this.base, false);
+    this.dirty();
+  }
+
+  /** Draws with the next picture of the screen, if it is seen. */
+  dirty(): void {
+    if (this.isDirty) return;
+    this.isDirty = true;
+    requestAnimationFrame(() => {
+      this.isDirty = false;
+      if (!this.canvas.clientWidth) return;
+      this.renderer.render(this.scene, this.camera);
+      this.label();
+    });
+  }
+
+  /** Names at the frames; where they would lie on each other, the first one. */
+  private label(): void {
+    const shown = new Set<string>(), taken: [number, number][] = [], [width, height] = this.size;
+    for (const { name, pose } of this.hasNames ? this.places.slice(0, MOST_NAMES) : []) {
+      const at = new Vector3(pose[0] ?? 0, pose[1] ?? 0, pose[2] ?? 0).project(this.camera);
+      const x = ((at.x + 1) / 2) * width, y = ((1 - at.y) / 2) * height;
+      if (at.z > 1 || x < 0 || y < 0 || x > width || y > height || taken.some(([left, top]) => Math.abs(top - y) < 14 && Math.abs(left - x) < 90)) continue;
+      taken.push([x, y]);
+      shown.add(name);
+      let label = this.labels.get(name);
+      if (!label) { label = make("span"); this.labels.set(name, label); this.names.append(label); }
+      say(label, name);
+      label.hidden = false;
+      label.style.transform = `translate(${Math.round(x + 5)}px, ${Math.round(y - 8)}px)`;
+    }
+    for (const [name, label] of this.labels) if (!shown.has(name)) label.hidden = true;
+    if (this.labels.size > 4 * MOST_NAMES) { this.labels.clear(); this.names.replaceChildren(); }
+  }
+}
+
+function put(at: Object3D, pose: number[]): void {
+  at.position.set(pose[0] ?? 0, pose[1] ?? 0, pose[2] ?? 0);
+  at.quaternion.set(pose[3] ?? 0, pose[4] ?? 0, pose[5] ?? 0, pose[6] ?? 1);
+}
+
+function refill(at: Object3D, xyz: number[], colours?: number[]): void {
+  const drawn = at as unknown as { geometry: BufferGeometry };
+  drawn.geometry.dispose();
+  drawn.geometry = new BufferGeometry().setAttribute("position", new BufferAttribute(new Float32Array(xyz), 3));
+  if (colours) drawn.geometry.setAttribute("color", new BufferAttribute(new Float32Array(colours), 3));
+}
+
+function recolour(at: Object3D, tint: string): void {
+  (at as unknown as { material: LineBasicMaterial }).material.color = new Color(tint);
+}
+
+/** The colours of a cloud: its own, or how bright or how high each point is. */
+function tinted(cloud: Cloud, bytes: Uint8Array, xyz: Float32Array, pose: number[]): Uint8Array {
+  const own = bytes.subarray(cloud.count * 6);
+  if (cloud.colours === "rgb" && own.length >= cloud.count * 3) return own.slice(0, cloud.count * 3);
+  const tints = new Uint8Array(cloud.count * 3);
+  const shares = cloud.colours === "intensity" && own.length >= cloud.count ? (at: number): number => (own[at] ?? 0) / 255 : heights(xyz, pose);
+  for (let at = 0; at < cloud.count; at++) {
+    const share = Math.min(Math.max(shares(at), 0), 1) * (VIRIDIS.length - 1), low = Math.min(Math.floor(share), VIRIDIS.length - 2);
+    for (let part = 0; part < 3; part++) tints[at * 3 + part] = (VIRIDIS[low]?.[part] ?? 0) + ((VIRIDIS[low + 1]?.[part] ?? 0) - (VIRIDIS[low]?.[part] ?? 0)) * (share - low);
+  }
+  return tints;
+}
+
+/** How high each point is above the ground, from the lowest twentieth to the highest. */
+function heights(xyz: Float32Array, pose: number[]): (at: number) => number {
+  const [x = 0, y = 0, z = 0, w = 1] = pose.slice(3);
+  const up = [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)];
+  const height = (at: number): number => (xyz[at * 3] ?? 0) * (up[0] ?? 0) + (xyz[at * 3 + 1] ?? 0) * (up[1] ?? 0) + (xyz[at * 3 + 2] ?? 0) * (up[2] ?? 0);
+  const some = Array.from({ length: Math.min(2000, xyz.length / 3) }, (_, at) => height(Math.floor((at * xyz.length) / 3 / Math.min(2000, xyz.length / 3)))).sort((a, b) => a - b);
+  const low = some[Math.floor(some.length * 0.05)] ?? 0, high = some[Math.floor(some.length * 0.95)] ?? 1;
+  return (at) => (height(at) - low) / Math.max(high - low, 1e-6);
+}
