@@ -61,4 +61,30 @@ def _log(content: Content) -> str:
     return f"{len(lines)} line(s), the last: {str(lines[-1].get('text', ''))[:120]}" if lines else "no line"
 
 
-_WORDS: Mapping[str, Callable[[Content], str]] = {"map": _map, "agent": _agent, "log": _log}
+def _frames(content: Content) -> str:
+    if "frames" not in content:
+        return ""
+    problems = [str(text) for text in content.get("problems") or ()]
+    return f"{content['frames']} frames, {' '.join(problems[:_MOST_NAMED]) or 'no problem'}"
+
+
+def _space(content: Content) -> str:
+    if "frame" not in content:
+        return ""
+    cloud, model = content.get("cloud"), content.get("model")
+    parts = [
+        f"in {named(str(content['frame']))}",
+        f"{cloud['count']} points of {named(str(cloud['name']))}" if cloud else "no cloud",
+        f"{len(content.get('scans') or ())} scan(s)",
+        f"{model['shapes']} shapes of the robot" if model else "",
+    ]
+    return ", ".join(filter(None, parts))
+
+
+_WORDS: Mapping[str, Callable[[Content], str]] = {
+    "map": _map,
+    "agent": _agent,
+    "log": _log,
+    "frames": _frames,
+    "space": _space,
+}
