@@ -58,6 +58,7 @@ def test_a_look_up_tells_the_pose_its_age_and_who_tells_each_edge(agent: Agent, 
 
 def test_a_recording_gives_the_same_numbers_as_the_robot_did(agent: Agent, tell: Tell) -> None:
     tell("odom", "base_link", node="base", speed=0.5)
+    tell("base_link", "laser", node="mounts", x=0.5, static=True)
     looked_up(agent, "odom", "laser")
     path = Path(agent.call("ros2_record_start", topics=["/tf", "/tf_static"])["path"])
     first = looked_up(agent, "odom", "base_link")["stamp_ns"]
