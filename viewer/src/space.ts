@@ -61,6 +61,7 @@ export class SpacePanel {
     stage.place(space.frames ?? [], space.base ?? "", isOther);
     stage.scan((space.scans ?? []).map((scan, index) => ({ pose: scan.pose, xy: new Float32Array(bytesOf(space.bulk?.[index] ?? "").buffer) })));
     if (!space.cloud) { stage.cloud(null); this.cloudKey = ""; }
+    else if (space.cloud.key === this.cloudKey) stage.moveCloud(space.cloud.pose); // the same points, elsewhere: what they are in has moved
     if (!this.busy) void this.fetch();
     this.canvas.setAttribute("aria-label", this.inWords());
     stage.dirty();

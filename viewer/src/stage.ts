@@ -29,6 +29,7 @@ export class Stage {
   private readonly links = new Map<string, Group>();
   private readonly shapeLook = new MeshLambertMaterial({ color: "#ff9f3d" });
   private readonly labels = new Map<string, HTMLElement>();
+  private readonly pointLook = new PointsMaterial({ size: 2.2, sizeAttenuation: false, vertexColors: true });
   private points: Points | null = null;
   private places: Place[] = [];
   private base = "";
@@ -118,9 +119,13 @@ export class Stage {
     for (let at = 0; at < xyz.length; at++) xyz[at] = (raw[at] ?? 0) * (cloud.step[at % 3] ?? 0) + (cloud.low[at % 3] ?? 0);
     const geometry = new BufferGeometry().setAttribute("position", new BufferAttribute(xyz, 3));
     geometry.setAttribute("color", new BufferAttribute(tinted(cloud, bytes, xyz, pose), 3, true));
-    this.points = new Points(geometry, new PointsMaterial({ size: 2.2, sizeAttenuation: false, vertexColors: true }));
+    this.points = new Points(geometry, this.pointLook);
     put(this.points, pose);
     this.scene.add(this.points);
+  }
+
+  moveCloud(pose: number[]): void {
+    if (this.points) put(this.points, pose);
   }
 
   model(shapes: Shape[]): void {
@@ -215,6 +220,7 @@ export class Stage {
     recolour(this.ground, line);
     recolour(this.ties, soft);
     recolour(this.scans, isDark ? "#ff6f91" : "#d6003a");
+    this.pointLook.color = new Color(isDark ? "#ffffff" : "#a8a8a8"); // times their own: white is seen on a light ground, too
     this.isDark = isDark;
     this.place(this.places, this.base, false);
     this.dirty();
