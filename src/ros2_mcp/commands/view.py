@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from ros2_mcp.view.local import LocalPage
 
 _TOKEN_BYTES = 32
+_FRAMES_IDLE_S = 4.0
+"""A page that is looked at asks for them five times a second; a closed one is to cost nothing ten seconds later."""
 _LAST_S = 16
 """For what is under way at the end: a stop waits 15 s for the last server."""
 
@@ -58,6 +60,7 @@ async def _view(settings: Settings, state: StateFolder, port: int) -> None:
     when_told_to_end(ending.set)
     store = store_for(settings)
     robot = robot_for(settings, store, bridge)
+    robot.transforms.idle_s = _FRAMES_IDLE_S
     listener = socket.create_server(("127.0.0.1", port))
     token = secrets.token_urlsafe(_TOKEN_BYTES)
     async with running(robot, store), anyio.create_task_group() as tasks:

@@ -60,9 +60,11 @@ class Life:
 class TransformListener:
     """The frames of a robot as they are now.
 
-    It listens from the first question on until nobody has asked for a minute, or the bridge is lost; the next question
+    It listens from the first question on until nobody has asked for `idle_s`, or the bridge is lost; the next question
     begins anew. `tree` is replaced then. `since` is when it was subscribed (monotonic, in s; None while it is not).
     """
+
+    idle_s = _IDLE_S
 
     def __init__(self, bridge: Bridge, graph: Graph, values: Values) -> None:
         self._bridge, self._graph, self._values = bridge, graph, values
@@ -229,7 +231,7 @@ class TransformListener:
         )
 
     async def _follow(self, tree: FrameTree, subscription: Subscription, topic: str) -> None:
-        while monotonic() - self._asked_at < _IDLE_S:
+        while monotonic() - self._asked_at < self.idle_s:
             samples = await subscription.take(_TURN_S)
             if samples:
                 size = sum(len(sample.data) for sample in samples)
@@ -241,7 +243,7 @@ class TransformListener:
         """Keeps in mind who publishes: so that one that goes is known to have been, and a look-up asks nobody."""
         self._lives.clear()
         self._looked_ns.clear()
-        while monotonic() - self._asked_at < _IDLE_S:
+        while monotonic() - self._asked_at < self.idle_s:
             with suppress(RobotError):
                 for topic in LISTENS:
                     self._publishers.pop(topic, None)
