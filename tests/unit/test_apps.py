@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -131,12 +130,12 @@ async def test_what_is_no_pick_is_refused(bag: Path, picked: Any) -> None:
 
 
 async def test_a_page_that_asks_no_more_gives_way_to_a_new_one(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ros2_mcp.view.views._UNWANTED_S", 0.2)
+    monkeypatch.setattr("ros2_mcp.view.views._UNWANTED_S", 600.0)
     async with client_of(assemble(Settings(bag=bag)), shows_pages=True) as client:
 
         async def open_one() -> bool:
             return (await client.call_tool("ros2_view_frame", {"asked": {"panels": {}}})).is_error or False
 
         assert [await open_one() for _ in range(5)] == [False, False, False, False, True]
-        await asyncio.sleep(0.3)
+        monkeypatch.setattr("ros2_mcp.view.views._UNWANTED_S", 0.0)
         assert not await open_one()
