@@ -101,6 +101,11 @@ class Page:
         for kind in ("keyDown", "keyUp"):
             self.ask("Input.dispatchKeyEvent", type=kind, key=key, text=key if kind == "keyDown" else "")
 
+    def click(self, x: float, y: float) -> None:
+        """The mouse, pressed and released, at a place of the window."""
+        for kind in ("mousePressed", "mouseReleased"):
+            self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
     def picture(self, path: Path) -> None:
         """Saves what is seen, as what its name says: a JPEG has half of a PNG's bytes, 80 kB."""
         kind = {"format": "jpeg", "quality": 80} if path.suffix == ".jpg" else {"format": "png"}

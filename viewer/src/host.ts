@@ -6,6 +6,7 @@ const START_MS = 2000; // for what the tool was called with, before the page beg
 const LEAST_MS = 200, MOST_MS = 2000; // between two questions: each passes one or two processes of the host
 const SLOW_MS = 500, QUICK_MS = 200;
 const MOST_TEXT = 4000;
+const PATIENCE_MS = 5000;
 
 export type HostContext = {
   theme?: unknown; displayMode?: unknown; availableDisplayModes?: unknown;
@@ -85,8 +86,22 @@ export class Host {
 
   /** Asks for another size; the answer is the real one. */
   async change(mode: "inline" | "fullscreen"): Promise<void> {
-    const answer = fields(await this.request("ui/request-display-mode", { mode }, 5000));
+    const answer = fields(await this.request("ui/request-display-mode", { mode }, PATIENCE_MS));
     if (text(answer.mode)) { this.context = { ...this.context, displayMode: answer.mode }; this.onContext(); }
+  }
+
+  get canSay(): boolean { return !!this.can.message; }
+
+  /** What the model reads with its next turn, in place of what it was told before; not every host passes it on. */
+  tellModel(lines: string[]): void {
+    if (!this.can.updateModelContext) return;
+    const content = lines.length ? [{ type: "text", text: lines.join("\n").slice(0, MOST_TEXT) }] : [];
+    this.request("ui/update-model-context", { content }, PATIENCE_MS).catch(() => undefined);
+  }
+
+  /** A message in the name of the person, which only their click sends. */
+  sayForUser(said: string): void {
+    this.request("ui/message", { role: "user", content: [{ type: "text", text: said.slice(0, MOST_TEXT) }] }, PATIENCE_MS).catch(() => undefined);
   }
 
   private named(name: string): Fields {

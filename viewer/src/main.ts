@@ -9,6 +9,7 @@ import { ImagePanel } from "./image.ts";
 import { MapPanel } from "./map.ts";
 import { PlotPanel } from "./plot.ts";
 import { SpacePanel } from "./space.ts";
+import { type Pick, Picks } from "./picks.ts";
 import { enlargeable, isSeen, share } from "./tabs.ts";
 import { LogPanel, ValuesPanel } from "./values.ts";
 
@@ -36,7 +37,8 @@ function applyTheme(): void {
 // ── panels ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 let view = "";
-const map = new MapPanel(byId("map"), (key) => fetchPart(view, key));
+const picks = new Picks(tellPicks, host, () => { map.tellFoot(); map.draw(); });
+const map = new MapPanel(byId("map"), (key) => fetchPart(view, key), picks);
 const image = new ImagePanel(byId("image"));
 const agent = new AgentPanel(byId("agent"));
 const values = new ValuesPanel(byId("values"));
@@ -174,6 +176,13 @@ prefersDark.addEventListener("change", applyTheme);
 
 const pause = (ms: number): Promise<void> => new Promise((resolve) => setTimeout(resolve, ms));
 
+/** Tells what is picked; what the server says of it is for the model, at its next turn where the chat takes it. */
+async function tellPicks(picked: Pick[]): Promise<string[]> {
+  const { picked: lines } = await call("ros2_view_ask", { view, picked }) as { picked: string[] };
+  host?.tellModel(lines);
+  return lines;
+}
+
 async function ask(): Promise<void> {
   while (!host?.isEnded) {
     if (document.hidden || host?.isSeen === false) { await pause(200); continue; } // the server gives the view up by itself
@@ -181,7 +190,7 @@ async function ask(): Promise<void> {
     try {
       const panels = Object.fromEntries(Object.entries(chosen).filter(([name]) => name === "agent" || (isSeen(name) && (name !== "space" || space.works))).map(([name, topic]) => [name, topic()]));
       const update = await call("ros2_view_frame", { view, panels, seen, wait_ms: robot.live === false ? STILL_MS : WAIT_MS, at_s: atS }) as Update;
-      if (update.view !== view) { view = update.view; seen = {}; }
+      if (update.view !== view) { view = update.view; seen = {}; picks.again(); }
       [serverS, heardAt, lost] = [update.now_s, performance.now(), ""];
       for (const [name, content] of Object.entries(update.panels)) {
         if (chosen[name]?.() !== panels[name]) continue; // another topic was chosen meanwhile

@@ -1,6 +1,8 @@
-// The map: what is around the robot, from above. Drag moves, the wheel or + and - zoom, 0 shows all, f follows.
+// The map: what is around the robot, from above. Drag moves, the wheel or + and - zoom, 0 shows all; a click picks a
+// place, with Shift one more; Enter picks the middle.
 
 import { Frame, Sheet, ageText, bytesOf, colour, make } from "./dom.ts";
+import type { Pick, Picks } from "./picks.ts";
 
 type Mark = { name: string; x: number; y: number; yaw: number | null };
 type Grid = { key: string; name: string; width: number; height: number; resolution: number; costs: boolean; x: number; y: number; yaw: number };
@@ -15,6 +17,7 @@ type Tint = [number, number, number];
 
 const MOST_TRAIL = 3000;
 const STALE_S = 3;
+const CLICK_PX = 4; // what moves by less is no drag
 
 export class MapPanel {
   chosen = "";
@@ -32,19 +35,28 @@ export class MapPanel {
   private fitted = true;
   private pointer: [number, number] | null = null;
 
-  constructor(section: HTMLElement, private readonly askPart: (key: string) => Promise<Uint8Array<ArrayBuffer>>) {
+  private footed = "";
+  private nowS = 0;
+
+  constructor(section: HTMLElement, private readonly askPart: (key: string) => Promise<Uint8Array<ArrayBuffer>>, private readonly picks: Picks) {
     this.frame = new Frame(section, "Map", true, (topic) => { this.chosen = topic; this.fitted = true; });
     this.sheet = new Sheet(this.frame.body, () => this.draw());
     const canvas = this.sheet.canvas;
     canvas.classList.add("shown");
     canvas.tabIndex = 0;
-    let from: [number, number] | null = null;
-    canvas.addEventListener("pointerdown", (event) => { from = [event.offsetX, event.offsetY]; canvas.setPointerCapture(event.pointerId); });
-    canvas.addEventListener("pointerup", () => { from = null; });
+    let from: [number, number] | null = null, began: [number, number] = [0, 0];
+    canvas.addEventListener("pointerdown", (event) => { began = from = [event.offsetX, event.offsetY]; canvas.setPointerCapture(event.pointerId); });
+    canvas.addEventListener("pointerup", (event) => {
+      const isClick = from && event.button === 0 && Math.hypot(event.offsetX - began[0], event.offsetY - began[1]) < CLICK_PX;
+      from = null;
+      if (isClick) this.pick(...this.toMetres(event.offsetX, event.offsetY), event.shiftKey);
+    });
+    canvas.addEventListener("pointercancel", () => { from = null; });
+    for (const name of ["focus", "blur"]) canvas.addEventListener(name, () => this.draw());
     canvas.addEventListener("pointerleave", () => { this.pointer = null; this.draw(); });
     canvas.addEventListener("pointermove", (event) => {
       this.pointer = [event.offsetX, event.offsetY];
-      if (from) { this.move(event.offsetX - from[0], event.offsetY - from[1]); from = [event.offsetX, event.offsetY]; }
+      if (from && Math.hypot(event.offsetX - began[0], event.offsetY - began[1]) >= CLICK_PX) { this.move(event.offsetX - from[0], event.offsetY - from[1]); from = [event.offsetX, event.offsetY]; }
       this.draw();
     });
     canvas.addEventListener("wheel", (event) => { event.preventDefault(); this.zoom(Math.exp(-event.deltaY / 400), event.offsetX, event.offsetY); }, { passive: false });
@@ -71,7 +83,7 @@ export class MapPanel {
     if (this.trail.length > MOST_TRAIL) this.trail = this.trail.filter((_, index) => index % 2 === 0);
     this.frame.offer(around.grids ?? [], this.chosen || around.grid?.name || "");
     this.frame.tell(around.why ?? "");
-    this.frame.tellFoot((around.missing ?? []).map((text) => make("div", {}, text)));
+    this.tellFoot();
     if (around.grid) void this.fetchCells(around.grid.key);
     this.sheet.canvas.setAttribute("aria-label", this.inWords());
     this.draw();
@@ -81,14 +93,39 @@ export class MapPanel {
     const { robot, frame, goals = [], places = [] } = this.around;
     const where = robot ? `Robot at ${robot.x.toFixed(2)}, ${robot.y.toFixed(2)} metres in ${frame}, heading ${Math.round((robot.yaw * 180) / Math.PI)} degrees.` : "Nobody says where the robot is.";
     const named = [...goals, ...places].map((mark) => `${mark.name} at ${mark.x.toFixed(1)}, ${mark.y.toFixed(1)}`);
-    return `Map. ${where} ${named.slice(0, 8).join("; ")}`;
+    const picked = this.picks.list.map((one) => `Picked ${one.x.toFixed(2)}, ${one.y.toFixed(2)}.`);
+    return `Map. ${where} ${named.slice(0, 8).join("; ")} ${picked.join(" ")}`.trim();
   }
 
   tick(nowS: number, lost: boolean): void {
+    this.nowS = nowS;
     const at = this.around.robot?.at_s ?? null;
     const age = at === null ? NaN : nowS - at;
     const stale = lost || age > STALE_S;
     this.frame.tellAge(this.around.frame ? `${this.around.frame} · ${at === null ? "pose unknown" : `pose ${ageText(age)}`}` : "", stale);
+  }
+
+  /** Says below the map what is picked and what is missing; anew only where that is other than before. */
+  tellFoot(): void {
+    const missing = this.around.missing ?? [], text = [this.picks.bar.hidden, ...missing].join("\n");
+    if (text === this.footed) return;
+    this.footed = text;
+    this.frame.tellFoot([...(this.picks.bar.hidden ? [] : [this.picks.bar]), ...missing.map((line) => make("div", {}, line))]);
+  }
+
+  private pick(x: number, y: number, beside: boolean): void {
+    const { frame, grid } = this.around;
+    if (!frame || this.scale <= 0) return;
+    this.picks.pick({ x, y, frame, at_s: this.nowS, ...(grid ? this.cellAt(grid, x, y) : {}) }, beside);
+    this.draw();
+  }
+
+  private cellAt(grid: Grid, x: number, y: number): { grid?: string; cell?: number; costs?: boolean } {
+    const [cos, sin] = [Math.cos(grid.yaw), Math.sin(grid.yaw)], [dx, dy] = [x - grid.x, y - grid.y];
+    const column = Math.floor((cos * dx + sin * dy) / grid.resolution), row = Math.floor((cos * dy - sin * dx) / grid.resolution);
+    if (column < 0 || row < 0 || column >= grid.width || row >= grid.height) return {};
+    const cell = this.cells.get(grid.key)?.[row * grid.width + column];
+    return cell === undefined ? {} : { grid: grid.name, cell, costs: grid.costs };
   }
 
   repaint(): void { this.ground = null; this.draw(); }
@@ -159,6 +196,7 @@ export class MapPanel {
     const steps: Record<string, () => void> = {
       "+": () => this.zoom(1.25), "=": () => this.zoom(1.25), "-": () => this.zoom(0.8),
       "0": () => { this.fitted = true; this.draw(); },
+      Enter: () => this.pick(...this.toMetres(this.sheet.width / 2, this.sheet.height / 2), event.shiftKey),
       ArrowLeft: () => this.move(40, 0), ArrowRight: () => this.move(-40, 0), ArrowUp: () => this.move(0, 40), ArrowDown: () => this.move(0, -40),
     };
     const step = steps[event.key];
@@ -194,7 +232,34 @@ export class MapPanel {
     for (const mark of this.around.places ?? []) this.mark(mark, isDark ? "#7cb2ff" : "#0050c8", true);
     for (const mark of this.around.goals ?? []) this.mark(mark, isDark ? "#ea8bf0" : "#a800a8", false);
     this.drawRobot(isDark);
+    this.picks.list.forEach((one, index) => { if (one.frame === this.around.frame) this.drawPick(one, index); });
+    if (this.sheet.canvas.matches(":focus-visible")) this.drawCross(this.sheet.width / 2, this.sheet.height / 2, 8, colour("accent"));
     this.drawScale();
+  }
+
+  private drawPick(one: Pick, index: number): void {
+    const { pen } = this.sheet, x = this.px(one.x), y = this.py(one.y);
+    for (const [stroke, width] of [[colour("panel"), 5], [colour("accent"), 2.5]] as const) {
+      pen.strokeStyle = stroke;
+      pen.lineWidth = width;
+      pen.beginPath();
+      pen.arc(x, y, 9, 0, 7);
+      pen.stroke();
+    }
+    this.drawCross(x, y, 14, colour("accent"));
+    if (this.picks.list.length < 2) return;
+    pen.font = "600 12px system-ui, sans-serif";
+    pen.fillStyle = colour("accent");
+    pen.fillText(String(index + 1), x + 12, y - 10);
+  }
+
+  private drawCross(x: number, y: number, reach: number, stroke: string): void {
+    const { pen } = this.sheet;
+    pen.strokeStyle = stroke;
+    pen.lineWidth = 2;
+    pen.beginPath();
+    for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]] as const) { pen.moveTo(x + dx * 4, y + dy * 4); pen.lineTo(x + dx * reach, y + dy * reach); }
+    pen.stroke();
   }
 
   private line(points: [number, number][], stroke: string, width: number): void {

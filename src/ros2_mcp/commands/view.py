@@ -66,7 +66,7 @@ async def _view(settings: Settings, state: StateFolder, port: int) -> None:
     async with running(robot, store), anyio.create_task_group() as tasks:
         source = await Sources(robot, store, SOURCE_KINDS).open()
         title = settings.bag.name if settings.bag else state.path.name
-        views = Views(robot, source, title, Acting(state), tasks)
+        views = Views(robot, source, title, Acting(state), tasks, in_browser=True)
         taken = listener.getsockname()[1]
         server = _server(LocalPage(views, token, taken))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from time import time as now_s
@@ -15,6 +16,7 @@ from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import FromBag, RecordedTime
 from ros2_mcp.tools.declare import ForPage, tool
 from ros2_mcp.tools.injection import AtOneTime, ShowsPages
+from ros2_mcp.view.picks import Pick
 from ros2_mcp.view.viewing import Viewing
 
 PLACE = 140
@@ -103,7 +105,7 @@ async def ros2_view(
 async def ros2_view_state(robot: Robot, viewing: Viewing) -> ViewState:
     """What the pages show your user, and the places that they picked there: metres in a frame."""
     states = viewing.states(robot.principal.name)
-    told: list[str] = [] if states else ["No page is open."]
+    told: list[str] = []
     pages: list[PageSeen] = []
     for state in states:
         ago_s = round(max(now_s() - state.asked_at, 0.0), 1)
@@ -111,14 +113,21 @@ async def ros2_view_state(robot: Robot, viewing: Viewing) -> ViewState:
         told.append(f"{page} of {state.subject}:")
         told += [f"- {line}" for line in state.shows]
         told += [pick.summary() for pick in state.picks] or ["Nothing is picked."]
-        picked = [
-            PickedPlace(frame=one.frame, x_m=one.x_m, y_m=one.y_m, time=one.time, about=one.about)
-            for one in state.picks
-        ]
+        picked = _places(state.picks)
         pages.append(
             PageSeen(subject=state.subject, open=state.is_open, asked_s_ago=ago_s, shows=state.shows, picked=picked)
         )
-    return ViewState(pages=pages, told=told)
+    if browser := await asyncio.to_thread(viewing.picked_in_browser):
+        ago_s = round(max(now_s() - browser.at_s, 0.0), 1)
+        told += [f"In a browser, {ago_s:g} s ago, of {browser.subject}:", *(pick.summary() for pick in browser.picks)]
+        subject = f"{browser.subject}, in a browser"
+        picked = _places(browser.picks)
+        pages.append(PageSeen(subject=subject, open=False, asked_s_ago=ago_s, shows=(), picked=picked))
+    return ViewState(pages=pages, told=told or ["No page is open, and nothing was picked."])
+
+
+def _places(picks: Sequence[Pick]) -> list[PickedPlace]:
+    return [PickedPlace(frame=one.frame, x_m=one.x_m, y_m=one.y_m, time=one.time, about=one.about) for one in picks]
 
 
 @tool(title="Update of the page", risk="read", group="view", by_default=False, recorded=True, audience="page")

@@ -10,6 +10,7 @@ from typing import Any
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.view.acting import Acting
+from ros2_mcp.view.picks import PickedInBrowser, kept
 from ros2_mcp.view.views import PageState, Views, press, update_request
 
 _MOST_RECORDINGS = 4
@@ -71,6 +72,10 @@ class Viewing:
         """What the pages of this client show, the newest first."""
         found = [state for views in self._views.values() for state in views.states() if state.who == who]
         return sorted(found, key=lambda state: -state.asked_at)
+
+    def picked_in_browser(self) -> PickedInBrowser | None:
+        """What was picked on a page of `ros2-mcp view` on this machine."""
+        return kept(self._acting.at)
 
     async def close(self) -> None:
         """Gives all pages up."""

@@ -28,7 +28,7 @@ from ros2_mcp.ops.view.plot import PlotPanel
 from ros2_mcp.ops.view.space import SpacePanel
 from ros2_mcp.ops.view.values import LogPanel, RobotPanel, ValuesPanel
 from ros2_mcp.robot import Robot
-from ros2_mcp.view.picks import Pick, picks_of
+from ros2_mcp.view.picks import Pick, keep, picks_of
 from ros2_mcp.view.words import in_words
 
 MOST_VIEWS = 4
@@ -228,9 +228,15 @@ class View:
 
 
 class Views:
-    """All open pages of one robot or recording. `acting` knows who acts on it."""
+    """All open pages of one robot or recording. `acting` knows who acts on it.
 
-    def __init__(self, robot: Robot, source: Source, title: str, acting: Acting, tasks: Tasks) -> None:
+    What is picked `in_browser` is kept in the state folder, where the agent's server finds it.
+    """
+
+    def __init__(
+        self, robot: Robot, source: Source, title: str, acting: Acting, tasks: Tasks, *, in_browser: bool = False
+    ) -> None:
+        self._in_browser = in_browser
         self._robot, self._source, self._title = robot, source, title
         self.acting = acting
         self._tasks = tasks
@@ -279,6 +285,8 @@ class Views:
         if "picked" not in asked:
             return _part(view.chunks, str(asked.get("key")), asked.get("from", 0))
         view.picks = picks_of(asked["picked"])
+        if self._in_browser:
+            await asyncio.to_thread(keep, self.acting.at, self._subject, view.picks)
         return {"picked": [visible(pick.summary()) for pick in view.picks]}
 
     def states(self) -> Sequence[PageState]:

@@ -18,6 +18,7 @@ from support.agent import Agent, agent_for, until
 from support.browser import CHROMIUM, Page, browsing
 from support.chat_host import APPS, KINDS, ChatHost, hosting
 from support.observer import Observer
+from support.on_map import FREE, WALL, click_on_map
 
 Reset = Callable[[], None]
 TWIST = {"linear": {"x": 0.1}}
@@ -147,6 +148,33 @@ def test_its_button_stops_the_agent_of_the_chat(chat: Page, agent: Agent, observ
     assert any("LATCHED" in line for line in state["shows"])
     assert chat.complaints == []
     reset()
+
+
+def test_a_click_on_the_map_is_a_place_for_the_model(chat: Page, agent: Agent) -> None:
+    view = shown(chat)
+    chat.until(f"{LIVE} && {PLACED}", within=view)
+    chat.until("host.views[0].frame.clientHeight > 400")
+    left, top = chat.run("(({left, top}) => [left, top])(host.views[0].frame.getBoundingClientRect())")
+    for colour, about in ((WALL, "occupied on /map"), (FREE, "free on /map")):
+        click_on_map(chat, colour, within=view, left=left, top=top)
+        told = (
+            "host.views[0].said.filter(one => one.method === 'ui/update-model-context').at(-1)?.params.content[0].text"
+        )
+        chat.until(f"{told}?.includes({json.dumps(about)})")
+        (seen,) = [page for page in agent.call("ros2_view_state")["pages"] if page["picked"]]
+        (place,) = seen["picked"]
+        assert (place["frame"], place["about"]) == ("map", about)
+        assert f"({place['x_m']:.2f}, {place['y_m']:.2f}) m" in chat.run(told)
+    pictured(chat, "chat-picked")
+    chat.run("document.querySelector('.picked button').click()", within=view)
+    said = chat.until("host.views[0].said.find(one => one.method === 'ui/message')?.params")
+    assert said["role"] == "user" and "free on /map" in said["content"][0]["text"]
+    chat.run("document.querySelector('.picked button:last-child').click()", within=view)
+    chat.until(
+        "host.views[0].said.filter(one => one.method === 'ui/update-model-context').at(-1).params.content.length === 0"
+    )
+    assert not any(page["picked"] for page in agent.call("ros2_view_state")["pages"])
+    assert chat.complaints == []
 
 
 def test_it_bears_a_chat_that_is_slow_or_fails_and_two_views_do_not_meet(chat: Page, agent: Agent) -> None:

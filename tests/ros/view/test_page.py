@@ -19,6 +19,7 @@ pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2"
 from support.agent import Agent, agent_for, until
 from support.browser import CHROMIUM, Page, browsing
 from support.observer import Observer
+from support.on_map import WALL, click_on_map
 from support.processes import peer_command, running
 from support.room_bag import room_bag
 from support.viewing import STOP, pictured, pictured_in_all_sizes, seek, text, viewing
@@ -88,6 +89,17 @@ def driving(agent: Agent, observer: Observer) -> Future[dict[str, Any]]:
 def reset(environment: dict[str, str]) -> None:
     operate = [sys.executable, "-m", "ros2_mcp", "operate"]
     subprocess.run([*operate, "reset"], env=environment, check=True, stdout=subprocess.DEVNULL)
+
+
+def test_what_is_picked_in_the_browser_is_told_to_the_agent(page: Page, agent: Agent) -> None:
+    page.look()
+    click_on_map(page, WALL)
+    page.until("document.querySelector('.picked').textContent.includes('The agent sees it')")
+    pictured(page, "picked")
+    (seen,) = agent.call("ros2_view_state")["pages"]
+    assert seen["subject"] == "the robot now, in a browser"
+    assert [(one["frame"], one["about"]) for one in seen["picked"]] == [("map", "occupied on /map")]
+    assert page.complaints == []
 
 
 @pytest.mark.promise("README", "Its one button stops every server that acts on the robot from this machine")
