@@ -34,6 +34,7 @@ export class PlotPanel {
   private plot: uPlot | null = null;
   private nowS = 0;
   private drawnAt = 0;
+  private isNew = false; // what has come is not drawn yet
 
   constructor(section: HTMLElement) {
     this.frame = new Frame(section, "Plot", true, (topic) => { this.chosen = topic; this.forget(); });
@@ -202,10 +203,12 @@ export class PlotPanel {
   /** Draws at most 15 times a second: the time goes on, also where nothing comes. */
   private draw(isNew: boolean): void {
     const now = performance.now();
+    this.isNew ||= isNew;
     if (!this.plot || now - this.drawnAt < 66 || this.sheet.clientWidth < 40) return;
     this.drawnAt = now;
     this.plot.setData(this.data(), true);
-    if (isNew) this.tellValues();
+    if (this.isNew) this.tellValues();
+    this.isNew = false;
   }
 
   private tellValues(): void {
