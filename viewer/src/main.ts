@@ -45,9 +45,9 @@ const values = new ValuesPanel(byId("values"));
 const log = new LogPanel(byId("log"));
 const frames = new FramesPanel(byId("frames"));
 const space = new SpacePanel(byId("space"), (key) => fetchPart(view, key));
-share([["map", "Map"], ["space", "3D"]], () => undefined);
+const showPlace = share([["map", "Map"], ["space", "3D"]], () => undefined);
 const plot = new PlotPanel(byId("plot"));
-share([["values", "Values"], ["plot", "Plot"], ["frames", "Frames"]], () => undefined);
+const showNumbers = share([["values", "Values"], ["plot", "Plot"], ["frames", "Frames"]], () => undefined);
 enlargeable(["map", "space", "image", "agent", "values", "log", "plot", "frames"]);
 const chosen: Record<string, () => string> = { map: () => map.chosen, image: () => image.chosen, values: () => values.chosen, log: () => "", agent: () => "", frames: () => "", plot: () => plot.chosen, space: () => space.chosen, robot: () => "" };
 let seen: Record<string, number> = {};
@@ -211,7 +211,7 @@ async function ask(): Promise<void> {
 
 function showIn(chat: Host): void {
   const root = document.documentElement, size = byId<HTMLButtonElement>("size");
-  const topics: Record<string, { chosen: string }> = { map, image, values };
+  const topics: Record<string, { chosen: string }> = { map, image, values, plot, cloud: space };
   root.dataset.home = "chat";
   chat.onContext = () => {
     root.dataset.mode = chat.isFull ? "full" : "inline";
@@ -221,7 +221,9 @@ function showIn(chat: Host): void {
   };
   chat.onOpened = (opened) => {
     for (const [name, topic] of Object.entries(opened.panels)) { const panel = topics[name]; if (panel) panel.chosen = topic; }
-    if (opened.panels.values) root.dataset.values = "shown";
+    if (opened.panels.values || opened.panels.plot) root.dataset.values = "shown";
+    if (opened.panels.plot) showNumbers("plot");
+    if (opened.panels.cloud) showPlace("space");
     if (opened.atS !== null) atS = opened.atS;
   };
   chat.onClosing = () => void call("ros2_view_ask", { view, closed: true }).catch(() => undefined);

@@ -2,8 +2,8 @@
 
 import { byId, make } from "./dom.ts";
 
-/** Gives each of these panels the names of all in place of its title. */
-export function share(panels: [id: string, title: string][], shown: () => void): void {
+/** Gives each of these panels the names of all in place of its title; returns what shows one of them. */
+export function share(panels: [id: string, title: string][], shown: () => void): (id: string) => void {
   const show = (id: string): void => {
     for (const [other] of panels) byId(other).hidden = other !== id;
     shown();
@@ -31,6 +31,7 @@ export function share(panels: [id: string, title: string][], shown: () => void):
     byId(id).querySelector<HTMLElement>("[aria-selected=true]")?.focus();
   };
   show(panels[0]?.[0] ?? "");
+  return show;
 }
 
 /** A button in each head that makes the panel as large as the page, and back; the others cost nothing meanwhile. */
