@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Any
 
-from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.errors import RobotError, UnknownInterface
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.robot import Robot
@@ -22,14 +21,22 @@ _TELLS = ("broadcaster", "status")
 
 
 async def listed_controllers(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Sequence[Mapping[str, Any]]]:
-    """What each controller manager says of its controllers, by its node; empty where none is there, or answers."""
+    """What each controller manager says of its controllers, by its node; empty where none is there, or answers.
+
+    Raises:
+        UnknownInterface: where controller_manager_msgs is not installed.
+    """
     found: dict[str, Sequence[Mapping[str, Any]]] = {}
 
     async def ask(service: str) -> None:
-        with suppress(RobotError, asyncio.TimeoutError):
+        try:
             asked = robot.ask_service(service, _LIST, {}, timeout_s=_ANSWER_S)
             answer = await robot.fields_of(await asyncio.wait_for(asked, _ANSWER_S))
             found[service.rpartition("/")[0]] = answer["controller"]
+        except UnknownInterface:
+            raise
+        except (RobotError, asyncio.TimeoutError):  # one manager that does not answer takes nothing from another
+            pass
 
     services = [name for name in graph.services or () if name.endswith(LIST_CONTROLLERS)]
     await asyncio.gather(*map(ask, services[:2]))

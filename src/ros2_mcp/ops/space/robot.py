@@ -19,7 +19,7 @@ from ros2_mcp.codec.robot_kind import arms_of, kind_of, rotors_of, wheels_of
 from ros2_mcp.codec.transforms import FrameTree, Located
 from ros2_mcp.codec.urdf import Joint, Urdf, parse
 from ros2_mcp.model.aside import load
-from ros2_mcp.model.errors import NotFound, RobotError
+from ros2_mcp.model.errors import NotFound, RobotError, UnknownInterface
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw, rotated
 from ros2_mcp.model.text import named, quoted
@@ -79,8 +79,8 @@ class RobotInBrief:
     """The robot: `kind` of base or arm, `command_inputs` (topic, type, who listens), `sensors` (topic, type, rate,
     mount in the base's frame in m, range), `joints` (position now, limits; rad or m), and where it is (`place`: in
     which frame, how that is known, how old). `stacks` are Nav2, MoveIt, ros2_control, MAVROS and others, as far as
-    they run. `not_read` are the parts that were not there within the time of this answer, which says nothing of the
-    robot; `left_out` counts what did not fit into 2 kB.
+    they run. `not_read` are the parts that were not there within the time of this answer, or whose type is not known
+    here, which says nothing of the robot; `left_out` counts what did not fit into 2 kB.
     """
 
     name: str
@@ -103,8 +103,8 @@ class RobotInBrief:
         """A line: the rest stands in the values."""
         health = f"unhealthy: {len(self.unhealthy)} finding(s)" if self.unhealthy else "nothing unhealthy seen"
         stacks = f", with {', '.join(self.stacks)}" if self.stacks else ""
-        late = f" Not read in time: {', '.join(self.not_read)}; ask again." if self.not_read else ""
-        return f"{quoted(self.name)}: {self.kind}{stacks}. {self.place} {health}.{late}"
+        not_read = f" Not read: {', '.join(self.not_read)}." if self.not_read else ""
+        return f"{quoted(self.name)}: {self.kind}{stacks}. {self.place} {health}.{not_read}"
 
 
 @dataclass(slots=True)
@@ -298,7 +298,11 @@ async def _published_footprint(source: Source, seen: _Seen) -> None:
 
 async def _managed(robot: Robot, source: Source, seen: _Seen) -> None:
     if source.is_live:
-        seen.managed = await listed_controllers(robot, seen.graph)
+        try:
+            seen.managed = await listed_controllers(robot, seen.graph)
+        except UnknownInterface:
+            seen.not_read.append("controllers (controller_manager_msgs is not installed where the bridge runs)")
+            return
         if not seen.managed and any(name.endswith(LIST_CONTROLLERS) for name in seen.graph.services or ()):
             seen.not_read.append("controllers")
 
