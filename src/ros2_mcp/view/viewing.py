@@ -30,7 +30,7 @@ class Tasks:
         async def run() -> None:
             try:
                 await work(*arguments)
-            except Exception:
+            except Exception:  # a view that fails must not end the server, nor the other views
                 _logger.exception("a page's view failed")
 
         task = asyncio.ensure_future(run())
