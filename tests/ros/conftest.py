@@ -111,9 +111,11 @@ def start(ros_environment: dict[str, str]) -> Iterator[Start]:
     """Start Python processes, `start("bridge_peer.py", "argument", env={...})`; all are ended after the test.
 
     A name that ends in .py is a script of support/peers; anything else is a module. stdin and stdout are pipes.
-    A process that does not end within 10 s of SIGTERM fails the test.
+    A module that does not end within 10 s of SIGTERM fails the test. A script is killed then: a peer that stays is no
+    fault of what is tested.
     """
-    processes: list[subprocess.Popen[bytes]] = []
+    modules: list[subprocess.Popen[bytes]] = []
+    scripts: list[subprocess.Popen[bytes]] = []
 
     def start_process(program: str, *arguments: str, env: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
         is_script = program.endswith(".py")
@@ -124,13 +126,15 @@ def start(ros_environment: dict[str, str]) -> Iterator[Start]:
             stdout=subprocess.PIPE,
             env={**ros_environment, **(env or {})},
         )
-        processes.append(process)
+        (scripts if is_script else modules).append(process)
         return process
 
     yield start_process
-    for process in processes:
+    for process in (*scripts, *modules):
         process.terminate()
-    stubborn = [process.args for process in processes if not _ends_soon(process)]
+    stubborn = [process.args for process in modules if not _ends_soon(process)]
+    for process in scripts:
+        _ends_soon(process)
     assert not stubborn, f"did not end on SIGTERM: {stubborn}"
 
 
