@@ -81,6 +81,11 @@ def _parts(urdf: Urdf, body: str) -> Sequence[str]:
     moved |= {
         joint.child for joint in urdf.moving if joint.kind == "continuous" and urdf.fixed_to(joint.parent) == body
     }
+    moved |= {  # a steered wheel that does not roll in the description
+        joint.child
+        for joint in urdf.moving
+        if "wheel" in f"{joint.name} {joint.child}".lower() and urdf.fixed_to(joint.parent) == body
+    }
     return [name for name in urdf.links if (top := urdf.fixed_to(name)) == body or top in moved]
 
 

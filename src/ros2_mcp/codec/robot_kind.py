@@ -13,10 +13,13 @@ _LEAST_LEGS = 6
 _STEERED = re.compile(r"steer", re.IGNORECASE)
 _CASTER = re.compile(r"(cast[eo]r|swivel)", re.IGNORECASE)
 _OMNI = re.compile(r"(mecanum|omni|swerve|holonomic|(?<![a-z])roller)", re.IGNORECASE)
+_NOT_SIDEWAYS = re.compile(r"diff_?drive", re.IGNORECASE)
+"""A controller that turns its wheels by side alone, whatever the wheels are called."""
 _CAR = re.compile(r"(ackermann|bicycle|tricycle|steering)", re.IGNORECASE)
 _GRIPPER = re.compile(r"(gripper|finger|fngr|knuckle|jaw|claw)", re.IGNORECASE)
 _ROTOR = re.compile(r"(rotor|propeller|(?<![a-z])prop(?![a-z]))", re.IGNORECASE)
 _THRUSTER = re.compile(r"thruster", re.IGNORECASE)
+_TORSO = re.compile(r"torso", re.IGNORECASE)
 _FLYING = re.compile(r"((quad|multi|hexa|octo)(rotor|copter)|drone|uav|crazyflie)", re.IGNORECASE)
 _LEAST_ROTORS = 3
 _LEAST_ARM = 4
@@ -102,13 +105,14 @@ def kind_of(
     flies = bool(urdf and _FLYING.search(urdf.name)) or ("MAVROS" in stacks and not has_wheels)
     flies |= any("Multirotor" in kind or "MultiDOF" in kind for kind in driven_by)
     thrusters = sum(bool(_THRUSTER.search(joint.name)) for joint in urdf.joints.values()) if urdf else 0
-    if thrusters and not (flies or has_wheels or rotors >= _LEAST_ROTORS):
-        return f"vehicle on or under water, {thrusters} thrusters"
-    if flies or rotors >= _LEAST_ROTORS:
+    swims = bool(urdf and thrusters and not has_wheels and not legs_of(urdf) and not _FLYING.search(urdf.name))
+    if (flies or rotors >= _LEAST_ROTORS) and not swims:
         return f"drone, {rotors} rotors" if rotors else "drone"
     if urdf and (joints := legs_of(urdf)):
         held = {above.name for joint in joints for above in above_of(urdf, joint.parent)}
         base = f"legged robot, {sum(joint.name not in held for joint in joints)} legs"
+    elif swims:
+        base = f"vehicle on or under water, {thrusters} thruster{'s' if thrusters > 1 else ''}"
     else:
         base = _base(urdf, driven_by, controllers)
     arms = [len(arm) for arm in arms_of(urdf) if len(arm) >= _LEAST_ARM] if urdf else []
@@ -148,7 +152,9 @@ def _is_of_arm(joint: Joint) -> bool:
 
 
 def _is_lift(urdf: Urdf, joint: Joint) -> bool:
-    """Whether it lifts a torso: it slides, and more than the arm hangs from it, such as a head."""
+    """Whether it moves a torso: so named, or it slides, and more than the arm hangs from it, such as a head."""
+    if _TORSO.search(joint.name):
+        return True
     body = urdf.fixed_to(joint.child)
     return joint.kind == "prismatic" and sum(urdf.fixed_to(other.parent) == body for other in urdf.moving) > 1
 
@@ -192,7 +198,8 @@ def _base(urdf: Urdf | None, driven_by: Collection[str], controllers: Collection
     if len(driven) == 2:
         return "differential drive base, 2 wheels"
     if len(driven) >= 4:
-        return f"skid-steered base, {len(driven)} wheels"
+        doubt = "" if any(map(_NOT_SIDEWAYS.search, controllers)) else " (unless they are mecanum wheels)"
+        return f"skid-steered base, {len(driven)} wheels{doubt}"
     if len(driven) == 3 or (not driven and len(wheels) >= 3):
         return f"omnidirectional base, {len(driven) or len(wheels)} wheels"
     return "base driven by velocities" if drives else ""
@@ -200,8 +207,10 @@ def _base(urdf: Urdf | None, driven_by: Collection[str], controllers: Collection
 
 def _is_omni(urdf: Urdf, wheels: Sequence[Joint], controllers: Collection[str]) -> bool:
     """Whether names of its wheels, of their meshes or of its controllers say so, or rollers are on them."""
+    if any(map(_NOT_SIDEWAYS.search, controllers)):
+        return False
     links = [urdf.links[joint.child] for joint in wheels if joint.child in urdf.links]
-    meshes = [shape.mesh for link in links for shape in (*link.visuals, *link.collisions)]
+    meshes = [shape.mesh.rpartition("/")[2] for link in links for shape in (*link.visuals, *link.collisions)]
     names = [urdf.name, *(f"{joint.name} {joint.child}" for joint in wheels), *urdf.controlled, *meshes, *controllers]
     held = {joint.child for joint in wheels}
     rollers = any(urdf.fixed_to(joint.parent) in held for joint in urdf.moving if _OMNI.search(joint.name))

@@ -6,8 +6,10 @@ import math
 
 import pytest
 
-from ros2_mcp.codec.footprint import Reach, outline, reach
+from ros2_mcp.codec.footprint import Reach, outline, reach, unmeasured
+from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.codec.urdf import parse
+from ros2_mcp.ops.space.body import footprint_in_words
 from ros2_mcp_demo.base import RADIUS
 from ros2_mcp_demo.nodes.robot_state_publisher import description
 
@@ -103,3 +105,23 @@ def test_without_a_size_there_is_no_outline(inside: str) -> None:
 def test_the_simulated_rover_is_as_round_as_it_is() -> None:
     found = reach(outline(parse(description()), "base_link"))
     assert found is not None and found.radius_m == pytest.approx(RADIUS, rel=0.02)
+
+
+def test_a_steered_wheel_belongs_to_the_outline() -> None:
+    found = reached(
+        joint("hinge", at="0.3 0.1 0"),
+        joint("front_wheel", "revolute", parent="hinge"),
+        base_link=box("0.4 0.4 0.2"),
+        hinge="",
+        front_wheel=box("0.2 0.1 0.1"),
+    )
+    assert found == approx(0.4, 0.2, 0.2, 0.2, math.hypot(0.4, 0.15))
+
+
+def test_a_part_of_which_only_a_mesh_tells_the_shape_is_told() -> None:
+    links = f'<link name="base_link">{MESH}</link><link name="wheel">{box("0.1 0.1 0.1")}</link>'
+    urdf = parse(f'<robot name="made">{links}{joint("wheel", "continuous")}</robot>')
+    assert unmeasured(urdf, "base_link") == ["base_link"]
+    assert "at least 0.10 × 0.10 m" in footprint_in_words(urdf, FrameTree(), "base_link", (), "")
+    bare = parse(f'<robot name="made"><link name="base_link">{MESH}</link></robot>')
+    assert footprint_in_words(bare, FrameTree(), "base_link", (), "") == "unknown: of base_link there is a mesh alone"

@@ -51,7 +51,7 @@ SIX = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"
         (urdf("turtlebot3_burger", *wheels("wheel_left", "wheel_right")), [TWIST], ["Nav2"],
          "differential drive base, 2 wheels"),
         (urdf("husky", *wheels("front_left_wheel", "front_right_wheel", "rear_left_wheel", "rear_right_wheel")),
-         [TWIST], [], "skid-steered base, 4 wheels"),
+         [TWIST], [], "skid-steered base, 4 wheels (unless they are mecanum wheels)"),
         (urdf("ur5e", *chain("revolute", *SIX)), [], ["ros2_control"], "arm of 6 joints"),
         (urdf("jaco", *chain("continuous", *SIX)), [], [], "arm of 6 joints"),
         (urdf("go1", *legs()), [TWIST], [], "legged robot, 4 legs"),
@@ -106,10 +106,34 @@ def test_round_links_of_an_arm_are_no_wheels() -> None:
     assert kind_of(robot, [], []) == "arm of 6 joints"
 
 
-def test_the_controller_of_a_base_says_more_than_its_wheels_do() -> None:
-    """A package of controllers has `roller` in all its names."""
-    robot = urdf("box", *wheels("fl_wheel", "fr_wheel", "rl_wheel", "rr_wheel"))
-    assert kind_of(robot, [TWIST], [], ["mecanum_drive_controller/MecanumDriveController"]) == (
-        "omnidirectional base, 4 wheels"
-    )
-    assert kind_of(robot, [TWIST], [], ["diff_drive_controller/DiffDriveController"]) == "skid-steered base, 4 wheels"
+FOUR = wheels("fl_wheel", "fr_wheel", "rl_wheel", "rr_wheel")
+ROLLERS = [joint for name in ("fl", "fr", "rl", "rr")
+           for joint in chain("continuous", f"{name}_roller_1", parent=f"{name}_wheel_link")]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("robot", "controllers", "kind"),
+    [
+        (urdf("xl", *FOUR), ["mecanum_drive_controller/MecanumDriveController"], "omnidirectional base, 4 wheels"),
+        (urdf("xl", *FOUR), ["diff_drive_controller/DiffDriveController"], "skid-steered base, 4 wheels"),
+        (urdf("omni_cart", *FOUR), ["diff_drive_controller/DiffDriveController"], "skid-steered base, 4 wheels"),
+        (urdf("cart", *FOUR), ["wheel_controller/WheelController"],  # packages of controllers have `roller` in names
+         "skid-steered base, 4 wheels (unless they are mecanum wheels)"),
+        (urdf("cart", *FOUR, *ROLLERS), [], "omnidirectional base, 4 wheels"),
+        (urdf("cart", *FOUR), ["ackermann_steering_controller/AckermannSteeringController"], "car-like base, 4 wheels"),
+        (urdf("ridgeback", *wheels("rear_left_wheel", "rear_right_wheel"), *chain("revolute", "front_rocker"),
+              *wheels("front_left_wheel", "front_right_wheel", parent="front_rocker_link")),
+         ["mecanum_drive_controller/MecanumDriveController"], "omnidirectional base, 4 wheels"),
+        (urdf("lab_drone", *chain("continuous", "thruster_1")), [], "drone"),
+        (urdf("amphibian", *FOUR, *chain("continuous", "thruster_1")), ["diff_drive_controller/DiffDriveController"],
+         "skid-steered base, 4 wheels"),
+        (urdf("half", *chain("revolute", "torso_yaw", *SIX)), [], "arm of 6 joints"),
+        (urdf("vx300s", *chain("revolute", "waist", "shoulder", "elbow", "roll", "wrist_angle", "wrist_rotate")),
+         [], "arm of 6 joints"),
+        (urdf("two_arms", *chain("revolute", "torso_yaw"), *chain("revolute", *(f"l_{name}" for name in SIX),
+              parent="torso_yaw_link"), *chain("revolute", *(f"r_{name}" for name in SIX), parent="torso_yaw_link")),
+         [], "2 arms of 6 joints"),
+    ],
+)  # fmt: skip
+def test_controllers_and_structure_tell_the_kind(robot: Urdf, controllers: list[str], kind: str) -> None:
+    assert kind_of(robot, [], [], controllers) == kind

@@ -13,39 +13,50 @@ from ros2_mcp.ops.sources.source import GraphSnapshot
 
 _COMMANDS = ("Twist", "TwistStamped", "AckermannDrive", "AckermannDriveStamped", "JointTrajectory", "Joy")
 """Types that are for nothing else."""
-_SO_NAMED: Mapping[str, re.Pattern[str]] = {
-    "Float64MultiArray": re.compile(r"/commands$"),  # forward_command_controller and its kind
-    "Float64": re.compile(r"/commands?/|_cmd$|/cmd$"),  # motors of VESC, joints of simulators
-    "PoseStamped": re.compile(r"/goal(_pose)?$"),  # of Nav2, RViz
-    "Pose": re.compile(r"/(body|cmd)_pose$"),  # how a legged robot holds its body
-    "String": re.compile(r"/script_command$"),  # of Universal Robots
+_LOW = re.compile(r"(^|[/_])(cmd|commands?|setpoint)($|[/_])")
+_SO_NAMED: Mapping[str, tuple[str, re.Pattern[str]]] = {
+    "PoseStamped": ("goal", re.compile(r"[/_](goal(_pose)?$|setpoint)")),  # of Nav2, RViz; MAVROS
+    "Pose": ("pose", re.compile(r"[/_](body|target|goal|desired|cmd|command|setpoint)")),  # of bodies on legs, of hands
+    "Float64MultiArray": ("low level", _LOW),  # forward_command_controller and its kind
+    "Float32MultiArray": ("low level", _LOW),
+    "Float64": ("low level", _LOW),  # motors of VESC, joints and thrusters of simulators
+    "Float32": ("low level", re.compile(_LOW.pattern + "|thrust")),
+    "String": ("script", re.compile(r"/script_command$")),  # of Universal Robots
 }
-"""Types that are for anything, and the names of topics that drivers listen to with them."""
+"""Types that are for anything, what they are for where drivers listen to them, and the names of such topics; in the
+order in which they are told."""
+_USES = ("", "goal", "action", "pose", "low level", "script")
+_GOALS = re.compile(r"nav2_msgs/action/Navigate\w+_FeedbackMessage")
+_OF_A_HAND = re.compile(r"(servo|delta_twist)", re.IGNORECASE)
+"""In the topic of a velocity that moves the tip of an arm, and no base (MoveIt Servo)."""
 _MOST_NAMED = 3
 
 
 @dataclass(frozen=True, slots=True)
 class CommandInput:
-    """A topic with one of its types and who subscribes; `is_active` false where all of these are controllers that are
-    not active.
+    """A topic with one of its types and who subscribes, or an action and its servers. `use` says what it takes if not
+    a movement; `is_active` is false where all who listen are controllers that are not active.
     """
 
     topic: str
     type: str
     listeners: Sequence[str]
-    senders: Sequence[str]
+    senders: Sequence[str] = ()
+    use: str = ""
     is_active: bool = True
 
     def __str__(self) -> str:
         """With who else may send there, which whoever would drive there wants to know."""
         by = f" (from {', '.join(map(named, self.senders[:2]))})" if self.senders else ""
+        use = f" ({self.use})" if self.use else ""
         state = "" if self.is_active else ", not active"
         who = " and ".join(map(named, self.listeners[:_MOST_NAMED]))
-        return f"{named(self.topic)} {named(self.type.rpartition('/')[2])} → {who}{state}{by}"
+        return f"{named(self.topic)} {named(self.type.rpartition('/')[2])}{use} → {who}{state}{by}"
 
 
 def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> Sequence[CommandInput]:
-    """The inputs of a graph, those that take commands now first, then the nearest to the root of names.
+    """The inputs of a graph: those that take commands now first, of these movements before goals before lower ones,
+    then the nearest to the root of names.
 
     `managed`: what controller managers say of their controllers, by their node.
     """
@@ -56,14 +67,24 @@ def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[
         if one["state"] != "active"
     }
     found = [one for topic in graph.topics.values() for one in _inputs_of(topic, idle)]
-    return sorted(found, key=lambda one: (not one.is_active, one.topic.count("/"), one.topic))
+    return sorted(found, key=lambda one: (not one.is_active, _USES.index(one.use), one.topic.count("/"), one.topic))
+
+
+def drive_types(inputs: Sequence[CommandInput]) -> Sequence[str]:
+    """The types of the movements that something active takes, by which the kind of base is known."""
+    return [one.type for one in inputs if not one.use and one.is_active and not _OF_A_HAND.search(one.topic)]
 
 
 def _inputs_of(topic: TopicEndpoints, idle: set[str]) -> Iterator[CommandInput]:
     for kind in sorted({subscriber.type for subscriber in topic.subscribers}):
         name = kind.rpartition("/")[2]
-        if name not in _COMMANDS and not (name in _SO_NAMED and _SO_NAMED[name].search(topic.topic)):
+        use, pattern = ("", None) if name in _COMMANDS else _SO_NAMED.get(name, (None, None))
+        if use is None or (pattern and not pattern.search(topic.topic)):
             continue
         who = sorted({subscriber.node for subscriber in topic.subscribers if subscriber.type == kind})
         senders = sorted({one.node for one in topic.publishers})
-        yield CommandInput(topic.topic, kind, who, senders, is_active=not set(who) <= idle)
+        yield CommandInput(topic.topic, kind, who, senders, use, not set(who) <= idle)
+    action, _, part = topic.topic.rpartition("/_action/")
+    for kind in filter(_GOALS.fullmatch, topic.types if part == "feedback" else ()):
+        if servers := sorted({one.node for one in topic.publishers}):
+            yield CommandInput(action, kind.removesuffix("_FeedbackMessage"), servers, use="action")

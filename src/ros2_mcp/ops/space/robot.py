@@ -14,25 +14,25 @@ from typing import Any
 
 import anyio
 
-from ros2_mcp.codec.footprint import outline, reach, unmeasured
 from ros2_mcp.codec.robot_kind import arms_of, kind_of, rotors_of, wheels_of
 from ros2_mcp.codec.transforms import FrameTree, Located
-from ros2_mcp.codec.urdf import Joint, Urdf, parse
+from ros2_mcp.codec.urdf import Joint, Mount, Urdf, parse
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, RobotError, UnknownInterface
 from ros2_mcp.model.graph import TopicEndpoints
-from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw, rotated
+from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.description import described
 from ros2_mcp.ops.measure.diagnostics import LEVELS
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results import as_json, silent
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
+from ros2_mcp.ops.space.body import NO_MOUNT, footprint_in_words, mounted
 from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_in_words, listed_controllers
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.space.heads import Head, heads_of
-from ros2_mcp.ops.space.inputs import command_inputs
+from ros2_mcp.ops.space.inputs import command_inputs, drive_types
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import LISTENS
@@ -55,22 +55,18 @@ _SENSORS = (
     "sensor_msgs/msg/FluidPressure",
     "geometry_msgs/msg/WrenchStamped",
 )
+_TF = "tf2_msgs/msg/TFMessage"
 _BATTERY = "sensor_msgs/msg/BatteryState"
 _WITH_RANGE = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range")
 _WORLDS = ("map", "odom", "world", "earth")
 """Frames in which a robot's place is meant, the better first (REP 105)."""
 _MOST = {"command_inputs": 8, "sensors": 9, "joints": 12, "unhealthy": 6, "controllers": 8}
-_ALONG = 1e-3
-"""A camera that looks straight up or down has no direction seen from above."""
 _OLD_S = 2.0
 """A place that is older is not that of now."""
 _ALL_AROUND_DEG = 350.0
 """A scanner that sees all around leaves out the last step, or has a strut in its view."""
-_TILTED_DEG = 2.0
-"""Less is how exactly anybody mounts a sensor."""
-_MOST_CORNERS, _LEAST_ROUND, _ROUND = 200, 8, 0.95
-"""Of an outline: more corners are a mistake; from so many on, with radii that differ by 5 % at most, it is a circle."""
-_NO_MOUNT = " (mount unknown)"
+_MOST_CORNERS = 200
+"""Of an outline: more are a mistake."""
 _logger = logging.getLogger(__name__)
 
 
@@ -80,7 +76,8 @@ class RobotInBrief:
     mount in the base's frame in m, range), `joints` (position now, limits; rad or m), and where it is (`place`: in
     which frame, how that is known, how old). `stacks` are Nav2, MoveIt, ros2_control, MAVROS and others, as far as
     they run. `not_read` are the parts that were not there within the time of this answer, or whose type is not known
-    here, which says nothing of the robot; `left_out` counts what did not fit into 2 kB.
+    here, which says nothing of the robot; `left_out` counts the lines that did not fit into 2 kB: the speeds of the
+    joints go before them.
     """
 
     name: str
@@ -317,16 +314,16 @@ def _brief(source: Source, seen: _Seen) -> RobotInBrief:
     place, trouble = _place(source, seen, base)
     return RobotInBrief(
         name=(seen.urdf.name if seen.urdf else "") or "robot",
-        kind=kind_of(seen.urdf, [one.type for one in inputs], stacks, _controller_types(seen)),
+        kind=kind_of(seen.urdf, drive_types(inputs), stacks, _controller_types(seen)),
         base_frame=base,
-        footprint=_footprint(seen, base),
+        footprint=footprint_in_words(seen.urdf, seen.tree, base, seen.footprint, seen.footprint_frame),
         place=place,
         command_inputs=list(map(str, inputs)),
         sensors=_sensors(seen, base),
         joints=_joints(seen),
         controllers=controllers_in_words(seen.graph, seen.managed, is_controlled="ros2_control" in stacks),
         stacks=stacks,
-        frames="not read" if "frames" in seen.not_read and not seen.tree.frames else _frames_in_words(seen.tree),
+        frames=_frames_in_words(seen),
         unhealthy=[*trouble, *_unhealthy(source, seen)],
         not_read=seen.not_read,
         read_from="live" if source.is_live else source.words,
@@ -365,39 +362,9 @@ def _stacks(graph: GraphSnapshot) -> list[str]:
     ]
 
 
-def _footprint(seen: _Seen, base: str) -> str:
-    urdf = seen.urdf
-    root = urdf.root if urdf and base not in urdf.links else base
-    size = reach(outline(urdf, root)) if urdf else None
-    meshes = unmeasured(urdf, root) if urdf else ()
-    if size is None or (meshes and len(seen.footprint) >= 3):
-        return _footprint_of_costmap(seen, base)
-    long_m, wide_m = size.front_m + size.rear_m, size.left_m + size.right_m
-    least = f"; at least, {named(meshes[0])} is a mesh" if meshes else ""
-    return (
-        f"{long_m:.2f} × {wide_m:.2f} m: front {size.front_m:.2f}, rear {size.rear_m:.2f}, left {size.left_m:.2f}, "
-        f"right {size.right_m:.2f} of {named(base)}{least}"
-    )
-
-
-def _footprint_of_costmap(seen: _Seen, base: str) -> str:
-    """What Nav2 takes for its outline, in the frame of its base."""
-    found = seen.tree.newest(base, seen.footprint_frame) if base and seen.footprint_frame != base else None
-    if len(seen.footprint) < 3 or (found is None and seen.footprint_frame != base):
-        return "unknown"
-    points = [(found.pose.applied(at) if found else at)[:2] for at in seen.footprint]
-    far = [math.hypot(x, y) for x, y in points]
-    if min(far) > _ROUND * max(far) and len(points) >= _LEAST_ROUND:
-        return f"radius {max(far):.2f} m about {named(base)} (that of the costmap)"
-    x, y = [at[0] for at in points], [at[1] for at in points]
-    return (
-        f"{max(x) - min(x):.2f} × {max(y) - min(y):.2f} m: front {max(x):.2f}, rear {-min(x):.2f}, left {max(y):.2f}, "
-        f"right {-min(y):.2f} of {named(base)} (that of the costmap)"
-    )
-
-
 def _sensors(seen: _Seen, base: str) -> list[str]:
     found: list[str] = []
+    told = set[str]()
     for one in _topics(seen.graph, *_SENSORS):
         kind = next(kind for kind in one.types if kind in _SENSORS).rpartition("/")[2]
         head = seen.heads.get(one.topic)
@@ -406,8 +373,9 @@ def _sensors(seen: _Seen, base: str) -> list[str]:
             said.append("silent")
         elif head and head.rate_hz:
             said.append(f"{head.rate_hz:.3g} Hz")
-        if head and head.frame:
-            said.append(f"in {named(head.frame)}{_mounted(seen, base, head.frame)}")
+        if head and head.frame:  # of several sensors in one frame the first tells where it sits
+            said.append(f"in {named(head.frame)}{'' if head.frame in told else _mounted(seen, base, head.frame)}")
+            told.add(head.frame)
         if one.topic in seen.ranges:
             said.append(seen.ranges[one.topic])
         found.append(" ".join(said))
@@ -417,36 +385,7 @@ def _sensors(seen: _Seen, base: str) -> list[str]:
 
 
 def _mounted(seen: _Seen, base: str, frame: str) -> str:
-    """Where a sensor sits, from the transforms, else from the description."""
-    frame = frame.lstrip("/")
-    if frame == base:
-        return ""
-    if base and (found := seen.tree.newest(base, frame)):
-        pose = found.pose
-    elif seen.urdf and base in seen.urdf.links and (mount := seen.urdf.mount(frame, base, seen.positions)):
-        for joint in seen.urdf.moved_by(frame, base):
-            if seen.urdf.position(joint, seen.positions) is None:
-                return f" (mount unknown: {named(joint.name)} moves it)"
-        pose = Pose(mount.xyz, from_roll_pitch_yaw(*mount.rpy))
-    else:
-        return _NO_MOUNT
-    x, y, z = pose.translation
-    roll_deg, pitch_deg, _ = map(math.degrees, pose.roll_pitch_yaw_rad)
-    yaw_deg = math.degrees(_looks_rad(pose, frame))
-    if "optical" not in frame and max(abs(roll_deg), abs(pitch_deg)) >= _TILTED_DEG:  # a yaw alone would mislead
-        roll_deg, pitch_deg, yaw_deg = map(math.degrees, pose.roll_pitch_yaw_rad)
-        turned = f" roll {roll_deg:.0f}° pitch {pitch_deg:.0f}° yaw {yaw_deg:.0f}°"
-    else:
-        turned = f" yaw {yaw_deg:.0f}°" if abs(yaw_deg) >= 0.5 else ""
-    return f" at {x:.2f} {y:.2f} {z:.2f}{turned}"
-
-
-def _looks_rad(pose: Pose, frame: str) -> float:
-    """The direction that a sensor looks in, seen from above: along x, and of an optical frame along z (REP 103)."""
-    if "optical" not in frame:
-        return pose.yaw_rad
-    ahead = rotated(pose.rotation, (0.0, 0.0, 1.0))
-    return math.atan2(ahead[1], ahead[0]) if math.hypot(ahead[0], ahead[1]) > _ALONG else 0.0
+    return mounted(seen.urdf, seen.tree, base, frame, seen.positions)
 
 
 def _joints(seen: _Seen) -> list[str]:
@@ -487,13 +426,19 @@ def _tidy(number: float) -> str:
     return f"{round(number, 3) + 0.0:g}"
 
 
-def _frames_in_words(tree: FrameTree) -> str:
+def _frames_in_words(seen: _Seen) -> str:
+    tree = seen.tree
     if not tree.frames:
-        return "none"
+        return "not read" if _misses_frames(seen) else "none"
     chain = [tree.base, *(edge.newest.parent for edge in tree.way_up(tree.base) if edge.newest)] if tree.base else []
     way = f"{' → '.join(map(named, reversed(chain)))}; " if len(chain) > 1 else ""
     trees = f", {len(tree.roots)} trees" if len(tree.roots) > 1 else ""
     return f"{way}{len(tree.frames)} in all{trees}"
+
+
+def _misses_frames(seen: _Seen) -> bool:
+    """Whether there is no transform here because this call did not get any, though somebody publishes them."""
+    return not seen.tree.frames and ("frames" in seen.not_read or bool(_topics(seen.graph, _TF)))
 
 
 def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
@@ -513,17 +458,27 @@ def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
             pose = pose_of(seen.odometry.pose.pose)
             how = f"odometry, {named(seen.odometry_topic)}"
             return _pose_in_words(seen.odometry.header.frame_id, pose.translation, pose.yaw_rad, how, None), []
-    if not seen.tree.frames and {"frames", "odometry"} & {*seen.not_read}:
+    if seen.urdf and (fixed := _fixed_in_world(seen.urdf, base)):
+        pose = Pose(fixed.xyz, from_roll_pitch_yaw(*fixed.rpy))
+        return _pose_in_words(seen.urdf.root, pose.translation, pose.yaw_rad, "URDF, fixed there", None), []
+    if _misses_frames(seen) or "odometry" in seen.not_read:
         return "Where it is was not read in time.", []
     if not seen.tree.frames:
         return "Where it is is not known: no transforms, no odometry.", []
     return f"Where it is is not known: no transform leads from {named(base or 'its base')} to a map, odom or world.", []
 
 
+def _fixed_in_world(urdf: Urdf, base: str) -> Mount | None:
+    """Where the base is fixed in the link that stands for the world; None where the description tells none."""
+    is_fixed = urdf.root.lower() in _WORLDS and base != urdf.root and urdf.fixed_to(base) == urdf.root
+    return urdf.mount(base) if is_fixed else None
+
+
 def _pose_in_words(frame: str, at: Sequence[float], yaw_rad: float, how: str, age_s: float | None) -> str:
+    yaw_deg = round(math.degrees(yaw_rad))  # an int has no -0
     height = f" z {at[2]:.2f}" if abs(at[2]) >= 0.05 else ""
     age = "" if age_s is None else f", {age_s:.1f} s old"
-    return f"In {named(frame)} at x {at[0]:.2f} y {at[1]:.2f}{height} m, yaw {math.degrees(yaw_rad):.0f}° ({how}{age})."
+    return f"In {named(frame)} at x {at[0]:.2f} y {at[1]:.2f}{height} m, yaw {yaw_deg}° ({how}{age})."
 
 
 def _age_s(source: Source, tree: FrameTree, found: Located) -> float | None:
@@ -560,7 +515,7 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
     if low:
         found.append(f"The battery is at {min(low):.0%}.")
     for topic, head in seen.heads.items():
-        if head.frame and seen.tree.frames and _mounted(seen, _base_of(seen), head.frame) == _NO_MOUNT:
+        if head.frame and seen.tree.frames and _mounted(seen, _base_of(seen), head.frame) == NO_MOUNT:
             found.append(f"Nobody tells where {named(head.frame)} of {named(topic)} sits.")
     if lost := _not_localised(seen):
         found.append(lost)
@@ -583,13 +538,19 @@ def _maps_of(seen: _Seen) -> list[str]:
 def _within(brief: RobotInBrief, most: int) -> RobotInBrief:
     """The same, shortened until its JSON fits: the end of the longest list goes first."""
     left_out = 0
+    if _size(brief) > most - 20:  # how fast a joint may move is found elsewhere, too
+        brief = replace(brief, joints=[line.partition(", ≤ ")[0].removesuffix(" rad") for line in brief.joints])
     for name, count in _MOST.items():
         whole: Sequence[str] = getattr(brief, name)
         left_out += max(len(whole) - count, 0)
         brief = replace(brief, **{name: [line[:160] for line in whole[:count]]})
     brief = replace(brief, name=brief.name[:60], frames=brief.frames[:200])
-    while len(json.dumps(as_json(brief), ensure_ascii=False).encode()) > most - 20:
+    while _size(brief) > most - 20:
         name = max(_MOST, key=lambda name: len("".join(getattr(brief, name))))
         rest: Sequence[str] = getattr(brief, name)[:-1]
         brief, left_out = replace(brief, **{name: rest}), left_out + 1
     return replace(brief, left_out=left_out)
+
+
+def _size(brief: RobotInBrief) -> int:
+    return len(json.dumps(as_json(brief), ensure_ascii=False).encode())

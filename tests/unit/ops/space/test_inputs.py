@@ -5,7 +5,7 @@ from __future__ import annotations
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.sources.source import GraphSnapshot
-from ros2_mcp.ops.space.inputs import command_inputs
+from ros2_mcp.ops.space.inputs import command_inputs, drive_types
 
 FLOATS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
 
@@ -34,8 +34,8 @@ def test_types_that_are_for_anything_command_by_the_name_of_their_topic() -> Non
     )
     assert list(map(str, found)) == [
         "/cmd_vel Twist → /base (from /smoother)",
-        "/goal_pose PoseStamped → /bt_navigator",
-        "/commands/motor/speed Float64 → /vesc",
+        "/goal_pose PoseStamped (goal) → /bt_navigator",
+        "/commands/motor/speed Float64 (low level) → /vesc",
     ]
 
 
@@ -44,6 +44,30 @@ def test_the_input_of_a_controller_that_is_not_active_says_so_and_comes_last() -
     present = graph(heard(f"{arm}/joint_trajectory", TRAJECTORY, arm), heard(f"{other}/commands", FLOATS, other))
     states = [{"name": "arm_controller", "state": "inactive"}, {"name": "forward_controller", "state": "active"}]
     assert list(map(str, command_inputs(present, {"/controller_manager": states}))) == [
-        "/forward_controller/commands Float64MultiArray → /forward_controller",
+        "/forward_controller/commands Float64MultiArray (low level) → /forward_controller",
         "/arm_controller/joint_trajectory JointTrajectory → /arm_controller, not active",
     ]
+
+
+def test_movements_come_before_goals_and_goals_before_lower_inputs() -> None:
+    action, kind = "/nav/navigate_to_pose", "nav2_msgs/action/NavigateToPose"
+    server = Endpoint("/bt_navigator", f"{kind}_FeedbackMessage", "", "", QoS())
+    found = command_inputs(
+        graph(
+            heard("/thrust", "std_msgs/msg/Float32", "/hull"),
+            heard("/spot/body_pose", "geometry_msgs/msg/Pose", "/spot"),
+            TopicEndpoints(f"{action}/_action/feedback", [server], []),
+            heard("/base/reference", "geometry_msgs/msg/TwistStamped", "/base"),
+            heard("/arm/servo_node/delta_twist_cmds", "geometry_msgs/msg/TwistStamped", "/servo_node"),
+            heard("/place", "geometry_msgs/msg/Pose", "/logger"),
+        ),
+        {},
+    )
+    assert list(map(str, found)) == [
+        "/base/reference TwistStamped → /base",
+        "/arm/servo_node/delta_twist_cmds TwistStamped → /servo_node",
+        "/nav/navigate_to_pose NavigateToPose (action) → /bt_navigator",
+        "/spot/body_pose Pose (pose) → /spot",
+        "/thrust Float32 (low level) → /hull",
+    ]
+    assert drive_types(found) == ["geometry_msgs/msg/TwistStamped"]  # that of the base: a hand is none

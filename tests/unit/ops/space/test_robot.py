@@ -78,7 +78,7 @@ async def test_everything_is_told_of_a_cart_with_a_laser(window: Make, robot: Ro
     assert (found.name, found.kind, found.base_frame) == ("cart", "differential drive base, 2 wheels", "base_link")
     assert found.footprint.startswith("0.60 × 0.44 m: front 0.30, rear 0.30, left 0.22, right 0.22")
     assert found.command_inputs == ["/cmd_vel Twist → /base"]
-    assert found.sensors == ["/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 yaw 180° 0.1 to 12 m"]
+    assert found.sensors == ["/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 yaw 180° (by URDF, not TF) 0.1 to 12 m"]
     assert found.joints[0] == "left_wheel_joint continuous now 1.5 rad"
     assert found.place == "In map at x 6.00 y 0.00 m, yaw 0° (TF, localised)."
     assert found.frames == "map → odom → base_link; 3 in all"
@@ -110,7 +110,7 @@ async def test_one_sensor_that_cannot_be_read_takes_nothing_else_away(window: Ma
     ]
     found = await in_brief(robot, source(made))
     lines = "\n".join(found.sensors)
-    assert "/sonar Range 10 Hz in laser at 0.20 0.00 0.30 yaw 180° 0.05 to 4 m" in lines
+    assert "/sonar Range 10 Hz in laser 0.05 to 4 m" in lines
     assert "/battery BatteryState 72%" in lines and "/wrench WrenchStamped 10 Hz" in lines
     assert found.unhealthy == [] and found.kind.startswith("differential")
 
@@ -125,7 +125,9 @@ async def test_what_a_joint_carries_sits_where_that_joint_is_or_nowhere(window: 
         "/joint_states", "sensor_msgs/msg/JointState", [(4.9, {"name": ["mount"], "position": [-math.pi / 2]})]
     )
     found = await in_brief(robot, source([*made[:-1], told]))
-    assert found.sensors == ["/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 yaw 90° 0.1 to 12 m"]
+    assert found.sensors == [
+        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 yaw 90° (by URDF and joint positions, not TF) 0.1 to 12 m"
+    ]
 
 
 async def test_a_sensor_in_a_frame_that_nobody_tells_is_unhealthy(window: Make, robot: Robot) -> None:
@@ -139,7 +141,7 @@ async def test_a_sensor_in_a_frame_that_nobody_tells_is_unhealthy(window: Make, 
 async def test_a_sensor_that_is_mounted_upside_down_says_so(window: Make, robot: Robot) -> None:
     found = await in_brief(robot, source(windows(window, CART.replace("0 0 3.14159265", "3.14159265 0 0"))))
     assert found.sensors[0].startswith(
-        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 roll 180° pitch 0° yaw 0° 0.1 to 12 m"
+        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 roll 180° (by URDF, not TF) 0.1 to 12 m"
     ), found.sensors
 
 
@@ -155,6 +157,26 @@ async def test_an_outline_that_only_the_costmap_tells_is_told_in_the_frame_of_th
     bare = '<robot name="bare"><link name="base_link"/></robot>'
     found = await in_brief(robot, source([*windows(window, bare), footprint]))
     assert found.footprint == "radius 0.30 m about base_link (that of the costmap)"
+
+
+async def test_an_arm_that_its_description_fixes_in_the_world_is_there(window: Make, robot: Robot) -> None:
+    urdf = (
+        '<robot name="arm"><link name="world"/><link name="base_link"/><joint name="fix" type="fixed">'
+        '<parent link="world"/><child link="base_link"/><origin xyz="0.5 0 1" rpy="0 0 1.5708"/></joint></robot>'
+    )
+    described = window("/robot_description", "std_msgs/msg/String", [(0.0, {"data": urdf})])
+    found = await in_brief(robot, source([described]))
+    assert found.place == "In world at x 0.50 y 0.00 z 1.00 m, yaw 90° (URDF, fixed there)."
+    assert (found.frames, found.unhealthy) == ("none", [])
+    free = urdf.replace('type="fixed"', 'type="floating"')
+    described = window("/robot_description", "std_msgs/msg/String", [(0.0, {"data": free})])
+    assert "not known" in (await in_brief(robot, source([described]))).place
+
+
+async def test_frames_that_did_not_come_are_not_said_to_be_none(window: Make, robot: Robot) -> None:
+    made = [one for one in windows(window, CART) if one.topic != "/tf"]
+    found = await in_brief(robot, source([*made, window("/tf", TF, [])]))
+    assert (found.frames, found.place) == ("not read", "Where it is was not read in time."), found
 
 
 async def test_a_localiser_that_tells_no_place_is_told(window: Make, robot: Robot) -> None:

@@ -1,0 +1,98 @@
+"""The robot's body in words: how large it is, and where its sensors sit, each with how that is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from ros2_mcp.codec.footprint import outline, reach, unmeasured
+from ros2_mcp.codec.transforms import FrameTree
+from ros2_mcp.codec.urdf import Urdf
+from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw, rotated
+from ros2_mcp.model.text import named
+
+NO_MOUNT = " (mount unknown)"
+_ALONG = 1e-3
+"""A camera that looks straight up or down has no direction seen from above."""
+_TILTED_DEG = 2.0
+"""Less is how exactly anybody mounts a sensor."""
+_LEAST_ROUND, _ROUND = 8, 0.95
+"""Of an outline: from so many corners on, with radii that differ by 5 % at most, it is a circle."""
+
+
+def footprint_in_words(
+    urdf: Urdf | None, tree: FrameTree, base: str, published: Sequence[tuple[float, float, float]], frame: str
+) -> str:
+    """From the description; where that has meshes alone for a part, the outline that Nav2 publishes in `frame`; else
+    that it is a least size, or not known.
+    """
+    root = urdf.root if urdf and base not in urdf.links else base
+    size = reach(outline(urdf, root)) if urdf else None
+    meshes = unmeasured(urdf, root) if urdf else ()
+    if (size is None or meshes) and (of_costmap := _of_costmap(tree, base, published, frame)):
+        return of_costmap
+    if size is None:
+        return f"unknown: of {_first(meshes)} there is a mesh alone" if meshes else "unknown"
+    long_m, wide_m = size.front_m + size.rear_m, size.left_m + size.right_m
+    least = f" without the mesh{'es' if len(meshes) > 1 else ''} of {_first(meshes)}" if meshes else ""
+    return (
+        f"{'at least ' if meshes else ''}{long_m:.2f} × {wide_m:.2f} m: front {size.front_m:.2f}, "
+        f"rear {size.rear_m:.2f}, left {size.left_m:.2f}, right {size.right_m:.2f} of {named(base)}{least}"
+    )
+
+
+def _first(links: Sequence[str]) -> str:
+    return f"{named(links[0])}{f' and {len(links) - 1} more' if len(links) > 1 else ''}"
+
+
+def _of_costmap(tree: FrameTree, base: str, published: Sequence[tuple[float, float, float]], frame: str) -> str:
+    """What Nav2 takes for its outline, in the frame of its base; empty if nothing is told, or not where."""
+    found = tree.newest(base, frame) if base and frame != base else None
+    if len(published) < 3 or (found is None and frame != base):
+        return ""
+    points = [(found.pose.applied(at) if found else at)[:2] for at in published]
+    far = [math.hypot(x, y) for x, y in points]
+    if min(far) > _ROUND * max(far) and len(points) >= _LEAST_ROUND:
+        return f"radius {max(far):.2f} m about {named(base)} (that of the costmap)"
+    x, y = [at[0] for at in points], [at[1] for at in points]
+    return (
+        f"{max(x) - min(x):.2f} × {max(y) - min(y):.2f} m: front {max(x):.2f}, rear {-min(x):.2f}, left {max(y):.2f}, "
+        f"right {-min(y):.2f} of {named(base)} (that of the costmap)"
+    )
+
+
+def mounted(urdf: Urdf | None, tree: FrameTree, base: str, frame: str, positions: Mapping[str, float]) -> str:
+    """Where a sensor sits: from the transforms; else from the description and the joints' positions, and then it says
+    so, for nobody has told it as a transform.
+    """
+    frame = frame.lstrip("/")
+    if frame == base:
+        return ""
+    if base and (found := tree.newest(base, frame)):
+        return _at(found.pose, frame)
+    if urdf is None or base not in urdf.links or (mount := urdf.mount(frame, base, positions)) is None:
+        return NO_MOUNT
+    movers = urdf.moved_by(frame, base)
+    unknown = next((joint.name for joint in movers if urdf.position(joint, positions) is None), None)
+    if unknown is not None:
+        return f" (mount unknown: {named(unknown)} moves it)"
+    how = "URDF and joint positions" if movers else "URDF"
+    return f"{_at(Pose(mount.xyz, from_roll_pitch_yaw(*mount.rpy)), frame)} (by {how}, not TF)"
+
+
+def _at(pose: Pose, frame: str) -> str:
+    x, y, z = (round(part, 2) + 0.0 for part in pose.translation)
+    angles_deg = [math.degrees(angle) for angle in pose.roll_pitch_yaw_rad]
+    if "optical" in frame or max(map(abs, angles_deg[:2])) < _TILTED_DEG:
+        angles_deg = [0.0, 0.0, math.degrees(_looks_rad(pose, frame))]
+    names = zip(("roll", "pitch", "yaw"), angles_deg, strict=True)  # of what is tilted a yaw alone would mislead
+    turned = "".join(f" {name} {angle:.0f}°" for name, angle in names if abs(angle) >= 0.5)
+    return f" at {x:.2f} {y:.2f} {z:.2f}{turned}"
+
+
+def _looks_rad(pose: Pose, frame: str) -> float:
+    """The direction that a sensor looks in, seen from above: along x, and of an optical frame along z (REP 103)."""
+    if "optical" not in frame:
+        return pose.yaw_rad
+    ahead = rotated(pose.rotation, (0.0, 0.0, 1.0))
+    return math.atan2(ahead[1], ahead[0]) if math.hypot(ahead[0], ahead[1]) > _ALONG else 0.0
