@@ -289,7 +289,7 @@ class Settings:
     )
     interface_prefixes: tuple[Path, ...] = _option(
         (), "--interfaces", "ROS2_MCP_INTERFACES", _ROS, _FOLDERS,
-        "built interface packages that the bridge shall find besides those of its installation",
+        "built interface packages, or folders of them, that the bridge shall find besides those of its installation",
     )
     cache_dir: Path = _option(
         Path("~/.cache/ros2-mcp"), "--cache-dir", "ROS2_MCP_CACHE_DIR", _ROS, _FOLDER,

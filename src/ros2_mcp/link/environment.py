@@ -10,7 +10,7 @@ import importlib.util
 import os
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,11 +35,19 @@ def find_ros(settings: Settings, env: Mapping[str, str] = os.environ) -> RosInst
         raise _not_found(settings)
     overlays = (workspace_setup(workspace) for workspace in settings.workspaces)
     built = _built_for(installation, settings) if installation.kind == "wheels" else ()
+    given = [prefix for folder in settings.interface_prefixes for prefix in _prefixes_in(folder)]
     return replace(
         installation,
         scripts=(*installation.scripts, *overlays),
-        interface_prefixes=tuple(dict.fromkeys((*settings.interface_prefixes, *built))),
+        interface_prefixes=tuple(dict.fromkeys((*given, *built))),
     )
+
+
+def _prefixes_in(folder: Path) -> Sequence[Path]:
+    """The prefixes that a folder holds; itself where it is one, or is not there yet, since it is still being built."""
+    index = Path("share") / "ament_index"
+    held = [] if (folder / index).is_dir() else sorted(found.parents[1] for found in folder.glob(f"*/{index}"))
+    return held or (folder,)
 
 
 # ── what the far side finds, too ───────────────────────────────────────────────────────────────────────────────

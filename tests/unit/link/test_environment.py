@@ -198,3 +198,13 @@ def test_the_doctor_names_the_fix_for_a_middleware_that_is_not_installed(tmp_pat
     middleware = next(finding for finding in diagnose(settings, BARE) if finding.title == "Middleware")
     assert middleware.ok is False
     assert "apt-get install ros-jazzy-rmw-cyclonedds-cpp" in middleware.fix
+
+
+def test_a_folder_of_built_interface_packages_stands_for_them(tmp_path: Path) -> None:
+    held, alone, later = tmp_path / "all", tmp_path / "alone", tmp_path / "later"
+    for prefix in (held / "a", held / "b", alone):
+        (prefix / "share" / "ament_index").mkdir(parents=True)
+    (held / "notes").mkdir()
+    root = install(tmp_path / "ros", "jazzy")
+    found = find_ros(Settings(ros_root=root, interface_prefixes=(held, alone, later)), BARE)
+    assert found.interface_prefixes == (held / "a", held / "b", alone, later)
