@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 from ros2_mcp.guard.state import StateFolder
-from support.agent import FULL, Refusal
+from support.agent import FULL, Refusal, until
 from support.arm_moves import HOME, far, trajectory
 from support.driver import Driver
-from support.raw_server import RawServer, children
+from support.raw_server import RawServer, children, lives
 
 pytestmark = pytest.mark.timeout(180)
 TOPIC, ACTION = "/arm_controller/joint_trajectory", "/arm_controller/follow_joint_trajectory"
@@ -177,9 +177,29 @@ def test_a_stop_in_the_middle_of_a_trajectory_on_a_topic_holds_the_joints_where_
     assert stopped["confirmed"] or "NOT observed still" in stopped["note"], stopped["note"]
 
 
+@pytest.fixture
+def begin() -> Iterator[Callable[[RawServer, str], None]]:
+    """Begins a move of the shoulder to the far side. Asked for before `start_server`, it waits after the test until
+    all that this server had started is gone: a stopper holds the joints for seconds, and would in the next test, too.
+    """
+    begun: list[int] = []
+
+    def move(server: RawServer, way: str) -> None:
+        goal: dict[str, Any] = {"action_name": ACTION, "goal_fields": {"trajectory": trajectory(far(), 4.0)}}
+        if way == "goal":
+            answer = server.call("ros2_send_action_goal", **goal)
+        else:
+            answer = server.call("ros2_topic_publish", topic_name=TOPIC, data=trajectory(far(), 4.0))
+        assert not answer["isError"], answer
+        begun.extend([server.process.pid, *children(server.process.pid)])
+
+    yield move
+    until(lambda: not any(map(lives, begun)))
+
+
 @pytest.mark.parametrize("way", ["topic", pytest.param("goal", marks=pytest.mark.full)])
 def test_a_server_that_is_killed_in_the_middle_leaves_joints_that_are_held(
-    start_server: Callable[[], RawServer], witness, way: str
+    begin: Callable[[RawServer, str], None], start_server: Callable[[], RawServer], witness, way: str
 ) -> None:
     server = start_server()
     begin(server, way)
@@ -192,7 +212,7 @@ def test_a_server_that_is_killed_in_the_middle_leaves_joints_that_are_held(
     "with_server", [pytest.param(False, marks=pytest.mark.full), True], ids=["the bridge", "bridge and server"]
 )
 def test_a_bridge_that_is_killed_in_the_middle_leaves_joints_that_are_held(
-    start_server: Callable[[], RawServer], witness, with_server: bool
+    begin: Callable[[RawServer, str], None], start_server: Callable[[], RawServer], witness, with_server: bool
 ) -> None:
     server = start_server()
     begin(server, "topic")
@@ -205,7 +225,9 @@ def test_a_bridge_that_is_killed_in_the_middle_leaves_joints_that_are_held(
 
 @pytest.mark.promise("stopping", "the stopper cancels the goals")
 @pytest.mark.parametrize("_", range(20 if FULL else 1))
-def test_a_goal_whose_bridge_and_server_are_killed_together_is_cancelled(start_server, witness, _: int) -> None:
+def test_a_goal_whose_bridge_and_server_are_killed_together_is_cancelled(
+    begin: Callable[[RawServer, str], None], start_server, witness, _: int
+) -> None:
     server = start_server()
     begin(server, "goal")
     before = witness.until_moving()
@@ -217,22 +239,14 @@ def test_a_goal_whose_bridge_and_server_are_killed_together_is_cancelled(start_s
 
 
 @pytest.mark.full
-def test_a_goal_whose_bridge_alone_is_killed_goes_on(start_server, witness) -> None:
+def test_a_goal_whose_bridge_alone_is_killed_goes_on(
+    begin: Callable[[RawServer, str], None], start_server, witness
+) -> None:
     server = start_server()
     begin(server, "goal")
     witness.until_moving()
     os.kill(children(server.process.pid)[0], signal.SIGKILL)
     assert witness.until_still()[PAN] == pytest.approx(far()[PAN], abs=0.02)
-
-
-def begin(server: RawServer, way: str) -> None:
-    """A move of the shoulder to the far side."""
-    goal: dict[str, Any] = {"action_name": ACTION, "goal_fields": {"trajectory": trajectory(far(), 4.0)}}
-    if way == "goal":
-        answer = server.call("ros2_send_action_goal", **goal)
-    else:
-        answer = server.call("ros2_topic_publish", topic_name=TOPIC, data=trajectory(far(), 4.0))
-    assert not answer["isError"], answer
 
 
 @pytest.mark.full
