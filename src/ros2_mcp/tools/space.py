@@ -9,7 +9,8 @@ from pydantic import Field
 from ros2_mcp.ops.results import Report
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.robot import RobotInBrief, in_brief
-from ros2_mcp.ops.space.scene import ScenePicture, SceneRequest, scene
+from ros2_mcp.ops.space.scene import scene
+from ros2_mcp.ops.space.scene_picture import ScenePicture, SceneRequest
 from ros2_mcp.ops.space.tf_lookup import Lookup, LookupRequest, tf_lookup
 from ros2_mcp.ops.space.tf_tree import Tree, tf_tree
 from ros2_mcp.robot import Robot

@@ -24,7 +24,8 @@ from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
 from ros2_mcp.ops.results import Report, WithPictures, reporting, silent
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.ops.space.plans import hear_plans
-from ros2_mcp.ops.space.scene import ScenePicture, SceneRequest, Way, scene
+from ros2_mcp.ops.space.scene import scene
+from ros2_mcp.ops.space.scene_picture import ScenePicture, SceneRequest, Way
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 

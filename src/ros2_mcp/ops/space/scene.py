@@ -24,12 +24,13 @@ from ros2_mcp.model.times import recorded_time, seconds_in
 from ros2_mcp.ops.navigation.navigate import Navigation
 from ros2_mcp.ops.pictures.next_message import Next, next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
-from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, reporting, silent
+from ros2_mcp.ops.results import Report, facts, iso_time, reporting, silent
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.ages import age_of, since_s, stamp_ns
 from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.space.meaning import meaning_of
 from ros2_mcp.ops.space.plans import plan_sent_before
+from ros2_mcp.ops.space.scene_picture import SceneLayer, ScenePicture, SceneRequest, Way
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.places import NamedPlace
 
@@ -58,98 +59,6 @@ _OLD_S = 3.0
 _LATE_S = 0.5
 """A robot that turns at 1 rad/s has another side ahead by then."""
 _COSTMAP, _DESCRIPTION = "costmap", "description"
-
-
-@dataclass(frozen=True, slots=True)
-class Way:
-    """Points (x, y in metres of `frame`) that nobody publishes, such as a planned way; its end is marked as a goal.
-
-    `marks` (name, x, y) are places along it that are worth a look.
-    """
-
-    name: str
-    frame: str
-    points: Sequence[Sequence[float]]
-    marks: Sequence[tuple[str, float, float]] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class SceneRequest:
-    """The frame (empty: that of the grid), the grid (a topic, or `costmap`; empty: the map), and how far around the
-    robot to look, in metres (None: all there is); `way` is drawn, too."""
-
-    frame: str = ""
-    grid: str = ""
-    radius_m: float | None = None
-    way: Way | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class SceneLayer:
-    """Something in the picture: a `grid`, `costmap`, `scan`, `path`, `goal`, `place` or `footprint`.
-
-    `name` is its topic, or a place's name. `x_m`, `y_m` and `yaw_deg` tell where a goal or place is, or where a path
-    ends, in the picture's frame; null for others, and the yaw where none is meant. `age_s` is null where nobody knows.
-    """
-
-    kind: str
-    name: str
-    x_m: float | None = None
-    y_m: float | None = None
-    yaw_deg: float | None = None
-    age_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScenePicture(WithPictures):
-    """What is around the robot, x to the right, y up, in metres of the frame `frame_id`, with a line each `line_m`.
-
-    Pixel (`left_px` + column, `top_px` + row) begins at x = `x_min_m` + column · `metres_per_pixel`,
-    y = `y_max_m` - row · `metres_per_pixel`; the rest are labels. The robot's pose is null where nobody says it.
-    `meaning` is that of the first scan. `missing` says what is not shown, and why. `at` is the time that is shown.
-    """
-
-    frame_id: str
-    x_min_m: float
-    x_max_m: float
-    y_min_m: float
-    y_max_m: float
-    line_m: float
-    metres_per_pixel: float
-    left_px: int
-    top_px: int
-    robot_x_m: float | None
-    robot_y_m: float | None
-    robot_yaw_deg: float | None
-    robot_age_s: float | None
-    layers: Sequence[SceneLayer]
-    meaning: Meaning | None
-    missing: Sequence[str]
-    at: str
-    seconds_in: float | None
-    source: str
-
-    def summary(self) -> list[str]:
-        """The picture in a line, what the scan means, and a line for each thing that is missing."""
-        width, height = self.x_max_m - self.x_min_m, self.y_max_m - self.y_min_m
-        where = ""
-        if self.robot_x_m is not None and self.robot_yaw_deg is not None:
-            old = "" if self.robot_age_s is None else f", {self.robot_age_s:.2f} s ago"
-            where = (
-                f" Robot at ({self.robot_x_m:.2f}, {self.robot_y_m:.2f}) m, heading {round(self.robot_yaw_deg)}°{old}."
-            )
-        shown = ", ".join(_in_words(layer) for layer in self.layers) or "nothing but lines"
-        line = (
-            f"Scene in {named(self.frame_id)}, {width:.4g} m × {height:.4g} m, a line each {self.line_m:g} m.{where} "
-            f"Shown: {shown}."
-        )
-        return [line, *([str(self.meaning)] if self.meaning else []), *self.missing]
-
-
-def _in_words(layer: SceneLayer) -> str:
-    at = "" if layer.x_m is None or layer.y_m is None else f" ({layer.x_m:.2f}, {layer.y_m:.2f})"
-    to = " to" if layer.kind == "path" and at else ""
-    return f"{layer.kind} {named(layer.name)}{to}{at}"
 
 
 async def scene(robot: Robot, source: Source, request: SceneRequest, report: Report = silent) -> ScenePicture:

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
-from ros2_mcp.ops.space.scene import Gathered, SceneLayer, SceneRequest, gather
+from ros2_mcp.ops.space.scene import Gathered, gather
+from ros2_mcp.ops.space.scene_picture import SceneLayer, SceneRequest
 from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
 
 if TYPE_CHECKING:

@@ -11,7 +11,8 @@ from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, OCCUPANCY_GRID, POI
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.results import HIDDEN, Report, WithPictures, silent
 from ros2_mcp.ops.sources.source import Source
-from ros2_mcp.ops.space.scene import SceneRequest, scene
+from ros2_mcp.ops.space.scene import scene
+from ros2_mcp.ops.space.scene_picture import SceneRequest
 from ros2_mcp.robot import Robot
 
 _PANELS: Mapping[str, str] = {
