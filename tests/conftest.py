@@ -14,6 +14,7 @@ from typing import TypeVar
 
 import pytest
 
+from support.rounds import FULL
 from support.tasks import running_tasks
 from support.turns import turn
 
@@ -40,7 +41,7 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
     """How many files run side by side: with ROS one more than processors, since they mostly wait; else all in turn."""
     if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
         return None
-    has_turns = os.environ.get("ROS2_MCP_FULL") or not _several_files_wait_for_ros(config)
+    has_turns = FULL or not _several_files_wait_for_ros(config)
     return 0 if has_turns else len(os.sched_getaffinity(0)) + 1
 
 
@@ -53,7 +54,7 @@ def _several_files_wait_for_ros(config: pytest.Config) -> bool:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files that wait for ROS begin first; what needs many rounds, long times or a quiet machine must be asked for."""
     items.sort(key=lambda item: not item.path.is_relative_to(ROS))
-    if os.environ.get("ROS2_MCP_FULL"):
+    if FULL:
         return
     skip = pytest.mark.skip(reason="set ROS2_MCP_FULL=1 on a quiet machine")
     for item in items:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,8 +15,9 @@ from anyio.from_thread import BlockingPortal, start_blocking_portal
 from mcp import Client, StdioServerParameters
 from mcp.types import CallToolResult
 
-FULL = bool(os.environ.get("ROS2_MCP_FULL"))
-"""Whether the long versions of the tests run."""
+from support import rounds
+
+FULL = rounds.FULL
 SERVER = (sys.executable, "-m", "ros2_mcp")
 CALL_S = 60.0
 DISCOVERY_S = 30.0

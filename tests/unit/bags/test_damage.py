@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import sqlite3
 import struct
@@ -24,10 +23,11 @@ from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadData, Locked
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.times import iso_time
+from support.rounds import FULL
 
 OpenBag = Callable[[Path], Bag]
-FLIPS = 10_000 if os.environ.get("ROS2_MCP_FULL") else 300
-MASKS = range(1, 256) if os.environ.get("ROS2_MCP_FULL") else [1 << bit for bit in range(8)]
+FLIPS = 10_000 if FULL else 300
+MASKS = range(1, 256) if FULL else [1 << bit for bit in range(8)]
 TOPICS = ("/first", "/second")
 Message = tuple[str, Sample]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 import tracemalloc
 from pathlib import Path
@@ -12,8 +11,9 @@ from ros2_mcp.bags.bag import Bag
 from ros2_mcp.bags.stored import StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.samples import Sample
+from support.rounds import FULL
 
-BYTES = 5_000_000_000 if os.environ.get("ROS2_MCP_FULL") else 200_000_000
+BYTES = 5_000_000_000 if FULL else 200_000_000
 PICTURE = bytes(900_000)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import random
 import re
 import string
@@ -31,8 +30,8 @@ from ros2_mcp.model.commands import (
 )
 from ros2_mcp.model.errors import ApprovalNeeded, BadInput, NotFound, Refused
 from ros2_mcp.model.qos import Choice, QoS
+from support.rounds import FULL
 
-FULL = bool(os.environ.get("ROS2_MCP_FULL"))
 QOS = QoS("reliable", "volatile", depth=1)
 CHOICE = Choice(QOS, "")
 TWIST = "geometry_msgs/msg/Twist"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
-import os
 import random
 import signal
 import subprocess
@@ -30,8 +29,8 @@ from ros2_mcp.model.commands import Principal
 from ros2_mcp.model.errors import Refused
 from ros2_mcp.ops.audit import read
 from ros2_mcp.robot import Robot
+from support.rounds import FULL
 
-FULL = bool(os.environ.get("ROS2_MCP_FULL"))
 LINES, CHANGES = (100_000, 1000) if FULL else (600, 60)
 
 
