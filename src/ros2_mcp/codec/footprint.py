@@ -43,20 +43,20 @@ def outline(urdf: Urdf, base: str) -> Sequence[Point]:
     if base_in_body is None:
         return ()
     points: list[Point] = []
-    for name in _parts(urdf, body):
+    for name in parts_of(urdf, body):
         link, mount = urdf.links[name], urdf.mount(name, body)
         if mount is None:
             continue
         for shape in link.collisions or link.visuals:
-            points += [_in_base(at, base_in_body) for at in _corners(shape, mount)]
-    return _hull(points)
+            points += [_in_base(at, base_in_body) for at in corners(shape, mount)]
+    return hull(points)
 
 
 def unmeasured(urdf: Urdf, base: str) -> Sequence[str]:
     """The links of the outline of which only meshes tell the shape: it may be larger by them."""
     if base not in urdf.links:
         return ()
-    parts = [urdf.links[name] for name in _parts(urdf, urdf.fixed_to(base))]
+    parts = [urdf.links[name] for name in parts_of(urdf, urdf.fixed_to(base))]
     return [
         link.name
         for link in parts
@@ -72,7 +72,7 @@ def reach(points: Sequence[Point]) -> Reach | None:
     return Reach(max(x), -min(x), max(y), -min(y), max(math.hypot(*point) for point in points))
 
 
-def _parts(urdf: Urdf, body: str) -> Sequence[str]:
+def parts_of(urdf: Urdf, body: str) -> Sequence[str]:
     """The links of the outline: what is fixed to the body, its legs, and its wheels with what holds these."""
     moved = {joint.child for joint in legs_of(urdf)}
     for wheel in wheels_of(urdf):
@@ -97,7 +97,7 @@ def _in_base(at: tuple[float, float, float], base: Mount) -> Point:
     return x, y
 
 
-def _corners(shape: Geometry, link: Mount) -> Iterator[tuple[float, float, float]]:
+def corners(shape: Geometry, link: Mount) -> Iterator[tuple[float, float, float]]:
     """The corners of a shape in the body's frame; round ones have many."""
     size = [abs(one) for one in shape.size]
     if shape.kind == "mesh" or not all(0 < one <= _LARGEST_M for one in size):
@@ -125,7 +125,7 @@ def _own_corners(kind: str, size: Sequence[float]) -> Iterator[tuple[float, floa
             yield radius * math.cos(turn), radius * math.sin(turn), z
 
 
-def _hull(points: Sequence[Point]) -> Sequence[Point]:
+def hull(points: Sequence[Point]) -> Sequence[Point]:
     """The convex hull by Andrew's monotone chain: the lower side from left to right, then the upper one back."""
     ordered = sorted(set(points))
     if len(ordered) < 3:

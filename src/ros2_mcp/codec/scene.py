@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from ros2_mcp.codec.limbs import LimbSeen
 from ros2_mcp.codec.plot import Span, labels, letters
 from ros2_mcp.codec.raster import Pixels, Raster
 from ros2_mcp.model.errors import BadData
@@ -46,6 +47,7 @@ _LINE, _STRONG_LINE = (40, 90, 200, 120), (30, 80, 200, 190)
 """Grid lines: blue, which no map is, so that they are seen on black, grey and white."""
 ROBOT, SCAN, PATH, GOAL, PLACE = "#ff8c00", "#e6003c", "#00a03c", "#c800c8", "#0050d2"
 _HEADING = "#8a3c00"
+LIMB, _LIMB_FILL = "#5a3296", (150, 110, 220)
 _PATHS = (PATH, "#00949e", "#7a9a00", "#3c6e50")
 _FREE, _OCCUPIED, _UNKNOWN = (255, 255, 255), (0, 0, 0), (200, 200, 200)
 
@@ -74,7 +76,8 @@ class Mark:
 class Scene:
     """What is drawn, all in the frame `frame`, in metres: points and lines are n × 2.
 
-    `x` and `y` are the part that is shown. `footprint` is the outline of the robot; `path_names` are those of `paths`.
+    `x` and `y` are the part that is shown. `footprint` is the outline of the robot, `limbs` what joints move on it, the
+    lowest first; `path_names` are those of `paths`.
     """
 
     frame: str
@@ -83,6 +86,7 @@ class Scene:
     grid: GridLayer | None = None
     robot: Place | None = None
     footprint: NDArray[np.float64] | None = None
+    limbs: Sequence[LimbSeen] = ()
     scans: Sequence[NDArray[np.float64]] = ()
     paths: Sequence[NDArray[np.float64]] = ()
     path_names: Sequence[str] = ()
@@ -309,6 +313,8 @@ class _Sheet:
             self._draw_mark(mark, GOAL, square=False)
         if scene.robot:
             self._draw_robot(scene.robot)
+        for limb in scene.limbs:
+            self._draw_limb(limb)
 
     def _draw_mark(self, mark: Mark, colour: str, *, square: bool) -> None:
         x, y = self._pixel(mark.x_m, mark.y_m)
@@ -337,6 +343,17 @@ class _Sheet:
         self._arrow(at, robot.yaw_rad, reach, _HEADING)
         self._pen.ellipse([at[0] - 3, at[1] - 3, at[0] + 3, at[1] + 3], fill=_INK)
 
+    def _draw_limb(self, limb: LimbSeen) -> None:
+        """Its shapes, the line from the link that holds it, and a dot where a joint moves it."""
+        if len(outline := self._pixels(np.array(limb.outline).reshape(-1, 2))) > 2:
+            self._pen.polygon(outline, fill=(*_LIMB_FILL, 120), outline=LIMB, width=2)
+        bone = self._pixels(np.array(limb.bone or ()).reshape(-1, 2))
+        if len(bone) == 2:
+            self._pen.line(bone, LIMB, 2)
+            if limb.is_jointed:
+                x, y = bone[1]
+                self._pen.ellipse([x - 4, y - 4, x + 4, y + 4], fill="white", outline=LIMB, width=2)
+
     def _arrow(self, at: tuple[float, float], yaw_rad: float, length: float, colour: str) -> None:
         def off(turn: float, far: float) -> tuple[float, float]:
             return at[0] + far * math.cos(yaw_rad + turn), at[1] - far * math.sin(yaw_rad + turn)
@@ -363,6 +380,8 @@ class _Sheet:
         found: list[tuple[str, str]] = []
         if scene.robot:
             found.append((ROBOT, "robot, arrow: heading"))
+        if scene.limbs:
+            found.append((LIMB, "links that joints move, dots: joints"))
         if scene.scans:
             found.append((SCAN, "laser scan"))
         several = len(scene.paths) > 1  # each has a colour of its own

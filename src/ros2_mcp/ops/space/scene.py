@@ -6,16 +6,13 @@ import asyncio
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from ros2_mcp.codec.footprint import outline
-from ros2_mcp.codec.transforms import BASES, FrameTree, Located, pose_of
-from ros2_mcp.codec.urdf import parse
+from ros2_mcp.codec.limbs import Limb, LimbSeen, limbs_seen
+from ros2_mcp.codec.transforms import FrameTree, Located, pose_of
 from ros2_mcp.model import names
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
-from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.nav2 import PATH
 from ros2_mcp.model.pictures import BOUNDS, LASER_SCAN, OCCUPANCY_GRID, Picture, Place
 from ros2_mcp.model.poses import Pose, planar
@@ -31,6 +28,7 @@ from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.space.meaning import meaning_of
 from ros2_mcp.ops.space.plans import plan_sent_before
 from ros2_mcp.ops.space.scene_picture import SceneLayer, ScenePicture, SceneRequest, Way
+from ros2_mcp.ops.space.silhouette import silhouette_of
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.places import NamedPlace
 
@@ -103,6 +101,7 @@ class Gathered:
     missing: list[str] = field(default_factory=list[str])
     grid_layer: GridLayer | None = None
     footprint: Any = None
+    limbs: Sequence[LimbSeen] = ()
     scans: list[Any] = field(default_factory=list[Any])
     paths: list[Any] = field(default_factory=list[Any])
     path_names: list[str] = field(default_factory=list[str])
@@ -127,7 +126,7 @@ class Gathered:
         wanted += [("goal", name, POSE_STAMPED) for name in self._first("goals", goals, _MOST_GOALS)]
         footprints = [("footprint", name, POLYGON) for name in polygons if "footprint" in name]
         descriptions = [(_DESCRIPTION, name, STRING) for name in texts if name.endswith("robot_description")]
-        wanted += [*footprints, *descriptions][:1]
+        wanted += [*footprints[:1], *descriptions[:1]]
         # Last: a scan is to be of the pose that is shown, and while the others are awaited the robot may turn.
         late = [("scan", name, LASER_SCAN) for name in self._first("scans", scans, _MOST_SCANS)]
         grid = [(self.grid_topic, OCCUPANCY_GRID, _GRID_S)] if self.grid_topic else []
@@ -317,18 +316,31 @@ class Gathered:
             self.layers.append(SceneLayer("footprint", name, age_s=age_s))
 
     async def _place_body(self, name: str, description: str) -> None:
-        """The outline of the robot as its description has it, where the robot is."""
+        """The outline of the robot as its description has it, where the robot is, and its links that joints move."""
         import numpy as np  # not at the start of the server
 
-        at, base = self.robot, self.tree.base
+        at = self.robot
         try:
-            body = await aside(len(description), _outline, description, base)
+            body = await aside(len(description), silhouette_of, description, self.tree.base)
         except BadData:  # not what this picture is about
             return
-        if at and body:
+        if at and body.outline and self.footprint is None:
             pose = planar(at.x_m, at.y_m, at.yaw_rad)
-            self.footprint = np.array([pose.applied((x, y, 0.0))[:2] for x, y in body])
+            self.footprint = np.array([pose.applied((x, y, 0.0))[:2] for x, y in body.outline])
             self.layers.append(SceneLayer("footprint", name))
+        self._place_limbs(name, body.limbs)
+
+    def _place_limbs(self, name: str, limbs: Sequence[Limb]) -> None:
+        places = {limb.link: self.tree.newest(self.frame, limb.link) for limb in limbs}
+        told = [found.stamp_ns for found in places.values() if found and found.stamp_ns]
+        self.limbs = limbs_seen(limbs, self._now_in)
+        if self.limbs:
+            age_s = since_s(min(told, default=None), self.at_ns)
+            self.layers.append(SceneLayer("links", name, age_s=age_s))
+            if age_s is not None and age_s > _OLD_S:
+                self.missing.append(f"Where the links that joints move are was told {age_s:.1f} s ago.")
+        if unknown := [link for link, found in places.items() if not found]:
+            self.missing.append(f"No transform tells where these links are: {listed(unknown, 4)}.")
 
     def place_goal(self, name: str, message: Any, pose: Pose, age_s: float | None) -> None:
         """Where it is."""
@@ -453,6 +465,7 @@ def _drawn(gathered: Gathered, request: SceneRequest) -> tuple[SceneDrawing, Sce
 
     points = [*gathered.scans, *gathered.paths]  # places may be in another building
     points += [np.array([[mark.x_m, mark.y_m]]) for mark in gathered.goals]
+    points += [np.array(seen) for limb in gathered.limbs if (seen := [*limb.outline, *(limb.bone or ())])]
     x, y = extent(gathered.grid_layer, points, gathered.robot, request.radius_m)
     scene = Scene(
         frame=gathered.frame,
@@ -461,6 +474,7 @@ def _drawn(gathered: Gathered, request: SceneRequest) -> tuple[SceneDrawing, Sce
         grid=gathered.grid_layer,
         robot=gathered.robot,
         footprint=gathered.footprint,
+        limbs=gathered.limbs,
         scans=gathered.scans,
         paths=gathered.paths,
         path_names=gathered.path_names,
@@ -489,13 +503,6 @@ def _chosen_grid(asked: str, grids: Sequence[str]) -> str:
     if asked.strip():
         return names.absolute(asked)
     return next((name for name in maps if name.rpartition("/")[2] == "map"), (maps or costmaps or [""])[0])
-
-
-@lru_cache(maxsize=2)  # the page asks several times a second
-def _outline(description: str, base: str) -> Sequence[tuple[float, float]]:
-    """The outline of the body that a description tells of, about its base."""
-    urdf = parse(description)
-    return outline(urdf, base or next((one for one in BASES if one in urdf.links), ""))
 
 
 async def _next(source: Source, topic: str, type_name: str, wait_s: float) -> Next | RobotError:

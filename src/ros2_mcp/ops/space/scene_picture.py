@@ -36,7 +36,8 @@ class SceneRequest:
 
 @dataclass(frozen=True, slots=True)
 class SceneLayer:
-    """Something in the picture: a `grid`, `costmap`, `scan`, `path`, `goal`, `place` or `footprint`.
+    """Something in the picture: a `grid`, `costmap`, `scan`, `path`, `goal`, `place`, `footprint`, or the
+    `links` that joints move.
 
     `name` is its topic, or a place's name. `x_m`, `y_m` and `yaw_deg` tell where a goal or place is, or where a path
     ends, in the picture's frame; null for others, and the yaw where none is meant. `age_s` is null where nobody knows.
