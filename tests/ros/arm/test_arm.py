@@ -4,15 +4,21 @@ where the joints are, whoever ends it, in the middle of a move.
 
 from __future__ import annotations
 
+import base64
+import io
 import os
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image, ImageColor
 
+from ros2_mcp.codec.scene import LIMB
 from ros2_mcp.guard.state import StateFolder
+from ros2_mcp_demo.arm.description import tool_point
 from support.agent import FULL, Refusal, until
 from support.arm_moves import HOME, far, trajectory
 from support.driver import Driver
@@ -35,6 +41,21 @@ def _at_home(agent, witness) -> Iterator[None]:
 
 def row(moved: dict[str, Any], name: str) -> dict[str, Any]:
     return next(found for found in moved["joints"] if found["name"] == name)
+
+
+def test_the_scene_shows_the_arm_where_its_joints_are(agent, witness) -> None:
+    def shown() -> bool:
+        result = agent.whole("ros2_scene", {})
+        facts, [picture] = result.structured_content, [part for part in result.content if part.type == "image"]
+        pixels = np.asarray(Image.open(io.BytesIO(base64.b64decode(picture.data))).convert("RGB")).astype(int)
+        x, y, _ = tool_point(witness.joints())
+        row = round(facts["top_px"] + (facts["y_max_m"] - y) / facts["metres_per_pixel"])
+        column = round(facts["left_px"] + (x - facts["x_min_m"]) / facts["metres_per_pixel"])
+        near = pixels[row - 15 : row + 15, column - 15 : column + 15].reshape(-1, 3)
+        links = [layer for layer in facts["layers"] if layer["kind"] == "links"]
+        return bool(links) and (np.abs(near - ImageColor.getrgb(LIMB)).max(axis=1) < 8).any()
+
+    until(shown)
 
 
 @pytest.mark.promise("ros2_joint_move", "returns when they have arrived")
