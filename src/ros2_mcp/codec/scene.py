@@ -345,9 +345,9 @@ class _Sheet:
 
     def _draw_limb(self, limb: LimbSeen) -> None:
         """Its shapes, the line from the link that holds it, and a dot where a joint moves it."""
-        if len(outline := self._pixels(np.array(limb.outline).reshape(-1, 2))) > 2:
+        if limb.outline and len(outline := self._pixels(np.array(limb.outline))) > 2:
             self._pen.polygon(outline, fill=(*_LIMB_FILL, 120), outline=LIMB, width=2)
-        bone = self._pixels(np.array(limb.bone or ()).reshape(-1, 2))
+        bone = self._pixels(np.array(limb.bone)) if limb.bone else []
         if len(bone) == 2:
             self._pen.line(bone, LIMB, 2)
             if limb.is_jointed:
