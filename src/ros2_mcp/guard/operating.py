@@ -13,7 +13,7 @@ import secrets
 import socket
 from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -38,10 +38,13 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class StopAnswer:
-    """What was observed of a stop, in words; `is_doubted` where it is not confirmed that all it knows of stands."""
+    """What was observed of a stop, in words; `is_doubted` where it is not confirmed that all it knows of stands, and
+    `is_observed_still` where the robot's own sensors told afterwards that it stands.
+    """
 
     done: str
     is_doubted: bool
+    is_observed_still: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +189,7 @@ class _Clients:
         if what == "stop":
             operated.audit.note("stop", by=by)
             stopped = await operated.stop(by)
-            return {"done": stopped.done, "is_doubted": stopped.is_doubted}
+            return asdict(stopped)
         if what == "reset":
             state = operated.latch.look()
             if not state.is_set:

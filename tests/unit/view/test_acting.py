@@ -26,7 +26,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.memory.record import CALLS
 from ros2_mcp.ops.sources.kinds import Sources
-from ros2_mcp.ops.view.acting import Acting, AgentPanel
+from ros2_mcp.ops.view.acting import Acting, AgentPanel, acts_in
 from ros2_mcp.ops.view.look import Content, Look
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
@@ -79,6 +79,22 @@ async def test_a_stop_that_is_not_confirmed_is_told_as_an_alarm(tmp_path: Path) 
         assert (one.answered, one.said, one.is_doubted) == (True, words, is_doubted)
         assert stopped.is_all_well is not is_doubted
         assert ("1 of them NOT confirmed: look whether the robot stands" in stopped.summary()) is is_doubted
+
+
+async def test_a_stop_that_is_not_confirmed_says_whether_the_robot_was_seen_to_stand(tmp_path: Path) -> None:
+    robot, _ = await recorded(room_bag(tmp_path / "room"))
+    folder = StateFolder(tmp_path / "state")
+    async with server(folder, StopAnswer("NOT confirmed: /logger did not acknowledge.", True, is_observed_still=True)):
+        stopped = await Acting(folder).stop(robot)
+    assert not stopped.is_all_well
+    assert "1 of them NOT confirmed; the robot was seen to stand, but read why" in stopped.summary()
+
+
+def test_that_the_latch_was_found_set_is_told_once_until_it_is_reset() -> None:
+    cause = {"by": "operator", "reason": "a person stopped the robot"}
+    lines = [{"kind": "latched", **cause}, {"kind": "latched", **cause}, {"kind": "reset", "by": "operator"}]
+    told = [act["kind"] for act in acts_in([*lines, *lines, {"kind": "latched", "by": "watchdog"}])]
+    assert told == ["latched", "reset", "latched", "reset", "latched"]
 
 
 async def test_what_runs_and_is_no_command_is_told(tmp_path: Path) -> None:

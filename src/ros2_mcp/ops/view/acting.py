@@ -47,13 +47,15 @@ _NUMBERS = ("rate_hz", "duration_s")
 class StoppedServer:
     """One server that was told to stop: whether it has answered, and what it says was observed.
 
-    `is_doubted`: it has answered that it is not confirmed that the robot stands.
+    `is_doubted`: it has answered that it is not confirmed that the robot stands; `is_observed_still`: but odometry or
+    joint states told that it does.
     """
 
     name: str
     answered: bool
     said: str
     is_doubted: bool = False
+    is_observed_still: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,8 +76,10 @@ class StoppedAll:
         """One line: how many answered, what was done for those that did not, and whether it is latched."""
         answered = sum(server.answered for server in self.servers)
         told = f"{answered} of {len(self.servers)} server(s) stopped" if self.servers else "No server acts here"
-        if doubted := sum(server.is_doubted for server in self.servers):
-            told = f"{told}, {doubted} of them NOT confirmed: look whether the robot stands"
+        if doubted := [server for server in self.servers if server.is_doubted]:
+            told = f"{told}, {len(doubted)} of them NOT confirmed"
+            is_still = all(server.is_observed_still for server in doubted)
+            told += "; the robot was seen to stand, but read why" if is_still else ": look whether the robot stands"
         zeros = f"; zeros sent from here on {', '.join(self.zeros)}" if self.zeros else ""
         latched = "the latch is set" if self.latched else "the latch is NOT set"
         return f"{told}{zeros}; {latched}."
@@ -144,6 +148,7 @@ class Acting:
                 said=str(answer) if isinstance(answer, RobotError) else str(answer.get("done", "")),
                 # Of a server that does not say, as of an earlier version, it is not known.
                 is_doubted=not isinstance(answer, RobotError) and answer.get("is_doubted") is not False,
+                is_observed_still=not isinstance(answer, RobotError) and answer.get("is_observed_still") is True,
             )
             for name, answer in answers
         ]
@@ -270,17 +275,23 @@ def _stop_of(server: Server) -> Row:
 
 
 def acts_in(entries: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
-    """What a person wants to see of lines of the audit, each act with what became of it by then.
+    """What a person wants to see of lines of the audit, each act with what became of it by then. Each server writes
+    that it found the latch set: that is told once.
 
     Lines may be from a recording, which is anybody's: a field of another type than ours is told as text, or not at all.
     """
     outcomes = {
         str(entry.get("of")): str(entry.get("outcome", "")) for entry in entries if entry.get("kind") == "outcome"
     }
+    latched: object = None
     for entry in entries:
         kind, number = entry.get("kind"), entry.get("seq")
         if kind not in _KINDS:
             continue
+        if kind in ("latched", "reset"):
+            before, latched = latched, (entry.get("by"), entry.get("reason")) if kind == "latched" else None
+            if latched and latched == before:
+                continue
         fields: dict[str, Any] = {name: str(entry[name])[:_MOST_TEXT] for name in _TEXTS if entry.get(name)}
         fields |= {name: entry[name] for name in _NUMBERS if type(entry.get(name)) in (int, float)}
         if kind == "act":
