@@ -283,14 +283,15 @@ def acts_in(entries: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]
     outcomes = {
         str(entry.get("of")): str(entry.get("outcome", "")) for entry in entries if entry.get("kind") == "outcome"
     }
-    latched: object = None
+    latched: tuple[object, object] | None = None
     for entry in entries:
         kind, number = entry.get("kind"), entry.get("seq")
         if kind not in _KINDS:
             continue
         if kind in ("latched", "reset"):
-            before, latched = latched, (entry.get("by"), entry.get("reason")) if kind == "latched" else None
-            if latched and latched == before:
+            before = latched
+            latched = (entry.get("by"), entry.get("reason")) if kind == "latched" else None
+            if kind == "latched" and latched == before:
                 continue
         fields: dict[str, Any] = {name: str(entry[name])[:_MOST_TEXT] for name in _TEXTS if entry.get(name)}
         fields |= {name: entry[name] for name in _NUMBERS if type(entry.get(name)) in (int, float)}
