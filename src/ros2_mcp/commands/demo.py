@@ -28,7 +28,7 @@ def demo(settings: Settings, *, robot: str, robot_only: bool, output: Path | Non
         build_later(settings, robot)
         from ros2_mcp.commands.tour import take_tour
 
-        folder = (output or Path(f"ros2-mcp-demo-{time.strftime('%H%M%S')}")).resolve()
+        folder = (output or Path(f"ros2-mcp-demo-{time.strftime('%H%M%S')}-{graph.domain_id}")).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         return asyncio.run(take_tour(settings, graph, folder, robot))
 

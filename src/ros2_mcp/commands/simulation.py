@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Generator, Iterator, Mapping
@@ -29,6 +30,8 @@ READY_S = 60.0
 _FIRST_PORT, _PORTS_OF_A_DOMAIN = 7400, 250
 # The last domain all of whose ports Linux leaves to those who ask for them: from 32768 on it gives them to anybody.
 _LAST_OWN_DOMAIN = 100
+# A port of a domain, counted from its first: multicast has 0 and 1, and participants begin at 10.
+_CLAIM = 5
 _BUILD = ("interfaces", "build")
 # The niceness of what may take longer: the robot and those who look at it come first.
 _GIVES_WAY = 10
@@ -44,13 +47,33 @@ class Graph:
 
     @classmethod
     def private(cls) -> Graph:
-        """The highest of the domains 100 to 1 in which nobody on this machine is: mostly the same one each time."""
+        """The highest of the domains 100 to 1 in which nobody on this machine is: mostly the same one each time.
+
+        It is this process's until that ends, also where it becomes another program.
+        """
         used = {(port - _FIRST_PORT) // _PORTS_OF_A_DOMAIN for port in _bound_udp_ports()}
-        return cls(next((domain for domain in range(_LAST_OWN_DOMAIN, 0, -1) if domain not in used), _LAST_OWN_DOMAIN))
+        free = (domain for domain in range(_LAST_OWN_DOMAIN, 0, -1) if domain not in used and _claim(domain))
+        return cls(next(free, _LAST_OWN_DOMAIN))
 
     def variables(self) -> Mapping[str, str]:
         """What a process needs in its environment to be in this graph."""
         return {"ROS_DOMAIN_ID": str(self.domain_id), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def _claim(domain: int) -> bool:
+    """Takes a port of the domain that no participant uses; False where another process that chooses now has it.
+
+    Ports are bound by one process only, and the system frees them when it ends.
+    """
+    claim = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        claim.bind(("127.0.0.1", _FIRST_PORT + _PORTS_OF_A_DOMAIN * domain + _CLAIM))
+    except OSError:
+        claim.close()
+        return False
+    claim.set_inheritable(True)  # for who becomes the robot; to children it is not given
+    claim.detach()
+    return True
 
 
 def _bound_udp_ports() -> Iterator[int]:

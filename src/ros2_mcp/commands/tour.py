@@ -24,6 +24,9 @@ from ros2_mcp.settings import Settings
 CHAPTERS: Mapping[str, Sequence[Callable[[Tour], Awaitable[None]]]] = {"drone": DRONE, "arm": ARM}
 """What is shown of each robot but the rover, which has this module."""
 
+_WITHIN_M = 0.02
+"""What `ros2_drive` keeps to, by odometry."""
+
 
 async def take_tour(settings: Settings, graph: Graph, folder: Path, robot: str = DEFAULT) -> int:
     """Starts the server as a client would, over stdio, and walks through what it can do; saves into the folder."""
@@ -87,15 +90,13 @@ async def drive_one_metre(tour: Tour) -> None:
     """Drive, stop, and prove it by odometry."""
     tour.say("3. Drive one metre, then stop.")
     before = await _position(tour)
-    sent = await tour.call(
-        "ros2_topic_publish", topic_name="/cmd_vel", data={"linear": {"x": 0.25}}, frequency=20.0, duration=4.0
-    )
-    tour.show(f"{sent['sent']} commands sent to {sent['subscribers']} subscriber(s). {sent['note']}")
+    driven = await tour.call("ros2_drive", distance_m=1.0, speed=0.4)
+    tour.show(f"{driven['outcome']}: {driven['measured']} m in {driven['elapsed_s']} s. {driven['note']}".rstrip())
     stopped = await tour.call("ros2_topic_subscribe", topic_name="/odom", duration=1.0, fields=["twist.twist.linear.x"])
     speed = stopped["messages"][-1]["twist.twist.linear.x"]
     after = await _position(tour)
     moved = math.dist(before, after)
-    tour.verify(f"odometry says the robot moved {moved:.2f} m", 0.85 < moved < 1.15)
+    tour.verify(f"odometry says the robot moved {moved:.3f} m", abs(moved - 1.0) <= _WITHIN_M)
     tour.verify(f"the robot stands still ({speed:.3f} m/s)", abs(speed) < 0.02)
     await tour.call("ros2_topic_subscribe", topic_name="/camera/image_raw")
 

@@ -90,6 +90,12 @@ class Tellers:
         heard = set[str]().union(*nodes.values())
         return count, [name for name in publishers.now if name not in heard] or publishers.now
 
+    def waits_for_joints(self, topic: str, names: Sequence[str]) -> bool:
+        """Whether these say nothing on /tf because nothing moves: on /tf_static they are heard, as a state publisher is
+        whose joints are all fixed."""
+        static = self._publishers.get(TF_STATIC, Publishers())
+        return topic == TF and set(names) <= set(static.now) and not self.silent(TF_STATIC)[0]
+
     def _named(self, topic: str, writers: Sequence[int]) -> str:
         names = _all(self._publishers.get(topic))
         if len(names) < 2:
@@ -124,12 +130,14 @@ async def tellers_of(source: Source, tree: FrameTree) -> Tellers:
     return Tellers(tree, publishers, await listener.also_publish(nodes))
 
 
-def silent_in_words(tellers: Tellers, since_s: float) -> list[str]:
-    """Who publishes on /tf or /tf_static and sends nothing, in so many seconds of listening."""
+def silent_in_words(tellers: Tellers, since_s: float, *, harmless: bool | None = None) -> list[str]:
+    """Who publishes on /tf or /tf_static and sends nothing, in so many seconds of listening; `harmless`: only those, or
+    only the others, that have nothing to send.
+    """
     found: list[str] = []
     for topic in (TF, TF_STATIC):
         count, names = tellers.silent(topic)
-        if not count or not names:
+        if not count or not names or harmless not in (None, tellers.waits_for_joints(topic, names)):
             continue
         more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
         who = f"{', '.join(map(named, names[:_MOST_NAMED]))}{more}"

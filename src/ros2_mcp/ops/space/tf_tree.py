@@ -26,7 +26,11 @@ _MOST_LINES = 150
 """Of the text: the largest robots have that many frames, and a result has 32 kB."""
 
 _AGAIN_NS = 4_000_000_000
-"""For the second message of an edge that came once: its rate is not known before."""
+"""For the second message of an edge that came once: its rate is not known before; and for the first message of a
+publisher, which may be discovered late."""
+
+_LOOK_S = 0.2
+"""Between two looks whether a silent publisher is heard."""
 
 _MOST_DRAWN = 80
 """Characters of a name, and of what is said of it, in the picture: more make it too wide to be read."""
@@ -69,26 +73,28 @@ async def tf_tree(
     """
     tree = await _listened(source, duration_s, report)
     unheard = await unheard_publishers(source)
+    tellers = await _heard_out(source, tree, duration_s)
+    wrong, harmless = (_silent(source, tellers, harmless=which) for which in (False, True))
     if not tree.frames:
-        said = " ".join(unheard) or "Nothing came on /tf or /tf_static."
+        said = " ".join([*unheard, *wrong, *harmless]) or "Nothing came on /tf or /tf_static."
         raise NoTransform("never published", f"No transform is known at all. {said}")
     top = frame.strip().lstrip("/")
     if top and top not in tree.frames:
         raise NotFound(f"No transform names the frame {named(top)}.", did_you_mean(top, list(tree.frames)))
     listener, covers = source.transforms, source.covers_ns
     at_ns = listener.now_ns() if listener else covers[1] if covers else _newest_ns(tree)
-    tellers = await tellers_of(source, tree)
     stands = await standing_time(source, tree, at_ns)
-    said = [*_note(tree), *await other_clock(source, tree), *followed_in_words(source, tree), *_silent(source, tellers)]
+    said = [*_note(tree), *await other_clock(source, tree), *followed_in_words(source, tree), *harmless]
     rows = {child: edge_row(tree, edge, at_ns, tellers, time_stands=bool(stands)) for child, edge in tree.edges.items()}
     walk = list(_walk(tree, [top] if top else tree.roots))
     lines = [_line(name, depth, rows.get(name)) for name, depth in walk]
+    problems = _problems(tree, rows, [name for name, _ in walk], whole=not top)
     images = [await asyncio.to_thread(_picture, walk, rows)] if picture else []
     return Tree(
         frames=len(walk),
         roots=[top] if top else tree.roots,
         edges=[rows[name] for name, _ in walk if name in rows],
-        problems=[*unheard, *filter(None, [stands]), *_problems(tree, rows, [name for name, _ in walk], whole=not top)],
+        problems=[*unheard, *wrong, *filter(None, [stands]), *problems],
         read_from="live" if source.is_live else source.words,
         note=" ".join(said),
         lines=lines,
@@ -112,6 +118,19 @@ async def _listened(source: Source, duration_s: float, report: Report) -> FrameT
         while duration_s and listener.tree is tree and (left_ns := _once_ns(tree, listener.now_ns())) > 0:
             await listener.news(left_ns / 1e9)
     return tree
+
+
+async def _heard_out(source: Source, tree: FrameTree, duration_s: float) -> Tellers:
+    """Who tells the edges; of whom nothing was heard yet may be discovered late, and is listened to a little longer."""
+    tellers = await tellers_of(source, tree)
+    listener = source.transforms
+    while listener and duration_s and listener.tree is tree and _silent(source, tellers, harmless=False):
+        left_s = _AGAIN_NS / 1e9 - listener.listened_s
+        if left_s <= 0:
+            break
+        await listener.news(min(left_s, _LOOK_S))
+        tellers = await tellers_of(source, tree)
+    return tellers
 
 
 def _once_ns(tree: FrameTree, now_ns: int) -> int:
@@ -169,8 +188,9 @@ def _note(tree: FrameTree) -> list[str]:
     return notes
 
 
-def _silent(source: Source, tellers: Tellers) -> list[str]:
-    return silent_in_words(tellers, source.transforms.listened_s) if source.transforms else []
+def _silent(source: Source, tellers: Tellers, *, harmless: bool) -> list[str]:
+    listener = source.transforms
+    return silent_in_words(tellers, listener.listened_s, harmless=harmless) if listener else []
 
 
 def _picture(walk: Sequence[tuple[str, int]], rows: Mapping[str, EdgeRow]) -> Picture:

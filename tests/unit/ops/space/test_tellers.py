@@ -89,6 +89,19 @@ def test_a_publisher_that_has_sent_nothing_is_named() -> None:
     assert silent_in_words(unclear, 4.0)[0].startswith("1 of /one, /two publishes on /tf and has sent nothing")
 
 
+def test_a_state_publisher_of_which_nothing_moves_is_told_but_is_no_fault() -> None:
+    tree = tree_of((1, (("odom", "base_link"),)))
+    message = SimpleNamespace(transforms=[told("base_link", "laser", SECOND)])
+    tree.add(message, 1_700_000_001 * SECOND, is_static=True, sequence=1)
+    states = "/robot_state_publisher"
+    publishers = {"/tf": Publishers(["/ekf", states]), "/tf_static": Publishers([states])}
+    tellers = Tellers(tree, publishers, {})
+    assert silent_in_words(tellers, 4.0, harmless=False) == []
+    assert len(silent_in_words(tellers, 4.0, harmless=True)) == len(silent_in_words(tellers, 4.0)) == 1
+    lost = Tellers(tree, {**publishers, "/tf": Publishers(["/ekf", "/amcl"])}, {})
+    assert len(silent_in_words(lost, 4.0, harmless=False)) == 1 and silent_in_words(lost, 4.0, harmless=True) == []
+
+
 def test_the_edge_of_a_node_that_is_gone_is_not_credited_to_another() -> None:
     tree = tree_of((1, (("odom", "base_link"),)), (500, (("map", "odom"),)))
     tellers = Tellers(tree, {"/tf": Publishers(["/diff_drive"], ["/amcl"])}, {})
