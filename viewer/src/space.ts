@@ -13,6 +13,8 @@ type Space = {
 const STALE_S = 3;
 const NO_WEBGL = "This browser gives no WebGL, without which nothing can be drawn in 3D here. The map and all the others go on.";
 
+const LOST = "The graphics of this machine have dropped the picture in 3D. It comes back as soon as they give it again, or when the page is loaded anew.";
+
 export class SpacePanel {
   chosen = "";
   /** Whether it can be drawn here; what cannot is not asked for. */
@@ -25,12 +27,16 @@ export class SpacePanel {
   private cloudKey = "";
   private modelKey = "";
   private busy = false;
+  private isLost = false;
 
   constructor(section: HTMLElement, private readonly askChunk: (key: string) => Promise<Uint8Array<ArrayBuffer>>) {
     this.frame = new Frame(section, "3D", true, (topic) => { this.chosen = topic; });
     this.frame.choice.setAttribute("aria-label", "Cloud");
     this.frame.body.append(this.canvas, this.names);
     this.canvas.addEventListener("keydown", (event) => { if (!event.ctrlKey && !event.metaKey && !event.altKey && this.stage?.press(event.key)) event.preventDefault(); });
+    for (const [event, isLost] of [["webglcontextlost", true], ["webglcontextrestored", false]] as const) {
+      this.canvas.addEventListener(event, () => { this.isLost = isLost; this.tellWhy(); if (isLost) this.stage?.drop(); else this.stage?.dirty(); });
+    }
     new ResizeObserver(() => {
       if (!this.begin()) return;
       this.stage?.resize(this.frame.body.clientWidth, this.frame.body.clientHeight);
@@ -50,7 +56,7 @@ export class SpacePanel {
 
   update(space: Space): void {
     if (!this.works) return;
-    this.frame.tell(space.why && !this.shown.frame ? space.why : "");
+    this.tellWhy(space.why);
     this.frame.tellFoot([...(space.why && this.shown.frame ? [space.why] : []), ...this.notes(space)].map((text) => make("div", {}, text)));
     if (space.frame === undefined || !this.begin()) return;
     const isOther = space.frame !== this.shown.frame;
@@ -65,6 +71,11 @@ export class SpacePanel {
     if (!this.busy) void this.fetch();
     this.canvas.setAttribute("aria-label", this.inWords());
     stage.dirty();
+  }
+
+  /** Why nothing is seen, if that is so. */
+  private tellWhy(why = ""): void {
+    this.frame.tell(this.isLost ? LOST : this.shown.frame ? "" : why);
   }
 
   /** Fetches what is large, one after the other: of clouds that come faster only the newest counts. */

@@ -154,6 +154,11 @@ export class Stage {
     return mount;
   }
 
+  /** The graphics have lost all that was on them: it is put there anew with the next picture. */
+  drop(): void {
+    this.scene.traverse((at) => (at as unknown as { geometry?: BufferGeometry }).geometry?.dispose());
+  }
+
   // ── where it looks ──────────────────────────────────────────────────────────────────────────────────────────────
 
   private robotAt(): [number, number, number] {

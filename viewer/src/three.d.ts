@@ -23,6 +23,7 @@ declare module "three" {
     remove(...others: Object3D[]): this;
     clear(): this;
     updateMatrixWorld(force?: boolean): void;
+    traverse(each: (at: Object3D) => void): void;
     rotateX(by: number): this;
   }
   export class Group extends Object3D { }

@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
+from support.agent import until
 from support.browser import CHROMIUM, Page, browsing
 from support.processes import peer_command, running
 
@@ -93,6 +94,18 @@ def test_clouds_scans_and_frames_stand_in_one_space(page: Page) -> None:
     assert "to map" not in page.run("document.querySelector('#space .foot').textContent")
     page.until("[...document.querySelectorAll('#space .names span')].some(one => one.textContent === 'camera_link')")
     pictured(page, "space")
+
+
+def test_graphics_that_drop_the_picture_are_told_and_give_it_back(page: Page) -> None:
+    canvas, why = "document.querySelector('#space canvas')", "document.querySelector('#space .why').textContent"
+    page.run(f"(window.graphics = {canvas}.getContext('webgl2').getExtension('WEBGL_lose_context')).loseContext()")
+    page.until(f"{why}.includes('dropped the picture')")
+    page.run("graphics.restoreContext()")
+    page.until(f"{why} === ''")
+    copy = "const copy = new OffscreenCanvas(40, 30).getContext('2d'); copy.drawImage(" + canvas + ", 0, 0, 40, 30);"
+    colours = "new Set(new Uint32Array(copy.getImageData(0, 0, 40, 30).data.buffer)).size"
+    drawn = f"new Promise(done => requestAnimationFrame(() => {{ {copy} done({colours}); }}))"
+    until(lambda: page.run(drawn) > 5)  # lines and points again, in more than a colour
 
 
 def test_without_webgl_it_says_so_and_the_rest_works(page: Page) -> None:
