@@ -106,6 +106,18 @@ class Page:
         for kind in ("mousePressed", "mouseReleased"):
             self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
+    def drag(self, begin: tuple[float, float], end: tuple[float, float]) -> None:
+        """The mouse, pressed at one place of the window, moved to another, and released there."""
+        ways = (("mousePressed", begin), ("mouseMoved", end), ("mouseReleased", end))
+        for kind, (x, y) in ways:
+            self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+
+    def rectangle(self, of: str) -> tuple[float, float, float, float]:
+        """Left, top, width and height of the first element of a selector."""
+        script = "(({left, top, width, height}) => [left, top, width, height])"
+        left, top, width, height = self.run(f"{script}(document.querySelector({of!r}).getBoundingClientRect())")
+        return left, top, width, height
+
     def picture(self, path: Path) -> None:
         """Saves what is seen, as what its name says: a JPEG has half of a PNG's bytes, 80 kB."""
         kind = {"format": "jpeg", "quality": 80} if path.suffix == ".jpg" else {"format": "png"}

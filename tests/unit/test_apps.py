@@ -92,6 +92,27 @@ async def test_the_names_of_the_existing_viewer_lead_to_the_page(bag: Path) -> N
         assert answer.structured_content["panels"] == {"plot": "/odom:twist.twist.linear.x"}
 
 
+WHEN = {"at_s": 1_700_000_000, "now_s": 1_700_000_001.5}
+POINT = {
+    "kind": "point",
+    "topic": "/cloud",
+    "frame": "laser",
+    "xyz": [1, 2, 0.5],
+    "in_frame": "map",
+    "in": [3, 2, 1],
+    **WHEN,
+}
+BOX = {"kind": "box", "topic": "/camera", "frame": "eye", "box": [10, 20, 29, 39], "size": [640, 480], **WHEN}
+SPEED = {"name": "twist.linear.x", "value": 0.25, "unit": "m/s"}
+AT_TIME = {"kind": "time", "topic": "/odom", "values": [SPEED], **WHEN}
+TIME = "2023-11-14T22:13:20.000000Z (1.5 s old then)"
+PICKED = [
+    f"Picked in 3D: a point of /cloud of {TIME}, at (1.00, 2.00, 0.50) m in laser, (3.00, 2.00, 1.00) m in map.",
+    f"Picked in the picture /camera of {TIME}: pixels x 10 to 29, y 20 to 39 of 640 × 480, frame eye.",
+    f"Picked in the plot of /odom: {TIME}: twist.linear.x = 0.25 m/s.",
+]
+
+
 async def test_the_page_asks_and_what_it_shows_is_told_to_the_model(bag: Path) -> None:
     async with client_of(assemble(Settings(bag=bag)), shows_pages=True) as client:
         asked = {"panels": {"map": "", "robot": ""}, "wait_ms": 1000, "view": ""}
@@ -103,6 +124,17 @@ async def test_the_page_asks_and_what_it_shows_is_told_to_the_model(bag: Path) -
         key = found["map"]["grid"]["key"]
         part = await client.call_tool("ros2_view_ask", {"asked": {"view": asked["view"], "key": key}})
         assert (part.structured_content or {})["next"] is None
+        await client.call_tool("ros2_view_ask", {"asked": {"view": asked["view"], "picked": [POINT, BOX, AT_TIME]}})
+        answer = await client.call_tool("ros2_view_state", {})
+        assert [line for line in answer.content[0].text.splitlines() if line.startswith("Picked")] == PICKED
+        (seen,) = (answer.structured_content or {})["pages"]
+        point, box, time = seen["picked"]
+        assert (point["z_m"], point["in_m"], box["pixels"], time["values"][0]["value"]) == (
+            0.5,
+            [3, 2, 1],
+            BOX["box"],
+            0.25,
+        )
         pick = {"x": 1.5, "y": -0.25, "frame": "map", "at_s": 1_700_000_000, "grid": "/map", "cell": 0}
         await client.call_tool("ros2_view_ask", {"asked": {"view": asked["view"], "picked": [pick]}})
         answer = await client.call_tool("ros2_view_state", {})
@@ -119,6 +151,11 @@ async def test_the_page_asks_and_what_it_shows_is_told_to_the_model(bag: Path) -
     [
         *("", {}, [1], [{}], [{"x": 1, "y": 2, "at_s": 3}], [{"x": "1", "y": 2, "at_s": 3, "frame": "map"}]),
         *([{"x": 1e300, "y": 2, "at_s": 3, "frame": "map"}], [{"x": True, "y": 2, "at_s": 3, "frame": "map"}]),
+        *([{"kind": ["place"]}], [{"kind": "goal", "x": 1, "y": 2, "at_s": 3, "frame": "map"}]),
+        *([{**POINT, "xyz": [1, 2]}], [{**POINT, "in": [1, 2, "x"]}], [{**POINT, "frame": 5}], [{**POINT, "xyz": {}}]),
+        *([{**BOX, "box": [5, 5, 640, 9]}], [{**BOX, "box": [9, 5, 8, 9]}], [{**BOX, "box": [-1, 0, 1, 1]}]),
+        *([{**BOX, "size": [0, 0]}], [{**BOX, "at_s": None}]),
+        *([{**AT_TIME, "values": 5}], [{**AT_TIME, "values": ["x"]}], [{**AT_TIME, "now_s": 1e300}]),
     ],
 )
 async def test_what_is_no_pick_is_refused(bag: Path, picked: Any) -> None:

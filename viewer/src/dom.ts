@@ -82,6 +82,7 @@ export class Frame {
   private readonly age = make("span", { class: "age" });
   private readonly why = make("div", { class: "why" }, make("span"));
   private options = "";
+  private lines = "";
   constructor(readonly section: HTMLElement, title: string, full: boolean, chosen?: (topic: string) => void) {
     this.body = make("div", { class: full ? "body full" : "body", ...(full ? {} : { tabindex: "0" }) });
     section.append(
@@ -108,6 +109,12 @@ export class Frame {
     say(this.age, text);
     this.age.classList.toggle("bad", bad);
     this.section.classList.toggle("stale", stale);
+  }
+  /** Lines below the body; anew only where they are other ones, so that what is marked there stays marked. */
+  tellLines(lines: string[]): void {
+    if (lines.join("\n") === this.lines) return;
+    this.lines = lines.join("\n");
+    this.tellFoot(lines.map((line) => make("div", {}, line)));
   }
   tellFoot(parts: (Node | string)[]): void {
     this.foot.hidden = parts.length === 0;

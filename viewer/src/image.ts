@@ -1,10 +1,16 @@
-// The newest picture of a camera, decoded without blob: or data: addresses.
+// The newest picture of a camera, decoded without blob: or data: addresses. A drag picks a box, with Shift one more;
+// with the keyboard Enter begins a box in the middle, arrow keys move it, + and - change its size, Enter picks it.
 
-import { Frame, Sheet, ageText, bytesOf } from "./dom.ts";
+import { Frame, Sheet, ageText, bytesOf, colour } from "./dom.ts";
+import type { Picks } from "./picks.ts";
 
-type Shown = { why?: string; topic?: string; topics?: string[]; at_s?: number; rate_hz?: number | null; mime?: string; width?: number; height?: number; note?: string; bulk?: string };
+type Shown = { why?: string; topic?: string; topics?: string[]; at_s?: number; rate_hz?: number | null; mime?: string; width?: number; height?: number; note?: string; bulk?: string; whole?: number[]; frame?: string };
+type Rectangle = [left: number, top: number, right: number, bottom: number];
 
 const STALE_S = 2;
+const DRAG_PX = 4; // what moves by less is no box, but one around a point
+const AROUND_PX = 5; // of the picture: half the side of that
+const STEP = 1 / 20;
 
 export class ImagePanel {
   chosen = "";
@@ -14,11 +20,34 @@ export class ImagePanel {
   private shown: Shown = {};
   private next: Shown | null = null;
   private busy = false;
+  private box: Rectangle | null = null; // as it is drawn, in shares of the picture
+  private held: Shown | null = null; // the picture in which it is begun, which stands still meanwhile
+  private nowS = 0;
 
-  constructor(section: HTMLElement) {
-    this.frame = new Frame(section, "Image", true, (topic) => { this.chosen = topic; this.picture?.close(); this.picture = null; this.shown = {}; this.draw(); });
+  constructor(private readonly section: HTMLElement, private readonly picks: Picks) {
+    this.frame = new Frame(section, "Image", true, (topic) => { this.chosen = topic; this.picture?.close(); this.picture = null; this.shown = {}; this.drop(); });
     this.sheet = new Sheet(this.frame.body, () => this.draw());
-    this.sheet.canvas.classList.add("shown");
+    const canvas = this.sheet.canvas;
+    canvas.classList.add("shown");
+    canvas.tabIndex = 0;
+    let from: [number, number] | null = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0 || !this.picture) return;
+      from = [event.offsetX, event.offsetY];
+      canvas.setPointerCapture(event.pointerId);
+      this.held = this.shown;
+    });
+    canvas.addEventListener("pointermove", (event) => { if (from) { this.box = this.between(from, [event.offsetX, event.offsetY]); this.draw(); } });
+    canvas.addEventListener("pointerup", (event) => {
+      if (!from) return;
+      const isPoint = Math.hypot(event.offsetX - from[0], event.offsetY - from[1]) < DRAG_PX;
+      this.box = isPoint ? this.around(from) : this.between(from, [event.offsetX, event.offsetY]);
+      from = null;
+      this.pick(event.shiftKey);
+    });
+    canvas.addEventListener("pointercancel", () => { from = null; this.drop(); });
+    canvas.addEventListener("blur", () => this.drop());
+    canvas.addEventListener("keydown", (event) => this.press(event));
   }
 
   update(shown: Shown): void {
@@ -27,16 +56,17 @@ export class ImagePanel {
     this.frame.tellFoot(shown.why && this.picture ? [shown.why] : []);
     if (!shown.bulk) return;
     this.next = shown; // of pictures that come faster than they are decoded only the newest counts
-    if (!this.busy) void this.decode();
+    if (!this.busy && !this.held) void this.decode();
   }
 
   private async decode(): Promise<void> {
     this.busy = true;
-    while (this.next) {
+    while (this.next && !this.held) {
       const shown: Shown = this.next;
       this.next = null;
       try {
         const made = await createImageBitmap(new Blob([bytesOf(shown.bulk ?? "")], { type: shown.mime ?? "" }));
+        if (this.held) { this.next ??= shown; made.close(); break; }
         this.picture?.close();
         this.picture = made;
         this.shown = shown;
@@ -47,7 +77,74 @@ export class ImagePanel {
     this.busy = false;
   }
 
+  // ── picking ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+  private drop(): void {
+    this.release();
+    this.draw();
+  }
+
+  private release(): void {
+    this.box = this.held = null;
+    if (!this.busy) void this.decode();
+  }
+
+  /** Where the picture is drawn: its left and top, width and height. */
+  private drawnAt(): [number, number, number, number] {
+    const { width, height } = this.sheet, { width: wide = 1, height: high = 1 } = this.picture ?? {};
+    const scale = Math.min(width / wide, height / high);
+    return [(width - wide * scale) / 2, (height - high * scale) / 2, wide * scale, high * scale];
+  }
+
+  private between(one: [number, number], other: [number, number]): Rectangle | null {
+    const [left, top, width, height] = this.drawnAt();
+    const share = (at: number, from: number, size: number): number => Math.min(Math.max((at - from) / size, 0), 1);
+    const [x1, x2] = [share(one[0], left, width), share(other[0], left, width)], [y1, y2] = [share(one[1], top, height), share(other[1], top, height)];
+    return x1 === x2 || y1 === y2 ? null : [Math.min(x1, x2), Math.min(y1, y2), Math.max(x1, x2), Math.max(y1, y2)];
+  }
+
+  private around([x, y]: [number, number]): Rectangle | null {
+    const [, , width] = this.drawnAt(), reach = (AROUND_PX / (this.shown.whole?.[0] ?? width)) * width;
+    return this.between([x - reach, y - reach], [x + reach, y + reach]);
+  }
+
+  private pick(beside: boolean): void {
+    const shown = this.held ?? this.shown, [wide = 0, high = 0] = shown.whole ?? [], box = this.box;
+    this.release();
+    if (box && wide && high && shown.topic && shown.at_s !== undefined) {
+      const [left, top, right, bottom] = box;
+      const last = (end: number, begin: number, size: number): number => Math.max(Math.ceil(end * size) - 1, begin);
+      const [x, y] = [Math.min(Math.floor(left * wide), wide - 1), Math.min(Math.floor(top * high), high - 1)];
+      this.picks.pick({ kind: "box", topic: shown.topic, frame: shown.frame ?? "", box: [x, y, last(right, x, wide), last(bottom, y, high)], size: [wide, high], at_s: shown.at_s, now_s: this.nowS }, beside, this.section);
+    }
+    this.draw();
+  }
+
+  private press(event: KeyboardEvent): void {
+    if (event.ctrlKey || event.metaKey || event.altKey || !this.picture) return;
+    if (event.key === "Enter" && !this.box) { this.held = this.shown; this.box = [0.4, 0.4, 0.6, 0.6]; }
+    else if (event.key === "Enter") this.pick(event.shiftKey);
+    else if (event.key === "Escape" && this.box) { event.stopPropagation(); this.drop(); }
+    else if (!this.box || !this.moved(event.key, this.box)) return;
+    event.preventDefault();
+    this.draw();
+  }
+
+  /** Whether the key means something for a box that is being drawn. */
+  private moved(key: string, [left, top, right, bottom]: Rectangle): boolean {
+    const by: Record<string, Rectangle> = {
+      ArrowLeft: [-STEP, 0, -STEP, 0], ArrowRight: [STEP, 0, STEP, 0], ArrowUp: [0, -STEP, 0, -STEP], ArrowDown: [0, STEP, 0, STEP],
+      "+": [-STEP / 2, -STEP / 2, STEP / 2, STEP / 2], "=": [-STEP / 2, -STEP / 2, STEP / 2, STEP / 2], "-": [STEP / 2, STEP / 2, -STEP / 2, -STEP / 2],
+    };
+    const step = by[key];
+    if (!step) return false;
+    const next: Rectangle = [left + step[0], top + step[1], right + step[2], bottom + step[3]];
+    if (next[0] > -1e-9 && next[1] > -1e-9 && next[2] < 1 + 1e-9 && next[3] < 1 + 1e-9 && next[2] - next[0] > STEP / 2) this.box = next.map((at) => Math.min(Math.max(at, 0), 1)) as Rectangle;
+    return true;
+  }
+
   tick(nowS: number, lost: boolean): void {
+    this.nowS = nowS;
     if (!this.picture || this.shown.at_s === undefined) return this.frame.tellAge("", false);
     const age = nowS - this.shown.at_s;
     const rate = this.shown.rate_hz ? `${this.shown.rate_hz.toFixed(this.shown.rate_hz < 10 ? 1 : 0)} Hz · ` : "";
@@ -56,10 +153,28 @@ export class ImagePanel {
 
   draw(): void {
     this.sheet.clear();
-    const { pen, width, height } = this.sheet, picture = this.picture;
+    const { pen, width } = this.sheet, picture = this.picture;
     if (!picture || !width) return;
-    const scale = Math.min(width / picture.width, height / picture.height);
-    pen.imageSmoothingEnabled = scale < 3;
-    pen.drawImage(picture, (width - picture.width * scale) / 2, (height - picture.height * scale) / 2, picture.width * scale, picture.height * scale);
+    const [left, top, wide, high] = this.drawnAt();
+    pen.imageSmoothingEnabled = wide / picture.width < 3;
+    pen.drawImage(picture, left, top, wide, high);
+    for (const { one, label } of this.picks.of("box")) {
+      const [across = 1, down = 1] = one.size, [x1 = 0, y1 = 0, x2 = 0, y2 = 0] = one.box;
+      if (one.topic === this.shown.topic) this.drawBox([x1 / across, y1 / down, (x2 + 1) / across, (y2 + 1) / down], label);
+    }
+    if (this.box) this.drawBox(this.box, "");
+  }
+
+  private drawBox(box: Rectangle, label: string): void {
+    const { pen } = this.sheet, [left, top, wide, high] = this.drawnAt();
+    const at = [left + box[0] * wide, top + box[1] * high, (box[2] - box[0]) * wide, (box[3] - box[1]) * high] as const;
+    for (const [stroke, width] of [[colour("panel"), 4], [colour("accent"), 2]] as const) {
+      pen.strokeStyle = stroke;
+      pen.lineWidth = width;
+      pen.strokeRect(...at);
+    }
+    pen.font = "600 12px system-ui, sans-serif";
+    pen.fillStyle = colour("accent");
+    if (label) pen.fillText(label, at[0] + at[2] + 5, at[1] + 10);
   }
 }

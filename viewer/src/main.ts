@@ -37,16 +37,16 @@ function applyTheme(): void {
 // ── panels ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 let view = "";
-const picks = new Picks(tellPicks, host, () => { map.tellFoot(); map.draw(); });
+const picks = new Picks(tellPicks, host, () => { map.draw(); image.draw(); space.mark(); plot.mark(); });
 const map = new MapPanel(byId("map"), (key) => fetchPart(view, key), picks);
-const image = new ImagePanel(byId("image"));
+const image = new ImagePanel(byId("image"), picks);
 const agent = new AgentPanel(byId("agent"));
 const values = new ValuesPanel(byId("values"));
 const log = new LogPanel(byId("log"));
 const frames = new FramesPanel(byId("frames"));
-const space = new SpacePanel(byId("space"), (key) => fetchPart(view, key));
+const space = new SpacePanel(byId("space"), (key) => fetchPart(view, key), picks);
 const showPlace = share([["map", "Map"], ["space", "3D"]], () => undefined);
-const plot = new PlotPanel(byId("plot"));
+const plot = new PlotPanel(byId("plot"), picks);
 const showNumbers = share([["values", "Values"], ["plot", "Plot"], ["frames", "Frames"]], () => undefined);
 enlargeable(["map", "space", "image", "agent", "values", "log", "plot", "frames"]);
 const chosen: Record<string, () => string> = { map: () => map.chosen, image: () => image.chosen, values: () => values.chosen, log: () => "", agent: () => "", frames: () => "", plot: () => plot.chosen, space: () => space.chosen, robot: () => "" };

@@ -1,8 +1,8 @@
 // The map: what is around the robot, from above. Drag moves, the wheel or + and - zoom, 0 shows all; a click picks a
 // place, with Shift one more; Enter picks the middle.
 
-import { Frame, Sheet, ageText, bytesOf, colour, make } from "./dom.ts";
-import type { Pick, Picks } from "./picks.ts";
+import { Frame, Sheet, ageText, bytesOf, colour } from "./dom.ts";
+import type { Picks } from "./picks.ts";
 
 type Mark = { name: string; x: number; y: number; yaw: number | null };
 type Grid = { key: string; name: string; width: number; height: number; resolution: number; costs: boolean; x: number; y: number; yaw: number };
@@ -35,10 +35,9 @@ export class MapPanel {
   private fitted = true;
   private pointer: [number, number] | null = null;
 
-  private footed = "";
   private nowS = 0;
 
-  constructor(section: HTMLElement, private readonly askPart: (key: string) => Promise<Uint8Array<ArrayBuffer>>, private readonly picks: Picks) {
+  constructor(private readonly section: HTMLElement, private readonly askPart: (key: string) => Promise<Uint8Array<ArrayBuffer>>, private readonly picks: Picks) {
     this.frame = new Frame(section, "Map", true, (topic) => { this.chosen = topic; this.fitted = true; });
     this.sheet = new Sheet(this.frame.body, () => this.draw());
     const canvas = this.sheet.canvas;
@@ -83,7 +82,7 @@ export class MapPanel {
     if (this.trail.length > MOST_TRAIL) this.trail = this.trail.filter((_, index) => index % 2 === 0);
     this.frame.offer(around.grids ?? [], this.chosen || around.grid?.name || "");
     this.frame.tell(around.why ?? "");
-    this.tellFoot();
+    this.frame.tellLines(around.missing ?? []);
     if (around.grid) void this.fetchCells(around.grid.key);
     this.sheet.canvas.setAttribute("aria-label", this.inWords());
     this.draw();
@@ -93,7 +92,7 @@ export class MapPanel {
     const { robot, frame, goals = [], places = [] } = this.around;
     const where = robot ? `Robot at ${robot.x.toFixed(2)}, ${robot.y.toFixed(2)} metres in ${frame}, heading ${Math.round((robot.yaw * 180) / Math.PI)} degrees.` : "Nobody says where the robot is.";
     const named = [...goals, ...places].map((mark) => `${mark.name} at ${mark.x.toFixed(1)}, ${mark.y.toFixed(1)}`);
-    const picked = this.picks.list.map((one) => `Picked ${one.x.toFixed(2)}, ${one.y.toFixed(2)}.`);
+    const picked = this.picks.of("place").map(({ one }) => `Picked ${one.x.toFixed(2)}, ${one.y.toFixed(2)}.`);
     return `Map. ${where} ${named.slice(0, 8).join("; ")} ${picked.join(" ")}`.trim();
   }
 
@@ -105,18 +104,10 @@ export class MapPanel {
     this.frame.tellAge(this.around.frame ? `${this.around.frame} · ${at === null ? "pose unknown" : `pose ${ageText(age)}`}` : "", stale);
   }
 
-  /** Says below the map what is picked and what is missing; anew only where that is other than before. */
-  tellFoot(): void {
-    const missing = this.around.missing ?? [], text = [this.picks.bar.hidden, ...missing].join("\n");
-    if (text === this.footed) return;
-    this.footed = text;
-    this.frame.tellFoot([...(this.picks.bar.hidden ? [] : [this.picks.bar]), ...missing.map((line) => make("div", {}, line))]);
-  }
-
   private pick(x: number, y: number, beside: boolean): void {
     const { frame, grid } = this.around;
     if (!frame || this.scale <= 0) return;
-    this.picks.pick({ x, y, frame, at_s: this.nowS, ...(grid ? this.cellAt(grid, x, y) : {}) }, beside);
+    this.picks.pick({ kind: "place", x, y, frame, at_s: this.nowS, ...(grid ? this.cellAt(grid, x, y) : {}) }, beside, this.section);
     this.draw();
   }
 
@@ -232,13 +223,14 @@ export class MapPanel {
     for (const mark of this.around.places ?? []) this.mark(mark, isDark ? "#7cb2ff" : "#0050c8", true);
     for (const mark of this.around.goals ?? []) this.mark(mark, isDark ? "#ea8bf0" : "#a800a8", false);
     this.drawRobot(isDark);
-    this.picks.list.forEach((one, index) => { if (one.frame === this.around.frame) this.drawPick(one, index); });
+    for (const { one, label } of this.picks.of("place")) if (one.frame === this.around.frame) this.drawPick(one.x, one.y, label);
+    for (const { one, label } of this.picks.of("point")) if (one.in_frame === this.around.frame) this.drawPick(one.in[0] ?? 0, one.in[1] ?? 0, label);
     if (this.sheet.canvas.matches(":focus-visible")) this.drawCross(this.sheet.width / 2, this.sheet.height / 2, 8, colour("accent"));
     this.drawScale();
   }
 
-  private drawPick(one: Pick, index: number): void {
-    const { pen } = this.sheet, x = this.px(one.x), y = this.py(one.y);
+  private drawPick(atX: number, atY: number, label: string): void {
+    const { pen } = this.sheet, x = this.px(atX), y = this.py(atY);
     for (const [stroke, width] of [[colour("panel"), 5], [colour("accent"), 2.5]] as const) {
       pen.strokeStyle = stroke;
       pen.lineWidth = width;
@@ -247,10 +239,10 @@ export class MapPanel {
       pen.stroke();
     }
     this.drawCross(x, y, 14, colour("accent"));
-    if (this.picks.list.length < 2) return;
+    if (!label) return;
     pen.font = "600 12px system-ui, sans-serif";
     pen.fillStyle = colour("accent");
-    pen.fillText(String(index + 1), x + 12, y - 10);
+    pen.fillText(label, x + 12, y - 10);
   }
 
   private drawCross(x: number, y: number, reach: number, stroke: string): void {

@@ -1,14 +1,21 @@
-// What the person has picked: places on the map, told to the server, and in a chat to the model.
+// What the person has picked: a place on the map, a point in 3D, a box in a picture, a time in a plot; told to the
+// server, and in a chat to the model.
 
 import { make, say } from "./dom.ts";
 
-export type Pick = { x: number; y: number; frame: string; at_s: number; grid?: string; cell?: number; costs?: boolean };
+/** `at_s` is the time of what was picked, `now_s` that of the picking. */
+type Picked = { topic: string; at_s: number; now_s: number };
+export type Place = { kind: "place"; x: number; y: number; frame: string; at_s: number; grid?: string; cell?: number; costs?: boolean };
+export type Point = Picked & { kind: "point"; frame: string; xyz: number[]; in_frame: string; in: number[] };
+export type Box = Picked & { kind: "box"; frame: string; box: number[]; size: number[] };
+export type Time = Picked & { kind: "time"; values: { name: string; value: number; unit: string }[] };
+export type Pick = Place | Point | Box | Time;
 
 const MOST = 8;
 
-/** The line below the map: what is picked, and what can be done with it. */
+/** The line below the panel in which was picked last: what is picked, and what can be done with it. */
 export class Picks {
-  readonly bar = make("div", { class: "picked", role: "status" });
+  readonly bar = make("div", { class: "foot picked", role: "status" });
   list: Pick[] = [];
   /** What the server says of each: its words are what the model reads. */
   lines: string[] = [];
@@ -23,7 +30,16 @@ export class Picks {
     this.clear.addEventListener("click", () => void this.set([]));
   }
 
-  pick(one: Pick, beside: boolean): void { void this.set(beside ? [...this.list, one].slice(-MOST) : [one]); }
+  /** Picks one in a panel, in place of what was picked before or beside it. */
+  pick(one: Pick, beside: boolean, section: HTMLElement): void {
+    if (this.bar.parentElement !== section) section.append(this.bar);
+    void this.set(beside ? [...this.list, one].slice(-MOST) : [one]);
+  }
+
+  /** Those of one kind, with their numbers where there are several. */
+  of<K extends Pick["kind"]>(kind: K): { one: Extract<Pick, { kind: K }>; label: string }[] {
+    return this.list.flatMap((one, index) => (one.kind === kind ? [{ one: one as Extract<Pick, { kind: K }>, label: this.list.length > 1 ? String(index + 1) : "" }] : []));
+  }
 
   /** Tells it again, to a view that does not know it yet. */
   again(): void { if (this.list.length) void this.set(this.list); }
@@ -33,16 +49,26 @@ export class Picks {
     this.lines = [];
     this.bar.hidden = list.length === 0;
     this.ask.hidden = !this.chat?.canSay;
-    const where = list.map((one) => `(${one.x.toFixed(2)}, ${one.y.toFixed(2)})`).join(", ");
-    say(this.told, `Picked ${where} m in ${list.at(-1)?.frame ?? ""} …`);
+    const what = list.map(brief).join(", ");
+    say(this.told, `Picked ${what} …`);
     this.shown();
     try {
       const lines = await this.changed(list);
       if (this.list !== list) return;
       this.lines = lines;
-      say(this.told, `Picked ${where} m in ${list.at(-1)?.frame ?? ""}. The agent sees it when it asks.`);
+      const depth = /depth there [-\d.]+ m/.exec(lines.at(-1) ?? "")?.[0];
+      say(this.told, `Picked ${what}${depth ? `, ${depth}` : ""}. The agent sees it when it asks.`);
     } catch (error) {
-      if (this.list === list) say(this.told, `Picked ${where} m, but nobody was told (${error instanceof Error ? error.message : "?"})`);
+      if (this.list === list) say(this.told, `Picked ${what}, but nobody was told (${error instanceof Error ? error.message : "?"})`);
     }
   }
+}
+
+export const metres = (numbers: number[]): string => `(${numbers.map((one) => one.toFixed(2)).join(", ")}) m`;
+
+function brief(one: Pick): string {
+  if (one.kind === "place") return `${metres([one.x, one.y])} in ${one.frame}`;
+  if (one.kind === "point") return `${metres(one.in)} in ${one.in_frame}`;
+  if (one.kind === "box") return `${(one.box[2] ?? 0) - (one.box[0] ?? 0) + 1} × ${(one.box[3] ?? 0) - (one.box[1] ?? 0) + 1} pixels of ${one.topic}`;
+  return `${new Date(one.at_s * 1000).toTimeString().slice(0, 8)} of ${one.topic}`;
 }

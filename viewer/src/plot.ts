@@ -2,6 +2,7 @@
 
 import uPlot from "uplot";
 import { Frame, ageText, bytesOf, colour, make, say } from "./dom.ts";
+import type { Picks } from "./picks.ts";
 
 type Field = { name: string; unit: string };
 type Told = { why?: string; topic?: string; fields?: Field[]; since_s?: number; first?: number; at_s?: number | null; whole?: boolean; rate_hz?: number | null; notes?: string[]; bulk?: string };
@@ -12,6 +13,7 @@ const KEPT_S = 60;
 const LEAST_GAP_S = 0.5;
 const GAP_PERIODS = 4;
 const MOST_DRAWN = 6;
+const CLICK_PX = 4; // what moves by less is no drag
 const LIGHT = ["#0072b2", "#c24e00", "#00795c", "#a3327f", "#7a6400", "#4a4fc4"];
 const DARK = ["#56b4e9", "#f5a623", "#37d6a5", "#ee8fc6", "#e8dc5a", "#a9adff"];
 const TELLING = [/linear\.x$/, /angular\.z$/, /^position\[/, /percentage$/, /voltage$/, /position\.[xy]$/, /^data/, /range$/, /temperature$/];
@@ -36,7 +38,7 @@ export class PlotPanel {
   private drawnAt = 0;
   private isNew = false; // what has come is not drawn yet
 
-  constructor(section: HTMLElement) {
+  constructor(private readonly section: HTMLElement, private readonly picks: Picks) {
     this.frame = new Frame(section, "Plot", true, (topic) => { this.chosen = topic; this.forget(); });
     this.frame.body.append(make("div", { class: "plot" }, this.fields, this.sheet));
     new ResizeObserver(() => {
@@ -44,6 +46,12 @@ export class PlotPanel {
       if (width > 40 && height > 40) { if (this.plot) this.plot.setSize({ width, height }); else this.build(); }
     }).observe(this.sheet);
     this.sheet.addEventListener("keydown", (event) => this.press(event));
+    let began = 0;
+    this.sheet.addEventListener("pointerdown", (event) => { began = event.clientX; });
+    this.sheet.addEventListener("pointerup", (event) => {
+      if (event.button !== 0 || !this.plot || Math.abs(event.clientX - began) >= CLICK_PX) return;
+      this.pick(this.plot.posToVal(event.clientX - this.plot.over.getBoundingClientRect().left, "x"), event.shiftKey);
+    });
     this.sheet.addEventListener("dblclick", () => this.look(null));
   }
 
@@ -173,9 +181,46 @@ export class PlotPanel {
           plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
         }],
         setCursor: [() => this.tellValues()],
+        draw: [(plot) => this.drawTimes(plot)],
       },
     }, this.data(), this.sheet);
     this.tellValues();
+  }
+
+  // ── picking ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+  /** Picks the row nearest to a time, with the values of the curves that are drawn. */
+  private pick(at: number, beside: boolean): void {
+    const off = (row: number): number => Math.abs((this.times[row] ?? Infinity) - at), told = this.told.fields ?? [];
+    const values = (row: number) => told.flatMap(({ name, unit }, index) => {
+      const value = this.columns[index]?.[row];
+      return this.drawn.includes(name) && typeof value === "number" ? [{ name, value, unit }] : [];
+    });
+    const row = [...this.times.keys()].sort((one, other) => off(one) - off(other)).find((one) => values(one).length);
+    if (row === undefined || !this.told.topic) return;
+    this.picks.pick({ kind: "time", topic: this.told.topic, at_s: this.times[row] ?? 0, now_s: this.nowS, values: values(row) }, beside, this.section);
+  }
+
+  /** Draws anew what is picked. */
+  mark(): void { this.plot?.redraw(false); }
+
+  private drawTimes(plot: uPlot): void {
+    const { ctx, bbox } = plot;
+    for (const { one, label } of this.picks.of("time")) {
+      const x = Math.round(plot.valToPos(one.at_s, "x", true));
+      if (one.topic !== this.told.topic || x < bbox.left || x > bbox.left + bbox.width) continue;
+      ctx.save();
+      ctx.strokeStyle = ctx.fillStyle = colour("accent");
+      ctx.lineWidth = 2 * devicePixelRatio;
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+      ctx.textAlign = "left";
+      ctx.font = `600 ${12 * devicePixelRatio}px system-ui, sans-serif`;
+      ctx.fillText(label, x + 4 * devicePixelRatio, bbox.top + 12 * devicePixelRatio);
+      ctx.restore();
+    }
   }
 
   private data(): uPlot.AlignedData {
@@ -258,6 +303,7 @@ export class PlotPanel {
     const steps: Record<string, () => void> = {
       "-": () => { this.spanS = SPANS_S[at + 1] ?? this.spanS; this.look(null); },
       "+": () => { this.spanS = SPANS_S[at - 1] ?? this.spanS; this.look(null); },
+      Enter: () => this.pick((begin + end) / 2, event.shiftKey),
       "0": () => this.look(null), p: () => this.look(this.still ? null : [begin, end]),
       ArrowLeft: () => this.look([begin - move, end - move]), ArrowRight: () => this.look([begin + move, end + move]),
     };

@@ -1,16 +1,21 @@
 // What is around the robot in three dimensions. It is begun when it is first seen, and drawn only when something is new.
 
 import { Frame, ageText, bytesOf, colour, make } from "./dom.ts";
+import type { Picks } from "./picks.ts";
 import { Stage, type Cloud, type Place, type Shape } from "./stage.ts";
 
+type Whence = { name: string; frame: string; at_s: number; pose: number[] };
 type Space = {
   why?: string; frame?: string; base?: string; frames?: Place[]; clouds?: string[];
-  cloud?: (Cloud & { name: string; at_s: number; pose: number[]; key: string; points: number; cell_m: number }) | null;
-  scans?: { name: string; at_s: number; pose: number[] }[]; model?: { key: string; shapes: number; meshes: number } | null;
+  cloud?: (Cloud & Whence & { key: string; points: number; cell_m: number }) | null;
+  scans?: Whence[]; model?: { key: string; shapes: number; meshes: number } | null;
   missing?: string[]; told_s?: number | null; bulk?: string[];
 };
 
 const STALE_S = 3;
+const CLICK_PX = 4; // what moves by less is no turning
+const REACH_PX = 12;
+const REACH_FROM_MIDDLE_PX = 80;
 const NO_WEBGL = "This browser gives no WebGL, without which nothing can be drawn in 3D here. The map and all the others go on.";
 
 const LOST = "The graphics of this machine have dropped the picture in 3D. It comes back as soon as they give it again, or when the page is loaded anew.";
@@ -25,18 +30,30 @@ export class SpacePanel {
   private stage: Stage | null = null;
   private shown: Space = {};
   private cloudKey = "";
+  private drawn: Whence | null = null; // the cloud whose points are seen
+  private nowS = 0;
   private modelKey = "";
   private busy = false;
   private isLost = false;
 
-  constructor(section: HTMLElement, private readonly askChunk: (key: string) => Promise<Uint8Array<ArrayBuffer>>) {
+  constructor(private readonly section: HTMLElement, private readonly askChunk: (key: string) => Promise<Uint8Array<ArrayBuffer>>, private readonly picks: Picks) {
     this.frame = new Frame(section, "3D", true, (topic) => { this.chosen = topic; });
     this.frame.choice.setAttribute("aria-label", "Cloud");
     this.frame.body.append(this.canvas, this.names);
-    this.canvas.addEventListener("keydown", (event) => { if (!event.ctrlKey && !event.metaKey && !event.altKey && this.stage?.press(event.key)) event.preventDefault(); });
     for (const [event, isLost] of [["webglcontextlost", true], ["webglcontextrestored", false]] as const) {
       this.canvas.addEventListener(event, () => { this.isLost = isLost; this.tellWhy(); if (isLost) this.stage?.drop(); else this.stage?.dirty(); });
     }
+    this.canvas.addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      if (event.key === "Enter") this.pick(this.canvas.clientWidth / 2, this.canvas.clientHeight / 2, REACH_FROM_MIDDLE_PX, event.shiftKey);
+      else if (!this.stage?.press(event.key)) return;
+      event.preventDefault();
+    });
+    let began = [0, 0];
+    this.canvas.addEventListener("pointerdown", (event) => { began = [event.offsetX, event.offsetY]; });
+    this.canvas.addEventListener("pointerup", (event) => {
+      if (event.button === 0 && Math.hypot(event.offsetX - (began[0] ?? 0), event.offsetY - (began[1] ?? 0)) < CLICK_PX) this.pick(event.offsetX, event.offsetY, REACH_PX, event.shiftKey);
+    });
     new ResizeObserver(() => {
       if (!this.begin()) return;
       this.stage?.resize(this.frame.body.clientWidth, this.frame.body.clientHeight);
@@ -66,16 +83,30 @@ export class SpacePanel {
     if (!stage) return;
     stage.place(space.frames ?? [], space.base ?? "", isOther);
     stage.scan((space.scans ?? []).map((scan, index) => ({ pose: scan.pose, xy: new Float32Array(bytesOf(space.bulk?.[index] ?? "").buffer) })));
-    if (!space.cloud) { stage.cloud(null); this.cloudKey = ""; }
-    else if (space.cloud.key === this.cloudKey) stage.moveCloud(space.cloud.pose); // the same points, elsewhere: what they are in has moved
+    if (!space.cloud) { stage.cloud(null); [this.cloudKey, this.drawn] = ["", null]; }
+    else if (space.cloud.key === this.cloudKey) { stage.moveCloud(space.cloud.pose); this.drawn = space.cloud; } // the same points, elsewhere: what they are in has moved
     if (!this.busy) void this.fetch();
-    this.canvas.setAttribute("aria-label", this.inWords());
+    if (isOther) this.mark();
+    this.tellWords();
     stage.dirty();
   }
 
   /** Why nothing is seen, if that is so. */
   private tellWhy(why = ""): void {
     this.frame.tell(this.isLost ? LOST : this.shown.frame ? "" : why);
+  }
+
+  private pick(x: number, y: number, reach: number, beside: boolean): void {
+    const seen = this.stage?.nearest(x, y, reach), of = seen && (seen.scan < 0 ? this.drawn : this.shown.scans?.[seen.scan]);
+    if (!seen || !of) return;
+    this.picks.pick({ kind: "point", topic: of.name, frame: of.frame, xyz: seen.xyz, in_frame: this.shown.frame ?? "", in: seen.at, at_s: of.at_s, now_s: this.nowS }, beside, this.section);
+  }
+
+  /** Marks what is picked, here and on the map. */
+  mark(): void {
+    const points = this.picks.of("point").map(({ one, label }) => ({ frame: one.in_frame, at: one.in, label }));
+    const places = this.picks.of("place").map(({ one, label }) => ({ frame: one.frame, at: [one.x, one.y, 0], label }));
+    this.stage?.mark([...points, ...places].filter(({ frame }) => frame === this.shown.frame));
   }
 
   /** Fetches what is large, one after the other: of clouds that come faster only the newest counts. */
@@ -90,8 +121,9 @@ export class SpacePanel {
       if (cloud && cloud.key !== this.cloudKey) {
         const bytes = await this.unpacked(cloud.key);
         if (bytes.length >= cloud.count * 6) this.stage?.cloud(cloud, bytes, cloud.pose);
-        this.cloudKey = cloud.key;
+        [this.cloudKey, this.drawn] = [cloud.key, cloud];
       }
+      this.tellWords();
       this.stage?.dirty();
     } catch { /* the next update names what is there by then */ } finally { this.busy = false; }
   }
@@ -107,15 +139,18 @@ export class SpacePanel {
     return [...thinned, ...(space.missing ?? [])];
   }
 
+  private tellWords(): void { this.canvas.setAttribute("aria-label", this.inWords()); }
+
   private inWords(): string {
     const { frame, frames = [], base, cloud, scans = [], model } = this.shown;
     const at = frames.find((one) => one.name === base)?.pose;
     const where = at ? `Robot at ${at.slice(0, 3).map((value) => value.toFixed(2)).join(", ")} metres in ${frame}.` : `Seen in ${frame}; nobody says where the robot is.`;
-    const seen = [cloud ? `${cloud.count} points of ${cloud.name}` : "no cloud", `${scans.length} scan${scans.length === 1 ? "" : "s"}`, `${frames.length} frames`, model ? `${model.shapes} shapes of the robot` : "no robot model"];
+    const seen = [!cloud ? "no cloud" : this.drawn?.name === cloud.name ? `${cloud.count} points of ${cloud.name}` : `${cloud.name} is on its way`, `${scans.length} scan${scans.length === 1 ? "" : "s"}`, `${frames.length} frames`, model ? `${model.shapes} shapes of the robot` : "no robot model"];
     return `3D. ${where} ${seen.join(", ")}.`;
   }
 
   tick(nowS: number, lost: boolean): void {
+    this.nowS = nowS;
     const { frame, cloud, scans = [], told_s } = this.shown;
     if (!frame || !this.works) return this.frame.tellAge("", false);
     const times = [cloud?.at_s, ...scans.map((scan) => scan.at_s), told_s].filter((at): at is number => typeof at === "number");

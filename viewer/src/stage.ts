@@ -9,11 +9,15 @@ import { make, say } from "./dom.ts";
 
 export type Place = { name: string; parent: string; pose: number[] };
 export type Cloud = { count: number; low: number[]; step: number[]; colours: "" | "rgb" | "intensity" };
+/** A point that is seen: of the cloud (`scan` is -1) or of a scan, in its own frame and in the one that is shown. */
+export type Seen = { scan: number; xyz: number[]; at: number[] };
 export type Shape = { link: string; kind: string; size: number[]; xyz: number[]; rpy: number[] };
 
 const GROUND_M = 20;
 const AXIS_M = 0.25;
 const MOST_NAMES = 60;
+const FRONT_M = 0.1; // what is farther behind the nearest point is hidden by it
+const FRONT_SHARE = 1.03;
 const TURN = Math.PI / 24;
 // Viridis, by eight of its colours: what is higher, or brighter, is lighter, for every eye.
 const VIRIDIS = [[68, 1, 84], [70, 50, 127], [54, 92, 141], [39, 127, 142], [31, 161, 135], [74, 194, 109], [159, 218, 58], [253, 231, 37]];
@@ -31,6 +35,10 @@ export class Stage {
   private readonly labels = new Map<string, HTMLElement>();
   private readonly pointLook = new PointsMaterial({ size: 2.2, sizeAttenuation: false, vertexColors: true });
   private points: Points | null = null;
+  private cloudXyz = new Float32Array();
+  private scanned: { pose: number[]; xy: Float32Array }[] = [];
+  private marks: { at: number[]; label: string }[] = [];
+  private readonly pins: HTMLElement[] = [];
   private places: Place[] = [];
   private base = "";
   private hasNames = true;
@@ -99,6 +107,7 @@ export class Stage {
   }
 
   scan(scans: { pose: number[]; xy: Float32Array }[]): void {
+    this.scanned = scans;
     const all: number[] = [];
     for (const { pose, xy } of scans) {
       const holder = new Object3D(), point = new Vector3();
@@ -114,11 +123,13 @@ export class Stage {
 
   cloud(cloud: Cloud | null, bytes?: Uint8Array<ArrayBuffer>, pose: number[] = []): void {
     if (this.points) { this.scene.remove(this.points); (this.points as unknown as { geometry: BufferGeometry }).geometry.dispose(); this.points = null; }
+    this.cloudXyz = new Float32Array();
     if (!cloud || !bytes) return;
     const raw = new Uint16Array(bytes.buffer, 0, cloud.count * 3), xyz = new Float32Array(cloud.count * 3);
     for (let at = 0; at < xyz.length; at++) xyz[at] = (raw[at] ?? 0) * (cloud.step[at % 3] ?? 0) + (cloud.low[at % 3] ?? 0);
     const geometry = new BufferGeometry().setAttribute("position", new BufferAttribute(xyz, 3));
     geometry.setAttribute("color", new BufferAttribute(tinted(cloud, bytes, xyz, pose), 3, true));
+    this.cloudXyz = xyz;
     this.points = new Points(geometry, this.pointLook);
     put(this.points, pose);
     this.scene.add(this.points);
@@ -209,6 +220,56 @@ export class Stage {
     this.dirty();
   }
 
+  // ── picking ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+  /** The point that is seen nearest to a place of the canvas, within `reach` pixels; what lies behind others is not. */
+  nearest(x: number, y: number, reach: number): Seen | null {
+    let found: { off: number; far: number; seen: () => Seen }[] = [];
+    let front = Infinity;
+    const point = new Vector3(), [width, height] = this.size;
+    this.camera.updateMatrixWorld();
+    const look = (holder: Object3D, count: number, local: (index: number) => number[], scan: number): void => {
+      holder.updateMatrixWorld();
+      for (let index = 0; index < count; index++) {
+        const [px = 0, py = 0, pz = 0] = local(index);
+        point.set(px, py, pz).applyMatrix4(holder.matrixWorld);
+        const far = point.distanceTo(this.camera.position), at = [point.x, point.y, point.z];
+        point.project(this.camera);
+        const off = Math.hypot(((point.x + 1) / 2) * width - x, ((1 - point.y) / 2) * height - y);
+        if (!(off <= reach) || Math.abs(point.z) > 1) continue;
+        front = Math.min(front, far);
+        found.push({ off, far, seen: () => ({ scan, xyz: local(index), at }) });
+      }
+    };
+    const xyz = this.cloudXyz;
+    if (this.points) look(this.points, xyz.length / 3, (index) => [xyz[index * 3] ?? 0, xyz[index * 3 + 1] ?? 0, xyz[index * 3 + 2] ?? 0], -1);
+    this.scanned.forEach(({ pose, xy }, scan) => {
+      const holder = new Object3D();
+      put(holder, pose);
+      look(holder, Math.floor(xy.length / 2), (index) => [xy[index * 2] ?? 0, xy[index * 2 + 1] ?? 0, 0], scan);
+    });
+    found = found.filter(({ far }) => far <= front * FRONT_SHARE + FRONT_M).sort((one, other) => one.off - other.off);
+    return found[0]?.seen() ?? null;
+  }
+
+  /** Marks places in the frame that is shown. */
+  mark(marks: { at: number[]; label: string }[]): void {
+    this.marks = marks;
+    while (this.pins.length < marks.length) { const pin = make("b", { class: "pin" }); this.pins.push(pin); this.names.append(pin); }
+    this.dirty();
+  }
+
+  private pin(): void {
+    const [width, height] = this.size;
+    this.pins.forEach((pin, index) => {
+      const mark = this.marks[index], at = mark && new Vector3(mark.at[0], mark.at[1], mark.at[2]).project(this.camera);
+      pin.hidden = !at || Math.abs(at.z) > 1;
+      if (!mark || !at) return;
+      say(pin, mark.label);
+      pin.style.transform = `translate(${Math.round(((at.x + 1) / 2) * width - 8)}px, ${Math.round(((1 - at.y) / 2) * height - 8)}px)`;
+    });
+  }
+
   // ── drawing ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
   resize(width: number, height: number): void {
@@ -240,6 +301,7 @@ export class Stage {
       if (!this.canvas.clientWidth) return;
       this.renderer.render(this.scene, this.camera);
       this.label();
+      this.pin();
     });
   }
 
@@ -259,7 +321,7 @@ export class Stage {
       label.style.transform = `translate(${Math.round(x + 5)}px, ${Math.round(y - 8)}px)`;
     }
     for (const [name, label] of this.labels) if (!shown.has(name)) label.hidden = true;
-    if (this.labels.size > 4 * MOST_NAMES) { this.labels.clear(); this.names.replaceChildren(); }
+    if (this.labels.size > 4 * MOST_NAMES) { this.labels.clear(); this.names.replaceChildren(...this.pins); }
   }
 }
 

@@ -3,7 +3,7 @@
 declare module "three" {
   export class Vector3 {
     x: number; y: number; z: number;
-    constructor(x?: number, y?: number, z?: number);
+    constructor(x?: number | undefined, y?: number | undefined, z?: number | undefined);
     set(x: number, y: number, z: number): this;
     copy(other: Vector3): this;
     add(other: Vector3): this;

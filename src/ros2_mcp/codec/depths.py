@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -80,6 +81,26 @@ def depth_meaning(
     xyz = np.stack(((columns * step - cx) * z / fx, (rows * step - cy) * z / fy, z), axis=1)
     # The pixels of a depth image are in an optical frame, whatever it is called.
     return _meaning(xyz, message.header.frame_id, mount, base, counts, optical=True)
+
+
+def depth_within(message: Any, box: Sequence[int]) -> tuple[float | None, str]:
+    """The median depth in m of a box of pixels (left, top, right, bottom, these within), None where there is none; and
+    what there is, in words.
+
+    Raises:
+        BadData: as `depth_of`.
+    """
+    depths = depth_of(message)
+    if depths is None:
+        return None, ""
+    left, top, right, bottom = box
+    part = depths[top : bottom + 1, left : right + 1]
+    valid = part[np.isfinite(part)]
+    if not len(valid):
+        return None, "no valid depth there"
+    low, median, high = (float(value) for value in np.percentile(valid, (2, 50, 98)))
+    told = f"depth there {median:.2f} m (from {low:.2f} to {high:.2f} m, {len(valid) / part.size:.0%} of it valid)"
+    return round(median, 3), told
 
 
 def intrinsics_of(info: Any) -> tuple[float, float, float, float]:

@@ -53,6 +53,11 @@ def image_raster(message: Any, _: Bounds) -> Raster:
     return layout.show(_rows(message, layout.dtype, layout.channels), encoding)
 
 
+def may_be_depth(message: Any) -> bool:
+    """Whether an Image or CompressedImage says that it is a depth image."""
+    return "compressedDepth" in message.format if hasattr(message, "format") else message.encoding in _DEPTHS
+
+
 def depth_of(message: Any) -> NDArray[np.float64] | None:
     """The distances of a depth image along its optical axis in metres, height × width; what is none is NaN.
 

@@ -51,7 +51,7 @@ def finished(raster: Raster, bounds: Bounds) -> Picture:
     for image in _sizes(whole, bounds.max_side, raster.kind):
         data, mime = encoded(image, raster.kind, bounds.max_bytes)
         if len(data) <= bounds.max_bytes:
-            return Picture(data, mime, *image.size, raster.note + _shrunk(image, whole))
+            return Picture(data, mime, *image.size, raster.note + _shrunk(image, whole), whole.size)
     raise BadData(f"The picture does not fit into {bounds.max_bytes} bytes at any size.")
 
 

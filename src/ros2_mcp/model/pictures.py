@@ -18,13 +18,17 @@ MAX_BYTES = 700_000
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """An encoded picture; `note` says what it shows and what was done to it, in words."""
+    """An encoded picture; `note` says what it shows and what was done to it, in words.
+
+    `whole` is how large it was (width, height) before it was made smaller to keep to bounds; (0, 0): it was not.
+    """
 
     data: bytes
     mime: str
     width: int
     height: int
     note: str
+    whole: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,17 +37,6 @@ PlotFields = Annotated[list[str] | None, _Names, Field(max_length=8, description
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PickedPlace:
-    """A place that the user picked: metres in `frame`; `about` is what the grid has there."""
-
-    frame: str
-    x_m: float
-    y_m: float
-    time: str
-    about: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PageSeen:
     """One page: what it shows, a line for each panel, and what was picked on it, the newest last."""
 
@@ -55,7 +44,7 @@ class PageSeen:
     open: bool
     asked_s_ago: float
     shows: Sequence[str]
-    picked: Sequence[PickedPlace]
+    picked: Sequence[Pick]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,7 +92,8 @@ async def ros2_view(
 
 @tool(title="What the user sees", risk="read", group="view", by_default=False, recorded=True)
 async def ros2_view_state(robot: Robot, viewing: Viewing) -> ViewState:
-    """What the pages show your user, and the places that they picked there: metres in a frame."""
+    """What the pages show your user, and what they picked there: a place (metres in a frame), a point in 3D, a box in a
+    picture, a time in a plot."""
     states = viewing.states(robot.principal.name)
     told: list[str] = []
     pages: list[PageSeen] = []
@@ -113,21 +103,17 @@ async def ros2_view_state(robot: Robot, viewing: Viewing) -> ViewState:
         told.append(f"{page} of {state.subject}:")
         told += [f"- {line}" for line in state.shows]
         told += [pick.summary() for pick in state.picks] or ["Nothing is picked."]
-        picked = _places(state.picks)
         pages.append(
-            PageSeen(subject=state.subject, open=state.is_open, asked_s_ago=ago_s, shows=state.shows, picked=picked)
+            PageSeen(
+                subject=state.subject, open=state.is_open, asked_s_ago=ago_s, shows=state.shows, picked=state.picks
+            )
         )
     if browser := await asyncio.to_thread(viewing.picked_in_browser):
         ago_s = round(max(now_s() - browser.at_s, 0.0), 1)
         told += [f"In a browser, {ago_s:g} s ago, of {browser.subject}:", *(pick.summary() for pick in browser.picks)]
         subject = f"{browser.subject}, in a browser"
-        picked = _places(browser.picks)
-        pages.append(PageSeen(subject=subject, open=False, asked_s_ago=ago_s, shows=(), picked=picked))
+        pages.append(PageSeen(subject=subject, open=False, asked_s_ago=ago_s, shows=(), picked=browser.picks))
     return ViewState(pages=pages, told=told or ["No page is open, and nothing was picked."])
-
-
-def _places(picks: Sequence[Pick]) -> list[PickedPlace]:
-    return [PickedPlace(frame=one.frame, x_m=one.x_m, y_m=one.y_m, time=one.time, about=one.about) for one in picks]
 
 
 @tool(title="Update of the page", risk="read", group="view", by_default=False, recorded=True, audience="page")

@@ -1,14 +1,15 @@
-"""What the person has picked on a page: a place, in metres of a frame."""
+"""What the person has picked on a page: a place on the map, a point in 3D, a box in a picture, a time in a plot."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from dataclasses import replace as changed
 from time import time
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import BadInput, RobotError
@@ -20,35 +21,68 @@ FILE = "picked.json"
 """In the robot's state folder: what was picked in a browser, for the servers of the same user."""
 MOST_PICKS = 8
 """Of one page: as many as a person keeps apart; the oldest give way."""
+MOST_VALUES = 12
+"""Of one time: a plot draws six curves."""
 _MOST_NAME = 200
-_MOST_BYTES = 20_000
+_MOST_UNIT = 20
+_MOST_BYTES = 40_000
 _KEPT_S = 86_400.0
 """What was picked in a browser yesterday is not meant today."""
 _MOST_M = 1e6
 _MOST_S = 1e11
+_MOST_PIXELS = 100_000
 _OCCUPIED = 65
 """Percent: from here on a map's cell is taken for occupied, as ROS's map server does."""
+
+Kind = Literal["place", "point", "box", "time"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PickedValue:
+    """One curve of a plot at a time."""
+
+    name: str
+    value: float
+    unit: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pick:
-    """A place that a person has picked: metres in the frame `frame`, and when, in the time that was shown.
+    """What a person has picked. `time` is that of the data that was picked, `age_s` how old it was then.
 
-    `about` says what the grid has there, or is empty.
+    A `place` on the map and a `point` of a cloud or scan have metres in `frame`, a point also `in_m` of `in_frame`,
+    the frame in which the view shows it; a `box` has `pixels` (left, top, right, bottom, these within) `of_pixels`
+    (width, height), and of a depth image the median `depth_m` there; a `time` of a plot has `values`. `about` says
+    more.
     """
 
-    panel: str
-    frame: str
-    x_m: float
-    y_m: float
+    kind: Kind
     time: str
-    about: str
+    age_s: float | None = None
+    topic: str = ""
+    frame: str = ""
+    x_m: float | None = None
+    y_m: float | None = None
+    z_m: float | None = None
+    in_frame: str = ""
+    in_m: Sequence[float] = ()
+    pixels: Sequence[int] = ()
+    of_pixels: Sequence[int] = ()
+    depth_m: float | None = None
+    values: Sequence[PickedValue] = ()
+    about: str = ""
 
     def summary(self) -> str:
         """One line."""
-        about = f": {self.about}" if self.about else ""
-        where = f"({self.x_m:.2f}, {self.y_m:.2f}) m in {named(self.frame)}"
-        return f"Picked on the {self.panel} at {self.time}: {where}{about}."
+        return _SUMMARIES[self.kind](self)
+
+    def is_same_box(self, other: Pick) -> bool:
+        """Whether both are the same part of the same picture."""
+        return self.kind == "box" and (self.topic, self.time, self.pixels) == (other.topic, other.time, other.pixels)
+
+    def with_depth(self, depth_m: float | None, about: str) -> Pick:
+        """The same box, with what a depth image has there."""
+        return changed(self, depth_m=depth_m, about=about)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +92,56 @@ class PickedInBrowser:
     subject: str
     at_s: float
     picks: Sequence[Pick]
+
+
+# ── in words ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _place_in_words(pick: Pick) -> str:
+    about = f": {pick.about}" if pick.about else ""
+    return f"Picked on the map at {pick.time}: {_metres((pick.x_m, pick.y_m))} in {named(pick.frame)}{about}."
+
+
+def _point_in_words(pick: Pick) -> str:
+    where = f"{_metres((pick.x_m, pick.y_m, pick.z_m))} in {named(pick.frame)}"
+    if pick.in_frame and pick.in_frame != pick.frame:
+        where += f", {_metres(pick.in_m)} in {named(pick.in_frame)}"
+    return f"Picked in 3D: a point of {named(pick.topic)} of {pick.time}{_old(pick)}, at {where}."
+
+
+def _box_in_words(pick: Pick) -> str:
+    left, top, right, bottom = pick.pixels
+    width, height = pick.of_pixels
+    frame = f", frame {named(pick.frame)}" if pick.frame else ""
+    about = f": {pick.about}" if pick.about else ""
+    box = f"pixels x {left} to {right}, y {top} to {bottom} of {width} × {height}"
+    return f"Picked in the picture {named(pick.topic)} of {pick.time}{_old(pick)}: {box}{frame}{about}."
+
+
+def _time_in_words(pick: Pick) -> str:
+    values = ", ".join(
+        f"{named(one.name)} = {one.value:.6g}{f' {one.unit}' if one.unit else ''}" for one in pick.values
+    )
+    return f"Picked in the plot of {named(pick.topic)}: {pick.time}{_old(pick)}: {values or 'no value'}."
+
+
+_SUMMARIES: Mapping[Kind, Callable[[Pick], str]] = {
+    "place": _place_in_words,
+    "point": _point_in_words,
+    "box": _box_in_words,
+    "time": _time_in_words,
+}
+
+
+def _metres(numbers: Sequence[float | None]) -> str:
+    return f"({', '.join(f'{number or 0.0:.2f}' for number in numbers)}) m"
+
+
+def _old(pick: Pick) -> str:
+    return f" ({pick.age_s:.1f} s old then)" if pick.age_s else ""
+
+
+# ── kept for the servers ─────────────────────────────────────────────────────────────────────────────────────────
 
 
 def keep(folder: StateFolder, subject: str, picks: Sequence[Pick]) -> None:
@@ -88,8 +172,31 @@ def kept(folder: StateFolder) -> PickedInBrowser | None:
 
 
 def _kept_pick(given: Mapping[str, Any]) -> Pick:
-    words = {name: str(given[name])[:_MOST_NAME] for name in ("panel", "frame", "time", "about")}
-    return Pick(x_m=_number(given["x_m"], _MOST_M), y_m=_number(given["y_m"], _MOST_M), **words)
+    kind = given["kind"]
+    if kind not in _SUMMARIES:
+        raise ValueError("there is no such pick")
+    is_box = kind == "box"
+    x_m, y_m, z_m = (_maybe(given[name], _MOST_M) for name in ("x_m", "y_m", "z_m"))
+    return Pick(
+        kind=kind,
+        time=_name(given["time"]),
+        age_s=_maybe(given["age_s"], _MOST_S),
+        topic=_name(given["topic"]),
+        frame=_name(given["frame"]),
+        x_m=x_m,
+        y_m=y_m,
+        z_m=z_m,
+        in_frame=_name(given["in_frame"]),
+        in_m=_numbers(given["in_m"], _MOST_M, 3 if given["in_m"] else 0),
+        pixels=_pixels(given["pixels"], 4) if is_box else (),
+        of_pixels=_pixels(given["of_pixels"], 2) if is_box else (),
+        depth_m=_maybe(given["depth_m"], _MOST_M),
+        values=_values(given["values"]),
+        about=_name(given["about"]),
+    )
+
+
+# ── told by a page ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def picks_of(given: Any) -> Sequence[Pick]:
@@ -102,19 +209,84 @@ def picks_of(given: Any) -> Sequence[Pick]:
 def _pick(given: Any) -> Pick:
     try:
         fields = cast("Mapping[str, Any]", dict(given))
-        x_m, y_m, at_s = _number(fields["x"], _MOST_M), _number(fields["y"], _MOST_M), _number(fields["at_s"], _MOST_S)
-        grid = str(fields.get("grid") or "")[:_MOST_NAME]
-        about = f"{_cell(int(fields['cell']), is_cost=bool(fields.get('costs')))} on {named(grid)}" if grid else ""
-        return Pick(
-            panel="map",
-            frame=str(fields["frame"])[:_MOST_NAME],
-            x_m=round(x_m, 3),
-            y_m=round(y_m, 3),
-            time=iso_time(round(at_s * 1e9)),
-            about=about,
-        )
+        return _KINDS[fields.get("kind", "place")](fields)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadInput("This is no pick.", str(error)) from error
+
+
+def _place(fields: Mapping[str, Any]) -> Pick:
+    x_m, y_m = (_number(fields[name], _MOST_M) for name in ("x", "y"))
+    grid = _name(fields.get("grid") or "")
+    about = f"{_cell(int(fields['cell']), is_cost=bool(fields.get('costs')))} on {named(grid)}" if grid else ""
+    return Pick(
+        kind="place",
+        time=iso_time(round(_number(fields["at_s"], _MOST_S) * 1e9)),
+        topic=grid,
+        frame=_name(fields["frame"]),
+        x_m=round(x_m, 3),
+        y_m=round(y_m, 3),
+        about=about,
+    )
+
+
+def _point(fields: Mapping[str, Any]) -> Pick:
+    x_m, y_m, z_m = _numbers(fields["xyz"], _MOST_M, 3)
+    time_of, age_s = _when(fields)
+    return Pick(
+        kind="point",
+        time=time_of,
+        age_s=age_s,
+        topic=_name(fields["topic"]),
+        frame=_name(fields["frame"]),
+        x_m=x_m,
+        y_m=y_m,
+        z_m=z_m,
+        in_frame=_name(fields["in_frame"]),
+        in_m=_numbers(fields["in"], _MOST_M, 3),
+    )
+
+
+def _box(fields: Mapping[str, Any]) -> Pick:
+    left, top, right, bottom = _pixels(fields["box"], 4)
+    width, height = _pixels(fields["size"], 2)
+    if not (left <= right < width and top <= bottom < height):
+        raise ValueError("the box is not within the picture")
+    time_of, age_s = _when(fields)
+    return Pick(
+        kind="box",
+        time=time_of,
+        age_s=age_s,
+        topic=_name(fields["topic"]),
+        frame=_name(fields["frame"]),
+        pixels=(left, top, right, bottom),
+        of_pixels=(width, height),
+    )
+
+
+def _plot_time(fields: Mapping[str, Any]) -> Pick:
+    time_of, age_s = _when(fields)
+    topic, values = _name(fields["topic"]), _values(fields["values"])
+    return Pick(kind="time", time=time_of, age_s=age_s, topic=topic, values=values)
+
+
+_KINDS: Mapping[str, Callable[[Mapping[str, Any]], Pick]] = {
+    "place": _place,
+    "point": _point,
+    "box": _box,
+    "time": _plot_time,
+}
+
+
+def _when(fields: Mapping[str, Any]) -> tuple[str, float]:
+    """The time of what was picked, and how old it was."""
+    at_s, now_s = _number(fields["at_s"], _MOST_S), _number(fields["now_s"], _MOST_S)
+    return iso_time(round(at_s * 1e9)), round(max(now_s - at_s, 0.0), 1)
+
+
+def _name(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError("a text is expected")
+    return value[:_MOST_NAME]
 
 
 def _number(value: Any, most: float) -> float:
@@ -123,6 +295,35 @@ def _number(value: Any, most: float) -> float:
     if abs(value) > most:
         raise ValueError("this is too large")
     return float(value)
+
+
+def _maybe(value: Any, most: float) -> float | None:
+    return None if value is None else _number(value, most)
+
+
+def _numbers(value: Any, most: float, count: int) -> Sequence[float]:
+    found = cast("list[Any]", value) if isinstance(value, list) else []
+    if len(found) != count:
+        raise ValueError(f"{count} numbers are expected")
+    return [round(_number(one, most), 3) for one in found]
+
+
+def _pixels(value: Any, count: int) -> Sequence[int]:
+    found = [int(one) for one in _numbers(value, _MOST_PIXELS, count)]
+    if min(found) < 0:
+        raise ValueError("a pixel begins at 0")
+    return tuple(found)
+
+
+def _values(value: Any) -> Sequence[PickedValue]:
+    if not isinstance(value, list):
+        raise TypeError("values are expected")
+    return [
+        PickedValue(
+            name=_name(one["name"]), value=_number(one["value"], math.inf), unit=_name(one["unit"])[:_MOST_UNIT]
+        )
+        for one in cast("list[Any]", value)[:MOST_VALUES]
+    ]
 
 
 def _cell(value: int, *, is_cost: bool) -> str:

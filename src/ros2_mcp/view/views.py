@@ -124,6 +124,7 @@ class View:
         self._live = NewestOfRobot(robot) if source.is_live else None
         self._until_ns: int | None = None
         self._shown = {panel.name: _Shown(panel) for panel in panels}
+        self._images = next(panel for panel in panels if isinstance(panel, ImagePanel))
         self._news = asyncio.Event()
         self._is_closed = False
 
@@ -175,6 +176,16 @@ class View:
             shows=[in_words(one.panel.name, one.content) for one in seen if one.panel.name != "robot"],
             picks=self.picks,
         )
+
+    async def pick(self, picks: Sequence[Pick]) -> None:
+        """Notes what is picked, in place of what was before; a box that is new, with the depth there."""
+        found: list[Pick] = []
+        for pick in picks:
+            old = next((one for one in self.picks if one.is_same_box(pick)), None)
+            if pick.kind == "box" and not old:
+                old = pick.with_depth(*await self._images.depth_within(pick.topic, pick.time, pick.pixels))
+            found.append(old or pick)
+        self.picks = found
 
     def _newer(self, request: UpdateRequest) -> dict[str, Any]:
         found: dict[str, Any] = {}
@@ -284,7 +295,7 @@ class Views:
             return {}
         if "picked" not in asked:
             return _part(view.chunks, str(asked.get("key")), asked.get("from", 0))
-        view.picks = picks_of(asked["picked"])
+        await view.pick(picks_of(asked["picked"]))
         if self._in_browser:
             await asyncio.to_thread(keep, self.acting.at, self._subject, view.picks)
         return {"picked": [visible(pick.summary()) for pick in view.picks]}

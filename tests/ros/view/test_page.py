@@ -22,7 +22,7 @@ from support.observer import Observer
 from support.on_map import WALL, click_on_map
 from support.processes import peer_command, running
 from support.room_bag import room_bag
-from support.viewing import STOP, pictured, pictured_in_all_sizes, seek, text, viewing
+from support.viewing import STOP, choose, pictured, pictured_in_all_sizes, seek, text, viewing
 
 TWIST = {"linear": {"x": 0.1}}
 
@@ -122,6 +122,29 @@ def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Age
     assert "latch" in agent.refusal(
         "ros2_topic_publish", topic_name="/cmd_vel", message_type="geometry_msgs/msg/Twist", data=TWIST
     )
+    assert page.complaints == []
+
+
+def test_a_box_that_is_drawn_in_a_depth_picture_is_told_with_the_depth_there(page: Page, agent: Agent) -> None:
+    page.until("document.querySelector('#image option[value=\"/camera/depth/image_raw\"]') !== null")
+    page.run(choose("image", "/camera/depth/image_raw"))
+    page.until("document.querySelector('#image canvas').ariaLabel?.includes('Depth (')")
+    left, top, width, height = page.rectangle("#image canvas")
+    page.drag((left + width * 0.45, top + height * 0.55), (left + width * 0.55, top + height * 0.8))
+    told = page.until(
+        "/Picked .*depth there .*The agent sees it/.exec(document.querySelector('.picked').textContent)?.[0]"
+    )
+    pictured(page, "picked-box")
+    (seen,) = agent.call("ros2_view_state")["pages"]
+    (box,) = seen["picked"]
+    x1, y1, x2, y2 = box["pixels"]
+    across, down = box["of_pixels"]
+    assert 0 < x1 < across / 2 < x2 < across and down / 2 < y1 < y2 < down
+    assert f"{x2 - x1 + 1} × {y2 - y1 + 1} pixels of /camera/depth/image_raw" in told
+    assert 0.1 < box["depth_m"] < 10.0 and f"depth there {box['depth_m']:.2f} m" in told
+    assert box["frame"] and box["age_s"] < 30.0
+    page.run(choose("image", "/camera/image_raw"))
+    page.until("!document.querySelector('#image canvas').ariaLabel.includes('Depth (')")
     assert page.complaints == []
 
 

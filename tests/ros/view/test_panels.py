@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -41,6 +43,13 @@ def show(page: Page, panel: str) -> None:
     page.run(f"document.querySelector('[aria-controls={panel}]').click()")
 
 
+def picked(environment: dict[str, str]) -> dict[str, Any]:
+    """What was picked, as it is kept for the agent's server."""
+    (kept,) = Path(environment["XDG_STATE_HOME"]).glob("ros2-mcp/*/picked.json")
+    (one,) = json.loads(kept.read_text())["picks"]
+    return one
+
+
 def pictured(page: Page, panel: str) -> None:
     """Keeps what a panel looks like in both themes and three widths, where that is wanted."""
     if not PICTURES:
@@ -70,7 +79,7 @@ def test_each_frame_stands_below_its_parent_with_who_tells_it(page: Page) -> Non
 
 
 def test_numbers_are_drawn_over_time_and_what_stands_still_looks_old(
-    page: Page, demo_robot: subprocess.Popen[bytes]
+    page: Page, demo_robot: subprocess.Popen[bytes], demo_environment: dict[str, str]
 ) -> None:
     show(page, "plot")
     told = "document.querySelector('#plot .sheet').ariaLabel ?? ''"
@@ -84,16 +93,30 @@ def test_numbers_are_drawn_over_time_and_what_stands_still_looks_old(
     finally:
         demo_robot.send_signal(signal.SIGCONT)
     page.until("!document.getElementById('plot').classList.contains('stale')")
+    left, top, width, height = page.rectangle("#plot .u-over")
+    page.click(left + width - 60, top + height / 2)
+    page.until("document.querySelector('#plot .picked')?.textContent.includes('The agent sees it')")
     pictured(page, "plot")
+    time = picked(demo_environment)
+    assert (time["kind"], time["topic"]) == ("time", "/odom") and time["age_s"] > 0.0
+    assert "m/s" in [one["unit"] for one in time["values"]]
 
 
-def test_clouds_scans_and_frames_stand_in_one_space(page: Page) -> None:
+def test_clouds_scans_and_frames_stand_in_one_space(page: Page, demo_environment: dict[str, str]) -> None:
     show(page, "space")
     told = "document.querySelector('#space canvas').ariaLabel"
-    page.until(f"/Robot at .* in map.*4376 points of .cloud, 1 scan, /.test({told})", 20.0)
+    page.until(f"/Robot at .* in map.*4376 points of .cloud, 1 scan, /.test({told})")
     assert "to map" not in page.run("document.querySelector('#space .foot').textContent")
     page.until("[...document.querySelectorAll('#space .names span')].some(one => one.textContent === 'camera_link')")
+    left, top, width, height = page.rectangle("#space canvas")
+    page.click(left + width / 2 + 40, top + height / 2 + 40)  # the floor beside the robot
+    page.until("document.querySelector('#space .picked')?.textContent.includes('The agent sees it')")
     pictured(page, "space")
+    point = picked(demo_environment)
+    assert (point["kind"], point["topic"], point["frame"], point["in_frame"]) == ("point", "/cloud", "laser", "map")
+    assert (point["z_m"], len(point["in_m"])) == (0.0, 3) and abs(point["x_m"]) <= 4.0 and abs(point["y_m"]) <= 2.0
+    page.run("document.querySelector('.picked button:last-child').click()")
+    page.until("document.querySelector('.picked').hidden")
 
 
 def test_graphics_that_drop_the_picture_are_told_and_give_it_back(page: Page) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ros2_mcp.codec.depths import cloud_meaning, depth_meaning, intrinsics_of
+from ros2_mcp.codec.depths import cloud_meaning, depth_meaning, depth_within, intrinsics_of
 from ros2_mcp.model.meanings import DepthMeaning
 from ros2_mcp.model.poses import Pose
 from ros2_mcp_demo import picture
@@ -167,3 +167,14 @@ def test_intrinsics_are_those_of_the_rectified_picture_where_there_are_such() ->
     k, p = [1.0, 0, 2.0, 0, 3.0, 4.0, 0, 0, 1], [5.0, 0, 6.0, 0, 0, 7.0, 8.0, 0, 0, 0, 1, 0]
     assert intrinsics_of(SimpleNamespace(k=k, p=p)) == (5, 7, 6, 8)
     assert intrinsics_of(SimpleNamespace(k=k, p=[0.0] * 12)) == (1, 3, 2, 4)
+
+
+def test_the_depth_in_a_box_is_that_of_its_pixels_alone() -> None:
+    metres = np.full((4, 6), 5.0)
+    metres[1:3, 2:4] = 2.0
+    metres[2, 3] = np.nan
+    image = depth_image(metres)
+    assert depth_within(image, (2, 1, 3, 2)) == (2.0, "depth there 2.00 m (from 2.00 to 2.00 m, 75% of it valid)")
+    assert depth_within(image, (3, 2, 3, 2)) == (None, "no valid depth there")
+    image.encoding = "rgb8"
+    assert depth_within(image, (0, 0, 1, 1)) == (None, "")

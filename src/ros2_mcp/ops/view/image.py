@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import base64
+from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 from ros2_mcp.model.aside import load
-from ros2_mcp.model.errors import NotFound
+from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.model.pictures import COMPRESSED_IMAGE, IMAGE, Bounds
 from ros2_mcp.model.text import named
+from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results import silent
 from ros2_mcp.ops.view.look import Content, Look, Panel, Shown
 
 _BOUNDS = Bounds(max_side=800, max_bytes=120_000)
 """A panel is some 600 pixels wide, and a chat host passes 130 kB on; JPEG of 640 × 480 has 40 to 90 kB."""
+_MOST_DEPTHS = 15
+"""Depth images that are kept for who picks a box in one: those of the last second."""
 
 
 class ImagePanel(Panel):
@@ -27,6 +32,8 @@ class ImagePanel(Panel):
 
     def __init__(self) -> None:
         self._shown = Shown()
+        self._depths: deque[tuple[str, str, Any]] = deque(maxlen=_MOST_DEPTHS)
+        """Topic, time and message of those that were shown last."""
 
     async def show(self, look: Look) -> Content | None:
         """The newest picture of the chosen camera, else of the first one."""
@@ -48,6 +55,8 @@ class ImagePanel(Panel):
             recorded = await next_message(source, topic, kind, silent)
             message, sample = recorded.message, recorded.sample
         picture = await _picture(kind, message)
+        self._keep(topic, sample.received_ns, message)
+        whole = picture.whole if any(picture.whole) else (picture.width, picture.height)
         return {
             "topic": topic,
             "topics": topics,
@@ -57,9 +66,35 @@ class ImagePanel(Panel):
             "mime": picture.mime,
             "width": picture.width,
             "height": picture.height,
+            "whole": [message.width, message.height] if kind == IMAGE else list(whole),
+            "frame": str(message.header.frame_id),
             "note": picture.note,
             "bulk": base64.b64encode(picture.data).decode("ascii"),
         }
+
+    def _keep(self, topic: str, at_ns: int, message: Any) -> None:
+        from ros2_mcp.codec.images import may_be_depth
+
+        if may_be_depth(message):
+            told_ns = round(at_ns / 1e9 * 1e9)  # as a page tells it again: its times are floats, some 100 ns off
+            self._depths.append((topic, iso_time(told_ns), message))
+
+    async def depth_within(self, topic: str, at: str, box: Sequence[int]) -> tuple[float | None, str]:
+        """The depth in a box of a picture that was shown at that time; None, and words, where it is not known.
+
+        Where a slow page is about a picture that is no longer kept, it is that of the next one, which is said.
+        """
+        later = [(time, message) for name, time, message in self._depths if name == topic and time >= at]
+        if not later:
+            return None, ""
+        time, message = later[0]
+        from ros2_mcp.codec.depths import depth_within
+
+        try:
+            depth_m, told = await asyncio.to_thread(depth_within, message, box)
+        except RobotError as error:
+            return None, str(error)
+        return depth_m, told if time == at or depth_m is None else f"{told} in the picture of {time}"
 
 
 async def _picture(kind: str, message: Any) -> Any:

@@ -68,7 +68,7 @@ class SpacePanel(Panel):
         cloud = None
         for kind, name, one, pose in placed:
             if kind == _CLOUD and (facts := await self._packed(one.message, name, missing)):
-                cloud = {**facts, "name": name, "at_s": one.sample.received_ns / 1e9, "pose": _told(pose)}
+                cloud = {**facts, **_whence(name, one, pose)}
         if model and model.get("meshes"):
             missing.append(f"{model['meshes']} shape(s) of the robot are meshes, which are not drawn.")
         told = [edge.last_received_ns for edge in tree.edges.values() if edge.moving]
@@ -78,9 +78,7 @@ class SpacePanel(Panel):
             "frames": _frames(tree, frame),
             "clouds": clouds,
             "cloud": cloud,
-            "scans": [
-                {"name": name, "at_s": one.sample.received_ns / 1e9, "pose": _told(pose)} for name, one, pose in rows
-            ],
+            "scans": [_whence(name, one, pose) for name, one, pose in rows],
             "model": model,
             "missing": missing,
             "told_s": max(told) / 1e9 if told else None,
@@ -158,6 +156,12 @@ def _located(tree: FrameTree, frame: str, header: Any, topic: str, missing: list
         missing.append(f"{named(topic)} is not shown: no transform leads from {named(name)} to {named(frame)}.")
         return None
     return found.pose
+
+
+def _whence(name: str, one: Next, pose: Pose) -> Mapping[str, Any]:
+    """Which message this is, when it came, and where its frame is."""
+    frame = str(one.message.header.frame_id).lstrip("/")
+    return {"name": name, "frame": frame, "at_s": one.sample.received_ns / 1e9, "pose": _told(pose)}
 
 
 def _frames(tree: FrameTree, frame: str) -> Sequence[Mapping[str, Any]]:
