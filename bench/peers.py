@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -170,9 +171,13 @@ def frames(node: Node, count: str, rate_hz: str) -> None:
 
 
 def floor(node: Node) -> None:
-    """The floor of ROS: for each line `call N` or `read N` on stdin, the seconds that each took, in JSON."""
+    """The floor of ROS: for each line `call N`, `read N` or `publish N` on stdin, the seconds that each took, in JSON.
+
+    `publish` goes to /bench/heard, from the message to its acknowledgement.
+    """
     client = node.create_client(SetBool, "/bench/set")
-    work = {"call": lambda: _call(client), "read": lambda: _read_one(node)}
+    publisher = node.create_publisher(UInt64, "/bench/heard", 1)  # a full history asks for acknowledgement at once
+    work = {"call": lambda: _call(client), "read": lambda: _read_one(node), "publish": lambda: _publish_one(publisher)}
 
     def serve() -> None:
         for line in sys.stdin:
@@ -196,6 +201,37 @@ def _read_one(node: Node) -> None:
     )
     arrived.wait()
     node.executor.create_task(lambda: node.destroy_subscription(made.result()))
+
+
+def _publish_one(publisher: object) -> None:
+    publisher.publish(UInt64(data=1))  # type: ignore[attr-defined]
+    publisher.wait_for_all_acked()  # type: ignore[attr-defined]
+
+
+def heard(node: Node) -> None:
+    """Subscribes to /bench/heard: it acknowledges as Fast DDS does by default, 5 ms after it is asked."""
+    node.kept = node.create_subscription(UInt64, "/bench/heard", lambda _: None, 10)
+
+
+def drained(node: Node) -> None:
+    """For each line with a number of seconds on stdin: how many messages of /bench/flood came in that time."""
+
+    def receive(seconds: float) -> int:
+        numbers = itertools.count()
+        made = node.executor.create_task(
+            lambda: node.create_subscription(
+                UInt64, "/bench/flood", lambda _: next(numbers), QoSProfile(depth=1000), raw=True
+            )
+        )
+        time.sleep(seconds)
+        node.executor.create_task(lambda: node.destroy_subscription(made.result()))
+        return next(numbers)
+
+    def serve() -> None:
+        for line in sys.stdin:
+            _say(receive(float(line)))
+
+    threading.Thread(target=serve, daemon=True).start()
 
 
 def _timed(work: object) -> float:

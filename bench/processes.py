@@ -59,6 +59,10 @@ class Peer:
         self._process.terminate()
         self._process.communicate(timeout=10)
 
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
     def line(self) -> str:
         return self._process.stdout.readline().strip()  # type: ignore[union-attr]
 
@@ -76,6 +80,12 @@ class Peer:
 def rss_bytes(pid: int) -> int:
     """The resident memory of a process."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def cpu_seconds(pid: int) -> float:
+    """The processor time of a process so far, to the nanosecond: the sum over its threads."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) / 1e9
 
 
 def counts(pid: int) -> tuple[int, int]:
