@@ -6,11 +6,13 @@ import base64
 import io
 import json
 import math
+import struct
 import threading
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import pairwise
 from typing import Any
 
 from PIL import Image
@@ -129,6 +131,37 @@ def updated(asked: dict[str, Any], number: int) -> dict[str, Any]:
             "latch": None,
             "folder": "robot",
         },
+        "frames": _frames(number, now_s),
+        "plot": _plot(number, now_s),
+        "space": _space(number, now_s),
     }
     shown = {name: {"number": number + 1, **content} for name, content in contents.items() if name in asked["panels"]}
     return {"view": "scripted", "now_s": now_s, "panels": shown}
+
+
+def _frames(number: int, now_s: float) -> dict[str, Any]:
+    """Forty below each other, of which one comes and goes."""
+    edge = {"static": False, "publisher": "/tf", "rate_hz": 10.0 + number % 3, "age_s": 0.1, "problem": ""}
+    names = ["map", *(f"frame{n}" for n in range(40)), f"guest{number}"]
+    edges = [{**edge, "parent": parent, "child": child} for parent, child in pairwise(names)]
+    return {"frames": len(names), "roots": ["map"], "edges": edges, "problems": [], "notes": [], "at_s": now_s}
+
+
+def _plot(number: int, now_s: float) -> dict[str, Any]:
+    """Ten rows of two numbers, five of them new."""
+    rows = [(now_s + n / 30, math.sin(number + n), float(n)) for n in range(10)]
+    fields = [{"name": "sine", "unit": "m"}, {"name": "step", "unit": ""}]
+    data = b"".join(struct.pack("<3d", *row) for row in rows)
+    told = {"topic": "/odom", "type": "made/msg/Made", "fields": fields, "since_s": 1.7e9, "first": number * 5}
+    return {**told, "at_s": rows[-1][0], "whole": False, "rate_hz": 30.0, "bulk": base64.b64encode(data).decode()}
+
+
+def _space(number: int, now_s: float) -> dict[str, Any]:
+    """A cloud that is another one each third time, a scan, and frames that move."""
+    pose = [math.cos(number / 50), math.sin(number / 50), 0, 0, 0, 0, 1]
+    frames = [{"name": f"frame{n}", "parent": f"frame{n - 1}" if n else "map", "pose": pose} for n in range(40)]
+    cloud = {"name": "/cloud", "at_s": now_s, "pose": pose, "key": f"cloud{number // 3}", "count": 6000}
+    cloud |= {"points": 6000, "cell_m": 0, "low": [0, 0, 0], "step": [1e-4] * 3, "colours": ""}
+    scan = base64.b64encode(struct.pack("<720f", *(math.sin(n) for n in range(720)))).decode()
+    told = {"frame": "map", "base": "frame1", "frames": frames, "clouds": ["/cloud"], "cloud": cloud, "model": None}
+    return {**told, "scans": [{"name": "/scan", "at_s": now_s, "pose": pose}], "told_s": now_s, "bulk": [scan]}
