@@ -19,6 +19,8 @@ _CAR = re.compile(r"(ackermann|bicycle|tricycle|steering)", re.IGNORECASE)
 _GRIPPER = re.compile(r"(gripper|finger|fngr|knuckle|jaw|claw)", re.IGNORECASE)
 _ROTOR = re.compile(r"(rotor|propeller|(?<![a-z])prop(?![a-z]))", re.IGNORECASE)
 _THRUSTER = re.compile(r"thruster", re.IGNORECASE)
+_NO_WHEEL = re.compile(r"(propeller|thruster|rotor|engine|(?<![a-z])prop(?![a-z])|screw|fan)", re.IGNORECASE)
+"""What turns without end, is round, and rolls on nothing."""
 _TORSO = re.compile(r"torso", re.IGNORECASE)
 _FLYING = re.compile(r"((quad|multi|hexa|octo)(rotor|copter)|drone|uav|crazyflie)", re.IGNORECASE)
 _LEAST_ROTORS = 3
@@ -40,11 +42,19 @@ def wheels_of(urdf: Urdf) -> list[Joint]:
         link = urdf.links.get(joint.child)
         shapes = [*link.collisions, *link.visuals] if link else []
         is_named = "wheel" in f"{joint.name} {joint.child}".lower() and not _is_swivel(urdf, joint)
+        if _NO_WHEEL.search(f"{joint.name} {joint.child}"):
+            continue
         is_round = joint.child not in held and any(shape.kind in ("cylinder", "sphere") for shape in shapes)
         if is_named or is_round:
             found.append(joint)
     names = {joint.name for joint in found}
     return [joint for joint in found if not any(above.name in names for above in above_of(urdf, joint.parent))]
+
+
+def is_passive(urdf: Urdf, joint: Joint) -> bool:
+    """Whether it is of a caster: nobody moves it, or needs to know where it is."""
+    names = [f"{joint.name} {joint.child}", *(f"{above.name} {above.child}" for above in above_of(urdf, joint.parent))]
+    return joint.kind == "continuous" and any(map(_CASTER.search, names))
 
 
 def above_of(urdf: Urdf, link: str) -> Iterator[Joint]:
@@ -113,6 +123,8 @@ def kind_of(
         base = f"legged robot, {sum(joint.name not in held for joint in joints)} legs"
     elif swims:
         base = f"vehicle on or under water, {thrusters} thruster{'s' if thrusters > 1 else ''}"
+    elif rotors and not has_wheels:
+        base = f"vehicle with {rotors} propeller{'s' if rotors > 1 else ''}, on water or in the air"
     else:
         base = _base(urdf, driven_by, controllers)
     arms = [len(arm) for arm in arms_of(urdf) if len(arm) >= _LEAST_ARM] if urdf else []

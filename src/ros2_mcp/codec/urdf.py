@@ -168,6 +168,10 @@ class Urdf:
         followed = positions.get(joint.mimic.joint)
         return None if followed is None else joint.mimic.multiplier * followed + joint.mimic.offset
 
+    def way_up(self, link: str) -> Sequence[Joint]:
+        """The joints from a link up to the root, moving or not, the nearest first."""
+        return self._way(link, "") or ()
+
     def _way(self, link: str, within: str) -> list[Joint] | None:
         """The joints from a link up to another (default: the root); None where it is not below it."""
         way: list[Joint] = []

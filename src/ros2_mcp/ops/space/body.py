@@ -12,8 +12,8 @@ from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw, rotated
 from ros2_mcp.model.text import named
 
 NO_MOUNT = " (mount unknown)"
-_ALONG = 1e-3
-"""A camera that looks straight up or down has no direction seen from above."""
+_STEEP_DEG = 75.0
+"""A camera that looks up or down more steeply has no direction seen from above."""
 _TILTED_DEG = 2.0
 """Less is how exactly anybody mounts a sensor."""
 _LEAST_ROUND, _ROUND = 8, 0.95
@@ -35,10 +35,17 @@ def footprint_in_words(
         return f"unknown: of {_first(meshes)} there is a mesh alone" if meshes else "unknown"
     long_m, wide_m = size.front_m + size.rear_m, size.left_m + size.right_m
     least = f" without the mesh{'es' if len(meshes) > 1 else ''} of {_first(meshes)}" if meshes else ""
+    stands = " with what it stands on" if urdf and _stands_on(urdf, root) else ""
     return (
         f"{'at least ' if meshes else ''}{long_m:.2f} × {wide_m:.2f} m: front {size.front_m:.2f}, "
-        f"rear {size.rear_m:.2f}, left {size.left_m:.2f}, right {size.right_m:.2f} of {named(base)}{least}"
+        f"rear {size.rear_m:.2f}, left {size.left_m:.2f}, right {size.right_m:.2f} of {named(base)}{stands}{least}"
     )
+
+
+def _stands_on(urdf: Urdf, base: str) -> bool:
+    """Whether the base is fixed to something else than a link for the world, such as a table."""
+    held = [joint.parent for joint in urdf.way_up(base)]
+    return any(urdf.links[name].collisions or urdf.links[name].visuals for name in held if name in urdf.links)
 
 
 def _first(links: Sequence[str]) -> str:
@@ -68,31 +75,40 @@ def mounted(urdf: Urdf | None, tree: FrameTree, base: str, frame: str, positions
     frame = frame.lstrip("/")
     if frame == base:
         return ""
+    movers = urdf.moved_by(frame, base) if urdf and base in urdf.links else ()
+    moving = f" moving with {named(movers[0].name)}" if movers else ""
     if base and (found := tree.newest(base, frame)):
-        return _at(found.pose, frame)
+        return f"{_at(found.pose, frame)}{moving}"
     if urdf is None or base not in urdf.links or (mount := urdf.mount(frame, base, positions)) is None:
         return NO_MOUNT
-    movers = urdf.moved_by(frame, base)
     unknown = next((joint.name for joint in movers if urdf.position(joint, positions) is None), None)
     if unknown is not None:
         return f" (mount unknown: {named(unknown)} moves it)"
-    how = "URDF and joint positions" if movers else "URDF"
-    return f"{_at(Pose(mount.xyz, from_roll_pitch_yaw(*mount.rpy)), frame)} (by {how}, not TF)"
+    return f"{_at(Pose(mount.xyz, from_roll_pitch_yaw(*mount.rpy)), frame)}{moving} (by URDF, not TF)"
 
 
 def _at(pose: Pose, frame: str) -> str:
     x, y, z = (round(part, 2) + 0.0 for part in pose.translation)
+    return f" at {x:.2f} {y:.2f} {z:.2f}{_looking(pose) if 'optical' in frame else _turned(pose)}"
+
+
+def _turned(pose: Pose) -> str:
+    """By how much it is turned, in degrees; a yaw alone where it is level."""
     angles_deg = [math.degrees(angle) for angle in pose.roll_pitch_yaw_rad]
-    if "optical" in frame or max(map(abs, angles_deg[:2])) < _TILTED_DEG:
-        angles_deg = [0.0, 0.0, math.degrees(_looks_rad(pose, frame))]
-    names = zip(("roll", "pitch", "yaw"), angles_deg, strict=True)  # of what is tilted a yaw alone would mislead
-    turned = "".join(f" {name} {angle:.0f}°" for name, angle in names if abs(angle) >= 0.5)
-    return f" at {x:.2f} {y:.2f} {z:.2f}{turned}"
+    if max(map(abs, angles_deg[:2])) < _TILTED_DEG:
+        angles_deg[:2] = [0.0, 0.0]
+    names = zip(("roll", "pitch", "yaw"), angles_deg, strict=True)
+    return "".join(f" {name} {angle:.0f}°" for name, angle in names if abs(angle) >= 0.5)
 
 
-def _looks_rad(pose: Pose, frame: str) -> float:
-    """The direction that a sensor looks in, seen from above: along x, and of an optical frame along z (REP 103)."""
-    if "optical" not in frame:
-        return pose.yaw_rad
-    ahead = rotated(pose.rotation, (0.0, 0.0, 1.0))
-    return math.atan2(ahead[1], ahead[0]) if math.hypot(ahead[0], ahead[1]) > _ALONG else 0.0
+def _looking(pose: Pose) -> str:
+    """The direction in which a camera looks, which is along z of its optical frame (REP 103): seen from above, and how
+    far up or down.
+    """
+    x, y, z = rotated(pose.rotation, (0.0, 0.0, 1.0))
+    up_deg, yaw_deg = math.degrees(math.asin(min(max(z, -1.0), 1.0))), math.degrees(math.atan2(y, x))
+    where = "down" if up_deg < 0 else "up"
+    if abs(up_deg) > _STEEP_DEG:
+        return f" looking {where}"
+    turned = f" yaw {yaw_deg:.0f}°" if abs(yaw_deg) >= 0.5 else ""
+    return f"{turned}{f' {abs(up_deg):.0f}° {where}' if abs(up_deg) >= _TILTED_DEG else ''}"

@@ -52,9 +52,11 @@ def controllers_in_words(
         for one in graph.topics.values()
         if any(kind.startswith("control_msgs/action/") for kind in one.types)
     }
+    either = {name: _with_topic(graph, name) for name in follow}
     if not managed:
         own = {name for name in graph.nodes or () if is_controlled and name.endswith(("_controller", "_broadcaster"))}
-        return sorted(follow | {name for name in own if not any(one.startswith(f"{name}/") for one in follow)})
+        alone = {name for name in own if not any(one.startswith(f"{name}/") for one in follow)}
+        return [either.get(name, named(name)) for name in sorted(follow | alone)]
     lines: list[tuple[int, str]] = []
     told = set[str]()
     for listed_by, controllers in managed.items():
@@ -65,7 +67,13 @@ def controllers_in_words(
             is_active, kind = one["state"] == "active", str(one["type"]).rpartition("/")[2]
             tells = any(word in kind.lower() for word in _TELLS)
             state = "" if is_active else f" is {named(one['state'])}"
-            line = f"{named(action or node)} {named(kind)}{state}" if not tells else f"{named(node)}{state}"
+            line = f"{either.get(action) or named(node)} {named(kind)}{state}" if not tells else f"{named(node)}{state}"
             lines.append((tells * 4 + (not is_active) * 2 + (not action), line))
-    lines += [(0, named(action)) for action in sorted(follow - told)]
+    lines += [(0, either[action]) for action in sorted(follow - told)]
     return [line for _, line in sorted(lines, key=lambda one: one[0])]
+
+
+def _with_topic(graph: GraphSnapshot, action: str) -> str:
+    """An action for trajectories, and whether its controller takes them on its topic, too."""
+    topic = f"{action.rpartition('/')[0]}/joint_trajectory"
+    return f"{named(action)}{' (or joint_trajectory)' if topic in graph.topics else ''}"

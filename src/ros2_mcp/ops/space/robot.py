@@ -14,9 +14,9 @@ from typing import Any
 
 import anyio
 
-from ros2_mcp.codec.robot_kind import arms_of, kind_of, rotors_of, wheels_of
+from ros2_mcp.codec.robot_kind import arms_of, kind_of
 from ros2_mcp.codec.transforms import FrameTree, Located
-from ros2_mcp.codec.urdf import Joint, Mount, Urdf, parse
+from ros2_mcp.codec.urdf import Mount, Urdf, parse
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, RobotError, UnknownInterface
 from ros2_mcp.model.graph import TopicEndpoints
@@ -33,6 +33,7 @@ from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.space.heads import Head, heads_of
 from ros2_mcp.ops.space.inputs import command_inputs, drive_types
+from ros2_mcp.ops.space.joints import joints_in_words, placed, with_turning_together, without_speeds
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import LISTENS
@@ -42,25 +43,40 @@ MOST_BYTES = 2_000
 _ANSWERED_S, _GIVEN_UP_S = 1.4, 1.7
 """After the call: so long messages are waited for, all at the same time, and so long any part of it at most. The
 answer is there within two seconds, with some for the machine that has much to do."""
+_TURNS_NS = 150_000_000
+"""From the first message of joints on, others with other joints follow so soon: drivers tell them at 10 Hz or more."""
+_JOINTS_NS = 1_000_000_000
+"""Of a recording, its end."""
 _LEAST_S = 0.4
 """For messages, however long the graph took: what comes twice a second is mostly heard, too."""
 _SENSORS = (
     "sensor_msgs/msg/LaserScan",
-    "sensor_msgs/msg/PointCloud2",
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/Range",
     "sensor_msgs/msg/Imu",
     "sensor_msgs/msg/NavSatFix",
+    "geometry_msgs/msg/WrenchStamped",
+    "sensor_msgs/msg/PointCloud2",
     "sensor_msgs/msg/MagneticField",
     "sensor_msgs/msg/FluidPressure",
-    "geometry_msgs/msg/WrenchStamped",
 )
+"""In the order in which they are told."""
 _TF = "tf2_msgs/msg/TFMessage"
 _BATTERY = "sensor_msgs/msg/BatteryState"
 _WITH_RANGE = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range")
 _WORLDS = ("map", "odom", "world", "earth")
 """Frames in which a robot's place is meant, the better first (REP 105)."""
-_MOST = {"command_inputs": 8, "sensors": 9, "joints": 12, "unhealthy": 6, "controllers": 8}
+_MOST = {
+    "command_inputs": (8, 0.8),
+    "sensors": (9, 0.6),
+    "joints": (12, 1.0),
+    "unhealthy": (6, 0.5),
+    "controllers": (8, 1.2),
+}
+"""So many lines of each, and which list is shortened first where the whole is too long: that with the most characters
+times this."""
+_COUNTS_BYTES = 20
+"""For how many lines are left out."""
 _OLD_S = 2.0
 """A place that is older is not that of now."""
 _ALL_AROUND_DEG = 350.0
@@ -219,8 +235,8 @@ async def _frames(source: Source, seen: _Seen) -> None:
 
 
 async def _heads(robot: Robot, source: Source, seen: _Seen) -> None:
-    topics = [one.topic for one in _topics(seen.graph, *_SENSORS)]
-    seen.heads = await heads_of(robot, source, topics[: _MOST["sensors"] + 4], seen.listen_s)
+    topics = [one.topic for one, _ in _ranked(seen.graph)]
+    seen.heads = await heads_of(robot, source, topics[: _MOST["sensors"][0] + 4], seen.listen_s)
 
 
 async def _ranges(source: Source, seen: _Seen) -> None:
@@ -242,10 +258,28 @@ async def _ranges(source: Source, seen: _Seen) -> None:
 
 
 async def _joint_states(source: Source, seen: _Seen) -> None:
+    """Where joints are: some drivers tell those of the base and those of the arm in turns, on one topic."""
     kind = "sensor_msgs/msg/JointState"
-    found = await asyncio.gather(*(_message(source, seen, one.topic, kind) for one in _topics(seen.graph, kind)[:3]))
-    for message in filter(None, found):
-        seen.positions |= {name: float(at) for name, at in zip(message.name, message.position, strict=False)}
+    await asyncio.gather(*(_positions(source, seen, one.topic) for one in _topics(seen.graph, kind)[:3]))
+
+
+async def _positions(source: Source, seen: _Seen, topic: str) -> None:
+    if source.is_live:
+        part = source.lasting(seen.listen_s)
+    else:
+        end_ns = source.covers_ns[1] if source.covers_ns else 0
+        part = source.part(end_ns - _JOINTS_NS, end_ns) if end_ns else source
+    with suppress(RobotError):
+        async with part.follow(topic) as stream:
+            first_ns: int | None = None
+            async for batch in stream.batches:
+                for sample in batch:
+                    first_ns = sample.received_ns if first_ns is None else first_ns
+                    message: Any = stream.codec.decode(stream.type, sample.data)
+                    told = zip(message.name, message.position, strict=False)
+                    seen.positions |= {name: float(at) for name, at in told}
+                    if sample.received_ns - first_ns > _TURNS_NS and source.is_live:
+                        return
 
 
 async def _batteries(source: Source, seen: _Seen) -> None:
@@ -320,7 +354,7 @@ def _brief(source: Source, seen: _Seen) -> RobotInBrief:
         place=place,
         command_inputs=list(map(str, inputs)),
         sensors=_sensors(seen, base),
-        joints=_joints(seen),
+        joints=joints_in_words(seen.urdf, seen.positions),
         controllers=controllers_in_words(seen.graph, seen.managed, is_controlled="ros2_control" in stacks),
         stacks=stacks,
         frames=_frames_in_words(seen),
@@ -339,9 +373,11 @@ def _base_of(seen: _Seen) -> str:
     """The body's frame: that of the transforms, else the description's root."""
     if seen.tree.base:
         return seen.tree.base
-    if seen.urdf:
-        return next((name for name in ("base_link", "base_footprint") if name in seen.urdf.links), seen.urdf.root)
-    return ""
+    if seen.urdf is None:
+        return ""
+    root = next((name for name in ("base_link", "base_footprint") if name in seen.urdf.links), seen.urdf.root)
+    arms = arms_of(seen.urdf) if root.lower() in _WORLDS else []
+    return arms[0][0].parent if arms else root
 
 
 def _stacks(graph: GraphSnapshot) -> list[str]:
@@ -362,11 +398,24 @@ def _stacks(graph: GraphSnapshot) -> list[str]:
     ]
 
 
+def _ranked(graph: GraphSnapshot) -> Sequence[tuple[TopicEndpoints, str]]:
+    """The topics of sensors with their types: of each kind the first one before the second of any, for who sees only
+    some; the kinds in the order of `_SENSORS`.
+    """
+    of_kind = {kind: [one for one in _topics(graph, kind) if one.types[0] == kind] for kind in _SENSORS}
+    ranked = [
+        (place, rank, one, kind)
+        for rank, (kind, all_of) in enumerate(of_kind.items())
+        for place, one in enumerate(all_of)
+    ]
+    return [(one, kind) for _, _, one, kind in sorted(ranked, key=lambda each: each[:2])]
+
+
 def _sensors(seen: _Seen, base: str) -> list[str]:
     found: list[str] = []
     told = set[str]()
-    for one in _topics(seen.graph, *_SENSORS):
-        kind = next(kind for kind in one.types if kind in _SENSORS).rpartition("/")[2]
+    for one, type_name in _ranked(seen.graph):
+        kind = type_name.rpartition("/")[2]
         head = seen.heads.get(one.topic)
         said = [named(one.topic), kind]
         if head and not head.count:
@@ -379,51 +428,13 @@ def _sensors(seen: _Seen, base: str) -> list[str]:
         if one.topic in seen.ranges:
             said.append(seen.ranges[one.topic])
         found.append(" ".join(said))
-    for topic, share in seen.batteries.items():
-        found.append(f"{named(topic)} BatteryState{'' if share is None else f' {share:.0%}'}")
-    return found
+    batteries = seen.batteries.items()
+    told_of = [f"{named(topic)} BatteryState{'' if share is None else f' {share:.0%}'}" for topic, share in batteries]
+    return [*found[:1], *told_of, *found[1:]]
 
 
 def _mounted(seen: _Seen, base: str, frame: str) -> str:
     return mounted(seen.urdf, seen.tree, base, frame, seen.positions)
-
-
-def _joints(seen: _Seen) -> list[str]:
-    joints = _placed(seen.urdf) if seen.urdf else []
-    lines = [_joint(joint, seen.positions.get(joint.name)) for joint in joints]
-    told = {joint.name for joint in joints}
-    mimics = {joint.name for joint in seen.urdf.joints.values() if joint.mimic} if seen.urdf else set[str]()
-    others = [name for name in seen.positions if name not in told | mimics]
-    return [*lines, *(f"{named(name)} now {_tidy(seen.positions[name])}" for name in others)]
-
-
-def _placed(urdf: Urdf) -> list[Joint]:
-    """The joints whose positions count, all that move but rotors: those of the arm first and wheels last, where what
-    does not fit is left out.
-    """
-    rotors = {joint.name for joint in rotors_of(urdf)}
-    arm = {joint.name for joints in arms_of(urdf) for joint in joints}
-    wheels = {joint.name for joint in wheels_of(urdf)}
-    return sorted(
-        (joint for joint in urdf.moving if joint.name not in rotors),
-        key=lambda joint: (joint.name in wheels, joint.name not in arm),
-    )
-
-
-def _joint(joint: Joint, at: float | None) -> str:
-    limits = joint.limits
-    now = "position unknown" if at is None else f"now {_tidy(at)}"
-    span = (
-        f" of {limits.lower:.3g}..{limits.upper:.3g}" if limits.lower is not None and limits.upper is not None else ""
-    )
-    speed = f", ≤ {limits.velocity:.3g} {joint.unit}/s" if limits.velocity else ""
-    kind = "" if joint.kind == "revolute" else f" {joint.kind}"
-    return f"{named(joint.name)}{kind} {now}{span} {joint.unit}{speed}"
-
-
-def _tidy(number: float) -> str:
-    """To a thousandth, which is as exact as anybody looks at a joint."""
-    return f"{round(number, 3) + 0.0:g}"
 
 
 def _frames_in_words(seen: _Seen) -> str:
@@ -505,7 +516,7 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
     found += [f"{named(topic)} is published, but silent." for topic, head in seen.heads.items() if not head.count]
     if seen.urdf:
         found += seen.urdf.problems[:2]
-        unknown = [joint.name for joint in _placed(seen.urdf) if joint.name not in seen.positions]
+        unknown = [one.name for one in placed(seen.urdf, seen.positions) if one.name not in seen.positions]
         if unknown and "positions of the joints" not in seen.not_read:
             more = f" and {len(unknown) - 3} more" if len(unknown) > 3 else ""
             found.append(f"Nobody tells the position of {', '.join(map(named, unknown[:3]))}{more}.")
@@ -536,21 +547,28 @@ def _maps_of(seen: _Seen) -> list[str]:
 
 
 def _within(brief: RobotInBrief, most: int) -> RobotInBrief:
-    """The same, shortened until its JSON fits: the end of the longest list goes first."""
+    """The same, shortened until it fits: what is least needed goes first, then the ends of the lists."""
     left_out = 0
-    if _size(brief) > most - 20:  # how fast a joint may move is found elsewhere, too
-        brief = replace(brief, joints=[line.partition(", ≤ ")[0].removesuffix(" rad") for line in brief.joints])
-    for name, count in _MOST.items():
+    if _size(brief) > most:
+        brief = replace(brief, joints=without_speeds(brief.joints))
+    if _size(brief) > most:
+        brief = replace(brief, joints=with_turning_together(brief.joints))
+    if _size(brief) > most:
+        brief = replace(brief, command_inputs=[line.partition(" (from ")[0] for line in brief.command_inputs])
+    for name, (count, _) in _MOST.items():
         whole: Sequence[str] = getattr(brief, name)
         left_out += max(len(whole) - count, 0)
         brief = replace(brief, **{name: [line[:160] for line in whole[:count]]})
     brief = replace(brief, name=brief.name[:60], frames=brief.frames[:200])
-    while _size(brief) > most - 20:
-        name = max(_MOST, key=lambda name: len("".join(getattr(brief, name))))
+    while _size(brief) > most:
+        name = max(_MOST, key=lambda name: len("".join(getattr(brief, name))) * _MOST[name][1])
         rest: Sequence[str] = getattr(brief, name)[:-1]
         brief, left_out = replace(brief, **{name: rest}), left_out + 1
     return replace(brief, left_out=left_out)
 
 
 def _size(brief: RobotInBrief) -> int:
-    return len(json.dumps(as_json(brief), ensure_ascii=False).encode())
+    """Bytes of its JSON, or of its text: the line of the summary, and what that has not told."""
+    told = {name: value for name, value in as_json(brief).items() if name != "place"}
+    text = f"{brief.summary()}\n{json.dumps(told, ensure_ascii=False, separators=(',', ':'))}"
+    return max(len(text.encode()), len(json.dumps(as_json(brief), ensure_ascii=False).encode())) + _COUNTS_BYTES

@@ -126,7 +126,7 @@ async def test_what_a_joint_carries_sits_where_that_joint_is_or_nowhere(window: 
     )
     found = await in_brief(robot, source([*made[:-1], told]))
     assert found.sensors == [
-        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 yaw 90° (by URDF and joint positions, not TF) 0.1 to 12 m"
+        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 yaw 90° moving with mount (by URDF, not TF) 0.1 to 12 m"
     ]
 
 

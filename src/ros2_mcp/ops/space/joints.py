@@ -1,0 +1,65 @@
+"""The robot's joints in words: where each is now, how far and how fast it may move."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from ros2_mcp.codec.robot_kind import arms_of, is_passive, rotors_of, wheels_of
+from ros2_mcp.codec.urdf import Joint, Urdf
+from ros2_mcp.model.text import named
+
+_SPEED = ", ≤ "
+
+
+def joints_in_words(urdf: Urdf | None, positions: Mapping[str, float]) -> list[str]:
+    """Those of the description whose positions count, then others that somebody tells."""
+    joints: Sequence[Joint] = placed(urdf, positions) if urdf else ()
+    lines = [_joint(joint, positions.get(joint.name)) for joint in joints]
+    told = {joint.name for joint in joints}
+    others = [name for name in positions if name not in told and (urdf is None or name not in urdf.joints)]
+    return [*lines, *(f"{named(name)} now {_tidy(positions[name])}" for name in others)]
+
+
+def placed(urdf: Urdf, positions: Mapping[str, float]) -> Sequence[Joint]:
+    """The joints whose positions count, all that move but rotors and casters: those of the arm first and wheels last,
+    where what does not fit is left out; of each those before others that somebody tells.
+    """
+    left_out = {joint.name for joint in rotors_of(urdf)}
+    arm = {joint.name for joints in arms_of(urdf) for joint in joints}
+    wheels = {joint.name for joint in wheels_of(urdf)}
+    return sorted(
+        (joint for joint in urdf.moving if joint.name not in left_out and not is_passive(urdf, joint)),
+        key=lambda joint: (joint.name in wheels, joint.name not in arm, joint.name not in positions),
+    )
+
+
+def without_speeds(lines: Sequence[str]) -> list[str]:
+    """The same, shorter: how fast a joint may move is found elsewhere, too, and rad are what joints turn by."""
+    return [line.partition(_SPEED)[0].removesuffix(" rad") for line in lines]
+
+
+def with_turning_together(lines: Sequence[str]) -> list[str]:
+    """The same, shorter: joints that turn without end, such as wheels, in one line at the end."""
+    kinds = " continuous now "
+    turning = [line.split(kinds) for line in lines if kinds in line]
+    if len(turning) < 2:
+        return list(lines)
+    others = [line for line in lines if kinds not in line]
+    return [*others, f"continuous: {', '.join(f'{name} {at}' for name, at in turning)}"]
+
+
+def _joint(joint: Joint, at: float | None) -> str:
+    limits = joint.limits
+    now = "position unknown" if at is None else f"now {_tidy(at)}"
+    span = ""
+    if limits.lower is not None and limits.upper is not None:  # rounded inwards: who goes there stays within
+        span = f" of {math.ceil(limits.lower * 1000) / 1000:g}..{math.floor(limits.upper * 1000) / 1000:g}"
+    speed = f"{_SPEED}{limits.velocity:.3g} {joint.unit}/s" if limits.velocity else ""
+    kind = "" if joint.kind == "revolute" else f" {joint.kind}"
+    return f"{named(joint.name)}{kind} {now}{span} {joint.unit}{speed}"
+
+
+def _tidy(number: float) -> str:
+    """To a thousandth, which is as exact as anybody looks at a joint."""
+    return f"{round(number, 3) + 0.0:g}"
