@@ -43,8 +43,9 @@ def footprint_in_words(
 
 
 def _stands_on(urdf: Urdf, base: str) -> bool:
-    """Whether the base is fixed to something else than a link for the world, such as a table."""
-    held = [joint.parent for joint in urdf.way_up(base)]
+    """Whether the base is fixed in the world by something that has a shape, such as a table."""
+    is_fixed = urdf.root.lower() in ("world", "map") and urdf.fixed_to(base) == urdf.root
+    held = [joint.parent for joint in urdf.way_up(base)] if is_fixed else []
     return any(urdf.links[name].collisions or urdf.links[name].visuals for name in held if name in urdf.links)
 
 

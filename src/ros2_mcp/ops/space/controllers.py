@@ -16,6 +16,7 @@ LIST_CONTROLLERS = "/list_controllers"
 _LIST = "controller_manager_msgs/srv/ListControllers"
 _ANSWER_S = 1.0
 """One that is alive answers within milliseconds, and the whole answer is to be there in two seconds."""
+_ACTION = "/follow_joint_trajectory"
 _TELLS = ("broadcaster", "status")
 """In the type of a controller that moves nothing: it only publishes."""
 
@@ -77,3 +78,14 @@ def _with_topic(graph: GraphSnapshot, action: str) -> str:
     """An action for trajectories, and whether its controller takes them on its topic, too."""
     topic = f"{action.rpartition('/')[0]}/joint_trajectory"
     return f"{named(action)}{' (or joint_trajectory)' if topic in graph.topics else ''}"
+
+
+def in_groups(lines: Sequence[str]) -> list[str]:
+    """The same, shorter: those that take the same, or say nothing more than their names, in one line."""
+    groups: dict[str, list[str]] = {}
+    for line in lines:
+        name, mark, rest = line.partition(_ACTION)
+        groups.setdefault(f"{mark}{rest}".lstrip("/") if mark else line.partition(" ")[2], []).append(
+            name if mark else line.partition(" ")[0]
+        )
+    return [f"{', '.join(names)}{f': {what}' if what else ''}" for what, names in groups.items()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 
 from ros2_mcp.codec.robot_kind import arms_of, is_passive, rotors_of, wheels_of
@@ -10,6 +11,7 @@ from ros2_mcp.codec.urdf import Joint, Urdf
 from ros2_mcp.model.text import named
 
 _SPEED = ", ≤ "
+_NUMBERED = re.compile(r"(?P<before>\S*?)(?P<number>\d+)(?P<after>\D*) now (?P<now>\S+) of (?P<span>\S+)(?P<unit> m)?")
 
 
 def joints_in_words(urdf: Urdf | None, positions: Mapping[str, float]) -> list[str]:
@@ -47,6 +49,25 @@ def with_turning_together(lines: Sequence[str]) -> list[str]:
         return list(lines)
     others = [line for line in lines if kinds not in line]
     return [*others, f"continuous: {', '.join(f'{name} {at}' for name, at in turning)}"]
+
+
+def with_chains(lines: Sequence[str]) -> list[str]:
+    """The same, shorter: joints whose names differ in a number alone, as those of an arm do, in one line."""
+    chains: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
+    found: list[tuple[tuple[str, ...], str]] = []
+    for line in lines:
+        match = _NUMBERED.fullmatch(line)
+        key = (match["before"], match["after"], match["unit"] or "") if match else (line,)
+        found.append((key, line))
+        if match:
+            chains.setdefault(key, []).append((match["number"], match["now"], match["span"]))
+    told: dict[tuple[str, ...], str] = {}
+    for key, line in found:
+        numbers, nows, spans = zip(*chains[key], strict=True) if len(chains.get(key, ())) > 1 else ((), (), ())
+        before, after, unit = key if numbers else ("", "", "")
+        together = f"{before}{','.join(numbers)}{after} now {', '.join(nows)} of {', '.join(spans)}{unit}"
+        told.setdefault(key, together if numbers else line)
+    return list(told.values())
 
 
 def _joint(joint: Joint, at: float | None) -> str:

@@ -28,12 +28,12 @@ from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.results import as_json, silent
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
 from ros2_mcp.ops.space.body import NO_MOUNT, footprint_in_words, mounted
-from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_in_words, listed_controllers
+from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_in_words, in_groups, listed_controllers
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.space.heads import Head, heads_of
 from ros2_mcp.ops.space.inputs import command_inputs, drive_types
-from ros2_mcp.ops.space.joints import joints_in_words, placed, with_turning_together, without_speeds
+from ros2_mcp.ops.space.joints import joints_in_words, placed, with_chains, with_turning_together, without_speeds
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import LISTENS
@@ -552,13 +552,15 @@ def _within(brief: RobotInBrief, most: int) -> RobotInBrief:
     if _size(brief) > most:
         brief = replace(brief, joints=without_speeds(brief.joints))
     if _size(brief) > most:
-        brief = replace(brief, joints=with_turning_together(brief.joints))
+        brief = replace(brief, joints=with_turning_together(brief.joints), controllers=in_groups(brief.controllers))
+    if _size(brief) > most:
+        brief = replace(brief, joints=with_chains(brief.joints))
     if _size(brief) > most:
         brief = replace(brief, command_inputs=[line.partition(" (from ")[0] for line in brief.command_inputs])
     for name, (count, _) in _MOST.items():
         whole: Sequence[str] = getattr(brief, name)
         left_out += max(len(whole) - count, 0)
-        brief = replace(brief, **{name: [line[:160] for line in whole[:count]]})
+        brief = replace(brief, **{name: [line[:220] for line in whole[:count]]})
     brief = replace(brief, name=brief.name[:60], frames=brief.frames[:200])
     while _size(brief) > most:
         name = max(_MOST, key=lambda name: len("".join(getattr(brief, name))) * _MOST[name][1])

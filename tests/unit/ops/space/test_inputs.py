@@ -60,6 +60,7 @@ def test_movements_come_before_goals_and_goals_before_lower_inputs() -> None:
             heard("/base/reference", "geometry_msgs/msg/TwistStamped", "/base"),
             heard("/arm/servo_node/delta_twist_cmds", "geometry_msgs/msg/TwistStamped", "/servo_node"),
             heard("/place", "geometry_msgs/msg/Pose", "/logger"),
+            heard("/wheel/speed", "std_msgs/msg/Float64", "/logger", "/driver"),  # that is told, and not waited for
         ),
         {},
     )

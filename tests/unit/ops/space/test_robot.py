@@ -8,10 +8,13 @@ from typing import Any
 
 import pytest
 
+from ros2_mcp.codec.transforms import FrameTree
+from ros2_mcp.codec.urdf import parse
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.results import as_json
 from ros2_mcp.ops.sources.source import GraphSnapshot
+from ros2_mcp.ops.space.body import mounted
 from ros2_mcp.ops.space.controllers import controllers_in_words
 from ros2_mcp.ops.space.robot import MOST_BYTES, RobotInBrief, in_brief
 from ros2_mcp.robot import Robot
@@ -127,6 +130,33 @@ async def test_what_a_joint_carries_sits_where_that_joint_is_or_nowhere(window: 
     found = await in_brief(robot, source([*made[:-1], told]))
     assert found.sensors == [
         "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 yaw 90° moving with mount (by URDF, not TF) 0.1 to 12 m"
+    ]
+
+
+async def test_joints_that_are_told_in_turns_are_all_told(window: Make, robot: Robot) -> None:
+    made = [one for one in windows(window, CART) if one.topic != "/joint_states"]
+    names = ("left_wheel_joint", "right_wheel_joint")
+    turns = [(4.5 + turn / 30, {"name": [names[turn % 2]], "position": [float(turn % 2)]}) for turn in range(8)]
+    found = await in_brief(robot, source([*made, window("/joint_states", "sensor_msgs/msg/JointState", turns)]))
+    assert [line.partition(" rad")[0] for line in found.joints] == [
+        "left_wheel_joint continuous now 0",
+        "right_wheel_joint continuous now 1",
+    ]
+    assert found.unhealthy == []
+
+
+def test_a_camera_s_tilt_is_told_and_a_steep_one_has_no_direction() -> None:
+    urdf = parse(
+        """<robot name="r"><link name="base_link"/>
+        <link name="a_optical"/><joint name="a" type="fixed"><parent link="base_link"/><child link="a_optical"/>
+        <origin xyz="0 0 1" rpy="-1.9198622 0 -1.5707963"/></joint>
+        <link name="b_optical"/><joint name="b" type="fixed"><parent link="base_link"/><child link="b_optical"/>
+        <origin rpy="3.1 0 0"/></joint></robot>"""
+    )
+    told = [mounted(urdf, FrameTree(), "base_link", name, {}) for name in ("a_optical", "b_optical")]
+    assert told == [
+        " at 0.00 0.00 1.00 20° down (by URDF, not TF)",
+        " at 0.00 0.00 0.00 looking down (by URDF, not TF)",
     ]
 
 

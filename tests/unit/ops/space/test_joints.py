@@ -1,0 +1,43 @@
+"""The robot's joints in words, and the same shorter."""
+
+from __future__ import annotations
+
+from ros2_mcp.codec.urdf import parse
+from ros2_mcp.ops.space.joints import joints_in_words, with_chains, with_turning_together, without_speeds
+
+LIMIT = '<limit lower="-2.8973" upper="2.8973" velocity="2" effort="1"/>'
+
+
+def joint(name: str, kind: str, parent: str = "base_link", limit: str = "") -> str:
+    link = f'<link name="{name}_link"/>'
+    return (
+        f'{link}<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{name}_link"/>{limit}</joint>'
+    )
+
+
+CART = parse(
+    f"""<robot name="cart"><link name="base_link"/>
+    {joint("left_wheel", "continuous")}{joint("right_wheel", "continuous")}
+    {joint("caster", "continuous")}{joint("caster_wheel", "continuous", "caster_link")}
+    {joint("arm_1", "revolute", limit=LIMIT)}{joint("arm_2", "revolute", "arm_1_link", LIMIT)}</robot>"""
+)
+TOLD = {"left_wheel": 1.0, "right_wheel": 2.0, "arm_1": 0.5, "arm_2": -1.0, "caster": 0.1, "lamp": 3.0}
+
+
+def test_casters_are_nobody_s_concern_and_limits_are_rounded_inwards() -> None:
+    assert joints_in_words(CART, TOLD) == [
+        "arm_1 now 0.5 of -2.897..2.897 rad, ≤ 2 rad/s",
+        "arm_2 now -1 of -2.897..2.897 rad, ≤ 2 rad/s",
+        "left_wheel continuous now 1 rad",
+        "right_wheel continuous now 2 rad",
+        "lamp now 3",
+    ]
+
+
+def test_what_is_too_long_loses_speeds_then_has_wheels_and_chains_in_one_line_each() -> None:
+    short = with_chains(with_turning_together(without_speeds(joints_in_words(CART, TOLD))))
+    assert short == [
+        "arm_1,2 now 0.5, -1 of -2.897..2.897, -2.897..2.897",
+        "lamp now 3",
+        "continuous: left_wheel 1, right_wheel 2",
+    ]
