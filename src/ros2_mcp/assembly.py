@@ -23,6 +23,7 @@ from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.sources.kinds import OWN_KINDS, Sources
 from ros2_mcp.ops.sources.source import SourceKind
 from ros2_mcp.ops.view.acting import Acting
+from ros2_mcp.ops.view.mesh_files import prefixes_of
 from ros2_mcp.prompts.catalog import Catalog
 from ros2_mcp.prompts.several import CatalogOfSeveral
 from ros2_mcp.robot import Robot
@@ -119,7 +120,7 @@ def _member(entry: Entry, bridge: Bridge | None) -> Member:
     store = store_for(settings)
     robot = robot_for(settings, store, bridge)
     folder = state_of(settings, robot.policy)
-    viewing = Viewing(Sources(robot, store, SOURCE_KINDS), entry.name, Acting(folder))
+    viewing = Viewing(Sources(robot, store, SOURCE_KINDS), entry.name, Acting(folder), prefixes_of(settings))
     toolset = Toolset(robot, store, settings.tools, SOURCE_KINDS, warnings_of(settings), viewing)
     return Member(name=entry.name, settings=settings, robot=robot, store=store, toolset=toolset)
 

@@ -1,7 +1,9 @@
 // What is around the robot in three dimensions. It is begun when it is first seen, and drawn only when something is new.
 
+import type { BufferGeometry } from "three";
 import { Frame, ageText, bytesOf, colour, make } from "./dom.ts";
 import type { Picks } from "./picks.ts";
+import { type Body, type MeshFacts, meshOf } from "./solids.ts";
 import { Stage, type Cloud, type Place, type Shape } from "./stage.ts";
 
 type Whence = { name: string; frame: string; at_s: number; pose: number[] };
@@ -9,6 +11,7 @@ type Space = {
   why?: string; frame?: string; base?: string; frames?: Place[]; clouds?: string[];
   cloud?: (Cloud & Whence & { key: string; points: number; cell_m: number }) | null;
   scans?: Whence[]; model?: { key: string; shapes: number; meshes: number } | null;
+  markers?: { key: string; count: number; poses: number[][]; at_s: number } | null;
   missing?: string[]; told_s?: number | null; bulk?: string[];
 };
 
@@ -33,6 +36,10 @@ export class SpacePanel {
   private drawn: Whence | null = null; // the cloud whose points are seen
   private nowS = 0;
   private modelKey = "";
+  private markersKey = "";
+  private drawnMarkers = 0;
+  private drawnModel: Space["model"] = null;
+  private readonly meshes = new Map<string, BufferGeometry>();
   private busy = false;
   private isLost = false;
 
@@ -85,6 +92,8 @@ export class SpacePanel {
     stage.scan((space.scans ?? []).map((scan, index) => ({ pose: scan.pose, xy: new Float32Array(bytesOf(space.bulk?.[index] ?? "").buffer) })));
     if (!space.cloud) { stage.cloud(null); [this.cloudKey, this.drawn] = ["", null]; }
     else if (space.cloud.key === this.cloudKey) { stage.moveCloud(space.cloud.pose); this.drawn = space.cloud; } // the same points, elsewhere: what they are in has moved
+    if (!space.markers) { stage.mark3d([], this.meshes); [this.markersKey, this.drawnMarkers] = ["", 0]; }
+    else if (space.markers.key === this.markersKey) stage.moveMarkers(space.markers.poses);
     if (!this.busy) void this.fetch();
     if (isOther) this.mark();
     this.tellWords();
@@ -113,10 +122,19 @@ export class SpacePanel {
   private async fetch(): Promise<void> {
     this.busy = true;
     try {
-      const { cloud, model } = this.shown;
+      const { cloud, markers, model } = this.shown;
       if (model && model.key !== this.modelKey) {
-        this.stage?.model(JSON.parse(new TextDecoder().decode(await this.unpacked(model.key))) as Shape[]);
-        this.modelKey = model.key;
+        const shapes = JSON.parse(new TextDecoder().decode(await this.unpacked(model.key))) as Shape[];
+        await this.fetchMeshes(shapes.map((shape) => shape.mesh));
+        this.stage?.model(shapes, this.meshes);
+        [this.modelKey, this.drawnModel] = [model.key, model];
+      }
+      if (markers && markers.key !== this.markersKey) {
+        const bodies = JSON.parse(new TextDecoder().decode(await this.unpacked(markers.key))) as Body[];
+        await this.fetchMeshes(bodies.map((body) => body.mesh ?? null));
+        this.stage?.mark3d(bodies, this.meshes);
+        this.stage?.moveMarkers(markers.poses);
+        [this.markersKey, this.drawnMarkers] = [markers.key, bodies.length];
       }
       if (cloud && cloud.key !== this.cloudKey) {
         const bytes = await this.unpacked(cloud.key);
@@ -126,6 +144,15 @@ export class SpacePanel {
       this.tellWords();
       this.stage?.dirty();
     } catch { /* the next update names what is there by then */ } finally { this.busy = false; }
+  }
+
+  /** Fetches the meshes that are not here yet, each once; one that cannot be read is not drawn. */
+  private async fetchMeshes(wanted: (MeshFacts | null)[]): Promise<void> {
+    for (const facts of wanted) {
+      if (!facts || this.meshes.has(facts.key)) continue;
+      const made = meshOf(facts, await this.unpacked(facts.key));
+      if (made) this.meshes.set(facts.key, made);
+    }
   }
 
   private async unpacked(key: string): Promise<Uint8Array<ArrayBuffer>> {
@@ -142,10 +169,10 @@ export class SpacePanel {
   private tellWords(): void { this.canvas.setAttribute("aria-label", this.inWords()); }
 
   private inWords(): string {
-    const { frame, frames = [], base, cloud, scans = [], model } = this.shown;
+    const { frame, frames = [], base, cloud, scans = [] } = this.shown, model = this.drawnModel, count = this.drawnMarkers;
     const at = frames.find((one) => one.name === base)?.pose;
     const where = at ? `Robot at ${at.slice(0, 3).map((value) => value.toFixed(2)).join(", ")} metres in ${frame}.` : `Seen in ${frame}; nobody says where the robot is.`;
-    const seen = [!cloud ? "no cloud" : this.drawn?.name === cloud.name ? `${cloud.count} points of ${cloud.name}` : `${cloud.name} is on its way`, `${scans.length} scan${scans.length === 1 ? "" : "s"}`, `${frames.length} frames`, model ? `${model.shapes} shapes of the robot` : "no robot model"];
+    const seen = [!cloud ? "no cloud" : this.drawn?.name === cloud.name ? `${cloud.count} points of ${cloud.name}` : `${cloud.name} is on its way`, `${scans.length} scan${scans.length === 1 ? "" : "s"}`, `${frames.length} frames`, model ? `${model.shapes} shapes of the robot${model.meshes ? `, ${model.meshes} of them meshes` : ""}` : "no robot model", ...(count ? [`${count} marker${count === 1 ? "" : "s"}`] : [])];
     return `3D. ${where} ${seen.join(", ")}.`;
   }
 

@@ -6,12 +6,13 @@ import {
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { make, say } from "./dom.ts";
+import { type Body, type MeshFacts, lookOf, markerOf } from "./solids.ts";
 
 export type Place = { name: string; parent: string; pose: number[] };
 export type Cloud = { count: number; low: number[]; step: number[]; colours: "" | "rgb" | "intensity" };
 /** A point that is seen: of the cloud (`scan` is -1) or of a scan, in its own frame and in the one that is shown. */
 export type Seen = { scan: number; xyz: number[]; at: number[] };
-export type Shape = { link: string; kind: string; size: number[]; xyz: number[]; rpy: number[] };
+export type Shape = { link: string; kind: string; size: number[]; xyz: number[]; rpy: number[]; rgba: number[] | null; mesh: MeshFacts | null };
 
 const GROUND_M = 20;
 const AXIS_M = 0.25;
@@ -34,6 +35,9 @@ export class Stage {
   private readonly shapeLook = new MeshLambertMaterial({ color: "#ff9f3d" });
   private readonly labels = new Map<string, HTMLElement>();
   private readonly pointLook = new PointsMaterial({ size: 2.2, sizeAttenuation: false, vertexColors: true });
+  private readonly ofModel: { dispose(): void }[] = [];
+  private readonly ofMarkers: { dispose(): void }[] = [];
+  private markers: { at: Group; text: HTMLElement | null }[] = [];
   private points: Points | null = null;
   private cloudXyz = new Float32Array();
   private scanned: { pose: number[]; xy: Float32Array }[] = [];
@@ -139,11 +143,12 @@ export class Stage {
     if (this.points) put(this.points, pose);
   }
 
-  model(shapes: Shape[]): void {
+  model(shapes: Shape[], meshes: Map<string, BufferGeometry>): void {
     for (const link of this.links.values()) this.scene.remove(link);
     this.links.clear();
+    for (const made of this.ofModel.splice(0)) made.dispose();
     for (const shape of shapes) {
-      const made = this.shaped(shape);
+      const made = this.shaped(shape, meshes);
       if (!made) continue;
       const link = this.links.get(shape.link) ?? new Group();
       link.add(made);
@@ -152,12 +157,43 @@ export class Stage {
     this.place(this.places, this.base, false);
   }
 
-  private shaped({ kind, size, xyz, rpy }: Shape): Object3D | null {
-    const [one = 0.1, two = 0.1, three = 0.1] = size.map((value) => Math.min(Math.max(Math.abs(value), 1e-4), 1000));
+  /** Draws markers in place of those before; `move` puts each where it belongs. */
+  mark3d(bodies: Body[], meshes: Map<string, BufferGeometry>): void {
+    for (const { at, text } of this.markers) { this.scene.remove(at); text?.remove(); }
+    for (const made of this.ofMarkers.splice(0)) made.dispose();
+    this.markers = bodies.map((body) => {
+      const at = new Group(), drawn = markerOf(body, meshes, (made) => this.ofMarkers.push(made)), text = body.text === undefined ? null : make("span", { class: "written" }, body.text);
+      if (drawn) at.add(drawn);
+      if (text) { this.names.append(text); text.style.color = `rgb(${body.rgba.slice(0, 3).map((part) => Math.round(part * 255)).join(" ")})`; }
+      this.scene.add(at);
+      return { at, text };
+    });
+  }
+
+  moveMarkers(poses: number[][]): void {
+    this.markers.forEach(({ at }, index) => put(at, poses[index] ?? []));
+  }
+
+  private write(): void {
+    const [width, height] = this.size;
+    for (const { at, text } of this.markers) {
+      if (!text) continue;
+      const seen = at.position.clone().project(this.camera);
+      text.hidden = Math.abs(seen.z) > 1 || Math.abs(seen.x) > 1 || Math.abs(seen.y) > 1;
+      text.style.transform = `translate(${Math.round(((seen.x + 1) / 2) * width)}px, ${Math.round(((1 - seen.y) / 2) * height - 8)}px) translateX(-50%)`;
+    }
+  }
+
+  private shaped({ kind, size, xyz, rpy, rgba, mesh: facts }: Shape, meshes: Map<string, BufferGeometry>): Object3D | null {
+    const bounded = size.map((value) => Math.min(Math.max(Math.abs(value), 1e-4), 1000)), [one = 0.1, two = 0.1, three = 0.1] = bounded;
     const geometry = kind === "box" ? new BoxGeometry(one, two, three) : kind === "sphere" ? new SphereGeometry(one, 20, 14)
-      : kind === "cylinder" ? new CylinderGeometry(one, one, two, 24) : kind === "capsule" ? new CapsuleGeometry(one, two, 6, 18) : null;
+      : kind === "cylinder" ? new CylinderGeometry(one, one, two, 24) : kind === "capsule" ? new CapsuleGeometry(one, two, 6, 18) : meshes.get(facts?.key ?? "");
     if (!geometry) return null;
-    const mesh = new Mesh(geometry, this.shapeLook), mount = new Group();
+    const hasOwn = !!facts?.coloured && !rgba, look = rgba || facts ? lookOf(rgba ?? [0.78, 0.78, 0.76, 1], hasOwn) : this.shapeLook;
+    if (look !== this.shapeLook) this.ofModel.push(look);
+    if (!facts) this.ofModel.push(geometry);
+    const mesh = new Mesh(geometry, look), mount = new Group();
+    if (facts) mesh.scale.set(size[0] ?? 1, size[1] ?? 1, size[2] ?? 1);
     if (kind === "cylinder" || kind === "capsule") mesh.rotateX(Math.PI / 2); // theirs stand along y, a URDF's along z
     mount.add(mesh);
     mount.position.set(xyz[0] ?? 0, xyz[1] ?? 0, xyz[2] ?? 0);
@@ -302,6 +338,7 @@ export class Stage {
       this.renderer.render(this.scene, this.camera);
       this.label();
       this.pin();
+      this.write();
     });
   }
 
@@ -321,7 +358,7 @@ export class Stage {
       label.style.transform = `translate(${Math.round(x + 5)}px, ${Math.round(y - 8)}px)`;
     }
     for (const [name, label] of this.labels) if (!shown.has(name)) label.hidden = true;
-    if (this.labels.size > 4 * MOST_NAMES) { this.labels.clear(); this.names.replaceChildren(...this.pins); }
+    if (this.labels.size > 4 * MOST_NAMES) { this.labels.clear(); this.names.replaceChildren(...this.pins, ...this.markers.flatMap(({ text }) => text ?? [])); }
   }
 }
 

@@ -12,13 +12,15 @@ declare module "three" {
     applyMatrix4(matrix: Matrix4): this;
     distanceTo(other: Vector3): number;
     clone(): Vector3;
+    length(): number;
+    normalize(): this;
   }
-  export class Quaternion { set(x: number, y: number, z: number, w: number): this }
+  export class Quaternion { set(x: number, y: number, z: number, w: number): this; copy(other: Quaternion): this; setFromUnitVectors(from: Vector3, to: Vector3): this }
   export class Euler { set(x: number, y: number, z: number, order: string): this }
-  export class Matrix4 { }
-  export class Color { constructor(colour: string); setHSL(h: number, s: number, l: number): this }
+  export class Matrix4 { compose(at: Vector3, turn: Quaternion, size: Vector3): this }
+  export class Color { constructor(colour?: string); setRGB(r: number, g: number, b: number, space: string): this; setHSL(h: number, s: number, l: number): this }
   export class Object3D {
-    position: Vector3; quaternion: Quaternion; rotation: Euler; up: Vector3; visible: boolean; matrixWorld: Matrix4; children: Object3D[];
+    position: Vector3; quaternion: Quaternion; rotation: Euler; up: Vector3; scale: Vector3; visible: boolean; matrixWorld: Matrix4; children: Object3D[];
     add(...others: Object3D[]): this;
     remove(...others: Object3D[]): this;
     clear(): this;
@@ -37,13 +39,15 @@ declare module "three" {
   export class BufferGeometry {
     setAttribute(name: string, attribute: BufferAttribute): this;
     setFromPoints(points: Vector3[]): this;
+    setIndex(index: BufferAttribute): this;
+    rotateX(by: number): this;
     dispose(): void;
   }
   export class BoxGeometry extends BufferGeometry { constructor(x: number, y: number, z: number) }
   export class SphereGeometry extends BufferGeometry { constructor(radius: number, across: number, up: number) }
   export class CylinderGeometry extends BufferGeometry { constructor(top: number, bottom: number, height: number, around: number) }
   export class CapsuleGeometry extends BufferGeometry { constructor(radius: number, length: number, caps: number, around: number) }
-  type Look = { color?: string; size?: number; sizeAttenuation?: boolean; vertexColors?: boolean; transparent?: boolean; opacity?: number; depthTest?: boolean };
+  type Look = { color?: string; size?: number; sizeAttenuation?: boolean; vertexColors?: boolean; transparent?: boolean; opacity?: number; depthTest?: boolean; flatShading?: boolean; side?: number };
   export class Material { color: Color; opacity: number; needsUpdate: boolean; dispose(): void; constructor(look?: Look) }
   export class PointsMaterial extends Material { size: number }
   export class LineBasicMaterial extends Material { }
@@ -51,6 +55,12 @@ declare module "three" {
   export class Points extends Object3D { constructor(geometry: BufferGeometry, material: Material); frustumCulled: boolean }
   export class LineSegments extends Object3D { constructor(geometry: BufferGeometry, material: Material); frustumCulled: boolean }
   export class Mesh extends Object3D { constructor(geometry: BufferGeometry, material: Material) }
+  export class InstancedMesh extends Mesh {
+    constructor(geometry: BufferGeometry, material: Material, count: number);
+    setMatrixAt(index: number, matrix: Matrix4): void;
+    setColorAt(index: number, colour: Color): void;
+    dispose(): void;
+  }
   export class HemisphereLight extends Object3D { constructor(sky: string, ground: string, intensity: number) }
   export class DirectionalLight extends Object3D { constructor(colour: string, intensity: number) }
   export class WebGLRenderer {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 from xml.etree import ElementTree
 
@@ -46,13 +46,14 @@ class Mount:
 @dataclass(frozen=True, slots=True)
 class Geometry:
     """A shape of a link, `size` in m: a box's x, y, z; a cylinder's or capsule's radius and length; a sphere's radius;
-    a mesh's scale. `mesh` is the file that a mesh names.
+    a mesh's scale. `mesh` is the file that a mesh names; `rgba` its colour, each part 0 to 1, None where none is told.
     """
 
     kind: Literal["box", "cylinder", "sphere", "capsule", "mesh"]
     size: Sequence[float]
     mount: Mount
     mesh: str = ""
+    rgba: Sequence[float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +214,8 @@ def parse(text: str) -> Urdf:
     if root.tag != "robot":
         raise BadData(f"The robot description begins with {quoted(root.tag)}, a URDF begins with robot.")
     problems: list[str] = []
-    links = {link.name: link for element in root.findall("link") if (link := _link(element, problems))}
+    colours = {one.get("name", ""): colour for one in root.findall("material") if (colour := _rgba(one))}
+    links = {link.name: link for element in root.findall("link") if (link := _link(element, problems, colours))}
     if not links:
         raise BadData("The robot description has no link.")
     joints = {joint.name: joint for element in root.findall("joint") if (joint := _joint(element, links, problems))}
@@ -233,7 +235,7 @@ def parse(text: str) -> Urdf:
     )
 
 
-def _link(element: ElementTree.Element, problems: list[str]) -> Link | None:
+def _link(element: ElementTree.Element, problems: list[str], colours: Mapping[str, Sequence[float]]) -> Link | None:
     name = element.get("name", "")
     if not name:
         problems.append("a link has no name")
@@ -241,10 +243,27 @@ def _link(element: ElementTree.Element, problems: list[str]) -> Link | None:
     mass = element.find("inertial/mass")
     return Link(
         name,
-        [shape for part in element.findall("visual") if (shape := _geometry(part, name, problems))],
+        [
+            replace(shape, rgba=_colour(part, colours))
+            for part in element.findall("visual")
+            if (shape := _geometry(part, name, problems))
+        ],
         [shape for part in element.findall("collision") if (shape := _geometry(part, name, problems))],
         None if mass is None else _number(mass, "value", name, problems),
     )
+
+
+def _colour(visual: ElementTree.Element, colours: Mapping[str, Sequence[float]]) -> Sequence[float] | None:
+    """That of its own material, else of the one that it names."""
+    material = visual.find("material")
+    return None if material is None else _rgba(material) or colours.get(material.get("name", ""))
+
+
+def _rgba(material: ElementTree.Element) -> Sequence[float] | None:
+    colour = material.find("color")
+    numbers = [_float(word) for word in ("" if colour is None else colour.get("rgba", "")).split()]
+    found = [min(max(number, 0.0), 1.0) for number in numbers if number is not None]
+    return found if len(found) == len(numbers) == 4 else None
 
 
 def _geometry(part: ElementTree.Element, link: str, problems: list[str]) -> Geometry | None:

@@ -53,6 +53,7 @@ async def _view(settings: Settings, state: StateFolder, port: int) -> None:
     from ros2_mcp.library import robot_for, running, store_for
     from ros2_mcp.ops.sources.kinds import Sources
     from ros2_mcp.ops.view.acting import Acting
+    from ros2_mcp.ops.view.mesh_files import prefixes_of
     from ros2_mcp.view.local import LocalPage
     from ros2_mcp.view.views import Views
 
@@ -66,7 +67,7 @@ async def _view(settings: Settings, state: StateFolder, port: int) -> None:
     async with running(robot, store), anyio.create_task_group() as tasks:
         source = await Sources(robot, store, SOURCE_KINDS).open()
         title = settings.bag.name if settings.bag else state.path.name
-        views = Views(robot, source, title, Acting(state), tasks, in_browser=True)
+        views = Views(robot, source, title, Acting(state), tasks, in_browser=True, prefixes=prefixes_of(settings))
         taken = listener.getsockname()[1]
         server = _server(LocalPage(views, token, taken))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Coroutine, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from ros2_mcp.model.errors import BadInput
@@ -50,8 +51,9 @@ class Viewing:
     that stands for it. Nothing is opened before a page asks.
     """
 
-    def __init__(self, sources: Sources, title: str, acting: Acting) -> None:
+    def __init__(self, sources: Sources, title: str, acting: Acting, prefixes: Sequence[Path] = ()) -> None:
         self._sources, self._title, self._acting = sources, title, acting
+        self._prefixes = prefixes
         self._views: dict[str, Views] = {}
         self._tasks = Tasks()
 
@@ -89,7 +91,8 @@ class Viewing:
             source = await self._sources.open(bag)
             title = bag or self._title or self._acting.at.path.name
             # Two pages may have asked at the same time: they share what came first.
-            self._views.setdefault(bag, Views(self._sources.robot, source, title, self._acting, self._tasks))
+            views = Views(self._sources.robot, source, title, self._acting, self._tasks, prefixes=self._prefixes)
+            self._views.setdefault(bag, views)
         return self._views[bag]
 
     def _make_room(self) -> None:

@@ -9,6 +9,7 @@ import secrets
 from collections import deque
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from time import monotonic, time
 from typing import Any, Protocol
 
@@ -138,6 +139,8 @@ class View:
         async with anyio.create_task_group() as tasks:
             for shown in self._shown.values():
                 tasks.start_soon(self._keep, shown)
+                if self._live:
+                    tasks.start_soon(shown.panel.beside, self._robot)
             while monotonic() - self.asked_at < IDLE_S and not self._is_closed:
                 await anyio.sleep(0.5)
             tasks.cancel_scope.cancel()
@@ -241,13 +244,23 @@ class View:
 class Views:
     """All open pages of one robot or recording. `acting` knows who acts on it.
 
-    What is picked `in_browser` is kept in the state folder, where the agent's server finds it.
+    What is picked `in_browser` is kept in the state folder, where the agent's server finds it. Below `prefixes` are
+    packages with meshes, besides those that this process sees anyway.
     """
 
     def __init__(
-        self, robot: Robot, source: Source, title: str, acting: Acting, tasks: Tasks, *, in_browser: bool = False
+        self,
+        robot: Robot,
+        source: Source,
+        title: str,
+        acting: Acting,
+        tasks: Tasks,
+        *,
+        in_browser: bool = False,
+        prefixes: Sequence[Path] = (),
     ) -> None:
         self._in_browser = in_browser
+        self._prefixes = prefixes
         self._robot, self._source, self._title = robot, source, title
         self.acting = acting
         self._tasks = tasks
@@ -321,7 +334,7 @@ class Views:
             *(
                 RobotPanel(self._title, self._source),
                 AgentPanel(self.acting, recording),
-                *(FramesPanel(), PlotPanel(), SpacePanel(chunks)),
+                *(FramesPanel(), PlotPanel(), SpacePanel(chunks, self._prefixes)),
             ),
         )
         view = View(self._robot, self._source, panels, chunks)

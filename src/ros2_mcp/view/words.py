@@ -77,6 +77,7 @@ def _space(content: Content) -> str:
         f"{cloud['count']} points of {named(str(cloud['name']))}" if cloud else "no cloud",
         f"{len(content.get('scans') or ())} scan(s)",
         f"{model['shapes']} shapes of the robot" if model else "",
+        f"{content['markers']['count']} marker(s)" if content.get("markers") else "",
     ]
     return ", ".join(filter(None, parts))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import struct
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -50,7 +51,7 @@ def picked(environment: dict[str, str]) -> dict[str, Any]:
     return one
 
 
-def pictured(page: Page, panel: str) -> None:
+def pictured(page: Page, panel: str, named: str = "") -> None:
     """Keeps what a panel looks like in both themes and three widths, where that is wanted."""
     if not PICTURES:
         return
@@ -59,11 +60,11 @@ def pictured(page: Page, panel: str) -> None:
             page.look(width=width, height=height, dark=dark)
             page.run(f"document.getElementById('{panel}').scrollIntoView()")
             page.run("new Promise(done => setTimeout(done, 400))")
-            page.picture(Path(PICTURES) / f"{panel}-{name}-{'dark' if dark else 'light'}.png")
+            page.picture(Path(PICTURES) / f"{named or panel}-{name}-{'dark' if dark else 'light'}.png")
     page.look()
     page.run(f"document.querySelector('#{panel} .enlarge').click()")
     page.run("new Promise(done => setTimeout(done, 700))")
-    page.picture(Path(PICTURES) / f"{panel}-large.png")
+    page.picture(Path(PICTURES) / f"{named or panel}-large.png")
     page.run(f"document.querySelector('#{panel} .enlarge').click()")
 
 
@@ -129,6 +130,32 @@ def test_graphics_that_drop_the_picture_are_told_and_give_it_back(page: Page) ->
     colours = "new Set(new Uint32Array(copy.getImageData(0, 0, 40, 30).data.buffer)).size"
     drawn = f"new Promise(done => requestAnimationFrame(() => {{ {copy} done({colours}); }}))"
     until(lambda: page.run(drawn) > 5)  # lines and points again, in more than a colour
+
+
+def test_the_robots_meshes_and_all_kinds_of_markers_are_drawn_and_what_is_not_says_why(
+    page: Page, demo_environment: dict[str, str], tmp_path: Path
+) -> None:
+    mesh = tmp_path / "body.stl"
+    mesh.write_bytes(pyramid())
+    with running(demo_environment, *peer_command("marker_peer", f"file://{mesh}")):
+        show(page, "space")
+        told = "document.querySelector('#space canvas').ariaLabel"
+        page.until(f"/1 shapes of the robot, 1 of them meshes, 14 markers/.test({told})")
+        missing = page.run("document.querySelector('#space .foot').textContent")
+        assert "package://nowhere/a.dae is not drawn: The package nowhere is not on this machine" in missing
+        assert "no transform leads from nowhere to map" in missing
+        assert "3 more" in missing or ("no number" in missing and "the type 99" in missing)
+        assert page.run("document.querySelector('#space .names .written').textContent") == "<b>a pallet</b>"
+        pictured(page, "space", "markers")
+    assert page.complaints == []
+
+
+def pyramid() -> bytes:
+    """An STL of four triangles, 0.4 m wide."""
+    top, feet = (0.0, 0.0, 0.3), ((0.2, 0.0, 0.0), (-0.2, 0.2, 0.0), (-0.2, -0.2, 0.0))
+    faces = [feet, *((feet[at], feet[at - 1], top) for at in range(3))]
+    rows = [struct.pack("<12fH", 0, 0, 0, *(part for corner in face for part in corner), 0) for face in faces]
+    return bytes(80) + struct.pack("<I", len(rows)) + b"".join(rows)
 
 
 def test_without_webgl_it_says_so_and_the_rest_works(page: Page) -> None:

@@ -49,6 +49,9 @@ class Panel(ABC):
         there is nothing.
         """
 
+    async def beside(self, robot: Robot) -> None:  # noqa: B027 - most panels have nothing to do
+        """What it does as long as its view is open, beside being looked at; it is cancelled then."""
+
 
 @dataclass
 class Shown:
@@ -82,11 +85,12 @@ class Chunks:
     most: int = 4
     _kept: dict[str, tuple[str, bytes]] = field(default_factory=dict[str, tuple[str, bytes]])
 
-    def keep(self, key: str, data: bytes, kind: str = "") -> None:
-        """Keeps one; the oldest of its kind give way."""
+    def keep(self, key: str, data: bytes, kind: str = "", *, most: int = 0) -> None:
+        """Keeps one; the oldest of its kind give way, where there are more than so many (0: as of all kinds)."""
+        self._kept.pop(key, None)
         self._kept[key] = kind, data
         same = [other for other, (of, _) in self._kept.items() if of == kind]
-        for old in same[: -self.most]:
+        for old in same[: -(most or self.most)]:
             del self._kept[old]
 
     def find(self, key: str) -> bytes | None:

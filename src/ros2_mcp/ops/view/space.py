@@ -8,6 +8,7 @@ import hashlib
 import json
 import zlib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from ros2_mcp.codec.transforms import FrameTree
@@ -21,12 +22,18 @@ from ros2_mcp.ops.results import silent
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
+from ros2_mcp.ops.view.marker_topics import MarkerTopics
+from ros2_mcp.ops.view.mesh_files import MeshFiles
+from ros2_mcp.robot import Robot
 
 _CLOUD, _SCAN, _TEXT = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
 _WORLDS = ("map", "odom", "world")
 _MOST_FRAMES = 150
 _MOST_SCANS = 2
 _MOST_SHAPES = 500
+_MOST_REASONS = 3
+_MESHES_S = 0.3
+"""For the meshes, before all else is shown without them."""
 _DIGITS = 4
 """Of metres and quaternions: a tenth of a millimetre."""
 
@@ -37,8 +44,13 @@ class SpacePanel(Panel):
     name = "space"
     period_s = 0.2
 
-    def __init__(self, chunks: Chunks) -> None:
+    def __init__(self, chunks: Chunks, prefixes: Sequence[Path] = ()) -> None:
         self._chunks = chunks
+        self._files = MeshFiles(chunks, prefixes)
+        self._markers = MarkerTopics(chunks)
+        self._urdf: tuple[str, Urdf | str] = ("", "")
+        self._reading: asyncio.Task[None] | None = None
+        self._meshes: Mapping[str, Mapping[str, Any] | str] = {}
         self._cloud: tuple[object, Mapping[str, Any]] = (None, {})
         self._model: tuple[str, Mapping[str, Any]] = ("", {})
 
@@ -69,8 +81,7 @@ class SpacePanel(Panel):
         for kind, name, one, pose in placed:
             if kind == _CLOUD and (facts := await self._packed(one.message, name, missing)):
                 cloud = {**facts, **_whence(name, one, pose)}
-        if model and model.get("meshes"):
-            missing.append(f"{model['meshes']} shape(s) of the robot are meshes, which are not drawn.")
+        markers = await self._markers.shown(look, tree, frame, self._meshes, missing)
         told = [edge.last_received_ns for edge in tree.edges.values() if edge.moving]
         return {
             "frame": frame,
@@ -80,10 +91,15 @@ class SpacePanel(Panel):
             "cloud": cloud,
             "scans": [_whence(name, one, pose) for name, one, pose in rows],
             "model": model,
+            "markers": markers,
             "missing": missing,
             "told_s": max(told) / 1e9 if told else None,
             "bulk": list(points),
         }
+
+    async def beside(self, robot: Robot) -> None:
+        """Listens to markers while they are looked at."""
+        await self._markers.run(robot)
 
     async def _packed(self, message: Any, topic: str, missing: list[str]) -> Mapping[str, Any] | None:
         """What is to be known of a cloud, whose points are asked for by the key."""
@@ -116,18 +132,43 @@ class SpacePanel(Panel):
         if found is None:
             return None
         text = str(found.message.data)
-        if self._model[0] != text:
-            try:
-                urdf = await asyncio.to_thread(parse, text)
-            except RobotError as error:
-                missing.append(f"The robot's description cannot be read: {error.message}")
-                return None
-            shapes, meshes = _shapes_of(urdf)
-            data = zlib.compress(json.dumps(shapes).encode())
-            key = hashlib.sha256(data).hexdigest()[:32]
-            self._chunks.keep(key, data, "model")
-            self._model = text, {"key": key, "shapes": len(shapes), "meshes": meshes}
+        if self._urdf[0] != text:
+            self._urdf = text, await asyncio.to_thread(_parsed, text)
+            self._meshes = {}
+            if self._reading:
+                self._reading.cancel()
+            urdf = self._urdf[1]
+            self._reading = None if isinstance(urdf, str) else asyncio.create_task(self._read(urdf))
+        urdf = self._urdf[1]
+        if isinstance(urdf, str):
+            missing.append(f"The robot's description cannot be read: {urdf}")
+            return None
+        if self._reading and not self._reading.done():  # a recording is shown once; live the next look has them
+            await asyncio.wait([self._reading], timeout=_MESHES_S if source.is_live else None)
+            if not self._reading.done():
+                missing.append("The robot's meshes are being read.")
+        shapes = _shapes_of(urdf, self._meshes)
+        missing += _without(urdf, self._meshes) if self._reading and self._reading.done() else ()
+        of = hashlib.sha256(json.dumps(shapes).encode()).hexdigest()[:32]
+        if self._model[0] != of or self._chunks.find(of) is None:
+            self._chunks.keep(of, await asyncio.to_thread(_compressed, shapes), "model")
+            meshes = sum(1 for shape in shapes if shape["mesh"])
+            self._model = of, {"key": of, "shapes": len(shapes), "meshes": meshes}
         return self._model[1]
+
+    async def _read(self, urdf: Urdf) -> None:
+        self._meshes = await self._files.read(_named_meshes(urdf))
+
+
+def _parsed(text: str) -> Urdf | str:
+    try:
+        return parse(text)
+    except RobotError as error:
+        return error.message
+
+
+def _compressed(shapes: Sequence[Mapping[str, Any]]) -> bytes:
+    return zlib.compress(json.dumps(shapes).encode())
 
 
 async def _next(source: Source, topic: str, kind: str, missing: list[str]) -> Next | None:
@@ -191,24 +232,40 @@ def _scan(message: Any, topic: str, missing: list[str]) -> str:
     return base64.b64encode(hits[:20_000].astype("<f4").tobytes()).decode("ascii")
 
 
-def _shapes_of(urdf: Urdf) -> tuple[Sequence[Mapping[str, Any]], int]:
-    """How each link looks: its shapes, or where these are meshes its simpler ones for collisions; and how many meshes
-    remain.
-    """
+def _named_meshes(urdf: Urdf) -> list[str]:
+    """Those of how it looks, and of what collides for who names none."""
+    return [one.mesh for link in urdf.links.values() for one in (link.visuals or link.collisions) if one.kind == "mesh"]
+
+
+def _without(urdf: Urdf, meshes: Mapping[str, Mapping[str, Any] | str]) -> list[str]:
+    """Which meshes are not drawn, and why."""
+    reasons = {name: why for name in _named_meshes(urdf) if isinstance(why := meshes.get(name), str)}
+    told = [f"The mesh {named(name)} is not drawn: {why}" for name, why in list(reasons.items())[:_MOST_REASONS]]
+    if len(reasons) > _MOST_REASONS:
+        told.append(f"{len(reasons) - _MOST_REASONS} more meshes are not drawn.")
+    return told
+
+
+def _shapes_of(urdf: Urdf, meshes: Mapping[str, Mapping[str, Any] | str]) -> Sequence[Mapping[str, Any]]:
+    """How each link looks: its shapes and meshes; where a mesh cannot be drawn, its simpler shapes for collisions."""
     shapes: list[Mapping[str, Any]] = []
-    meshes = 0
     for link in urdf.links.values():
-        drawn = [one for one in link.visuals if one.kind != "mesh"]
-        hidden = len(link.visuals) - len(drawn)
-        if hidden:
-            drawn += [one for one in link.collisions if one.kind != "mesh"]
-            meshes += hidden if not drawn else 0
-        elif not drawn:
-            drawn = [one for one in link.collisions if one.kind != "mesh"]
-        shapes += [_shape(link.name, one) for one in drawn]
-    return shapes[:_MOST_SHAPES], meshes
+        looks = link.visuals or link.collisions
+        drawn = [one for one in looks if one.kind != "mesh" or isinstance(meshes.get(one.mesh), Mapping)]
+        if len(drawn) < len(looks) or not looks:
+            drawn += [one for one in link.collisions if one.kind != "mesh" and one not in drawn]
+        shapes += [_shape(link.name, one, meshes.get(one.mesh)) for one in drawn]
+    return shapes[:_MOST_SHAPES]
 
 
-def _shape(link: str, geometry: Geometry) -> Mapping[str, Any]:
+def _shape(link: str, geometry: Geometry, mesh: Mapping[str, Any] | str | None) -> Mapping[str, Any]:
     mount = geometry.mount
-    return {"link": link, "kind": geometry.kind, "size": list(geometry.size), "xyz": mount.xyz, "rpy": mount.rpy}
+    return {
+        "link": link,
+        "kind": geometry.kind,
+        "size": list(geometry.size),
+        "xyz": mount.xyz,
+        "rpy": mount.rpy,
+        "rgba": geometry.rgba,
+        "mesh": mesh if geometry.kind == "mesh" else None,
+    }
