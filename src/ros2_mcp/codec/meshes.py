@@ -96,7 +96,7 @@ def packed_mesh(parts: list[Part], most: int) -> PackedMesh:
     while len(corners) > most:
         kept, corners = _merged(vertices, triangles, of_part, low, np.full(3, cell))
         cell *= _COARSER
-    steps = np.clip(np.round((vertices[kept] - low) / step), 0, _STEPS).astype("<u2")
+    steps = _steps((vertices[kept] - low) / step).astype("<u2")
     has_colours = any(part.rgb is not None for part in parts)
     colours = np.array([part.rgb or (200, 200, 200) for part in parts], np.uint8)[of_part[kept]]
     data = corners.astype("<u4").tobytes() + steps.tobytes() + (colours.tobytes() if has_colours else b"")
@@ -115,14 +115,23 @@ def _merged(
     vertices: Vertices, triangles: Triangles, of_part: NDArray[np.int64], low: Vertices, cell: Vertices
 ) -> tuple[NDArray[np.intp], Triangles]:
     """Of the vertices in each cell the first, and the triangles between these that still have an area."""
-    at = np.clip(np.floor((vertices - low) / cell + 0.5), 0, _STEPS).astype(np.int64)
+    at = _steps((vertices - low) / cell)
     number = ((of_part * (_STEPS + 1) + at[:, 0]) * (_STEPS + 1) + at[:, 1]) * (_STEPS + 1) + at[:, 2]
     _, first, cells = np.unique(number, return_index=True, return_inverse=True)
     corners = cells[triangles]
     one, two, three = corners[:, 0], corners[:, 1], corners[:, 2]
     corners = corners[(one != two) & (two != three) & (one != three)]
     seen, renumbered = np.unique(corners, return_inverse=True)
-    return first[seen], renumbered.reshape(-1, 3)
+    return first[seen], _rows(renumbered, 3)
+
+
+def _steps(values: Vertices) -> NDArray[np.int64]:
+    return np.minimum(np.maximum(np.floor(values + 0.5), 0), _STEPS).astype(np.int64)
+
+
+def _rows(values: Any, width: int) -> Any:
+    """The numbers in rows; raises `ValueError` where they are not whole ones."""
+    return values.reshape(-1, width)
 
 
 def _checked(part: Part) -> Part:
@@ -130,7 +139,7 @@ def _checked(part: Part) -> Part:
     vertices, triangles = part.vertices, part.triangles
     if len(triangles) and not (triangles.min() >= 0 and triangles.max() < len(vertices)):
         raise BadData("A triangle has a corner that there is not.")
-    is_place = (np.abs(vertices) < _FARTHEST).all(axis=1)
+    is_place: Any = (np.abs(vertices) < _FARTHEST).all(axis=1)
     return Part(np.where(is_place[:, None], vertices, 0.0), triangles[is_place[triangles].all(axis=1)], part.rgb)
 
 
@@ -140,14 +149,14 @@ def _checked(part: Part) -> Part:
 def _stl(data: bytes) -> list[Part]:
     count = int.from_bytes(data[80:84], "little")
     if len(data) >= _STL_HEADER and len(data) == _STL_HEADER + count * _STL_TRIANGLE:
-        corners = np.frombuffer(data, _STL_ROW, count, _STL_HEADER)["corners"].reshape(-1, 3).astype(np.float64)
+        corners = _rows(np.frombuffer(data, _STL_ROW, count, _STL_HEADER)["corners"], 3).astype(np.float64)
     elif data.lstrip()[:5].lower() == b"solid":
         words = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data)
-        corners = np.array(words, dtype="S32").astype(np.float64).reshape(-1, 3)
+        corners = _rows(np.array(words, dtype="S32").astype(np.float64), 3)
     else:
         raise ValueError("it is no STL, or is cut off")
     whole = len(corners) // 3 * 3
-    return [Part(corners[:whole], np.arange(whole).reshape(-1, 3))]
+    return [Part(corners[:whole], _rows(np.arange(whole), 3))]
 
 
 def _obj(data: bytes) -> list[Part]:
@@ -161,7 +170,7 @@ def _obj(data: bytes) -> list[Part]:
             numbers = [int(word.partition("/")[0]) for word in rest.split()]
             corners = [number - 1 if number > 0 else len(vertices) + number for number in numbers]
             triangles += [(corners[0], corners[at], corners[at + 1]) for at in range(1, len(corners) - 1)]
-    return [Part(np.array(vertices, np.float64).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3))]
+    return [Part(_rows(np.array(vertices, np.float64), 3), _rows(np.array(triangles, np.int64), 3))]
 
 
 # ── COLLADA ──────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -189,7 +198,7 @@ class _Collada:
 
     def parts(self) -> list[Part]:
         scene = self._named(self._root.find("{*}scene/{*}instance_visual_scene"), "url")
-        scale = np.diag([self._metre, self._metre, self._metre, 1.0])
+        scale = np.eye(4) * np.array([self._metre, self._metre, self._metre, 1.0])
         return [part for node in _all(scene, "node") for part in self._of_node(node, scale, 0)]
 
     def _named(self, element: ElementTree.Element | None, key: str) -> ElementTree.Element | None:
@@ -214,7 +223,7 @@ class _Collada:
             geometry = self._named(instance, "url")
             mesh = None if geometry is None else geometry.find("{*}mesh")
             for part in () if mesh is None else self._of_mesh(mesh, colours):
-                yield Part(part.vertices @ pose[:3, :3].T + pose[:3, 3], part.triangles, part.rgb)
+                yield Part(part.vertices @ np.transpose(pose[:3, :3]) + pose[:3, 3], part.triangles, part.rgb)
         for inner in _all(node, "node"):
             yield from self._of_node(inner, pose, depth + 1)
         for instance in _all(node, "instance_node"):
@@ -235,7 +244,7 @@ class _Collada:
             offset = int(vertex.get("offset", "0")) if vertex is not None else 0
             if vertices is None or not 0 <= offset < stride <= 64:
                 continue
-            rows = [_numbers(one).astype(np.int64).reshape(-1, stride)[:, offset] for one in _all(primitive, "p")]
+            rows = [_rows(_numbers(one).astype(np.int64), stride)[:, offset] for one in _all(primitive, "p")]
             counts = primitive.find("{*}vcount") if kind == "polylist" else None
             triangles = _triangles(kind, rows, None if counts is None else _numbers(counts).astype(np.int64))
             self._triangles += len(triangles)
@@ -248,7 +257,7 @@ class _Collada:
         given = next((one for one in _all(vertices, "input") if one.get("semantic") == "POSITION"), None)
         source = self._named(given, "source")
         numbers = None if source is None else source.find("{*}float_array")
-        return None if numbers is None else _numbers(numbers).reshape(-1, 3)
+        return None if numbers is None else _rows(_numbers(numbers), 3)
 
     def _colour(self, material: ElementTree.Element | None) -> tuple[int, int, int] | None:
         instance = None if material is None else material.find("{*}instance_effect")
@@ -264,25 +273,25 @@ class _Collada:
 def _triangles(kind: str, rows: list[NDArray[np.int64]], counts: NDArray[np.int64] | None) -> Triangles:
     """Polygons as fans of triangles."""
     if kind == "triangles":
-        return np.concatenate([np.empty((0, 3), np.int64), *(row[: len(row) // 3 * 3].reshape(-1, 3) for row in rows)])
+        return np.concatenate([np.empty((0, 3), np.int64), *(_rows(row[: len(row) // 3 * 3], 3) for row in rows)])
     polygons = rows
     if counts is not None:
         if not rows or counts.min(initial=0) < 0 or int(counts.sum()) > len(rows[0]):
             raise ValueError("its polygons have more corners than it tells")
         polygons = np.split(rows[0], np.cumsum(counts))[:-1]
     fans = [(one[0], one[at], one[at + 1]) for one in polygons for at in range(1, len(one) - 1)]
-    return np.array(fans, np.int64).reshape(-1, 3)
+    return _rows(np.array(fans, np.int64), 3)
 
 
 def _matrix(step: ElementTree.Element) -> NDArray[np.float64] | None:
     """One step of a node's pose; None for what is none."""
     kind, made = _tag(step), np.eye(4)
     if kind == "matrix":
-        return _numbers(step).reshape(4, 4)
+        return _rows(_numbers(step), 4)
     if kind == "translate":
         made[:3, 3] = _numbers(step)[:3]
     elif kind == "scale":
-        made[:3, :3] = np.diag(_numbers(step)[:3])
+        made[:3, :3] = np.eye(3) * _numbers(step)[:3]
     elif kind == "rotate":
         x, y, z, degrees = _numbers(step)[:4]
         angle, length = np.radians(degrees), float(np.linalg.norm((x, y, z))) or 1.0
