@@ -164,7 +164,7 @@ export class Stage {
     this.markers = bodies.map((body) => {
       const at = new Group(), drawn = markerOf(body, meshes, (made) => this.ofMarkers.push(made)), text = body.text === undefined ? null : make("span", { class: "written" }, body.text);
       if (drawn) at.add(drawn);
-      if (text) { this.names.append(text); text.style.color = `rgb(${body.rgba.slice(0, 3).map((part) => Math.round(part * 255)).join(" ")})`; }
+      if (text) { this.names.append(text); text.style.borderColor = `rgb(${body.rgba.slice(0, 3).map((part) => Math.round(part * 255)).join(" ")})`; }
       this.scene.add(at);
       return { at, text };
     });

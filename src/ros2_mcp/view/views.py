@@ -140,7 +140,7 @@ class View:
             for shown in self._shown.values():
                 tasks.start_soon(self._keep, shown)
                 if self._live:
-                    tasks.start_soon(shown.panel.beside, self._robot)
+                    tasks.start_soon(self._beside, shown.panel)
             while monotonic() - self.asked_at < IDLE_S and not self._is_closed:
                 await anyio.sleep(0.5)
             tasks.cancel_scope.cancel()
@@ -204,6 +204,12 @@ class View:
         begin_ns, end_ns = self._source.covers_ns or (0, 0)
         until_ns = end_ns if self._until_ns is None else min(max(self._until_ns, begin_ns + 1), end_ns)
         return Look(self._robot, self._source.part(begin_ns, until_ns), chosen)
+
+    async def _beside(self, panel: Panel) -> None:
+        try:
+            await panel.beside(self._robot)
+        except Exception:  # whatever one panel meets: the others, and the button, go on
+            _logger.exception("what the panel %s does beside failed", panel.name)
 
     async def _keep(self, shown: _Shown) -> None:
         """Shows one panel again and again, while it is asked for."""

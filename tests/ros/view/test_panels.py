@@ -60,11 +60,11 @@ def pictured(page: Page, panel: str, named: str = "") -> None:
             page.look(width=width, height=height, dark=dark)
             page.run(f"document.getElementById('{panel}').scrollIntoView()")
             page.run("new Promise(done => setTimeout(done, 400))")
-            page.picture(Path(PICTURES) / f"{named or panel}-{name}-{'dark' if dark else 'light'}.png")
+            page.picture(Path(PICTURES) / f"{named or panel}-{name}-{'dark' if dark else 'light'}.jpg")
     page.look()
     page.run(f"document.querySelector('#{panel} .enlarge').click()")
     page.run("new Promise(done => setTimeout(done, 700))")
-    page.picture(Path(PICTURES) / f"{named or panel}-large.png")
+    page.picture(Path(PICTURES) / f"{named or panel}-large.jpg")
     page.run(f"document.querySelector('#{panel} .enlarge').click()")
 
 

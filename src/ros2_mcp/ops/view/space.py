@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import anyio
+
 from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.codec.urdf import Geometry, Urdf, parse
 from ros2_mcp.model.aside import load
@@ -32,8 +34,6 @@ _MOST_FRAMES = 150
 _MOST_SCANS = 2
 _MOST_SHAPES = 500
 _MOST_REASONS = 3
-_MESHES_S = 0.3
-"""For the meshes, before all else is shown without them."""
 _DIGITS = 4
 """Of metres and quaternions: a tenth of a millimetre."""
 
@@ -49,7 +49,7 @@ class SpacePanel(Panel):
         self._files = MeshFiles(chunks, prefixes)
         self._markers = MarkerTopics(chunks)
         self._urdf: tuple[str, Urdf | str] = ("", "")
-        self._reading: asyncio.Task[None] | None = None
+        self._described, self._is_read = asyncio.Event(), False
         self._meshes: Mapping[str, Mapping[str, Any] | str] = {}
         self._cloud: tuple[object, Mapping[str, Any]] = (None, {})
         self._model: tuple[str, Mapping[str, Any]] = ("", {})
@@ -98,8 +98,13 @@ class SpacePanel(Panel):
         }
 
     async def beside(self, robot: Robot) -> None:
-        """Listens to markers while they are looked at."""
-        await self._markers.run(robot)
+        """Listens to markers while they are looked at, and reads the meshes of a description that is new."""
+        async with anyio.create_task_group() as tasks:
+            tasks.start_soon(self._markers.run, robot)
+            while True:
+                await self._described.wait()
+                self._described.clear()
+                await self._read()
 
     async def _packed(self, message: Any, topic: str, missing: list[str]) -> Mapping[str, Any] | None:
         """What is to be known of a cloud, whose points are asked for by the key."""
@@ -134,21 +139,16 @@ class SpacePanel(Panel):
         text = str(found.message.data)
         if self._urdf[0] != text:
             self._urdf = text, await asyncio.to_thread(_parsed, text)
-            self._meshes = {}
-            if self._reading:
-                self._reading.cancel()
-            urdf = self._urdf[1]
-            self._reading = None if isinstance(urdf, str) else asyncio.create_task(self._read(urdf))
+            self._meshes, self._is_read = {}, False
+            self._described.set()
         urdf = self._urdf[1]
         if isinstance(urdf, str):
             missing.append(f"The robot's description cannot be read: {urdf}")
             return None
-        if self._reading and not self._reading.done():  # a recording is shown once; live the next look has them
-            await asyncio.wait([self._reading], timeout=_MESHES_S if source.is_live else None)
-            if not self._reading.done():
-                missing.append("The robot's meshes are being read.")
+        if not self._is_read and not source.is_live:  # a recording is shown once; live the next look has them
+            await self._read()
         shapes = _shapes_of(urdf, self._meshes)
-        missing += _without(urdf, self._meshes) if self._reading and self._reading.done() else ()
+        missing += _without(urdf, self._meshes) if self._is_read else ["The robot's meshes are being read."]
         of = hashlib.sha256(json.dumps(shapes).encode()).hexdigest()[:32]
         if self._model[0] != of or self._chunks.find(of) is None:
             self._chunks.keep(of, await asyncio.to_thread(_compressed, shapes), "model")
@@ -156,8 +156,11 @@ class SpacePanel(Panel):
             self._model = of, {"key": of, "shapes": len(shapes), "meshes": meshes}
         return self._model[1]
 
-    async def _read(self, urdf: Urdf) -> None:
-        self._meshes = await self._files.read(_named_meshes(urdf))
+    async def _read(self) -> None:
+        urdf = self._urdf[1]
+        found = {} if isinstance(urdf, str) else await self._files.read(_named_meshes(urdf))
+        if self._urdf[1] is urdf:
+            self._meshes, self._is_read = found, True
 
 
 def _parsed(text: str) -> Urdf | str:
