@@ -139,7 +139,8 @@ class SpacePanel(Panel):
         text = str(found.message.data)
         if self._urdf[0] != text:
             self._urdf = text, await asyncio.to_thread(_parsed, text)
-            self._meshes, self._is_read = {}, False
+            self._meshes = {}
+            self._is_read = False
             self._described.set()
         urdf = self._urdf[1]
         if isinstance(urdf, str):
@@ -158,7 +159,7 @@ class SpacePanel(Panel):
 
     async def _read(self) -> None:
         urdf = self._urdf[1]
-        found = {} if isinstance(urdf, str) else await self._files.read(_named_meshes(urdf))
+        found = await self._files.read([] if isinstance(urdf, str) else _named_meshes(urdf))
         if self._urdf[1] is urdf:
             self._meshes, self._is_read = found, True
 
