@@ -55,6 +55,24 @@ COUNTED = """(() => {
 """Counts what the page is told, and how old its pictures are then."""
 
 
+CLOUD_POINTS, CLOUDS_HZ = 59_536, 3.0
+"""244 × 244; more than 60,000 are thinned."""
+CLOUDS = """(() => {
+  window.clouds = {count: 0, age: [], at: {}, from: performance.now()};
+  const asked = window.fetch;
+  window.fetch = async (...given) => {
+    const answer = await asked(...given);
+    answer.clone().json().then(({panels, key}) => {
+      const cloud = panels?.space?.cloud;
+      if (cloud) clouds.at[cloud.key] = cloud.at_s;
+      if (key in clouds.at) { clouds.count++; clouds.age.push(Date.now() / 1000 - clouds.at[key]); }
+    }, () => null);
+    return answer;
+  };
+})()"""
+"""Counts the clouds whose points the page is given, and how old they are then."""
+
+
 @contextmanager
 def seen(environment: dict[str, str]) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The process of a page, and its address."""
@@ -202,6 +220,24 @@ def test_a_camera_costs_little_and_is_shown_soon(
             assert used <= CORE_SHARE
         else:
             assert shown_hz >= IMAGES_HZ
+
+
+def test_a_large_cloud_is_shown_soon_and_costs_what_it_weighs(
+    demo_environment: dict[str, str], demo_robot: object, page: Page
+) -> None:
+    peer = running(demo_environment, *peer_command("cloud_peer", "laser", str(CLOUD_POINTS)))
+    with peer, seen(demo_environment) as (process, address):
+        page.ask("Page.navigate", url="about:blank")
+        page.open(address)
+        page.run("document.querySelector('[aria-controls=space]').click()")
+        page.until(f"/ {CLOUD_POINTS} points of/.test(document.querySelector('#space canvas').ariaLabel)", 30.0)
+        page.run(CLOUDS)
+        used = watched_cpu(process.pid)
+        shown_hz = page.run("clouds.count / (performance.now() - clouds.from) * 1000")
+        ages = json.loads(page.run("JSON.stringify(clouds.age)"))
+    figures = {"shown_hz": shown_hz, "age_p50": statistics.median(ages), "age_most": max(ages), "cores": used}
+    told(f"a cloud of {CLOUD_POINTS} points at 5 Hz", **figures)
+    assert shown_hz >= CLOUDS_HZ
 
 
 def test_the_scene_is_live_and_a_forgotten_page_costs_nothing(
