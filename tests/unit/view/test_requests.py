@@ -44,12 +44,12 @@ def asked(port: int, request: bytes) -> bytes:
     """What is answered until it is closed, or nothing more comes."""
     answer = b""
     with connected(port) as connection:
-        connection.sendall(request)
-        connection.shutdown(socket.SHUT_WR)
         try:
+            connection.sendall(request)  # a server that refuses early may have closed before it has read all
+            connection.shutdown(socket.SHUT_WR)
             while more := connection.recv(65536):
                 answer += more
-        except ConnectionError:
+        except OSError:
             pass
     return answer
 
