@@ -158,7 +158,10 @@ def test_a_stop_that_is_not_confirmed_looks_like_an_alarm(
         until(lambda: "/stranger" in str(agent.call("ros2_topic_info", topic_name="/cmd_vel")))
         page.run(STOP)
         said = page.until(f"/of 1 server/.test({text('#said')}) && {text('#said')}")
-    assert "1 of them NOT confirmed: look whether the robot stands" in said and "also publishes on /cmd_vel" in said
+    assert (
+        "1 of them NOT confirmed; the robot was seen to stand, but read why" in said
+        and "also publishes on /cmd_vel" in said
+    )
     assert "emergency stop" in said
     assert not page.run("document.getElementById('said').classList.contains('ok')")
     pictured(page, "doubted")
