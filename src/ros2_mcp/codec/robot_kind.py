@@ -7,7 +7,9 @@ from collections.abc import Collection, Iterator, Sequence
 
 from ros2_mcp.codec.urdf import Joint, Urdf
 
-_LEGS = re.compile(r"(hip|thigh|calf|knee|ankle|shank|[ul](pp|ow)?(er)?_?leg|haa|hfe|kfe|_h[xy]$|_kn$)", re.IGNORECASE)
+_LEGS = re.compile(
+    r"(hip|thigh|calf|knee|ankle|shank|[ul](pp|ow)?(er)?_?leg|haa|hfe|kfe|_h[xy]$|_kn$|coxa|femur|tibia)", re.IGNORECASE
+)
 _LEAST_LEGS = 6
 """Joints of legs: two legs with three each; an arm on a base has no hip."""
 _STEERED = re.compile(r"steer", re.IGNORECASE)
@@ -23,9 +25,14 @@ _NO_WHEEL = re.compile(r"(propeller|thruster|rotor|engine|(?<![a-z])prop(?![a-z]
 """What turns without end, is round, and rolls on nothing."""
 _TORSO = re.compile(r"torso", re.IGNORECASE)
 _FLYING = re.compile(r"((quad|multi|hexa|octo)(rotor|copter)|drone|uav|crazyflie)", re.IGNORECASE)
+_WINGS = re.compile(r"(aileron|elevon)", re.IGNORECASE)
+"""Surfaces that only wings have; rudders are of boats, too."""
+_TRACK = re.compile(r"(?<![a-z])(tracks?|crawler|caterpillar)(?![a-z])", re.IGNORECASE)
 _LEAST_ROTORS = 3
 _LEAST_ARM = 4
 """Joints one after the other: a pan-tilt head has two, a lift with a gripper three."""
+_LEAST_LIMBS = 3
+"""So many long chains are seldom arms: names alone would tell what they are."""
 _UPRIGHT = 0.9
 """Of an axis' part along z: about such a joint a wheel is steered, about others it hangs on a rocker."""
 
@@ -45,7 +52,8 @@ def wheels_of(urdf: Urdf) -> list[Joint]:
         if _NO_WHEEL.search(f"{joint.name} {joint.child}"):
             continue
         is_round = joint.child not in held and any(shape.kind in ("cylinder", "sphere") for shape in shapes)
-        if is_named or is_round:
+        ends_arm = sum(1 for _ in above_of(urdf, joint.parent)) >= _LEAST_ARM  # a wrist, or a tool that turns
+        if is_named or (is_round and not ends_arm):
             found.append(joint)
     names = {joint.name for joint in found}
     return [joint for joint in found if not any(above.name in names for above in above_of(urdf, joint.parent))]
@@ -111,30 +119,57 @@ def kind_of(
     types of its controllers.
     """
     rotors = len(rotors_of(urdf)) if urdf else 0
+    propellers = f"{rotors} propeller{'s' if rotors > 1 else ''}"
     has_wheels = bool(urdf and wheels_of(urdf))
     flies = bool(urdf and _FLYING.search(urdf.name)) or ("MAVROS" in stacks and not has_wheels)
     flies |= any("Multirotor" in kind or "MultiDOF" in kind for kind in driven_by)
     thrusters = sum(bool(_THRUSTER.search(joint.name)) for joint in urdf.joints.values()) if urdf else 0
     swims = bool(urdf and thrusters and not has_wheels and not legs_of(urdf) and not _FLYING.search(urdf.name))
+    if urdf and any(_WINGS.search(joint.name) for joint in urdf.moving):
+        return f"aircraft with wings, {propellers}" if rotors else "aircraft with wings"
     if (flies or rotors >= _LEAST_ROTORS) and not swims:
-        return f"drone, {rotors} rotors" if rotors else "drone"
-    if urdf and (joints := legs_of(urdf)):
+        base = _flying(urdf, rotors, driven_by)
+    elif urdf and (joints := legs_of(urdf)):
         held = {above.name for joint in joints for above in above_of(urdf, joint.parent)}
-        base = f"legged robot, {sum(joint.name not in held for joint in joints)} legs"
+        wheels = f" on {len(wheels_of(urdf))} wheels" if has_wheels else ""
+        base = f"legged robot, {sum(joint.name not in held for joint in joints)} legs{wheels}"
     elif swims:
         base = f"vehicle on or under water, {thrusters} thruster{'s' if thrusters > 1 else ''}"
     elif rotors and not has_wheels:
-        base = f"vehicle with {rotors} propeller{'s' if rotors > 1 else ''}, on water or in the air"
+        base = f"vehicle with {propellers}, on water or in the air"
     else:
         base = _base(urdf, driven_by, controllers)
     arms = [len(arm) for arm in arms_of(urdf) if len(arm) >= _LEAST_ARM] if urdf else []
     if not arms:
-        return base or "unknown"
+        return base or _mechanism(urdf)
     has_gripper = urdf and any(_GRIPPER.search(joint.name) for joint in urdf.moving)
     counts = f"{arms[0]}" if len(set(arms)) == 1 else " and ".join(map(str, arms))
-    each = f"arm of {counts} joints" if len(arms) == 1 else f"{len(arms)} arms of {counts} joints"
+    limbs = "arms" if len(arms) < _LEAST_LIMBS else "limbs (arms, legs or fingers)"
+    each = f"arm of {counts} joints" if len(arms) == 1 else f"{len(arms)} {limbs} of {counts} joints"
     each += (" and a gripper" if len(arms) == 1 else " and grippers") if has_gripper else ""
     return f"{base} with {'an ' if len(arms) == 1 else ''}{each}" if base else each
+
+
+def _flying(urdf: Urdf | None, rotors: int, driven_by: Collection[str]) -> str:
+    """A drone; with a doubt where only its autopilot says so, which ground vehicles and boats have as well."""
+    is_named = (urdf and _FLYING.search(urdf.name)) or any("Multi" in kind for kind in driven_by)
+    if rotors:
+        return f"drone, {rotors} rotor{'s' if rotors > 1 else ''}"
+    return "drone" if is_named else "drone (or another vehicle with an autopilot)"
+
+
+def _mechanism(urdf: Urdf | None) -> str:
+    """What neither drives nor has an arm: a gripper alone, a pan-tilt head, a gantry."""
+    moving = urdf.moving if urdf else ()
+    if moving and all(_GRIPPER.search(f"{joint.name} {joint.child}") for joint in moving):
+        return "gripper"
+    return f"mechanism of {len(moving)} moving joint{'s' if len(moving) > 1 else ''}" if moving else "unknown"
+
+
+def _is_tracked(urdf: Urdf) -> bool:
+    """Whether it has tracks on two sides; a single one, or one that slides, is a rail that an arm stands on."""
+    tracks = [joint for joint in urdf.joints.values() if _TRACK.search(joint.child) and joint.kind != "prismatic"]
+    return len(tracks) > 1
 
 
 def _chains(urdf: Urdf) -> list[list[Joint]]:
@@ -195,6 +230,8 @@ def _base(urdf: Urdf | None, driven_by: Collection[str], controllers: Collection
     if urdf is None:
         return "car-like base" if is_car else "base driven by velocities" if drives else ""
     wheels = wheels_of(urdf)
+    if (drives or wheels) and _is_tracked(urdf):
+        return "tracked base"
     holders = {joint.name: _holder(urdf, joint) for joint in wheels}
     driven = [joint for joint in wheels if not _CASTER.search(f"{joint.name} {joint.child}")]
     turned = [holder for joint in driven if (holder := holders[joint.name]) and _is_upright(holder)]
@@ -213,7 +250,7 @@ def _base(urdf: Urdf | None, driven_by: Collection[str], controllers: Collection
         doubt = "" if any(map(_NOT_SIDEWAYS.search, controllers)) else " (unless they are mecanum wheels)"
         return f"skid-steered base, {len(driven)} wheels{doubt}"
     if len(driven) == 3 or (not driven and len(wheels) >= 3):
-        return f"omnidirectional base, {len(driven) or len(wheels)} wheels"
+        return f"omnidirectional base, {len(driven) or len(wheels)} wheels (by their number)"
     return "base driven by velocities" if drives else ""
 
 

@@ -55,9 +55,9 @@ SIX = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"
         (urdf("ur5e", *chain("revolute", *SIX)), [], ["ros2_control"], "arm of 6 joints"),
         (urdf("jaco", *chain("continuous", *SIX)), [], [], "arm of 6 joints"),
         (urdf("go1", *legs()), [TWIST], [], "legged robot, 4 legs"),
-        (urdf("iris", ("rotor_0_joint", "continuous", "base_link", "rotor_0")), [], ["MAVROS"], "drone, 1 rotors"),
+        (urdf("iris", ("rotor_0_joint", "continuous", "base_link", "rotor_0")), [], ["MAVROS"], "drone, 1 rotor"),
         (urdf("crazyflie_quadrotor", ("rotor_0_joint", "continuous", "base_link", "rotor_0")), [TWIST], [],
-         "drone, 1 rotors"),
+         "drone, 1 rotor"),
         (urdf("mecanum_bot", *wheels("fl_wheel", "fr_wheel", "rl_wheel", "rr_wheel")), [TWIST], [],
          "omnidirectional base, 4 wheels"),
         (urdf("car", *wheels("rear_left_wheel", "rear_right_wheel"), ("steering", "revolute", "base_link", "axle")),
@@ -84,7 +84,7 @@ SIX = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"
         (urdf("baxter", *[joint for side in ("left", "right")
                           for joint in chain("revolute", *(f"{side}_{name}" for name in SIX), parent="torso")]), [], [],
          "2 arms of 6 joints"),
-        (None, [TWIST], ["MAVROS"], "drone"),
+        (None, [TWIST], ["MAVROS"], "drone (or another vehicle with an autopilot)"),
         (None, [TWIST], [], "base driven by velocities"),
         (None, ["ackermann_msgs/msg/AckermannDriveStamped"], [], "car-like base"),
         (None, [], [], "unknown"),
@@ -92,6 +92,32 @@ SIX = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"
 )  # fmt: skip
 def test_the_kind_of_robot_is_told(robot: Urdf | None, driven_by: list[str], stacks: list[str], kind: str) -> None:
     assert kind_of(robot, driven_by, stacks) == kind
+
+
+@pytest.mark.parametrize(
+    ("robot", "kind"),
+    [
+        (urdf("plane", *chain("continuous", "rotor_puller"), *chain("revolute", "left_aileron"),
+              *wheels("left_wheel", "right_wheel", "nose_wheel")), "aircraft with wings, 1 propeller"),
+        (urdf("rescue", *chain("fixed", "left_track"), *chain("fixed", "right_track")), "tracked base"),
+        (urdf("on_a_rail", *chain("prismatic", "track"), *chain("revolute", *SIX, parent="track_link")),
+         "arm of 7 joints"),
+        (urdf("hexapod", *[joint for leg in ("lf", "rf") for joint in chain(
+            "revolute", f"coxa_{leg}", f"femur_{leg}", f"tibia_{leg}")]), "legged robot, 2 legs"),
+        (urdf("kiwi", *wheels("a_wheel", "b_wheel", "c_wheel")), "omnidirectional base, 3 wheels (by their number)"),
+        (urdf("hand", *[joint for finger in "abc" for joint in chain(
+            "revolute", *(f"{finger}{number}" for number in range(4)))]),
+         "base driven by velocities with 3 limbs (arms, legs or fingers) of 4 joints"),
+        (urdf("gen3", *chain("continuous", *SIX), wheel=["f_link", f"{SIX[-1]}_link"]), "arm of 6 joints"),
+    ],
+)  # fmt: skip
+def test_kinds_by_what_only_they_have(robot: Urdf, kind: str) -> None:
+    assert kind_of(robot, [] if "arm of" in kind else [TWIST], []) == kind
+
+
+def test_a_gripper_alone_and_a_pan_tilt_head_are_told() -> None:
+    assert kind_of(urdf("g", *chain("revolute", "left_knuckle"), *chain("revolute", "right_knuckle")), [], []) == "gripper"
+    assert kind_of(urdf("ptu", *chain("revolute", "pan", "tilt")), [], []) == "mechanism of 2 moving joints"
 
 
 def test_wheels_are_no_joints_of_an_arm_however_they_are_called() -> None:
