@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from ros2_mcp.codec.robot_kind import above_of, legs_of, wheels_of
+from ros2_mcp.codec.robot_kind import above_of, legs_of, rotors_of, wheels_of
 from ros2_mcp.codec.urdf import Geometry, Mount, Urdf
 
 _CORNERS = 24
@@ -75,7 +75,7 @@ def reach(points: Sequence[Point]) -> Reach | None:
 def parts_of(urdf: Urdf, body: str) -> Sequence[str]:
     """The links of the outline: what is fixed to the body, its legs, and its wheels with what holds these."""
     moved = {joint.child for joint in legs_of(urdf)}
-    for wheel in wheels_of(urdf):
+    for wheel in (*wheels_of(urdf), *rotors_of(urdf)):  # an engine that is steered is as much a part as a wheel is
         holders = [joint.child for joint in above_of(urdf, wheel.child)]
         moved |= set(holders) if urdf.mount(wheel.child, body) else set[str]()
     moved |= {

@@ -24,14 +24,19 @@ def joints_in_words(urdf: Urdf | None, positions: Mapping[str, float]) -> list[s
 
 
 def placed(urdf: Urdf, positions: Mapping[str, float]) -> Sequence[Joint]:
-    """The joints whose positions count, all that move but rotors and casters: those of the arm first and wheels last,
-    where what does not fit is left out; of each those before others that somebody tells.
+    """The joints whose positions count, all that move but rotors and casters of which nobody tells where they are:
+    those of the arm first and wheels last, where what does not fit is left out; of each those before others that
+    somebody tells.
     """
-    left_out = {joint.name for joint in rotors_of(urdf)}
+    rotors = {joint.name for joint in rotors_of(urdf)}
     arm = {joint.name for joints in arms_of(urdf) for joint in joints}
     wheels = {joint.name for joint in wheels_of(urdf)}
     return sorted(
-        (joint for joint in urdf.moving if joint.name not in left_out and not is_passive(urdf, joint)),
+        (
+            joint
+            for joint in urdf.moving
+            if joint.name in positions or not (joint.name in rotors or is_passive(urdf, joint))
+        ),
         key=lambda joint: (joint.name in wheels, joint.name not in arm, joint.name not in positions),
     )
 

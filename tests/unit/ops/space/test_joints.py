@@ -21,10 +21,10 @@ CART = parse(
     {joint("caster", "continuous")}{joint("caster_wheel", "continuous", "caster_link")}
     {joint("arm_1", "revolute", limit=LIMIT)}{joint("arm_2", "revolute", "arm_1_link", LIMIT)}</robot>"""
 )
-TOLD = {"left_wheel": 1.0, "right_wheel": 2.0, "arm_1": 0.5, "arm_2": -1.0, "caster": 0.1, "lamp": 3.0}
+TOLD = {"left_wheel": 1.0, "right_wheel": 2.0, "arm_1": 0.5, "arm_2": -1.0, "lamp": 3.0}
 
 
-def test_casters_are_nobody_s_concern_and_limits_are_rounded_inwards() -> None:
+def test_casters_that_nobody_tells_are_nobody_s_concern_and_limits_are_rounded_inwards() -> None:
     assert joints_in_words(CART, TOLD) == [
         "arm_1 now 0.5 of -2.897..2.897 rad, ≤ 2 rad/s",
         "arm_2 now -1 of -2.897..2.897 rad, ≤ 2 rad/s",
