@@ -21,7 +21,7 @@ _CAR = re.compile(r"(ackermann|bicycle|tricycle|steering)", re.IGNORECASE)
 _GRIPPER = re.compile(r"(gripper|finger|fngr|knuckle|jaw|claw)", re.IGNORECASE)
 _ROTOR = re.compile(r"(rotor|propeller|(?<![a-z])prop(?![a-z]))", re.IGNORECASE)
 _THRUSTER = re.compile(r"thruster", re.IGNORECASE)
-_NO_WHEEL = re.compile(r"(propeller|thruster|rotor|engine|(?<![a-z])prop(?![a-z])|screw|fan)", re.IGNORECASE)
+_NO_WHEEL = re.compile(r"(propeller|thruster|rotor|engine|(?<![a-z])(prop|screw|fan)(?![a-z]))", re.IGNORECASE)
 """What turns without end, is round, and rolls on nothing."""
 _TORSO = re.compile(r"torso", re.IGNORECASE)
 _FLYING = re.compile(r"((quad|multi|hexa|octo)(rotor|copter)|drone|uav|crazyflie)", re.IGNORECASE)

@@ -90,6 +90,13 @@ async def test_a_stop_that_is_not_confirmed_says_whether_the_robot_was_seen_to_s
     assert "1 of them NOT confirmed; the robot was seen to stand, but read why" in stopped.summary()
 
 
+def test_an_answer_to_a_request_is_told_with_what_it_is_about() -> None:
+    granted = {"kind": "granted", "approval": "AB12", "by": "operator", "for_s": 60, "what": "publishing on /cmd_vel"}
+    lines = [{"kind": "approved", "approval": "CD34", "by": "operator"}, granted]
+    told = [(act["kind"], act["name"], act.get("reason")) for act in acts_in(lines)]
+    assert told == [("approved", "CD34", None), ("granted", "AB12", "publishing on /cmd_vel")]
+
+
 def test_that_the_latch_was_found_set_is_told_once_until_it_is_reset() -> None:
     cause = {"by": "operator", "reason": "a person stopped the robot"}
     lines = [{"kind": "latched", **cause}, {"kind": "latched", **cause}, {"kind": "reset", "by": "operator"}]

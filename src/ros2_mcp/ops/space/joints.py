@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from ros2_mcp.codec.robot_kind import arms_of, is_passive, rotors_of, wheels_of
 from ros2_mcp.codec.urdf import Joint, Urdf
 from ros2_mcp.model.text import named
 
 _SPEED = ", ≤ "
+_FAR = 1e6
+"""Of a limit in rad or m: more means that there is none."""
 _NUMBERED = re.compile(r"(?P<before>\S*?)(?P<number>\d+)(?P<after>\D*) now (?P<now>\S+) of (?P<span>\S+)(?P<unit> m)?")
 
 
@@ -80,10 +82,15 @@ def _joint(joint: Joint, at: float | None) -> str:
     now = "position unknown" if at is None else f"now {_tidy(at)}"
     span = ""
     if limits.lower is not None and limits.upper is not None:  # rounded inwards: who goes there stays within
-        span = f" of {math.ceil(limits.lower * 1000) / 1000:g}..{math.floor(limits.upper * 1000) / 1000:g}"
+        span = f" of {_inwards(limits.lower, math.ceil)}..{_inwards(limits.upper, math.floor)}"
     speed = f"{_SPEED}{limits.velocity:.3g} {joint.unit}/s" if limits.velocity else ""
     kind = "" if joint.kind == "revolute" else f" {joint.kind}"
     return f"{named(joint.name)}{kind} {now}{span} {joint.unit}{speed}"
+
+
+def _inwards(limit: float, rounded: Callable[[float], int]) -> str:
+    """To a thousandth; one that is beyond anything that moves as it is."""
+    return f"{rounded(limit * 1000) / 1000:g}" if abs(limit) < _FAR else f"{limit:.3g}"
 
 
 def _tidy(number: float) -> str:

@@ -402,7 +402,9 @@ def _ranked(graph: GraphSnapshot) -> Sequence[tuple[TopicEndpoints, str]]:
     """The topics of sensors with their types: of each kind the first one before the second of any, for who sees only
     some; the kinds in the order of `_SENSORS`.
     """
-    of_kind = {kind: [one for one in _topics(graph, kind) if one.types[0] == kind] for kind in _SENSORS}
+    of_kind: dict[str, list[TopicEndpoints]] = {kind: [] for kind in _SENSORS}
+    for one in _topics(graph, *_SENSORS):
+        of_kind[next(kind for kind in one.types if kind in of_kind)].append(one)
     ranked = [
         (place, rank, one, kind)
         for rank, (kind, all_of) in enumerate(of_kind.items())

@@ -36,7 +36,7 @@ _MOST_TEXT = 300
 """Of a field: the audit writes no longer ones."""
 _KINDS = (
     *("act", "waits", "refused", "goal ended", "stop", "stopped", "latched", "reset", "mode"),
-    *("approved", "denied", "grant", "revoked"),
+    *("approved", "denied", "granted", "revoked", "withdrawn"),
 )
 """Lines that a person wants to see; outcomes stand with their acts."""
 _TEXTS = ("tool", "verb", "name", "type", "by", "reason", "rule", "program", "outcome", "now")
@@ -295,6 +295,10 @@ def acts_in(entries: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]
                 continue
         fields: dict[str, Any] = {name: str(entry[name])[:_MOST_TEXT] for name in _TEXTS if entry.get(name)}
         fields |= {name: entry[name] for name in _NUMBERS if type(entry.get(name)) in (int, float)}
+        if entry.get("approval"):  # of which request or grant it is
+            fields |= {"name": str(entry["approval"])[:_MOST_TEXT]}
+        if entry.get("what"):
+            fields |= {"reason": str(entry["what"])[:_MOST_TEXT]}
         if kind == "act":
             fields["outcome"] = outcomes.get(str(number), "")
         fields |= {"seq": number if isinstance(number, int) else None, "value": entry.get("value")}

@@ -41,3 +41,9 @@ def test_what_is_too_long_loses_speeds_then_has_wheels_and_chains_in_one_line_ea
         "lamp now 3",
         "continuous: left_wheel 1, right_wheel 2",
     ]
+
+
+def test_limits_that_are_none_break_nothing() -> None:
+    far = '<limit lower="-1e307" upper="1e16" velocity="1" effort="1"/>'
+    urdf = parse(f'<robot name="r"><link name="base_link"/>{joint("lift", "prismatic", limit=far)}</robot>')
+    assert joints_in_words(urdf, {"lift": 0.5}) == ["lift prismatic now 0.5 of -1e+307..1e+16 m, ≤ 1 m/s"]
