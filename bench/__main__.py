@@ -11,12 +11,13 @@ from collections.abc import Awaitable, Callable
 from datetime import datetime, timezone
 from pathlib import Path
 
-from . import limits, measure, reaction, stopping
+from . import bags, graphs, limits, measure, reaction, sights, small, stopping
 from .report import Row, save, table
 
 MEASUREMENTS: dict[str, Callable[[bool], Awaitable[list[Row]]]] = {
     "start": lambda full: measure.start_to_tools_list(20 if full else 8),
     "list": lambda full: measure.topic_list(2000 if full else 500),
+    "large": lambda full: graphs.large(500 if full else 100),
     "first": lambda full: measure.first_listing(20 if full else 5),
     "read": lambda full: measure.read_one(300 if full else 100),
     "subscribed": lambda full: measure.while_subscribed(4 if full else 1),
@@ -26,9 +27,13 @@ MEASUREMENTS: dict[str, Callable[[bool], Awaitable[list[Row]]]] = {
     "service": lambda full: measure.service_calls(1000 if full else 300),
     "frames": lambda full: measure.look_up(1000 if full else 300),
     "sandbox": lambda full: measure.sandbox(50 if full else 10),
+    "recording": lambda full: sights.recording(20, 2 if full else 1),
+    "picture": lambda full: sights.picture_read(50 if full else 20),
+    "bags": bags.large,
     "limits": limits.cost,
     "stop": stopping.stop_to_zero,
     "programs": reaction.of_programs,
+    "small": small.rows,
     "many": lambda full: measure.many_calls(10_000 if full else 500),
 }
 

@@ -10,9 +10,11 @@ import sys
 import threading
 import time
 from itertools import pairwise
+from pathlib import Path
 
 import rclpy
 from geometry_msgs.msg import Twist
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -25,6 +27,24 @@ def topics(node: Node, count: str, first: str = "0") -> None:
     """Publishers on /bench/t00, /bench/t01 …"""
     numbers = range(int(first), int(first) + int(count))
     node.kept = [node.create_publisher(String, f"/bench/t{number:02}", 10) for number in numbers]
+
+
+def many(node: Node, nodes: str, topics_each: str) -> None:
+    """So many nodes besides, each with so many topics: /bench/large/t0 …"""
+    others = [rclpy.create_node(f"bench_{number}") for number in range(int(nodes))]
+    node.kept = [
+        other.create_publisher(String, f"/bench/large/t{number * int(topics_each) + each}", 10)
+        for number, other in enumerate(others)
+        for each in range(int(topics_each))
+    ]
+
+
+def nodes(node: Node, count: str, first: str = "0") -> None:
+    """Nodes /bench/n000, /bench/n001 …, with all that every node of rclpy has; all of one participant."""
+    numbers = range(int(first), int(first) + int(count))
+    node.kept = [Node(f"n{number:03}", namespace="/bench") for number in numbers]
+    for one in node.kept:
+        node.executor.add_node(one)
 
 
 def ticks(node: Node, count: str, rate_hz: str) -> None:
@@ -213,6 +233,90 @@ def heard(node: Node) -> None:
     node.kept = node.create_subscription(UInt64, "/bench/heard", lambda _: None, 10)
 
 
+def sights(node: Node) -> None:
+    """For each line with a number of seconds on stdin: raw 1080p pictures at 30 Hz on /bench/sight0 and clouds of 2 MB
+    at 10 Hz on /bench/sight1, reliable, as soon as both are subscribed to; then in JSON how many, and the seconds.
+    """
+    from sensor_msgs.msg import Image, PointCloud2
+
+    image = Image(height=1080, width=1920, step=5760, encoding="rgb8", data=os.urandom(1920 * 1080 * 3))
+    cloud = PointCloud2(height=1, width=125_000, point_step=16, row_step=2_000_000, data=os.urandom(2_000_000))
+    kinds = ((Image, image, 30), (PointCloud2, cloud, 10))
+    publishers = [node.create_publisher(kind, f"/bench/sight{number}", 10) for number, (kind, *_) in enumerate(kinds)]
+    messages = [serialize_message(message) for _, message, _ in kinds]
+
+    def publish(seconds: float) -> str:
+        while not all(publisher.get_subscription_count() for publisher in publishers):
+            time.sleep(0.01)
+        time.sleep(0.3)  # the other side learns of the match a moment later
+        rates = [rate for *_, rate in kinds]
+        due = sorted((turn / rate, number) for number, rate in enumerate(rates) for turn in range(int(seconds * rate)))
+        began = time.monotonic()
+        for at_s, number in due:
+            time.sleep(max(0.0, began + at_s - time.monotonic()))
+            publishers[number].publish(messages[number])
+        return json.dumps([len(due), time.monotonic() - began])
+
+    def serve() -> None:
+        for line in sys.stdin:
+            _say(publish(float(line)))
+
+    threading.Thread(target=serve, daemon=True).start()
+
+
+def picture(node: Node, path: str) -> None:
+    """A raw 1080p picture on /bench/picture, latched; its bytes are in a file."""
+    from rclpy.qos import DurabilityPolicy
+    from sensor_msgs.msg import Image
+
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    node.kept = node.create_publisher(Image, "/bench/picture", latched)
+    node.kept.publish(Path(path).read_bytes())
+
+
+def recorder(node: Node) -> None:
+    """The floor of recording: for a line with a path on stdin, all of `sights` goes there as MCAP until the next line,
+    which is answered with how many messages were written.
+    """
+    from mcap.writer import CompressionType, Writer
+    from sensor_msgs.msg import Image, PointCloud2
+
+    kinds = {
+        "/bench/sight0": (Image, "sensor_msgs/msg/Image"),
+        "/bench/sight1": (PointCloud2, "sensor_msgs/msg/PointCloud2"),
+    }
+
+    def begin(path: str) -> tuple[Writer, list[object], list[int]]:
+        writer, written = Writer(path, compression=CompressionType.NONE), [0]
+        writer.start("ros2")
+
+        def listen(topic: str, kind: type, name: str) -> object:
+            channel = writer.register_channel(topic, "cdr", writer.register_schema(name, "ros2msg", b""))
+
+            def keep(data: bytes, info: dict[str, int]) -> None:
+                writer.add_message(channel, info["received_timestamp"], data, info["source_timestamp"])
+                written[0] += 1
+
+            return node.create_subscription(kind, topic, keep, QoSProfile(depth=1000), raw=True)
+
+        return writer, [listen(topic, *of) for topic, of in kinds.items()], written
+
+    def end(writer: Writer, subscriptions: list[object], written: list[int]) -> None:
+        for subscription in subscriptions:
+            node.destroy_subscription(subscription)
+        writer.finish()
+        _say(written[0])
+
+    def serve() -> None:
+        for line in sys.stdin:
+            path = line.strip()
+            begun = node.executor.create_task(lambda path=path: begin(path))
+            sys.stdin.readline()
+            node.executor.create_task(lambda begun=begun: end(*begun.result()))
+
+    threading.Thread(target=serve, daemon=True).start()
+
+
 def drained(node: Node) -> None:
     """For each line with a number of seconds on stdin: how many messages of /bench/flood came in that time."""
 
@@ -224,7 +328,9 @@ def drained(node: Node) -> None:
             )
         )
         time.sleep(seconds)
-        node.executor.create_task(lambda: node.destroy_subscription(made.result()))
+        gone = node.executor.create_task(lambda: node.destroy_subscription(made.result()))
+        while not gone.done():  # whoever is to be flooded next waits for that
+            time.sleep(0.01)
         return next(numbers)
 
     def serve() -> None:
@@ -251,7 +357,8 @@ def main() -> None:
     told_to_end = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: told_to_end.set())
     node = Node(f"bench_{role}")
-    executor = EventsExecutor()
+    # The other one ends with a SystemError while a large message is put together.
+    executor = SingleThreadedExecutor() if role == "recorder" else EventsExecutor()
     executor.add_node(node)
     globals()[role](node, *arguments)
     _say("ready")

@@ -8,12 +8,16 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
+from . import slowed
 from .stdio import StdioClient
 
 HERE = Path(__file__).parent
+FLOORS = ("floor", "drained", "recorder")
+"""The peers that do what the server does, in bare rclpy: they are as slow as it is."""
 ENVIRONMENT = {
     "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
     "ROS_LOG_DIR": tempfile.gettempdir(),
@@ -26,12 +30,12 @@ ENVIRONMENT.pop("PYTHONDONTWRITEBYTECODE", None)
 
 def ours(*options: str) -> StdioClient:
     """This project's server."""
-    return StdioClient([sys.executable, "-m", "ros2_mcp", *options], ENVIRONMENT)
+    return StdioClient(slowed.command([sys.executable, "-m", "ros2_mcp", *options]), ENVIRONMENT)
 
 
 def trivial() -> StdioClient:
     """A trivial tool on the bare SDK."""
-    return StdioClient([sys.executable, str(HERE / "trivial.py")], ENVIRONMENT)
+    return StdioClient(slowed.command([sys.executable, str(HERE / "trivial.py")]), ENVIRONMENT)
 
 
 class Peer:
@@ -39,6 +43,8 @@ class Peer:
 
     def __init__(self, role: str, *arguments: object, prefixes: Sequence[Path] = ()) -> None:
         command = [sys.executable, str(HERE / "peers.py"), role, *map(str, arguments)]
+        if role in FLOORS:
+            command = slowed.command(command)
         packages = [str(prefix / "site-packages") for prefix in prefixes]
         known = {
             "PYTHONPATH": os.pathsep.join(filter(None, [*packages, os.environ.get("PYTHONPATH")])),
@@ -66,10 +72,14 @@ class Peer:
     def line(self) -> str:
         return self._process.stdout.readline().strip()  # type: ignore[union-attr]
 
-    def ask(self, what: str) -> str:
-        """Its answer to a line."""
+    def tell(self, what: str) -> None:
+        """A line that it does not answer."""
         self._process.stdin.write(f"{what}\n")  # type: ignore[union-attr]
         self._process.stdin.flush()  # type: ignore[union-attr]
+
+    def ask(self, what: str) -> str:
+        """Its answer to a line."""
+        self.tell(what)
         return self.line()
 
     def seconds(self, what: str, count: int) -> list[float]:
@@ -84,8 +94,11 @@ def rss_bytes(pid: int) -> int:
 
 def cpu_seconds(pid: int) -> float:
     """The processor time of a process so far, to the nanosecond: the sum over its threads."""
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks) / 1e9
+    total_ns = 0
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        with suppress(FileNotFoundError):  # a thread that has just ended
+            total_ns += int((task / "schedstat").read_text().split()[0])
+    return total_ns / 1e9
 
 
 def counts(pid: int) -> tuple[int, int]:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 from . import definitions, interfaces, participants
+from .allocation import keep_freed_memory
 from .epoch import StopEpoch
 from .latch import FILE, Latch, LatchState
 from .lease import LinkLease
@@ -79,6 +80,7 @@ def main() -> None:
         from . import stopper  # which needs rclpy
 
         stopper.main(incoming, outgoing)
+    keep_freed_memory()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's Ctrl-C goes to the server, which then closes us
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # ends us if all else hangs; it may have been inherited as ignored
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})  # for sigwait in a thread of ours
@@ -121,7 +123,7 @@ class Bridge:
         self._operations: Operations | None = None
         self._greeted_s = 0.0
         self._ending = threading.Lock()
-        self._lease = LinkLease(incoming, self._lapse, orphan_s=orphan_s)
+        self._lease = LinkLease(incoming, self._lapse, orphan_s=orphan_s, is_at_rest=self._is_at_rest)
         self._start_thread(self._read, incoming)
         self._start_thread(self._prepare, self._accepted)
         self._writer = self._start_thread(self._outbox.write_packets, outgoing)
@@ -199,6 +201,9 @@ class Bridge:
         self._outbox.send(Lapsed(event="lapsed", silent_s=round(silent_s, 3)))
         if self._operations is not None:
             self._do_first(self._operations.failsafes.carry_out, self._operations.lapse)
+
+    def _is_at_rest(self) -> bool:
+        return not self._stops.coming and (self._operations is None or self._operations.is_at_rest())
 
     def _stopper_lost(self) -> None:
         """There is no second process any more that would stop what moves: it stops, and may begin anew."""

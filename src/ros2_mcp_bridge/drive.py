@@ -43,8 +43,10 @@ MOST_ROLLED_S = 0.8
 STEER_PER_S, STEER_MOST = 1.5, 0.4
 # It stands if two halves of this time tell the same place within these; at most so long is waited for it.
 STILL_S, STILL_M, STILL_RAD, STANDS_WITHIN_S = 0.4, 0.002, math.radians(0.15), 2.0
-# A topic is late after its period and this; the bar is that the zero leaves within 0.1 s.
-LATE_S = 0.06
+# A topic is late so long after its period, which is the longest of its last intervals. The bar is that the zero leaves
+# within 0.1 s after the mean one: where messages come so unevenly that this would be at risk, it is late so long after
+# the mean one, but no sooner than the last of these after the longest one.
+LATE_S, LATE_AFTER_MEAN_S, LATE_AFTER_LONGEST_S = 0.06, 0.075, 0.035
 # Late for so long it is silent, and the drive ends: a computer that is held up stands, and goes on.
 SILENT_S = 0.5
 # Messages whose intervals tell the period; it is never taken for longer than the second.
@@ -64,12 +66,16 @@ class Beat:
         self.count = 0
         self._at = -math.inf
         self._periods: deque[float] = deque(maxlen=PERIODS)
+        self._due_s = LONGEST_PERIOD_S + LATE_S
 
     def heard(self, now: float) -> None:
         """A message has come."""
         self.count += 1
         if self.count > 1:
             self._periods.append(min(now - self._at, LONGEST_PERIOD_S))
+            mean_s, longest_s = sum(self._periods) / len(self._periods), self.period_s
+            soonest_s = max(mean_s + LATE_AFTER_MEAN_S, longest_s + LATE_AFTER_LONGEST_S)
+            self._due_s = min(longest_s + LATE_S, soonest_s)
         self._at = now
 
     @property
@@ -79,7 +85,7 @@ class Beat:
 
     def late_s(self, now: float) -> float:
         """For how long it has been late; negative while it is not."""
-        return now - self._at - self.period_s - LATE_S
+        return now - self._at - self._due_s
 
     def age_s(self, now: float) -> float:
         """How old its last message is."""

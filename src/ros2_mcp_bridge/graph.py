@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from . import participants, qos, rcl
-from .protocol import Endpoint, EndpointsReply, NodeReply, NodesReply, ServicesReply, TopicsReply
+from .protocol import (
+    NOT_COUNTED,
+    CountedReply,
+    Endpoint,
+    EndpointsReply,
+    NodeReply,
+    NodesReply,
+    ServicesReply,
+    TopicsReply,
+)
 from .request import OperationError, Request, Steps
 from .velocity import MOTION_TYPES
 
@@ -59,13 +69,18 @@ class Graph:
             self.settled = (is_quiet and is_whole) or now - started >= LONGEST_SETTLING_S
 
     def topics(self, request: Request) -> Steps[TopicsReply]:
-        """Every topic with its types and numbers of endpoints."""
+        """Every topic with its types and numbers of endpoints, and every node."""
         yield from self._wait_settled(request)
-        topics = [
-            (name, types, self._count_publishers(name, types), self._count_subscribers(name))
-            for name, types in self._node.get_topic_names_and_types()
-        ]
-        return {"topics": topics, "settled": self.settled}
+        found = self._node.get_topic_names_and_types()
+        are_counted = len(found) <= request.number("count_most", math.inf)
+        counted = self._counted(found) if are_counted else [(NOT_COUNTED, NOT_COUNTED)] * len(found)
+        topics = [(name, types, *counts) for (name, types), counts in zip(found, counted, strict=True)]
+        return {"topics": topics, "nodes": self._nodes(), "settled": self.settled}
+
+    def counted(self, request: Request) -> CountedReply:
+        """The numbers of endpoints of some topics."""
+        types = dict(self._node.get_topic_names_and_types())
+        return {"counted": self._counted([(name, types.get(name, ())) for name in request.texts("topics")])}
 
     def services(self, request: Request) -> Steps[ServicesReply]:
         """Every service with its types."""
@@ -75,8 +90,7 @@ class Graph:
     def nodes(self, request: Request) -> Steps[NodesReply]:
         """Every node."""
         yield from self._wait_settled(request)
-        found = self._node.get_node_names_and_namespaces()
-        return {"nodes": [node for node in found if not participants.is_stopper(node[0])], "settled": self.settled}
+        return {"nodes": self._nodes(), "settled": self.settled}
 
     def node(self, request: Request) -> Steps[NodeReply]:
         """What one node publishes, subscribes, serves and calls."""
@@ -150,12 +164,25 @@ class Graph:
         """The global identifiers of a topic's publishers."""
         return {participants.gid(info) for info in self.publishers(topic)}
 
+    def _nodes(self) -> list[tuple[str, str]]:
+        found = self._node.get_node_names_and_namespaces()
+        return [node for node in found if not participants.is_stopper(node[0])]
+
     # Stoppers publish velocities, and listen to the simulated time: other topics are counted without looking at names.
 
-    def _count_publishers(self, topic: str, types: Iterable[str] | None = None) -> int:
-        count = rcl.count_publishers(self._node, topic)
-        may_have_stoppers = types is None or not MOTION_TYPES.isdisjoint(types)
-        return len(self.publishers(topic)) if count and may_have_stoppers else count
+    def _counted(self, topics: Sequence[tuple[str, Iterable[str]]]) -> list[tuple[int, int]]:
+        """The numbers of publishers and subscribers of topics, which come with their types."""
+        counts = rcl.counts(self._node, [name for name, _ in topics])
+        return [
+            (
+                len(self.publishers(name)) if publishers and not MOTION_TYPES.isdisjoint(types) else publishers,
+                len(self.subscribers(name)) if name == CLOCK else subscribers,
+            )
+            for (name, types), (publishers, subscribers) in zip(topics, counts, strict=True)
+        ]
+
+    def _count_publishers(self, topic: str) -> int:
+        return len(self.publishers(topic)) if rcl.count_publishers(self._node, topic) else 0
 
     def _count_subscribers(self, topic: str) -> int:
         return len(self.subscribers(topic)) if topic == CLOCK else rcl.count_subscribers(self._node, topic)

@@ -33,6 +33,9 @@ BATCH_BYTES = 1024 * 1024
 # Of samples of all subscriptions that wait for the stream. Each may have 64 MB of them where it is alone; 32 readers of
 # a camera had 1.9 GB before. Chosen: 2 s of a camera at full HD, and little beside what a robot's computer has.
 MOST_WAITING_BYTES = 96_000_000
+# For samples that may wait for so long in the bridge, as lines of the log that people and models read, nobody waits: at
+# rest they wait for longer (AT_REST_S there), so that the bridge may sleep. Chosen.
+NO_HURRY_S = 0.1
 # Of a piece, in which large packets and samples cross a slow link. Between two of them a small packet passes: 26 ms at
 # 5 Mbit/s. Smaller ones cost a packet and an acknowledgement each.
 PIECE_BYTES = 16 * 1024

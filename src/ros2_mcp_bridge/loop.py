@@ -16,14 +16,22 @@ from .request import Steps
 T = TypeVar("T")
 
 # The longest sleep of the ROS thread. Requests and due work wake it; `ping` tells how long ago it went round, and the
-# server takes 4 s of that for a hang. Chosen: far below these 4 s.
-IDLE_S = 0.25
+# server takes 4 s of that for a hang. Chosen: far below these 4 s. While something moves, what looks after it wakes it
+# four times a second and more, which the stopper's lifeline relies on.
+IDLE_S = 0.5
 # After so long what is submitted, and what is due, waits for the next round: many slow ones at once, such as listings
 # of a large graph, hold up neither a stop, which goes first in the next round, nor one another, nor the executor.
 # Chosen.
 PART_AT_MOST_S = 0.02
 # After a callback has failed: one that fails in every round must not take the whole processor. Chosen.
 AFTER_FAILURE_S = 0.01
+# How often what is `Seldom` goes on while nothing else does: each time that this process wakes up costs 0.2 ms of
+# processor time. Chosen.
+AT_REST_S = 0.5
+
+
+class Seldom(float):
+    """Seconds that steps wait for before they look again; while the bridge is at rest it may be longer."""
 
 
 class Executor(Protocol):
@@ -76,12 +84,15 @@ class Task(Generic[T]):
 class Loop:
     """Everything that touches rclpy entities runs in here, on the thread that calls `run`.
 
-    `after_turn` is called each time that the executor has done something.
+    `after_turn` is called each time that the executor has done something. `is_at_rest` says that nothing goes on, so
+    that who looks again and again may do so seldom; whoever begins something then calls `end_rest`.
     """
 
     def __init__(self) -> None:
         self.last_turn = time.monotonic()
         self.after_turn: Callable[[], None] = lambda: None
+        self.is_at_rest: Callable[[], bool] = lambda: False
+        self._resting: dict[Task[object], None] = {}
         self._executor: Executor | None = None
         self._submitted: deque[Callable[[], None]] = deque()
         self._waiting: list[tuple[float, int, Task[object]]] = []
@@ -111,9 +122,18 @@ class Loop:
 
     def resume_after(self, task: Task[T], seconds: float) -> None:
         """Let a task go on later; replaces what it asked for before."""
+        if isinstance(seconds, Seldom) and self.is_at_rest():
+            seconds += AT_REST_S - (time.monotonic() + seconds) % AT_REST_S  # all of them at once
+            self._resting[task] = None  # pyright: ignore[reportArgumentType]
         task.entry = next(self._numbers)
         # A replaced entry stays in the heap and is skipped when its time comes: its number is not the task's any more.
         heapq.heappush(self._waiting, (time.monotonic() + seconds, task.entry, task))  # pyright: ignore[reportArgumentType]
+
+    def end_rest(self) -> None:
+        """Something begins: who waits for longer because of the rest looks now. ROS thread only."""
+        resting, self._resting = self._resting, {}
+        for task in resting:
+            task.wake()
 
     def has_due(self) -> bool:
         """Whether something else waits for the ROS thread now."""

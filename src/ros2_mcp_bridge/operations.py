@@ -24,7 +24,7 @@ from .graph import Graph
 from .joint_states import JointStates
 from .lifeline import Lifeline
 from .limiter import Limiter
-from .loop import Loop, log_failure
+from .loop import Loop, Seldom, log_failure
 from .motion import Motions
 from .protocol import Empty, LatchSet, RelayStopReply, ServicesReply, StatsReply, StopReply, ZeroReply
 from .publishers import Publisher, Publishers
@@ -53,14 +53,14 @@ Operation = Callable[[Request], "Answer | Steps[Answer]"]
 
 # Often enough for entities that are destroyed after a minute without use. Chosen.
 EXPIRE_EVERY_S = 5.0
-# A loss is for good, and rare; each check reads the list of all mapped files. Chosen.
+# A loss is for good, and rare; a check reads the list of all mapped files, for 2 ms. Chosen.
 SHARED_MEMORY_CHECKED_EVERY_S = 2.0
 # For acknowledgements of what is sent last. Chosen so that it fits into the end of the process, which is enforced after
 # 1 s (GIVE_UP_AFTER_S). With 0.3 s, one of 64 topics had no zero in 2 of 3 whole runs of the tests, under load.
 ARRIVAL_S = 0.6
 ARRIVAL_POLL_S = 0.005
 # The latch is a file that others may set: how soon that ends what moves here. What is published meanwhile looks at each
-# message. Chosen: a look costs 5 µs.
+# message. Chosen: a look costs 5 µs. At rest only the server hears later of it.
 LATCH_LOOKED_AT_EVERY_S = 0.05
 # Zeros that are not acknowledged by then are sent once more, again and again. Chosen: ten times what they mostly take.
 ARRIVAL_AGAIN_S = 0.1
@@ -90,6 +90,7 @@ class Operations:
         lifeline: Lifeline,
     ) -> None:
         limiter.start = partial(loop.start, finished=log_failure)
+        loop.is_at_rest = self.is_at_rest
         self._node = node
         self._loop = loop
         self._outbox = outbox
@@ -125,6 +126,7 @@ class Operations:
             {
                 "cancel": self._cancel,
                 "topics": self._graph.topics,
+                "counted": self._graph.counted,
                 "services": self._services,
                 "nodes": self._graph.nodes,
                 "node": self._graph.node,
@@ -161,6 +163,10 @@ class Operations:
         ):
             loop.start(steps, log_failure)
 
+    def is_at_rest(self) -> bool:
+        """Whether nothing is under way, and nothing has moved the robot of late. From any thread."""
+        return not (self._requests or self._velocities.has_topics)
+
     def send_zeros(self) -> None:
         """Zeros on all driven topics, and wherever a command holds for a time. From any thread."""
         self._velocities.send_zeros()
@@ -181,6 +187,7 @@ class Operations:
             self._finish(request, None, error)
             return
         if isinstance(result, Generator):
+            self._loop.end_rest()
             self._requests[request.id] = request
             request.task = self._loop.start(result, partial(self._finish, request))
         else:
@@ -323,7 +330,7 @@ class Operations:
 
     def _expire(self) -> Steps[None]:
         while True:
-            yield EXPIRE_EVERY_S
+            yield Seldom(EXPIRE_EVERY_S)
             self._publishers.pool.expire()
             self._clients.pool.expire()
 
@@ -347,7 +354,7 @@ class Operations:
                     if acting.acceptance is None or acting.acceptance.overtaken_by():
                         acting.end("latch")
             before = seen
-            yield LATCH_LOOKED_AT_EVERY_S
+            yield Seldom(LATCH_LOOKED_AT_EVERY_S)
 
     def _tell_latch(self) -> None:
         """By whom and why it was set, once: set again while it was set, it keeps its first cause."""
@@ -360,8 +367,13 @@ class Operations:
 
     def _leave_when_shared_memory_is_lost(self) -> Steps[None]:
         """The server then starts another bridge, which receives again."""
-        while not shared_memory.is_lost(self._node.context.get_domain_id()):
-            yield SHARED_MEMORY_CHECKED_EVERY_S
+        looked_at, domain_id = None, self._node.context.get_domain_id()
+        while True:
+            changed = shared_memory.newest_change()
+            if (changed is None or changed != looked_at) and shared_memory.is_lost(domain_id):
+                break
+            looked_at = changed
+            yield Seldom(SHARED_MEMORY_CHECKED_EVERY_S)
         sys.stderr.write("Other processes have replaced the shared memory that this bridge receives through.\n")
         os.kill(os.getpid(), signal.SIGTERM)
 

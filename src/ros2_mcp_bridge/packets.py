@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections import deque
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from .limits import MAX_BODY_BYTES, MAX_HEADER_BYTES
@@ -36,10 +37,13 @@ def pack(header: Mapping[str, Any], body: bytes = b"") -> bytes:
 
 
 class PacketReader:
-    """Collects pieces of any size and yields whole packets; each byte is copied twice, however large the packet is."""
+    """Collects pieces of any size and yields whole packets; each byte is copied once, however large the packet is."""
 
     def __init__(self) -> None:
-        self._buffer = bytearray()
+        self._parts: deque[memoryview] = deque()
+        self._size = 0
+        self._lengths: tuple[int, int] | None = None
+        self._needed = _LENGTHS.size
 
     def feed(self, piece: bytes) -> Iterator[Packet]:
         """The packets that this piece completes.
@@ -47,23 +51,35 @@ class PacketReader:
         Raises:
             PacketError: if the stream carries anything but packets; nothing after that can be understood.
         """
-        self._buffer += piece
-        while len(self._buffer) >= _LENGTHS.size:
-            header_length, body_length = _LENGTHS.unpack_from(self._buffer)
-            _check_lengths(header_length, body_length)
-            body_begin = _LENGTHS.size + header_length
-            end = body_begin + body_length
-            if len(self._buffer) < end:
-                return
-            with memoryview(self._buffer) as view:
-                text, body = bytes(view[_LENGTHS.size : body_begin]), bytes(view[body_begin:end])
-            del self._buffer[:end]
-            yield Packet(_parse_header(text), body)
+        self._parts.append(memoryview(piece))
+        self._size += len(piece)
+        while self._size >= self._needed:
+            if self._lengths is None:
+                header_length, body_length = _LENGTHS.unpack(self._take(_LENGTHS.size))
+                _check_lengths(header_length, body_length)
+                self._lengths, self._needed = (header_length, body_length), header_length + body_length
+            else:
+                text, body = map(self._take, self._lengths)
+                self._lengths, self._needed = None, _LENGTHS.size
+                yield Packet(_parse_header(text), body)
 
     @property
     def is_inside_packet(self) -> bool:
         """Whether the beginning of a packet waits for its rest."""
-        return bool(self._buffer)
+        return bool(self._size or self._lengths)
+
+    def _take(self, size: int) -> bytes:
+        """The next bytes of what waits."""
+        self._size -= size
+        taken: list[memoryview] = []
+        while size:
+            part = self._parts.popleft()
+            if len(part) > size:
+                self._parts.appendleft(part[size:])
+                part = part[:size]
+            taken.append(part)
+            size -= len(part)
+        return b"".join(taken)
 
 
 def _parse_header(text: bytes) -> dict[str, Any]:

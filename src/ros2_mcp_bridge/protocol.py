@@ -222,10 +222,21 @@ class Settled(TypedDict):
     settled: bool
 
 
+NOT_COUNTED = -1
+"""In the place of a topic's numbers, where there are more topics than were to be counted."""
+
+
 class TopicsReply(Settled):
-    """Names, types, and numbers of publishers and subscribers."""
+    """Names, types, and numbers of publishers and subscribers; and the names and namespaces of all nodes."""
 
     topics: list[tuple[str, list[str], int, int]]
+    nodes: list[tuple[str, str]]
+
+
+class CountedReply(TypedDict):
+    """The numbers of publishers and subscribers of each topic, in the order in which they were asked for."""
+
+    counted: list[tuple[int, int]]
 
 
 class ServicesReply(Settled):

@@ -6,6 +6,7 @@ rclpy's; see decision 7.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rclpy.duration import Duration
@@ -82,6 +83,13 @@ def count_subscribers(node: Node, topic: str) -> int:
     """The number of its subscribers."""
     with node.handle:
         return node.handle.get_count_subscribers(topic)
+
+
+def counts(node: Node, topics: Sequence[str]) -> list[tuple[int, int]]:
+    """The numbers of publishers and subscribers of topics: to hold the node once for all of them halves the time."""
+    with node.handle:
+        publishers, subscribers = node.handle.get_count_publishers, node.handle.get_count_subscribers
+        return [(publishers(topic), subscribers(topic)) for topic in topics]
 
 
 def is_acknowledged(raw: RawPublisher) -> bool:

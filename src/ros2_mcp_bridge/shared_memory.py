@@ -8,6 +8,7 @@ was replaced; then nothing arrives any more, for good.
 from __future__ import annotations
 
 import re
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,6 +16,18 @@ from .participants import ports_of
 
 _LOCK_OF_A_PORT = re.compile(r"/dev/shm/fast\w+_port(\d+)_el")
 _MAPPED_PORT = re.compile(r"/dev/shm/fast\w+_port(\d+)( \(deleted\))?$", re.MULTILINE)
+
+_FOLDER = Path("/dev/shm")
+# Two changes within a tick of the file system's clock (4 ms) look like one. Chosen, with much room.
+_TICK_NS = 1_000_000_000
+
+
+def newest_change() -> int | None:
+    """When a file of shared memory last came or went, by the file system; None where that may change unseen."""
+    if not _FOLDER.exists():
+        return None
+    changed_ns = _FOLDER.stat().st_mtime_ns
+    return changed_ns if abs(time.time_ns() - changed_ns) > _TICK_NS else None
 
 
 def is_lost(domain_id: int) -> bool:

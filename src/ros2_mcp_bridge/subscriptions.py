@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from . import qos, rcl
 from .graph import Graph
-from .loop import Loop, Task, log_failure
+from .limits import NO_HURRY_S
+from .loop import Loop, Seldom, Task, log_failure
 from .protocol import Counts, SubscribeReply
 from .replayed import NewestOfOld
 from .request import OperationError, Request, Steps
@@ -229,4 +230,5 @@ class Subscriptions:
             is_enough = self._loop.turn_of(DRAIN_AT_MOST_S)
             drained = [subscription.drain_to(self._outbox, is_enough) for subscription in list(self._open.values())]
             period_s = min((subscription.drain_s for subscription in self._open.values()), default=0.0)
-            yield max(0.0, started + period_s - time.monotonic()) if all(drained) else 0.0
+            wait_s = max(0.0, started + period_s - time.monotonic()) if all(drained) else 0.0
+            yield Seldom(wait_s) if period_s >= NO_HURRY_S else wait_s

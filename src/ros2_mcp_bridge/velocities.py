@@ -17,6 +17,7 @@ from .clock import FIRST_S, NS_PER_S, RobotClock
 from .fields import floats_of
 from .lifeline import Guarded, Lifeline
 from .limits import MAX_FAILSAFES
+from .loop import Seldom
 from .protocol import FrameIdChanged, StoppedTopic
 from .request import OperationError, Request, Steps
 from .velocity import MOTION_TYPES, VELOCITY_TYPES
@@ -387,6 +388,11 @@ class Velocities:
         self._lifeline = lifeline
         self._topics: dict[tuple[str, str], VelocityTopic] = {}
 
+    @property
+    def has_topics(self) -> bool:
+        """Whether there is any. From any thread."""
+        return bool(self._topics)
+
     def driven(self) -> list[VelocityTopic]:
         """Those for whose end somebody answers."""
         return [topic for topic in list(self._topics.values()) if topic.is_driven]
@@ -440,7 +446,7 @@ class Velocities:
         """Steps that see which topics have come to rest, and send the zero again on those of which it is not known."""
         while True:
             waits = any(topic.waits_to_send_again for topic in list(self._topics.values()))
-            yield UNSURE_POLL_S if waits else REST_S
+            yield UNSURE_POLL_S if waits else Seldom(REST_S)
             for topic in list(self._topics.values()):
                 topic.send_again()
             self.look_for_rest()

@@ -13,6 +13,7 @@ from . import interfaces, rcl
 from .feedback import Watchdog, rules_of
 from .graph import Graph
 from .latch import Latch
+from .loop import Seldom
 from .relay import FollowedSource
 from .replayed import NewestOfOld
 from .request import OperationError, Request, Steps
@@ -123,7 +124,7 @@ class Watching:
     ) -> Steps[None]:
         """Steps that watch for ever, once the rules have come, if they ask for it."""
         while (given := rules()) is None:
-            yield REST_LOOK_S
+            yield Seldom(REST_LOOK_S)
         speed, pose = rules_of(given)
         if speed is None and pose is None:
             return

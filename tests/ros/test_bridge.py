@@ -127,6 +127,16 @@ def test_the_first_listing_is_whole(start, peer) -> None:
     assert undisturbed(listed_after) < 5
 
 
+def test_of_many_topics_only_those_are_counted_that_are_asked_for(bridge: Client, peer) -> None:
+    peer("topics", "d", "3")
+    bridge.ok("wait_endpoints", topic="/d/t2", publishers=1, timeout_s=PATIENCE_S)
+    listed = {name: tuple(counts) for name, _, *counts in bridge.ok("topics", settle_s=PATIENCE_S)["topics"]}
+    uncounted = bridge.ok("topics", count_most=len(listed) - 1)
+    assert {tuple(counts) for _, _, *counts in uncounted["topics"]} == {(-1, -1)} and uncounted["nodes"]
+    counted = bridge.ok("counted", topics=["/d/t2", "/nobody", "/d/t0"])["counted"]
+    assert [tuple(each) for each in counted] == [listed["/d/t2"], (0, 0), listed["/d/t0"]] and listed["/d/t2"] == (1, 0)
+
+
 def test_endpoints_tell_node_type_hash_and_qos(bridge: Client, peer) -> None:
     peer("listen", "/said", "BEST_EFFORT")
     found = wait_subscribers(bridge, 1)[0]

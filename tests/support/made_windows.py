@@ -16,8 +16,10 @@ from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, K, Keep, Source, Stream, in_batches
+from support.processes import SOURCES
 
 START_NS = 1_700_000_000_000_000_000
+_COSTMAPS = ("CostmapMetaData", "Costmap", "CostmapUpdate")
 NODE = Endpoint("/node", "", "", "", QoS())
 
 
@@ -29,6 +31,9 @@ def _definitions() -> Definitions:
     angles = "float64 roll\nfloat64 torque_rad\nfloat64 yaw_rad\nfloat64 yaw_deg\n"
     result.add({"odd_msgs/msg/Angles": DefinitionText("msg", angles)})
     result.add({"odd_msgs/msg/State": DefinitionText("msg", "uint8 IDLE=0\nuint8 BUSY=3\nuint8 state\nbool on\n")})
+    for package, name in (("map_msgs", "OccupancyGridUpdate"), *(("nav2_msgs", one) for one in _COSTMAPS)):
+        text = (SOURCES / "ros2_mcp_demo" / "interfaces" / package / "msg" / f"{name}.msg").read_text()
+        result.add({f"{package}/msg/{name}": DefinitionText("msg", text)})
     return result
 
 

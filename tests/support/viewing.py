@@ -51,10 +51,10 @@ def viewing(environment: dict[str, str], *options: str) -> Iterator[str]:
 SIZES = {"wide": (1440, 900), "middle": (820, 1180), "narrow": (390, 1800)}
 
 
-def pictured(page: Page, name: str) -> None:
-    """Keeps what the page looks like, where that is wanted."""
+def pictured(page: Page, name: str, of: str = "") -> None:
+    """Keeps what the page, or a part of it, looks like, where that is wanted."""
     if PICTURES:
-        page.picture(Path(PICTURES) / f"{name}.jpg")
+        page.picture(Path(PICTURES) / f"{name}.jpg", of)
 
 
 def pictured_in_all_sizes(page: Page, name: str) -> None:

@@ -115,11 +115,12 @@ PICKED = [
 
 async def test_the_page_asks_and_what_it_shows_is_told_to_the_model(bag: Path) -> None:
     async with client_of(assemble(Settings(bag=bag)), shows_pages=True) as client:
-        asked = {"panels": {"map": "", "robot": ""}, "wait_ms": 1000, "view": ""}
+        asked: dict[str, Any] = {"panels": {"map": "", "robot": ""}, "wait_ms": 1000, "view": ""}
         found: dict[str, Any] = {}
         while "map" not in found:
             update = (await client.call_tool("ros2_view_frame", {"asked": asked})).structured_content or {}
             asked["view"], found = update["view"], {**found, **update["panels"]}
+            asked["seen"] = {name: shown["number"] for name, shown in found.items()}  # else it is told again at once
         assert found["robot"]["live"] is False
         key = found["map"]["grid"]["key"]
         part = await client.call_tool("ros2_view_ask", {"asked": {"view": asked["view"], "key": key}})

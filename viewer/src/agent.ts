@@ -2,16 +2,15 @@
 
 import { Frame, clock, make, say } from "./dom.ts";
 
-type Waiting = { id: string; left_s: number; summary: string[] };
+type Waiting = { id: string; age_s: number; left_s: number; summary: string[] };
 type Job = { id: string; kind: string; for_s: number; at_most_s: number | null; doing: string };
 type Server = { name: string; answers: boolean; why?: string; mode?: string; moves: string[]; jobs?: Job[]; waiting?: Waiting[]; grants?: string[]; audit_failed?: string };
-type Act = { seq: number | null; time: string; kind: string; who: string; tool?: string; verb?: string; name?: string; type?: string; by?: string; reason?: string; outcome?: string; now?: string; rate_hz?: number; duration_s?: number; program?: string; value?: unknown };
+type Act = { seq: number | null; time: string; kind: string; who: string; tool?: string; verb?: string; name?: string; type?: string; by?: string; reason?: string; outcome?: string; now?: string; approval?: string; rate_hz?: number; duration_s?: number; program?: string; value?: unknown };
 export type AgentState = { servers?: Server[]; latch?: { by: string; reason: string; since_s: number } | null; acts?: Act[]; folder?: string; why?: string; origin?: string };
 
 const JOBS: Record<string, string> = { recording: "records", program: "runs a program", cancel_when: "watches a condition" };
-const VERBS: Record<string, string> = {
-  publish: "publishes", repeat: "publishes", move: "moves by feedback", relay: "relays", play: "plays a recording", feed: "feeds", record: "records",
-  call: "calls", set_parameters: "sets parameters of", change_state: "changes the state of", send_goal: "sends a goal to", cancel_goals: "cancels goals of",
+const VERBS: Record<string, string> = { // of policies
+  publish: "publish", relay: "relay", play: "play", record: "record", call: "call", set: "set parameters of", transition: "change the state of", goal: "send a goal to", cancel: "cancel goals of",
 };
 
 /** Of what has a word of ours; `constructor` and such are names like others. */
@@ -35,7 +34,7 @@ export class AgentPanel {
     const servers = state.servers ?? [];
     const waiting = servers.flatMap((server) => server.waiting ?? []);
     this.waits.replaceChildren(...waiting.map((one) => make(
-      "div", { class: "waits" }, make("b", {}, `Waits for a person, ${one.left_s} s left: ${one.id}. `),
+      "div", { class: "waits" }, make("div", {}, make("b", {}, `${one.id} waits for a person`), ` · asked ${one.age_s} s ago, ${one.left_s} s left`),
       ...one.summary.map((line) => make("div", {}, line)), make("small", {}, "Answer it in a terminal: ros2-mcp operate"))));
     this.jobs.replaceChildren(...servers.flatMap((server) => server.jobs ?? []).map((job) => make("li", { class: "running" },
       make("time", {}, `${shownS === null ? "" : "now, "}${job.for_s} s`), make("span", { class: "what" }, make("b", {}, word(JOBS, job.kind) ?? job.kind), make("small", {}, ` ${[job.doing, job.id].filter(Boolean).join(" · ")}`)),
@@ -66,18 +65,24 @@ function isRunning(act: Act, nowMs: number): boolean {
 }
 
 function row(act: Act, nowMs: number): HTMLElement {
-  const verb = act.kind === "act" || act.kind.startsWith("refused") || act.kind === "waits" ? word(VERBS, act.verb ?? "") ?? act.verb ?? act.tool ?? act.kind : act.kind;
+  const isAct = act.kind === "act" || act.kind.startsWith("refused") || act.kind === "waits";
+  const does = isAct ? word(VERBS, act.verb ?? "") ?? act.verb ?? act.tool ?? act.kind : act.kind;
+  const verb = act.kind === "act" ? inThird(does) : act.kind === "waits" ? `asked to ${does}` : act.kind.startsWith("refused") && act.verb ? `tried to ${does}` : does;
   const often = [act.rate_hz ? `${act.rate_hz} Hz` : "", act.duration_s ? `for ${act.duration_s} s` : ""].filter(Boolean).join(" ");
   const value = brief(act.value);
   const running = isRunning(act, nowMs);
-  const end = running ? "under way" : act.kind.startsWith("refused") ? `refused` : act.kind === "waits" ? "waits" : act.outcome ?? (act.kind === "act" && act.seq !== null ? "no outcome" : "");
-  const tone = act.kind.startsWith("refused") || ["latched", "stop"].includes(act.kind) || end.startsWith("failed") ? "bad" : act.kind === "waits" || end === "no outcome" || end.startsWith("stopped") ? "warn" : "";
+  const end = running ? "under way" : act.kind.startsWith("refused") ? `refused` : act.outcome || (act.kind === "waits" ? "waits" : act.kind === "act" && act.seq !== null ? "no outcome" : "");
+  const tone = act.kind.startsWith("refused") || ["latched", "stop"].includes(act.kind) || end.startsWith("failed") || end.startsWith("denied") ? "bad" : ["waits", "no outcome"].includes(end) || end.startsWith("stopped") ? "warn" : "";
+  const told = end === "done" && act.verb === "record" ? "begun" : end; // which goes on, among the jobs
   return make("li", { class: `${tone}${running ? " running" : ""}`.trim() || undefined, title: [act.tool, act.reason].filter(Boolean).join(": ") },
     make("time", {}, clock(act.time)),
     make("span", { class: "what" }, make("b", {}, verb), act.name ? " " : "", act.name ? make("code", {}, act.name) : "",
-      make("small", {}, ` ${[often, value, act.reason ?? "", act.by ? `by ${act.by}` : "", act.now ?? ""].filter(Boolean).join(" · ")}`)),
-    make("span", { class: "end", title: end }, end));
+      make("small", {}, ` ${[often, value, act.approval ?? "", act.reason ?? "", act.by ? `by ${act.by}` : "", act.now ?? ""].filter(Boolean).join(" · ")}`)),
+    make("span", { class: "end", title: told }, told));
 }
+
+/** "publish" → "publishes". */
+const inThird = (does: string): string => does.replace(/^[a-z]+/, (first) => `${first}${first.endsWith("sh") ? "es" : "s"}`);
 
 /** The values that are not zero, in one line. */
 function brief(value: unknown): string {

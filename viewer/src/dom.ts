@@ -22,13 +22,20 @@ export function say(at: HTMLElement, text: string): void {
   if (at.textContent !== text) at.textContent = text;
 }
 
+/** How ages are told: of a recording they count from the time that is shown. */
+export const ages = { fresh: "now", old: "ago" };
+
 export function ageText(seconds: number): string {
   if (!Number.isFinite(seconds)) return "";
-  if (seconds < 0.95) return "now";
-  if (seconds < 9.95) return `${seconds.toFixed(1)} s ago`;
-  if (seconds < 120) return `${Math.round(seconds)} s ago`;
-  if (seconds < 7200) return `${Math.round(seconds / 60)} min ago`;
-  return seconds < 172800 ? `${Math.round(seconds / 3600)} h ago` : `${Math.round(seconds / 86400)} days ago`;
+  if (seconds < 0.95) return ages.fresh;
+  return `${spanText(seconds)} ${ages.old}`;
+}
+
+function spanText(seconds: number): string {
+  if (seconds < 9.95) return `${seconds.toFixed(1)} s`;
+  if (seconds < 120) return `${Math.round(seconds)} s`;
+  if (seconds < 7200) return `${Math.round(seconds / 60)} min`;
+  return seconds < 172800 ? `${Math.round(seconds / 3600)} h` : `${Math.round(seconds / 86400)} days`;
 }
 
 export function clock(time: string | number): string {
@@ -92,11 +99,11 @@ export class Frame {
     this.choice.addEventListener("change", () => chosen?.(this.choice.value));
   }
   offer(topics: string[], current: string): void {
-    const all = current && !topics.includes(current) ? [current, ...topics] : topics;
+    const all = topics.includes(current) || !topics.length && !current ? topics : [current, ...topics];
     const text = all.join("\n");
     if (text !== this.options) {
       this.options = text;
-      this.choice.replaceChildren(...all.map((topic) => make("option", { value: topic }, topic)));
+      this.choice.replaceChildren(...all.map((topic) => make("option", { value: topic }, topic || "choose …")));
     }
     this.choice.hidden = all.length === 0;
     if (document.activeElement !== this.choice) this.choice.value = current;

@@ -72,7 +72,7 @@ export class FramesPanel {
     const age = !edge || edge.age_s === null ? "" : ageBrief(edge.age_s);
     return make("tr", { class: edge?.problem ? "bad" : undefined },
       make("th", { scope: "row" }, make("div", { class: "branch" }, ...steps, make("div", {}, label, parent, problem))),
-      make("td", { class: "by", title: edge?.publisher || undefined }, edge ? edge.publisher : "root"),
+      make("td", { class: "by", title: edge?.publisher || undefined }, ...(edge ? breakable(edge.publisher) : ["root"])),
       make("td", { class: "number" }, rate), make("td", { class: "number" }, age));
   }
 
@@ -89,4 +89,9 @@ const brief = (value: number): string => (value < 10 ? value.toFixed(1) : value.
 function ageBrief(seconds: number): string {
   if (seconds < 1) return `${Math.round(seconds * 1000)} ms`;
   return seconds < 120 ? `${seconds.toFixed(seconds < 10 ? 1 : 0)} s` : `${Math.round(seconds / 60)} min`;
+}
+
+/** A name that may be broken after each _. */
+function breakable(name: string): (Node | string)[] {
+  return name.split(/(?<=_)/).flatMap((part) => [part, make("wbr")]);
 }

@@ -2,7 +2,7 @@
 
 import { AgentPanel, type AgentState } from "./agent.ts";
 import { Refused, call, fetchPart, host, pressStop } from "./call.ts";
-import { byId, make, say } from "./dom.ts";
+import { ages, byId, make, say } from "./dom.ts";
 import { FramesPanel } from "./frames.ts";
 import type { Host } from "./host.ts";
 import { ImagePanel } from "./image.ts";
@@ -46,6 +46,7 @@ const log = new LogPanel(byId("log"));
 const frames = new FramesPanel(byId("frames"));
 const space = new SpacePanel(byId("space"), (key) => fetchPart(view, key), picks);
 const showPlace = share([["map", "Map"], ["space", "3D"]], () => undefined);
+space.onGone = (why) => { map.note = why; if (why && isSeen("space")) showPlace("map"); };
 const plot = new PlotPanel(byId("plot"), picks);
 const showNumbers = share([["values", "Values"], ["plot", "Plot"], ["frames", "Frames"]], () => undefined);
 enlargeable(["map", "space", "image", "agent", "values", "log", "plot", "frames"]);
@@ -72,6 +73,7 @@ function show(name: string, content: never): void {
 
 function showRobot(state: Robot): void {
   robot = state;
+  if (state.live === false) [ages.fresh, ages.old] = ["then", "before"];
   say(byId("title"), state.title ?? "");
   document.title = `${state.title ?? ""} · ros2-mcp`;
   plot.offer(state.topics ?? []);
@@ -104,7 +106,7 @@ function showTime(begin: number, end: number): void {
   setInterval(() => {
     if (playing) { const now = performance.now(); seek((atS ?? begin) - begin + ((now - playing) / 1000) * speed); playing = atS !== null && atS >= end ? 0 : now; }
     const shown = atS ?? end;
-    say(told, `${(shown - begin).toFixed(1)} s of ${(end - begin).toFixed(1)} s · ${new Date(shown * 1000).toTimeString().slice(0, 8)}`);
+    say(told, `${(shown - begin).toFixed(1)} s of ${(end - begin).toFixed(1)} s · ${new Date(shown * 1000).toLocaleString("sv")}`);
     say(play, playing ? "❚❚" : "▶");
   }, 50);
   timeBar = { range, told, play };
@@ -121,10 +123,12 @@ function tell(): void {
   say(state, why || (robot.live === false ? `recording · ${robot.source ?? ""}` : "live"));
   state.classList.toggle("bad", !!why);
   const servers = latest.servers ?? [], moved = [...new Set(servers.flatMap((server) => server.moves ?? []))];
-  const isLatched = !!latest.latch;
-  say(moves, lost ? "" : (robot.live === false ? "now: " : "") + (isLatched ? `LATCHED by ${latest.latch?.by}: ${latest.latch?.reason}` : moved.length ? `moves ${moved.join(", ")}` : servers.length ? "moves nothing now" : "nobody acts here"));
+  const isLatched = !!latest.latch, waiting = servers.reduce((sum, server) => sum + (server.waiting?.length ?? 0), 0);
+  const asked = waiting ? `${waiting} WAIT${waiting === 1 ? "S" : ""} for a person · ` : "";
+  say(moves, lost ? "" : (robot.live === false ? "now: " : "") + asked + (isLatched ? `LATCHED by ${latest.latch?.by}: ${latest.latch?.reason}` : moved.length ? `moves ${moved.join(", ")}` : servers.length ? "moves nothing now" : "nobody acts here"));
   moves.classList.toggle("latched", isLatched);
-  moves.classList.toggle("still", !isLatched && moved.length === 0);
+  moves.classList.toggle("asked", waiting > 0);
+  moves.classList.toggle("still", !isLatched && moved.length === 0 && !waiting);
   const at = nowS();
   map.tick(at, !!lost);
   image.tick(at, !!lost);

@@ -36,6 +36,8 @@ export class MapPanel {
   private pointer: [number, number] | null = null;
 
   private nowS = 0;
+  /** What the page has to say below it. */
+  note = "";
 
   constructor(private readonly section: HTMLElement, private readonly askPart: (key: string) => Promise<Uint8Array<ArrayBuffer>>, private readonly picks: Picks) {
     this.frame = new Frame(section, "Map", true, (topic) => { this.chosen = topic; this.fitted = true; });
@@ -82,7 +84,7 @@ export class MapPanel {
     if (this.trail.length > MOST_TRAIL) this.trail = this.trail.filter((_, index) => index % 2 === 0);
     this.frame.offer(around.grids ?? [], this.chosen || around.grid?.name || "");
     this.frame.tell(around.why ?? "");
-    this.frame.tellLines(around.missing ?? []);
+    this.frame.tellLines([...(this.note ? [this.note] : []), ...(around.missing ?? [])]);
     if (around.grid) void this.fetchCells(around.grid.key);
     this.sheet.canvas.setAttribute("aria-label", this.inWords());
     this.draw();

@@ -32,6 +32,7 @@ export class PlotPanel {
   private columns: Column[] = [];
   private next = 0; // the number of the row that has not been taken yet
   private spanS = 30;
+  private bare = new Set<string>(); // the curves whose scale has no axis here
   private still: [number, number] | null = null; // the time that a person has chosen to look at
   private plot: uPlot | null = null;
   private nowS = 0;
@@ -43,7 +44,7 @@ export class PlotPanel {
     this.frame.body.append(make("div", { class: "plot" }, this.fields, this.sheet));
     new ResizeObserver(() => {
       const { clientWidth: width, clientHeight: height } = this.sheet;
-      if (width > 40 && height > 40) { if (this.plot) this.plot.setSize({ width, height }); else this.build(); }
+      if (width > 40 && height > 40) { if (this.plot && axesIn(width) === axesIn(this.plot.width)) this.plot.setSize({ width, height }); else this.build(); }
     }).observe(this.sheet);
     this.sheet.addEventListener("keydown", (event) => this.press(event));
     let began = 0;
@@ -157,11 +158,17 @@ export class PlotPanel {
     const { clientWidth: width, clientHeight: height } = this.sheet, fields = this.told.fields ?? [];
     if (width <= 40 || height <= 40 || !this.drawn.length) return;
     const curves = this.drawn.map((name) => ({ name, unit: fields.find((field) => field.name === name)?.unit ?? "" }));
-    const units = [...new Set(curves.map((curve) => curve.unit))]; // each has a scale of its own, the first two an axis
+    const units = [...new Set(curves.map((curve) => curve.unit))]; // each has a scale of its own, and an axis where there is room
+    const axes = units.slice(0, axesIn(width));
+    this.bare = new Set(curves.filter(({ unit }) => !axes.includes(unit)).map(({ name }) => name));
     const scaleOf = (unit: string): string => `u${units.indexOf(unit)}`;
     const ink = { stroke: colour("soft"), font: "11px system-ui, sans-serif", ticks: { show: false }, grid: { stroke: colour("line"), width: 1 } };
+    const inkOf = (unit: string): string => { // that of its curve, if it has one
+      const [first, ...others] = curves.filter((curve) => curve.unit === unit);
+      return units.length > 1 && first && !others.length ? this.tint(first.name) : ink.stroke;
+    };
     const yAxis = (unit: string, index: number): uPlot.Axis => ({
-      ...ink, space: 42, scale: `u${index}`, side: index ? 1 : 3, size: 54, label: unit || undefined, labelSize: unit ? 16 : 0, labelFont: ink.font, labelGap: 0,
+      ...ink, stroke: inkOf(unit), space: 42, scale: `u${index}`, side: index ? 1 : 3, size: 54, label: unit || undefined, labelSize: unit ? 16 : 0, labelFont: ink.font, labelGap: 0,
       grid: index ? { show: false } : ink.grid, values: (_, ticks) => ticks.map(short),
     });
     const range: uPlot.Range.Function = (_, low, high) => {
@@ -173,7 +180,7 @@ export class PlotPanel {
       width, height, legend: { show: false }, padding: [10, units.length > 1 ? 4 : 14, 0, 0], pxAlign: 0,
       cursor: { drag: { x: true, y: false, setScale: false }, points: { size: 6 }, y: false },
       scales: { x: { time: false, range: () => this.range() }, ...Object.fromEntries(units.map((_, index) => [`u${index}`, { range }])) },
-      axes: [{ ...ink, size: 26, space: 76, splits: (plot, _, low, high, step) => this.marks(plot, low, high, step), values: (_, ticks) => ticks.map((at) => this.timeText(at)) }, ...units.slice(0, 2).map(yAxis)],
+      axes: [{ ...ink, size: 26, space: 76, splits: (plot, _, low, high, step) => this.marks(plot, low, high, step), values: (_, ticks) => ticks.map((at) => this.timeText(at)) }, ...axes.map(yAxis)],
       series: [{}, ...curves.map((curve) => ({ label: curve.name, scale: scaleOf(curve.unit), stroke: this.tint(curve.name), width: 1.75, points: { show: false } }))],
       hooks: {
         setSelect: [(plot) => {
@@ -263,7 +270,7 @@ export class PlotPanel {
       let value: number | null | undefined = at === null ? undefined : column[at];
       for (let row = column.length - 1; at === null && row >= Math.max(0, column.length - 40) && (value === undefined || value === null); row--) value = column[row];
       const chip = this.chips.get(field.name)?.lastElementChild;
-      if (chip) say(chip as HTMLElement, typeof value === "number" ? `${short(value)}${field.unit ? ` ${field.unit}` : ""}` : "–");
+      if (chip) say(chip as HTMLElement, typeof value === "number" ? `${short(value)}${field.unit ? ` ${field.unit}` : ""}${this.bare.has(field.name) ? " (no axis)" : ""}` : "–");
     });
   }
 
@@ -321,6 +328,9 @@ function briefName(name: string, among: string[]): string {
   }
   return name;
 }
+
+/** How many axes a plot of that width has room for. */
+const axesIn = (width: number): number => (width > 700 ? 4 : width > 480 ? 3 : 2);
 
 function short(value: number): string {
   if (value === 0) return "0";

@@ -22,6 +22,8 @@ const REACH_FROM_MIDDLE_PX = 80;
 const NO_WEBGL = "This browser gives no WebGL, without which nothing can be drawn in 3D here. The map and all the others go on.";
 
 const LOST = "The graphics of this machine have dropped the picture in 3D. It comes back as soon as they give it again, or when the page is loaded anew.";
+const GONE = "3D is off: the graphics of this machine have dropped its picture and not given it back. The map shows the same from above; loading the page anew may bring 3D back.";
+const GONE_MS = 8000; // a driver that begins anew takes a second or two
 
 export class SpacePanel {
   chosen = "";
@@ -42,13 +44,16 @@ export class SpacePanel {
   private readonly meshes = new Map<string, BufferGeometry>();
   private busy = false;
   private isLost = false;
+  private goneTimer = 0;
+  /** Is told when 3D ends while it is shown, and with an empty text when it comes back. */
+  onGone: (why: string) => void = () => undefined;
 
   constructor(private readonly section: HTMLElement, private readonly askChunk: (key: string) => Promise<Uint8Array<ArrayBuffer>>, private readonly picks: Picks) {
     this.frame = new Frame(section, "3D", true, (topic) => { this.chosen = topic; });
     this.frame.choice.setAttribute("aria-label", "Cloud");
     this.frame.body.append(this.canvas, this.names);
     for (const [event, isLost] of [["webglcontextlost", true], ["webglcontextrestored", false]] as const) {
-      this.canvas.addEventListener(event, () => { this.isLost = isLost; this.tellWhy(); if (isLost) this.stage?.drop(); else this.stage?.dirty(); });
+      this.canvas.addEventListener(event, () => this.lose(isLost));
     }
     this.canvas.addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
@@ -98,6 +103,27 @@ export class SpacePanel {
     if (isOther) this.mark();
     this.tellWords();
     stage.dirty();
+  }
+
+  /** The graphics have dropped the picture, or given it back. */
+  private lose(isLost: boolean): void {
+    this.isLost = isLost;
+    clearTimeout(this.goneTimer);
+    this.turn(true);
+    this.tellWhy();
+    if (!isLost) { requestAnimationFrame(() => this.repaint()); return; } // after three, which begins with a black ground
+    this.stage?.drop();
+    this.goneTimer = window.setTimeout(() => this.turn(false), GONE_MS);
+  }
+
+  /** On, or off: then the page is what it is without WebGL. */
+  private turn(on: boolean): void {
+    if (!on && document.hidden) { this.goneTimer = window.setTimeout(() => this.turn(false), GONE_MS); return; } // nobody looks, so nothing is given
+    if (on === this.works) return;
+    [this.works, this.canvas.hidden, this.names.hidden] = [on, !on, !on];
+    this.frame.tell(on ? "" : GONE);
+    if (!on) this.frame.tellFoot([]);
+    this.onGone(on ? "" : GONE);
   }
 
   /** Why nothing is seen, if that is so. */

@@ -5,7 +5,9 @@ import { byId, make } from "./dom.ts";
 /** Gives each of these panels the names of all in place of its title; returns what shows one of them. */
 export function share(panels: [id: string, title: string][], shown: () => void): (id: string) => void {
   const show = (id: string): void => {
+    const isLarge = panels.some(([other]) => byId(other).classList.contains("large"));
     for (const [other] of panels) byId(other).hidden = other !== id;
+    if (isLarge) enlarge(id);
     shown();
   };
   for (const [id, title] of panels) {
@@ -25,9 +27,7 @@ export function share(panels: [id: string, title: string][], shown: () => void):
     heading?.replaceWith(make("h2", { class: "unseen" }, title), tabs);
   }
   const go = (id: string): void => {
-    const isLarge = panels.some(([other]) => byId(other).classList.contains("large"));
     show(id);
-    if (isLarge) enlarge(id);
     byId(id).querySelector<HTMLElement>("[aria-selected=true]")?.focus();
   };
   show(panels[0]?.[0] ?? "");

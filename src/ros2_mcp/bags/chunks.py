@@ -61,7 +61,7 @@ class ChunkPlace:
     channels: frozenset[int] = field(default_factory=frozenset[int])
 
 
-def records_in(data: bytes, start: int = 0, end: int | None = None) -> Iterator[tuple[int, int, int]]:
+def records_in(data: bytes | memoryview, start: int = 0, end: int | None = None) -> Iterator[tuple[int, int, int]]:
     """Kind, begin and end of each record's content.
 
     Raises:
@@ -85,22 +85,22 @@ def head(data: bytes) -> tuple[int, int]:
     return kind, length
 
 
-def message(data: bytes, start: int, end: int) -> tuple[int, Sample]:
+def message(data: bytes | memoryview, start: int, end: int) -> tuple[int, Sample]:
     """Channel and content of the message at that place; its log time is the time of receipt."""
+    number, sequence, log_ns, publish_ns = _MESSAGE_HEAD.unpack_from(data, start)
+    return number, Sample(log_ns, publish_ns, sequence or None, bytes(data[start + MESSAGE_HEAD_BYTES : end]))
+
+
+def message_key(data: bytes | memoryview, start: int, end: int) -> tuple[int, int]:
+    """Channel and time of the message at that place, without its bytes."""
     if end - start < MESSAGE_HEAD_BYTES:
         raise Damaged("a message is too short")
-    number, sequence, log_ns, publish_ns = _MESSAGE_HEAD.unpack_from(data, start)
-    return number, Sample(log_ns, publish_ns, sequence or None, data[start + MESSAGE_HEAD_BYTES : end])
-
-
-def message_key(data: bytes, start: int) -> tuple[int, int]:
-    """Channel and time of the message at that place, without its bytes."""
     channel, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(data, start)
     return channel, log_ns
 
 
-def unpacked(content: bytes) -> bytes:
-    """The records inside a chunk, checked against its checksum where it has one.
+def unpacked(content: bytes | memoryview) -> bytes | memoryview:
+    """The records inside a chunk, checked against its checksum where it has one; not copied if not compressed.
 
     Raises:
         Damaged: if they are not what was written.
@@ -109,7 +109,7 @@ def unpacked(content: bytes) -> bytes:
         raise Damaged("a chunk is too short")
     _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(content)
     place = _CHUNK_HEAD.size + name_length
-    compression = content[_CHUNK_HEAD.size : place]
+    compression = bytes(content[_CHUNK_HEAD.size : place])
     if len(content) < place + 8 or int.from_bytes(content[place : place + 8], "little") != len(content) - place - 8:
         raise Damaged("a chunk's length is wrong")
     inside = _decompressed(compression, content[place + 8 :], size)
@@ -118,7 +118,7 @@ def unpacked(content: bytes) -> bytes:
     return inside
 
 
-def _decompressed(compression: bytes, data: bytes, size: int) -> bytes:
+def _decompressed(compression: bytes, data: bytes | memoryview, size: int) -> bytes | memoryview:
     if not compression:
         return data
     if size > _most_of(data):
@@ -137,7 +137,7 @@ def _decompressed(compression: bytes, data: bytes, size: int) -> bytes:
     return inside
 
 
-def unzstd(data: bytes, size: int | None = None) -> bytes:
+def unzstd(data: bytes | memoryview, size: int | None = None) -> bytes:
     """What was compressed, of `size` bytes if that is known; memory is taken only for a size that can be right.
 
     Raises:
@@ -152,7 +152,7 @@ def unzstd(data: bytes, size: int | None = None) -> bytes:
         raise _not_decompressed(error) from error
 
 
-def _most_of(data: bytes) -> int:
+def _most_of(data: bytes | memoryview) -> int:
     """Bytes that can come of compressed ones: a block of 128 KiB needs at least four (zstd; more with lz4)."""
     return min(MAX_CHUNK, len(data) << 15)
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import heapq
 import os
 import weakref
-from collections.abc import Iterator, Mapping
+from bisect import bisect_left
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from time import monotonic
 from typing import TypeAlias
@@ -20,8 +21,8 @@ from ros2_mcp.model.errors import BadData
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 
-_Key: TypeAlias = tuple[int, int, int, int]
-_Item: TypeAlias = "tuple[_Key, ChunkPlace, str, Sample | None]"
+_Item: TypeAlias = "tuple[int, int, int, int, Sample]"
+"""A message that was read: its time, where its chunk is and its number in it (all for sorting), its channel, itself."""
 
 
 class McapFile:
@@ -49,6 +50,7 @@ class McapFile:
         self._holes: dict[int, Hole] = {}  # by the place of the chunk
         self._read: set[int] = set()  # the places of chunks that have been read once, and what is wrong with them noted
         self._places = [*self._index.chunks, *self._index.loose]
+        self._sorted: dict[bool, Sequence[ChunkPlace]] = {}  # by whether the newest come first
         first_ns = min((place.start_ns for place in self._places), default=0)
         last_ns = max((place.end_ns for place in self._places), default=0)
         self.times: tuple[int, int] | None = (first_ns, last_ns) if self._places else None
@@ -76,30 +78,27 @@ class McapFile:
     def messages(self, span: Span, newest_first: bool = False) -> Iterator[tuple[str, Sample]]:
         """Topic and message in the order of time; only the chunks that are needed are read, a few at a time.
 
-        Chunks may overlap in time. So a heap holds both chunks that are not read yet, at the earliest time that they
-        can have a message of, and the messages of those that are: what comes out of it first is next.
+        Chunks may overlap in time. So messages that have been read wait until no chunk that follows can have an earlier
+        one (with `newest_first`, a later one).
         """
-        channels_of_span = frozenset(
-            number
-            for number, channel in self._index.channels.items()
-            if span.topics is None or channel.topic in span.topics
-        )
+        wanted = self._wanted(span.topics)
         sign = -1 if newest_first else 1
-        heap: list[_Item] = []
-        for place in self._places:
+        waiting: list[_Item] = []
+        for place in self._in_order(newest_first):
             is_in_time = place.end_ns >= span.start_ns and place.start_ns < span.end_ns
-            if is_in_time and (not place.channels or place.channels & channels_of_span):
-                first_ns = place.end_ns if newest_first else place.start_ns
-                heap.append(((sign * first_ns, 0, place.offset, 0), place, "", None))
-        heapq.heapify(heap)
-        while heap:
-            _, place, topic, sample = heapq.heappop(heap)
-            if sample is not None:
-                yield topic, sample
+            if not is_in_time or (place.channels and place.channels.isdisjoint(wanted)):
                 continue
-            for number, (topic, sample) in enumerate(self._messages_at(place, span)):
-                key = (sign * sample.received_ns, 1, sign * place.offset, sign * number)
-                heapq.heappush(heap, (key, place, topic, sample))
+            first = sign * (place.end_ns if newest_first else place.start_ns)
+            if waiting and waiting[0][0] < first:
+                ready = bisect_left(waiting, first, key=itemgetter(0))
+                yield from [(wanted[item[3]], item[4]) for item in waiting[:ready]]
+                del waiting[:ready]
+            waiting += [
+                (sign * sample.received_ns, sign * place.offset, sign * number, channel, sample)
+                for number, (channel, sample) in enumerate(self._messages_at(place, span, wanted))
+            ]
+            waiting.sort()  # no two have the same place and number, so samples are never compared
+        yield from [(wanted[item[3]], item[4]) for item in waiting]
 
     def check(self, until_s: float) -> bool:
         """Reads what has not been read yet, to find damage, until that steady time; whether all has been read."""
@@ -107,7 +106,7 @@ class McapFile:
             if place.offset not in self._read:
                 if monotonic() >= until_s:
                     return False
-                self._messages_at(place, Span(()))
+                self._messages_at(place, Span(()), {})
         return True
 
     def close(self) -> None:
@@ -136,30 +135,36 @@ class McapFile:
             )
         return found
 
-    def _messages_at(self, place: ChunkPlace, span: Span) -> list[tuple[str, Sample]]:
-        """The messages of a chunk that are asked for, in the order they were written; none if it is damaged."""
+    def _wanted(self, topics: Collection[str] | None) -> dict[int, str]:
+        """The channels with messages of these topics (None: all), and the topic of each."""
+        return {
+            number: channel.topic
+            for number, channel in self._index.channels.items()
+            if (topics is None or channel.topic in topics)
+            and (topic := self.topics.get(channel.topic))
+            and _has_type(topic, self._index.schemas.get(channel.schema_id, UNKNOWN))
+        }
+
+    def _in_order(self, newest_first: bool) -> Sequence[ChunkPlace]:
+        """The chunks by the earliest time that they can have a message of, or the latest ones first; sorted once."""
+        if newest_first not in self._sorted:
+            self._sorted[newest_first] = sorted(self._places, key=_by_end if newest_first else _by_start)
+        return self._sorted[newest_first]
+
+    def _messages_at(self, place: ChunkPlace, span: Span, wanted: dict[int, str]) -> list[tuple[int, Sample]]:
+        """Channel and message of those of a chunk that are wanted, in the order they were written; none if damaged."""
         self._read.add(place.offset)
         try:
-            records = self._records_at(place)
+            return self._records_at(place, span, wanted)
         except Damaged as damage:
             topics = {channel.topic for number, channel in self._index.channels.items() if number in place.channels}
             hole = Hole(place.start_ns, place.end_ns, frozenset(topics) or None)
             self._holes[place.offset] = hole
             self._note(f"Damage at byte {place.offset}: {damage}; {hole.words}.")
             return []
-        found: list[tuple[str, Sample]] = []
-        for number, sample in records:
-            channel = self._index.channels.get(number)
-            if channel is None:
-                self._note(f"Messages of channel {number} are lost: the record that names its topic is damaged.")
-            elif span.wants(channel.topic, sample.received_ns):
-                topic = self.topics.get(channel.topic)
-                if topic and _has_type(topic, self._index.schemas.get(channel.schema_id, UNKNOWN)):
-                    found.append((channel.topic, sample))
-        return found
 
-    def _records_at(self, place: ChunkPlace) -> list[tuple[int, Sample]]:
-        """Channel and message of each message record at that place; raises `Damaged`."""
+    def _records_at(self, place: ChunkPlace, span: Span, wanted: dict[int, str]) -> list[tuple[int, Sample]]:
+        """As `_messages_at`; raises `Damaged`. Channels that it finds in the chunk are taken in, in `wanted` too."""
         self._file.seek(place.offset)
         data = self._file.read(place.length)
         if len(data) < HEAD or len(data) != place.length:
@@ -167,14 +172,25 @@ class McapFile:
         kind, length = chunks.head(data)
         if kind not in (Opcode.CHUNK, Opcode.MESSAGE) or length != place.length - HEAD:
             raise Damaged("a chunk's head is wrong")
-        message_kind = Opcode.MESSAGE  # looked up once: the loop below runs for every message
-        if kind == message_kind:
-            return [chunks.message(data, HEAD, len(data))]
-        inside = chunks.unpacked(data[HEAD:])
-        found = [chunks.message(inside, a, b) for kind, a, b in chunks.records_in(inside) if kind == message_kind]
-        if any(channel not in self._index.channels for channel, _ in found):
-            learn_channels(self._index, inside)
-        return found
+        message_kind = Opcode.MESSAGE  # looked up once: the loops below run for every message
+        inside: bytes | memoryview = memoryview(data)
+        places = [(HEAD, len(data))]
+        if kind != message_kind:
+            inside = chunks.unpacked(inside[HEAD:])
+            places = [(start, end) for kind, start, end in chunks.records_in(inside) if kind == message_kind]
+        keys = [chunks.message_key(inside, start, end) for start, end in places]
+        known = self._index.channels
+        if unknown := {channel for channel, _ in keys} - known.keys():
+            if kind != message_kind:
+                learn_channels(self._index, inside)
+                wanted.update(self._wanted(span.topics))
+            for channel in sorted(unknown - known.keys()):
+                self._note(f"Messages of channel {channel} are lost: the record that names its topic is damaged.")
+        return [
+            chunks.message(inside, start, end)
+            for (channel, at_ns), (start, end) in zip(keys, places, strict=True)
+            if channel in wanted and span.start_ns <= at_ns < span.end_ns
+        ]
 
     def _note(self, problem: str) -> None:
         text = f"{self.path.name}: {problem}"
@@ -184,6 +200,14 @@ class McapFile:
 
 def _version(facts: os.stat_result) -> tuple[int, int, int]:
     return facts.st_ino, facts.st_size, facts.st_mtime_ns
+
+
+def _by_start(place: ChunkPlace) -> tuple[int, int]:
+    return place.start_ns, place.offset
+
+
+def _by_end(place: ChunkPlace) -> tuple[int, int]:
+    return -place.end_ns, place.offset
 
 
 def _has_type(topic: StoredTopic, schema: Schema) -> bool:

@@ -108,11 +108,11 @@ def _learn(index: Index, kind: int, content: bytes) -> None:
         index.channels[channel.id] = channel
 
 
-def learn_channels(index: Index, inside: bytes) -> None:
+def learn_channels(index: Index, inside: bytes | memoryview) -> None:
     """Takes in the schemas and channels among a chunk's records."""
     for kind, start, end in chunks.records_in(inside):
         if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
-            _learn(index, kind, inside[start:end])
+            _learn(index, kind, bytes(inside[start:end]))
 
 
 class _Cut(Damaged):
@@ -160,7 +160,7 @@ class _Search:
             inside = chunks.unpacked(_at(self._file, place + HEAD, length))
             records = chunks.records_in(inside)
             keys = [
-                chunks.message_key(inside, begin)
+                chunks.message_key(inside, begin, end)
                 for kind, begin, end in records
                 if kind == Opcode.MESSAGE and end - begin >= MESSAGE_HEAD_BYTES
             ]
@@ -170,7 +170,7 @@ class _Search:
             if length < MESSAGE_HEAD_BYTES or self.index.chunks:
                 is_short = length < MESSAGE_HEAD_BYTES
                 raise Damaged("a message is too short" if is_short else "a message is outside of the chunks")
-            key = chunks.message_key(_at(self._file, place + HEAD, MESSAGE_HEAD_BYTES), 0)
+            key = chunks.message_key(_at(self._file, place + HEAD, MESSAGE_HEAD_BYTES), 0, MESSAGE_HEAD_BYTES)
             self._take_messages(self.index.loose, place, length, [key])
         elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
             _learn(self.index, kind, _at(self._file, place + HEAD, length))

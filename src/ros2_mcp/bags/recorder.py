@@ -21,8 +21,11 @@ from ros2_mcp.model.samples import Sample
 
 FLUSH_S = 0.3
 """At most this much is lost when the process is killed; shorter would make many small chunks."""
-QUEUE_BYTES = 64_000_000
-"""Two seconds of a camera at 30 MB/s: what a disk may stall for before messages are dropped."""
+QUEUE_BYTES = 128_000_000
+"""Four seconds of a camera at 30 MB/s: what a disk may stall for before messages are dropped. Raw pictures at full HD
+come in bursts of ten (62 MB) where the middleware has repaired a loss."""
+_WAKE_BYTES = 4_000_000
+"""So much is written at once: a camera at full HD fills the queue in less than `FLUSH_S`."""
 FREE_FLOOR_BYTES = 500_000_000
 """Left free, because a robot whose disk is full loses its logs and often its software too."""
 
@@ -53,7 +56,7 @@ class Recorder:
         self.elapsed_s = 0.0
         self._folder = folder
         self._limits = limits or Limits()
-        self._waiting: deque[tuple[str, Sequence[Sample]]] = deque()
+        self._waiting: deque[tuple[str, Sample]] = deque()
         self._waiting_bytes = 0
         self._topics: deque[tuple[StoredTopic, str]] = deque()
         self._news = threading.Condition()
@@ -75,18 +78,18 @@ class Recorder:
             self._topics.append((topic, type_hash))
 
     def put(self, topic_name: str, samples: Sequence[Sample]) -> None:
-        """Hands over samples; they are dropped and counted where the disk has fallen behind."""
-        if not samples:
-            return
-        size = sum(len(sample.data) for sample in samples)
+        """Hands over samples; those that have no room are dropped and counted: the disk has fallen behind."""
         with self._news:
             if self.ended:
                 return
-            if self._waiting_bytes + size > QUEUE_BYTES:
-                self.dropped[topic_name] = self.dropped.get(topic_name, 0) + len(samples)
-                return
-            self._waiting.append((topic_name, samples))
-            self._waiting_bytes += size
+            for sample in samples:
+                if self._waiting_bytes + len(sample.data) > QUEUE_BYTES:
+                    self.dropped[topic_name] = self.dropped.get(topic_name, 0) + 1
+                    continue
+                self._waiting.append((topic_name, sample))
+                self._waiting_bytes += len(sample.data)
+            if self._waiting_bytes >= _WAKE_BYTES:
+                self._news.notify()
 
     def stop(self, reason: str = "stopped") -> None:
         """Writes what waits, closes the files and waits for that."""
@@ -117,11 +120,10 @@ class Recorder:
                 self.ended = reason
 
     def _write_until_the_end(self) -> str:
-        """Writes every `FLUSH_S` what waits, until there is a reason to end; returns that."""
+        """Writes what waits, every `FLUSH_S` or as soon as it is much, until there is a reason to end; returns that."""
         while True:
             with self._news:
-                if not self._stop:
-                    self._news.wait(FLUSH_S)
+                self._news.wait_for(lambda: self._stop or self._waiting_bytes >= _WAKE_BYTES, FLUSH_S)
                 stop = self._stop
             self.elapsed_s = monotonic() - self._started
             reason = stop or self._limit_reached()
@@ -135,16 +137,15 @@ class Recorder:
 
     def _write_waiting(self) -> None:
         with self._news:
-            batches, self._waiting = self._waiting, deque()
+            waiting, self._waiting = self._waiting, deque()
             self._waiting_bytes = 0
             topics, self._topics = self._topics, deque()
         for topic, type_hash in topics:
             self.sink.add_topic(topic, type_hash)
-        for topic_name, samples in batches:
-            for sample in samples:
-                if self._is_full():
-                    return  # what comes after the limit is not part of it
-                self.sink.write(topic_name, sample)
+        for topic_name, sample in waiting:
+            if self._is_full():
+                return  # what comes after the limit is not part of it
+            self.sink.write(topic_name, sample)
 
     def _is_full(self) -> bool:
         return bool(self._limits.max_bytes) and self.sink.size >= self._limits.max_bytes

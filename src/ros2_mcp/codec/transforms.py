@@ -148,6 +148,10 @@ class FrameTree:
         """The publishers that were heard on one of both topics, and the frames that each has told."""
         return self._writers[is_static].frames
 
+    def publishers(self, *, is_static: bool) -> int:
+        """How many publishers were heard on one of both topics."""
+        return self._writers[is_static].count
+
     def heard_ns(self, *, is_static: bool) -> Mapping[int, tuple[int, int]]:
         """When these publishers were heard first and last, in ns."""
         return self._writers[is_static].heard_ns

@@ -14,7 +14,7 @@ ROBOTS: Mapping[str, Sequence[str]] = {
 `ros2_mcp_demo.robots` has the same names. A robot runs without what cannot be built, and says what it leaves out.
 """
 LATER: Mapping[str, Sequence[str]] = {
-    "rover": ("nav2_msgs",),
+    "rover": ("nav2_msgs", "map_msgs"),  # the latter for what changes in costmaps of other robots
     "arm": ("control_msgs",),
     "drone": ("geographic_msgs", "mavros_msgs"),
 }

@@ -14,6 +14,7 @@ from ros2_mcp.commands.endings import when_told_to_end
 from ros2_mcp.guard.entrance import Entrance, check_tls, entrance_of
 from ros2_mcp.model.text import LAYOUT, visible
 from ros2_mcp.settings import Settings
+from ros2_mcp_bridge.allocation import keep_freed_memory
 
 if TYPE_CHECKING:
     from ros2_mcp.fleet import Member
@@ -65,6 +66,7 @@ def serve(settings: Settings) -> int:
         _say(_TO_A_PERSON)
     entrance = entrance_of(settings) if settings.is_http else None
     check_tls(settings)
+    keep_freed_memory()
     gc.disable()  # looking for garbage among what is imported, where there is none, is a fifth of the start
     wire = claim_wire() if settings.is_stdio else None
     asyncio.run(_serve(launch(settings), settings, wire, entrance))

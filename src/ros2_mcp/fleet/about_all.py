@@ -24,7 +24,7 @@ _CONNECT_S = 2.5
 """How long `ros2_robots` waits: a bridge over ssh says hello within 2 s at a round trip of 0.1 s (measured)."""
 _NEVER_REACHED = "This server has never reached it: it has nothing in motion there."
 _SILENT_S = 1.0
-"""As long as four pings: who was not heard of for so long is silent, and may be so for long. Chosen."""
+"""Longer than between two pings: who was not heard of for so long is silent, and may be so for long. Chosen."""
 _LOOK_S = 0.05
 """Between two looks at who is silent."""
 _going_on: set[asyncio.Task[StoppedRobot]] = set()

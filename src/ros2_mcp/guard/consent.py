@@ -70,8 +70,11 @@ class Auditing:
     def refused(self, act: Act, error: Exception) -> None:
         """It does not happen, and why not, or waits for a person."""
         exact = exact_of(act, self._policy, self._epoch())
-        kind = "waits" if isinstance(error, ApprovalNeeded) else "refused part" if act.is_part else "refused"
-        self.log.note(kind, **exact.line(rule=act.decision.rule, reason=f"{type(error).__name__}: {error}"))
+        line = exact.line(rule=act.decision.rule, reason=f"{type(error).__name__}: {error}")
+        if isinstance(error, ApprovalNeeded):
+            self.log.note("waits", approval=error.request_id, **line)
+        else:
+            self.log.note("refused part" if act.is_part else "refused", **line)
 
     async def before(self, act: Act) -> None:
         """It is about to happen. Raises `Refused` where it cannot be written and must be; what stops does not wait."""

@@ -7,13 +7,14 @@ import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, cast
+from weakref import WeakSet
 
 from ros2_mcp.link.carrier import Carrier
 from ros2_mcp.link.clock import RobotClock
-from ros2_mcp.link.heartbeat import Heartbeat
+from ros2_mcp.link.heartbeat import PING_S, Heartbeat
 from ros2_mcp.link.outflow import Outflow
 from ros2_mcp.model.errors import BadInput, BridgeLost, BridgeRefused, LinkError, TimedOut
-from ros2_mcp_bridge.limits import WINDOW_BYTES
+from ros2_mcp_bridge.limits import NO_HURRY_S, WINDOW_BYTES
 from ros2_mcp_bridge.packets import Packet, PacketError, PacketReader, pack
 from ros2_mcp_bridge.pieces import Lanes
 from ros2_mcp_bridge.protocol import (
@@ -109,11 +110,12 @@ class Connection:
         self._lanes = Lanes()
         self._window_bytes = WINDOW_BYTES if carrier.is_remote else 0
         self._outflow = Outflow(carrier.write, self._window_bytes)
-        self._heartbeat = Heartbeat(carrier, self._ping)
+        self._heartbeat = Heartbeat(carrier, self._ping, self._is_at_rest)
         self._heard_s = 0.0  # by the bridge's own steady clock
         self._numbers = itertools.count(1)
         self._open: dict[int, _Open] = {}
         self._subscriptions: dict[int, Receiver] = {}
+        self._hurried: WeakSet[Receiver] = WeakSet()
         self._writing = asyncio.Lock()
 
     # ── its life ───────────────────────────────────────────────────────────────────────────────────────────────
@@ -192,8 +194,12 @@ class Connection:
         if not self._ended.done():
             self._ended.set_result(reason)
 
-    def _ping(self) -> None:
-        told: dict[str, Any] = {"lease_s": self.carrier.lease_s, "epoch": self._stop_epoch()}
+    def _is_at_rest(self) -> bool:
+        """Whether nobody waits for the bridge of this machine; over a network pings tell more than that it lives."""
+        return not (self.carrier.is_remote or self._open or self._hurried.intersection(self._subscriptions.values()))
+
+    def _ping(self, next_s: float = PING_S) -> None:
+        told: dict[str, Any] = {"lease_s": self.carrier.lease_s * next_s / PING_S, "epoch": self._stop_epoch()}
         told["sent_ns"] = self._clock.sending_ns()
         if self.carrier.is_remote:
             # By what we have heard the bridge can tell how long this was under way; see LATE_S there.
@@ -224,6 +230,7 @@ class Connection:
         relay = str(arguments["name"]) if op == "relay" else ""
         request = _Open(asyncio.get_running_loop().create_future(), subscription, relay, at_answer=at_answer)
         self._open[number] = request
+        self._heartbeat.end_rest()
         try:
             if len(body) > _SMALL_BODY:
                 await self._send_large(header, body, request)
@@ -271,8 +278,10 @@ class Connection:
 
     # ── subscriptions ──────────────────────────────────────────────────────────────────────────────────────────
 
-    async def subscribe(self, subscription: Receiver, timeout_s: float, arguments: Mapping[str, object]) -> None:
+    async def subscribe(self, subscription: Receiver, timeout_s: float, arguments: Mapping[str, Any]) -> None:
         """Lets the samples of a new subscription flow; if the caller is cancelled meanwhile, none is left behind."""
+        if arguments.get("drain_s", 0.0) < NO_HURRY_S:
+            self._hurried.add(subscription)
         try:
             await self.request("subscribe", b"", timeout_s, arguments, subscription)
         except BaseException:

@@ -10,6 +10,8 @@ from ros2_mcp.link.carrier import Carrier
 
 # Every answer is a sign of life. Chosen: twice within STOPPED_S, so that a healthy bridge is not silent for that long.
 PING_S = 0.25
+# While nobody waits for anything of the bridge: a ping and its answer take 0.7 ms of processor time. Chosen.
+PING_AT_REST_S = 1.0
 # A healthy bridge can be silent for 1 to 3 s while Fast DDS waits for a mutex in shared memory that a killed process
 # left locked; with 2.5 s, three of about 1,500 kills cost a healthy bridge. See decision 12.
 SILENCE_S = 4.0
@@ -26,11 +28,19 @@ _PAUSE_S = 0.01
 
 
 class Heartbeat:
-    """Pings four times a second and says when the bridge is to be given up."""
+    """Pings four times a second and says when the bridge is to be given up.
 
-    def __init__(self, carrier: Carrier, ping: Callable[[], None]) -> None:
+    At rest, where `is_at_rest` says that nobody waits for anything of the bridge, so that nothing moves either, it
+    pings once a second. Whoever wants something of it calls `end_rest` first. `ping` is told in how many seconds the
+    next one follows.
+    """
+
+    def __init__(self, carrier: Carrier, ping: Callable[[float], None], is_at_rest: Callable[[], bool]) -> None:
         self._carrier = carrier
         self._ping = ping
+        self._is_at_rest = is_at_rest
+        self._next_ping = 0.0
+        self._rest: asyncio.Future[None] | None = None
         self._received_at = time.monotonic()
         self._ros_idle_s = 0.0
 
@@ -50,22 +60,36 @@ class Heartbeat:
     async def until_silent(self) -> str:
         """Returns when the bridge no longer answers; says what was seen, as the rest of `The bridge …`."""
         self.received()
-        next_ping = 0.0
         while True:
-            if time.monotonic() >= next_ping:
-                self._ping()
-                next_ping = time.monotonic() + PING_S
-            await self._pause(next_ping)
+            if time.monotonic() >= self._next_ping - _PAUSE_S:  # the event loop may wake up a little early
+                is_at_rest = self._is_at_rest()
+                self._send_ping(PING_AT_REST_S if is_at_rest else PING_S)
+                self._rest = asyncio.get_running_loop().create_future() if is_at_rest else None
+            await self._pause()
             verdict = self._verdict(time.monotonic() - self._received_at)
             if verdict:
                 return verdict
 
-    async def _pause(self, next_ping: float) -> None:
+    def end_rest(self) -> None:
+        """Something is wanted of the bridge: it is pinged before it, and as often as while something goes on."""
+        if self._rest and not self._rest.done():
+            self._send_ping(PING_S)
+            self._rest.set_result(None)
+
+    def _send_ping(self, period_s: float) -> None:
+        self._ping(period_s)
+        self._next_ping = time.monotonic() + period_s
+
+    async def _pause(self) -> None:
         """Sleeps until there is something to do; if woken late, the delay is not counted as silence."""
         before = time.monotonic()
-        limits = (next_ping, *(self._received_at + limit for limit in (STOPPED_S, SILENCE_S)))
+        limits = (self._next_ping, *(self._received_at + limit for limit in (STOPPED_S, SILENCE_S)))
         wait_s = max(_PAUSE_S, min(limit - before for limit in limits if limit > before))
-        await asyncio.sleep(wait_s)
+        if self._rest and not self._rest.done():
+            wait_s = self._next_ping - before
+            await asyncio.wait({self._rest}, timeout=wait_s)
+        else:
+            await asyncio.sleep(wait_s)
         lag_s = time.monotonic() - before - wait_s
         if lag_s > _LATE_S:
             self._received_at = min(time.monotonic(), self._received_at + lag_s)
@@ -73,7 +97,7 @@ class Heartbeat:
     def _verdict(self, silent_s: float) -> str:
         if self._ros_idle_s > ROS_IDLE_S:
             return f"no longer gets round in ROS (its ROS thread hangs since {self._ros_idle_s:.1f} s)"
-        if silent_s < STOPPED_S:
+        if silent_s < STOPPED_S + (PING_AT_REST_S if self._rest and not self._rest.done() else 0.0):
             return ""
         vitality = self._carrier.alive()
         if vitality == "stopped":

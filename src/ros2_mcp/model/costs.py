@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-TOUCHING, OCCUPIED = 99, 100
+UNKNOWN, TOUCHING, OCCUPIED = -1, 99, 100
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,9 @@ NAVIGATE = "nav2_msgs/action/NavigateToPose"
 COMPUTE_PATH = "nav2_msgs/action/ComputePathToPose"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 PATH = "nav_msgs/msg/Path"
+COSTMAP = "nav2_msgs/msg/Costmap"
+COSTMAP_UPDATE = "nav2_msgs/msg/CostmapUpdate"
+GRID_UPDATE = "map_msgs/msg/OccupancyGridUpdate"
 
 SERVERS: Mapping[range, str] = {
     range(100, 200): "controller_server",

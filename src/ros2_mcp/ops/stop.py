@@ -112,12 +112,16 @@ class Stopped:
             return f"{'NOT confirmed:' if self.is_doubted else 'Nothing was stopped.'} {self.note}"
         cancelled = sum(goal.cancelled for goal in self.goals)
         over = sum(goal.confirmed and not goal.cancelled for goal in self.goals)
-        flights = f", {len(self.flights)} flight(s) made to stand" if self.flights else ""
-        return (
-            f"{verdict}: {self.repeats_stopped} repeated publication(s) and "
-            f"{self.relays_stopped} relay(s) ended, zero on {len(self.topics)} topic(s), {cancelled} goal(s) "
-            f"cancelled, {over} had ended already{flights}. {self.note}"
-        ).rstrip()
+        counted = (
+            (self.repeats_stopped, "{} repeated publication(s) ended"),
+            (self.relays_stopped, "{} relay(s) ended"),
+            (len(self.topics), "zero on {} topic(s)"),
+            (cancelled, "{} goal(s) cancelled"),
+            (over, "{} goal(s) had ended already"),
+            (len(self.flights), "{} flight(s) made to stand"),
+        )
+        told = ", ".join(words.format(count) for count, words in counted if count)
+        return f"{verdict}: {f'{told}. ' if told else ''}{self.note}".rstrip()
 
 
 async def stop(robot: Robot, by: str = "") -> Stopped:

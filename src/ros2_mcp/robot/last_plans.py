@@ -20,8 +20,8 @@ _TURN_S = 5.0
 """Between two looks at whether it is still needed, where nothing comes."""
 _SUBSCRIBED_S = 0.5
 """A subscription takes some milliseconds, over a network some hundred; what asks for plans is not to wait longer."""
-_MOST = 4
-"""Topics: a planner has one, and its smoother another."""
+_MOST = 6
+"""Topics: a planner has one, its smoother another, and some publish goals."""
 _logger = logging.getLogger(__name__)
 
 Listen = Callable[[str], AbstractAsyncContextManager[Listening]]
@@ -35,13 +35,15 @@ class LastPlans:
         self._last: dict[str, tuple[str, Sample]] = {}
         self._work: dict[str, asyncio.Task[None]] = {}
         self._begun: dict[str, asyncio.Event] = {}
+        self._since: dict[str, float] = {}
         self._asked_at = 0.0
 
     async def hear(self, topics: Sequence[str]) -> None:
-        """Hears these topics from now on. Of those with a plan in their names that are not sent all the time, as that
-        of a controller is, the first few. Waits until they are subscribed, but not for long."""
+        """Hears these topics from now on: the first few of those with a plan or goal in their names that are not sent
+        all the time, as that of a controller is. Waits until they are subscribed, but not for long."""
         self._asked_at = monotonic()
-        wanted = [name for name in topics if "plan" in name.rpartition("/")[2] and "local" not in name]
+        lasts = {name: name.rpartition("/")[2] for name in topics if "local" not in name}
+        wanted = [name for name, last in lasts.items() if "plan" in last or "goal" in last]
         for topic in wanted:
             work = self._work.get(topic)
             if (work is None or work.done()) and (topic in self._work or len(self._work) < _MOST):
@@ -56,14 +58,20 @@ class LastPlans:
         """The type and the last message of a topic; None if none was heard."""
         return self._last.get(topic)
 
+    def heard_s(self, topic: str) -> float:
+        """For how long it has been heard without a break; 0 while it is not."""
+        return monotonic() - self._since[topic] if topic in self._since else 0.0
+
     async def _follow(self, topic: str) -> None:
         try:
             async with self._listen(topic) as listening:
                 self._begun[topic].set()
+                self._since[topic] = monotonic()
                 while monotonic() - self._asked_at < _IDLE_S:
                     for sample in await listening.take(_TURN_S):
                         self._last[topic] = listening.type, sample
         except RobotError as error:  # the next question begins anew
             _logger.info("the plans on %s are not kept: %s", topic, error)
         finally:
+            self._since.pop(topic, None)
             self._begun[topic].set()

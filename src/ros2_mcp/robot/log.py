@@ -13,6 +13,7 @@ import anyio
 from ros2_mcp.model.errors import BridgeLost, RobotError
 from ros2_mcp.model.qos import QoS
 from ros2_mcp.model.samples import Sample
+from ros2_mcp_bridge.limits import NO_HURRY_S
 
 if TYPE_CHECKING:
     from ros2_mcp.link.client import Bridge
@@ -28,8 +29,6 @@ _LEVEL_AT = 12
 _QOS = QoS("reliable", "transient_local", depth=1000)
 _CHECK_EVERY_S = 1.0
 """Whether there is a bridge again. Nobody waits for the log of a robot that cannot be reached."""
-_DRAIN_S = 0.1
-"""Lines are read by people and models: bringing them ten times a second lets the bridge sleep in between."""
 _logger = logging.getLogger(__name__)
 
 LineListener = Callable[[int, Sample], None]
@@ -120,7 +119,7 @@ class LogRing:
             keep="all",
             max_samples=self._max_lines,
             max_bytes=self._max_bytes,
-            drain_s=_DRAIN_S,
+            drain_s=NO_HURRY_S,
         ) as subscription:
             self.since_ns = self.since_ns or self._bridge.clock.now_ns()
             self._listening.set()

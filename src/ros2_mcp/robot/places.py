@@ -13,7 +13,7 @@ from typing import Any, cast
 from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
 from ros2_mcp.model.names import did_you_mean
-from ros2_mcp.model.text import is_unicode, quoted
+from ros2_mcp.model.text import is_unicode, listed, quoted
 from ros2_mcp_bridge.files import PLAIN, replace
 
 FILE = "places.json"
@@ -21,6 +21,8 @@ MOST_PLACES = 1000
 """More than a building has rooms; the file stays below 200 kB."""
 MOST_CHARACTERS = 80
 """Of a name: as many as a quotation shows."""
+_MOST_NAMED = 15
+"""In an error; ros2_place_list has them all."""
 _MOST_BYTES = 1_000_000
 """Of the file: several times what all places take. What is longer is none of ours."""
 
@@ -70,8 +72,10 @@ class Places:
         alike = [place for place in known.values() if place.name.lower() == name.lower()]
         if found := known.get(name) or (alike[0] if len(alike) == 1 else None):
             return found
-        hint = did_you_mean(name, list(known), "ros2_place_list shows them; ros2_place_set notes one.")
-        raise NotFound(f"There is no place {quoted(name)}.", hint)
+        kept = f"Kept are: {listed(sorted(known), _MOST_NAMED)}." if known else "No place is kept yet."
+        by_numbers = "Say where it is with x and y, which ros2_scene shows; ros2_place_set keeps a place by its name."
+        hint = did_you_mean(name, list(known), by_numbers)
+        raise NotFound(f"There is no place {quoted(name)}. {kept}", hint)
 
     def set(self, place: NamedPlace) -> NamedPlace | None:
         """Keeps a place; returns the one of that name that was there before.

@@ -23,6 +23,7 @@ from ros2_mcp.robot.facts import facts_of
 from ros2_mcp.robot.failsafes import ACKNOWLEDGED_S, MATCH_S, ZERO_S
 from ros2_mcp.robot.graph import Graph
 from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.last_costmaps import LastCostmaps
 from ros2_mcp.robot.last_plans import LastPlans
 from ros2_mcp.robot.listening import Listening, subscribed_while
 from ros2_mcp.robot.log import LogRing
@@ -120,6 +121,7 @@ class Robot(Core):
         self.transforms = TransformListener(bridge, self.graph, self.values)
         self.places = Places()
         self.last_plans = LastPlans(lambda topic: self.listen(topic, keep="latest"))
+        self.last_costmaps = LastCostmaps(lambda topic, keep: self.listen(topic, keep=keep), self.values, self.now_ns)
         self.newest = NewestSamples(lambda topic: self.listen(topic, keep="latest"), self._fits)
         self.programs_folder: Path | None = None  # of kept programs; None: none are kept
         self._listened: dict[tuple[str, str, str], tuple[str, Choice]] = {}

@@ -54,12 +54,12 @@ class Seen:
         self._types: dict[str, str] = {}
 
     def knows(self, node: str) -> bool:
-        """Whether the node was seen before."""
-        return node in self._nodes
+        """Whether the node was seen before, or is one that is never noted."""
+        return node in self._nodes or not _is_missed(node)
 
     def note(self, node: str, topics: Mapping[str, str] | None = None) -> None:
         """Notes that a node is there and publishes on these topics; `topics` are their types by their names."""
-        if not is_of_robot(node) or _OF_ONE_PROCESS.search(node) or node == names.UNKNOWN_NODE:
+        if not _is_missed(node):
             return
         if node.startswith("/"):  # else the endpoint is of no ROS node
             self._nodes.setdefault(node)
@@ -86,6 +86,11 @@ class Seen:
             silenced,
             {topic: self._types[topic] for topic in silenced if topic in self._types},
         )
+
+
+def _is_missed(node: str) -> bool:
+    """Whether somebody may ask for the node when it has left."""
+    return is_of_robot(node) and not _OF_ONE_PROCESS.search(node) and node != names.UNKNOWN_NODE
 
 
 def is_of_robot(node: str) -> bool:

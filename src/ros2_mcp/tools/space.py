@@ -60,7 +60,7 @@ async def ros2_scene(
     robot: Robot,
     report: Report,
     frame: Annotated[str, Field(description="Default: the map's; base_link: as the robot sees it.")] = "",
-    grid: Annotated[str, Field(description='Topic of an OccupancyGrid, or "costmap". Default: the map.')] = "",
+    grid: Annotated[str, Field(description='A grid or raw costmap, or "costmap". Default: the map.')] = "",
     radius_m: Annotated[Number | None, Field(gt=0, le=1000, description="Only so far around the robot.")] = None,
     *,
     source: AtOneTime,

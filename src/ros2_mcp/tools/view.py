@@ -73,6 +73,7 @@ async def ros2_view(
     robot: Robot,
     report: Report,
     shows_pages: ShowsPages,
+    viewing: Viewing,
     topics: Topics = None,
     kind: Annotated[
         Literal["auto", "image", "pointcloud", "plot"], Field(description="Of panel. Default: by the types.")
@@ -87,7 +88,8 @@ async def ros2_view(
     client cannot: a picture, and how to see it in a browser."""
     at_s = source.covers_ns[1] / 1e9 if time and source.covers_ns else None
     request = OpeningRequest(topics=topics or (), kind=kind, fields=fields or (), bag=bag, at_s=at_s)
-    return await opened(robot, source, request, shows_pages=shows_pages, report=report)
+    others = sum(state.is_open for state in viewing.states(robot.principal.name))
+    return await opened(robot, source, request, shows_pages=shows_pages, others=others, report=report)
 
 
 @tool(title="What the user sees", risk="read", group="view", by_default=False, recorded=True)

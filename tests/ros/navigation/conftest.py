@@ -11,9 +11,10 @@ from support.domains import reserved_domains
 
 @pytest.fixture(scope="module")
 def built():
-    """The prefixes of what the rover needs at its start, and that of nav2_msgs."""
-    *first, later = build_interfaces(later=True)
-    return first, later
+    """The prefixes of what the rover has besides, and that of nav2_msgs."""
+    prefixes = build_interfaces(later=True)
+    (later,) = (prefix for prefix in prefixes if prefix.name.startswith("nav2_msgs-"))
+    return [prefix for prefix in prefixes if prefix != later], later
 
 
 @pytest.fixture(scope="module")

@@ -94,6 +94,16 @@ def test_a_scan_is_of_the_pose_that_is_shown_although_a_silent_path_is_awaited(a
     until(fresh)
 
 
+def test_a_path_that_is_silent_is_awaited_at_the_first_question_alone(agent: Agent) -> None:
+    """From then on it is heard, and what did not come need not be awaited again."""
+
+    def told() -> str:
+        found = agent.call("ros2_scene")
+        return next((line for line in found["missing"] if line.startswith("The path /plan")), "")
+
+    assert "is not shown: Nothing was sent in " in until(lambda: line if "listening" in (line := told()) else "")
+
+
 LOCAL = "/local_costmap/costmap"
 CELLS, CELL_M = 30, 0.1
 """Of a window that rolls with the robot, as Nav2's local costmap does, in the frame of the odometry."""

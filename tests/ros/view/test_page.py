@@ -134,7 +134,7 @@ def test_a_box_that_is_drawn_in_a_depth_picture_is_told_with_the_depth_there(pag
     told = page.until(
         "/Picked .*depth there .*The agent sees it/.exec(document.querySelector('.picked').textContent)?.[0]"
     )
-    pictured(page, "picked-box")
+    pictured_in_all_sizes(page, "picked-box")
     (seen,) = agent.call("ros2_view_state")["pages"]
     (box,) = seen["picked"]
     x1, y1, x2, y2 = box["pixels"]
@@ -164,7 +164,7 @@ def test_a_stop_that_is_not_confirmed_looks_like_an_alarm(
     )
     assert "emergency stop" in said
     assert not page.run("document.getElementById('said').classList.contains('ok')")
-    pictured(page, "doubted")
+    pictured_in_all_sizes(page, "doubted")
 
 
 def test_where_a_server_hangs_the_latch_is_set_and_the_page_says_that_it_did_not_answer(
@@ -200,7 +200,7 @@ def test_what_is_old_looks_old_and_a_page_without_its_server_says_so(
     os.kill(demo_robot.pid, signal.SIGSTOP)
     try:
         page.until("['image', 'map', 'values'].every(id => document.getElementById(id).classList.contains('stale'))")
-        pictured(page, "stale")
+        pictured_in_all_sizes(page, "stale")
     finally:
         os.kill(demo_robot.pid, signal.SIGCONT)
     page.until("!document.getElementById('image').classList.contains('stale')")
@@ -217,4 +217,4 @@ def test_a_recording_is_shown_at_any_of_its_times(
         browser.run(seek(1.0))
         browser.until(f"/Robot at/.test({where}) && {where} !== {last!r}")
         assert browser.run(text("#state")).startswith("recording")
-        pictured(browser, "recording")
+        pictured_in_all_sizes(browser, "recording")

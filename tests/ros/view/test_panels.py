@@ -127,9 +127,30 @@ def test_graphics_that_drop_the_picture_are_told_and_give_it_back(page: Page) ->
     page.run("graphics.restoreContext()")
     page.until(f"{why} === ''")
     copy = "const copy = new OffscreenCanvas(40, 30).getContext('2d'); copy.drawImage(" + canvas + ", 0, 0, 40, 30);"
-    colours = "new Set(new Uint32Array(copy.getImageData(0, 0, 40, 30).data.buffer)).size"
-    drawn = f"new Promise(done => requestAnimationFrame(() => {{ {copy} done({colours}); }}))"
-    until(lambda: page.run(drawn) > 5)  # lines and points again, in more than a colour
+    pixels = "const pixels = [...new Uint32Array(copy.getImageData(0, 0, 40, 30).data.buffer)];"
+    light = "pixels.filter(pixel => (pixel & 255) > 128).length"
+    colours = f"[new Set(pixels).size, {light}]"
+    drawn = f"new Promise(done => requestAnimationFrame(() => {{ {copy} {pixels} done({colours}); }}))"
+    # Lines and points again, in more than a colour, and the ground is that of the light theme.
+    until(lambda: (found := page.run(drawn)) and found[0] > 5 and found[1] > 1000)
+
+
+def test_graphics_that_do_not_come_back_leave_the_map_which_says_so(page: Page) -> None:
+    show(page, "space")
+    is_large = "document.getElementById('{}').classList.contains('large')"
+    page.run("document.querySelector('#space .enlarge').click()")
+    page.run("window.usual = setTimeout, window.setTimeout = (work, ms) => usual(work, ms / 40), true")  # 8 s: 0.2
+    page.run("graphics.loseContext()")
+    page.until(f"{is_large.format('map')} && !{is_large.format('space')}")
+    page.until("document.querySelector('#map .foot').textContent.includes('3D is off')")
+    pictured(page, "map", "without-graphics")
+    show(page, "space")
+    page.until("document.querySelector('#space .why').textContent.includes('3D is off')")
+    page.run("window.setTimeout = usual, graphics.restoreContext()")
+    page.until("!document.querySelector('#space canvas').hidden && document.querySelector('#space .why').hidden")
+    page.run("document.querySelector('#space .enlarge').click()")
+    show(page, "map")
+    page.until("!document.querySelector('#map .foot').textContent.includes('3D is off')")
 
 
 def test_the_robots_meshes_and_all_kinds_of_markers_are_drawn_and_what_is_not_says_why(

@@ -16,6 +16,7 @@ import struct
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -121,6 +122,24 @@ class Place:
                 self.executor.spin()
 
 
+class Talker:
+    """Does something at a rate, in a thread of its own, until it is ended."""
+
+    def __init__(self, hz: float, act: Callable[[], None]) -> None:
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(1.0 / hz, act), daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Returns when what it was doing is done: whoever ends it may write what must come last."""
+        self._done.set()
+        self._thread.join()
+
+    def _run(self, every_s: float, act: Callable[[], None]) -> None:
+        while not self._done.wait(every_s):
+            act()
+
+
 @dataclass
 class Subscriber:
     """One of them; `apart` if nobody shares its place."""
@@ -140,7 +159,7 @@ class Observer:
     apart: list[Place] = field(default_factory=list)
     """Places for one subscriber each; who leaves gives his to the next."""
     vacant: list[Place] = field(default_factory=list)
-    talkers: dict[str, threading.Event] = field(default_factory=dict)
+    talkers: dict[str, Talker] = field(default_factory=dict)
     publishers: dict[str, Any] = field(default_factory=dict)
     requests: dict[str, list[int]] = field(default_factory=dict)
     goals: list[Goal] = field(default_factory=list)
@@ -326,35 +345,25 @@ class Observer:
 
     def talk(self, topic: str, kind: str, hz: float, value: float = 0.5) -> None:
         """Publish a message at a rate, all of whose numbers are the value, until `hush`."""
-        cls, done = interface(kind), threading.Event()
-        publisher = self._publisher(topic, kind)
-        message = cls()
+        publisher, message = self._publisher(topic, kind), interface(kind)()
         _fill(message, value)
-        self.talkers[topic] = done
-
-        def run() -> None:
-            while not done.wait(1.0 / hz):
-                publisher.publish(message)
-
-        threading.Thread(target=run, daemon=True).start()
+        self.talkers[topic] = Talker(hz, lambda: publisher.publish(message))
 
     def travel(self, topic: str, hz: float, speed: float) -> None:
         """Tell the odometry of a robot that drives along x at that speed (m/s), whatever it is told, until `hush`."""
-        publisher, done = self._publisher(topic, "nav_msgs/msg/Odometry"), threading.Event()
+        publisher = self._publisher(topic, "nav_msgs/msg/Odometry")
         message, began = interface("nav_msgs/msg/Odometry")(), time.monotonic()
-        self.talkers[topic] = done
 
-        def run() -> None:
-            while not done.wait(1.0 / hz):
-                message.pose.pose.position.x = speed * (time.monotonic() - began)
-                publisher.publish(message)
+        def tell() -> None:
+            message.pose.pose.position.x = speed * (time.monotonic() - began)
+            publisher.publish(message)
 
-        threading.Thread(target=run, daemon=True).start()
+        self.talkers[topic] = Talker(hz, tell)
 
     def hush(self, topic: str) -> None:
-        """End what `talk` or `travel` began, if it did."""
-        if done := self.talkers.pop(topic, None):
-            done.set()
+        """End what publishes at a rate, if anything does; nothing of it is written after that."""
+        if talker := self.talkers.pop(topic, None):
+            talker.end()
 
     def pictures(self, topic: str, size: int, hz: float) -> None:
         """Publish images of a size in bytes at a rate, until `hush`."""
@@ -397,35 +406,26 @@ class Observer:
 
     def clock(self, factor: float, hz: float = 200.0, start_s: float = 1000.0) -> None:
         """Publish `/clock`, which runs so many times as fast as the machine's, until the factor is 0."""
-        if done := self.talkers.pop("/clock", None):
-            done.set()
+        self.hush("/clock")
         if not factor:
             return
-        done = self.talkers["/clock"] = threading.Event()
         publisher, began = self._publisher("/clock", "rosgraph_msgs/msg/Clock"), time.monotonic_ns()
 
-        def run() -> None:
-            while not done.wait(1.0 / hz):
-                now = time.monotonic_ns()
-                told = int(start_s * 1e9 + (now - began) * factor)
-                self.ticks.append((now, told))
-                message = Clock()
-                message.clock.sec, message.clock.nanosec = divmod(told, 10**9)
-                publisher.publish(message)
+        def tick() -> None:
+            now = time.monotonic_ns()
+            told = int(start_s * 1e9 + (now - began) * factor)
+            self.ticks.append((now, told))
+            message = Clock()
+            message.clock.sec, message.clock.nanosec = divmod(told, 10**9)
+            publisher.publish(message)
 
-        threading.Thread(target=run, daemon=True).start()
+        self.talkers["/clock"] = Talker(hz, tick)
 
     def _repeat(self, topic: str, kind: str, messages: list[Any], hz: float) -> None:
         """Publish these in turn at a rate, until `hush`."""
-        publisher, done = self._publisher(topic, kind), threading.Event()
+        publisher = self._publisher(topic, kind)
         bodies = itertools.cycle([serialize_message(message) for message in messages])
-        self.talkers[topic] = done
-
-        def run() -> None:
-            while not done.wait(1.0 / hz):
-                publisher.publish(next(bodies))
-
-        threading.Thread(target=run, daemon=True).start()
+        self.talkers[topic] = Talker(hz, lambda: publisher.publish(next(bodies)))
 
     def _publisher(self, topic: str, kind: str) -> Any:
         if topic not in self.publishers:
@@ -446,8 +446,8 @@ class Observer:
         self.kept.append(place.node.create_service(cls, service, answer, qos_profile=every_call, callback_group=group))
 
     def close(self) -> None:
-        for done in self.talkers.values():
-            done.set()
+        for topic in list(self.talkers):
+            self.hush(topic)
         places = (*self.apart, *self.places.values())
         for place in places:
             place.close()

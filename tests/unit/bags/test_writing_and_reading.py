@@ -109,6 +109,27 @@ def test_a_recording_ends_at_its_limit_of_bytes_and_says_so(tmp_path: Path, open
     assert [sample for _, sample in open_bag(tmp_path).messages()] == [said(number, 1000) for number in range(written)]
 
 
+def test_much_that_waits_is_written_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ros2_mcp.bags.recorder.FLUSH_S", 600.0)
+    recorder = Recorder(BagWriter(tmp_path, "run"), tmp_path, Limits(max_bytes=4_000_000, free_floor_bytes=0))
+    recorder.add_topic(CHATTER)
+    recorder.put("/chatter", [said(0, 5_000_000)])
+    recorder._thread.join(60)
+    assert recorder.ended == "The limit of 4000000 bytes is reached."
+
+
+def test_of_a_burst_that_has_no_room_what_fits_is_written(
+    tmp_path: Path, open_bag: OpenBag, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ros2_mcp.bags.recorder.QUEUE_BYTES", 3500)
+    recorder = Recorder(BagWriter(tmp_path, "run"), tmp_path, Limits(free_floor_bytes=0))
+    recorder.add_topic(CHATTER)
+    recorder.put("/chatter", [said(number, 1000) for number in range(10)])
+    recorder.stop()
+    assert recorder.dropped == {"/chatter": 7}
+    assert [sample for _, sample in open_bag(tmp_path).messages()] == [said(number, 1000) for number in range(3)]
+
+
 def test_a_disk_that_is_nearly_full_ends_the_recording_in_good_order(tmp_path: Path, open_bag: OpenBag) -> None:
     recorder = Recorder(BagWriter(tmp_path, "run"), tmp_path, Limits(free_floor_bytes=10**18))
     recorder.add_topic(CHATTER)

@@ -58,7 +58,9 @@ def test_a_stop_sends_its_zeros_before_what_else_the_ros_thread_does_in_that_tur
         came_first.append(zeros.wait(10 * ROS_HANGS_AFTER_S))
         ended.set()
 
-    bridge._operations = SimpleNamespace(send_zeros=zeros.set, start=lambda _: None)  # type: ignore[assignment]
+    bridge._operations = SimpleNamespace(  # type: ignore[assignment]
+        send_zeros=zeros.set, start=lambda _: None, is_at_rest=lambda: True
+    )
     bridge._loop.submit(gather)
     turning = threading.Thread(target=bridge._loop.run, args=(Rounds(),), daemon=True)
     turning.start()
@@ -83,6 +85,7 @@ def test_a_ros_thread_that_hangs_keeps_no_robot_moving(said: dict[str, Any], don
         came.set()
 
     bridge._operations = SimpleNamespace(  # type: ignore[assignment]
+        is_at_rest=lambda: False,
         start=lambda _: note("started"),
         lapse=lambda: note("lapsed"),
         send_zeros=lambda: note("zeros"),
@@ -102,7 +105,9 @@ def test_what_ends_something_does_not_wait_for_the_imports_of_others(monkeypatch
     loaded, ended, begun = threading.Event(), threading.Event(), list[str]()
     monkeypatch.setattr(interfaces, "load", lambda _: loaded.wait(PATIENCE_S))
     bridge._operations = SimpleNamespace(  # type: ignore[assignment]
-        start=lambda request: begun.append(request.op), end_at_once=lambda _: ended.set()
+        start=lambda request: begun.append(request.op),
+        end_at_once=lambda _: ended.set(),
+        is_at_rest=lambda: True,
     )
     bridge._ros_is_up.set()
     turning = threading.Thread(target=bridge._loop.run, args=(Rounds(),), daemon=True)

@@ -85,6 +85,22 @@ def test_a_machine_that_slept_for_longer_has_lapsed_even_if_bytes_come(stream) -
     assert lapses == [5.0]
 
 
+def test_at_rest_the_clock_is_looked_at_when_the_lease_ends_and_not_before(stream) -> None:
+    for is_at_rest, most, least in ((True, 3, 3), (False, 30, 5)):
+        looks, lapses = list[float](), list[float]()
+
+        def slept_s(looks: list[float] = looks) -> float:
+            looks.append(time.monotonic())
+            return 0.0
+
+        lease = LinkLease(stream[0], lapses.append, is_at_rest=lambda at_rest=is_at_rest: at_rest, slept_s=slept_s)
+        lease.renew(5 * LEASE_S)
+        threading.Timer(4 * LEASE_S, stream[1], [b"x"]).start()
+        lease.wait_readable()
+        os.read(stream[0], 1)
+        assert lapses == [] and least <= len(looks) <= most
+
+
 def test_a_sleep_before_the_lease_does_not_count(stream) -> None:
     slept, lapses = iter([0.0, 5.0, 5.0]), list[float]()
     lease = LinkLease(stream[0], lapses.append, now=lambda: 0.0, slept_s=lambda: next(slept))

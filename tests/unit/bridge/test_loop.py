@@ -5,10 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import pytest
 
-from ros2_mcp_bridge.loop import Loop, Task
+from ros2_mcp_bridge.loop import AT_REST_S, Loop, Seldom, Task
 from ros2_mcp_bridge.request import Steps
 
 PATIENCE_S = 20.0
@@ -219,3 +220,32 @@ def test_many_slow_ones_at_once_are_no_hang_and_hold_up_no_stop(loop: Loop, way:
     assert done == list(range(40))
     assert len(turns) > 10, "a turn ends after a few of them"
     assert stopped_after[0] < 40
+
+
+def test_at_rest_who_looks_again_and_again_looks_seldom_until_something_begins(loop: Loop) -> None:
+    is_at_rest, looks, looks_at_rest = True, list[float](), list[float]()
+    loop.is_at_rest = lambda: is_at_rest
+
+    def looking() -> Steps[None]:
+        while True:
+            looks.append(time.monotonic())
+            yield Seldom(0.01)
+
+    def begin() -> None:
+        nonlocal is_at_rest
+        is_at_rest = False
+        looks_at_rest.extend(looks)
+        loop.end_rest()
+
+    begun = time.monotonic()
+    loop.submit(lambda: loop.start(looking(), Outcome()))  # type: ignore[arg-type]
+    while len(looks) < 3:
+        time.sleep(0.01)
+    assert time.monotonic() - begun > AT_REST_S, "the first, and those after each half second"
+    loop.submit(begin)
+    deadline = time.monotonic() + PATIENCE_S
+    while len(looks) < len(looks_at_rest) + 10 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    woken = looks[len(looks_at_rest) :]
+    assert 0 < len(looks_at_rest) < 6
+    assert min(after - before for before, after in pairwise(woken)) < AT_REST_S / 5, "as often as it asks for"

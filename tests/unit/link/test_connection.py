@@ -198,6 +198,32 @@ async def test_over_a_network_a_ping_tells_what_was_heard_last(is_remote: bool) 
     life.cancel()
 
 
+async def test_at_rest_pings_are_seldom_and_a_request_follows_one_with_the_usual_lease() -> None:
+    """The bridge has to know before anything moves how long it may do so without a sign of this server."""
+    connection, peer = await connected()
+    life = asyncio.ensure_future(connection.run())
+    answering = asyncio.ensure_future(answer_pings(peer))
+    while len(peer.pings) < 3:  # that of the greeting, and two at rest
+        await asyncio.sleep(0.01)
+    ask = asyncio.ensure_future(connection.request("call", b"", 30, {}))
+    number = (await peer.next("call"))["id"]
+    leases = [ping["lease_s"] for ping in peer.pings]
+    assert leases[1:3] == [4 * peer.lease_s] * 2 and leases[3] == peer.lease_s
+    while len(peer.pings) < 6:
+        await asyncio.sleep(0.01)
+    assert {ping["lease_s"] for ping in peer.pings[3:]} == {peer.lease_s}
+    peer.say({"id": number, "ok": {}})
+    await ask
+    for task in (answering, life):
+        task.cancel()
+
+
+async def answer_pings(peer: Peer) -> None:
+    while True:
+        peer.say({"id": 0, "ok": {"ros_idle_s": 0.0, "now_ns": 1, "sent_ns": 1}})
+        await asyncio.sleep(0.1)
+
+
 async def test_bytes_that_are_no_packet_end_the_connection() -> None:
     connection, peer = await connected()
     life = asyncio.ensure_future(connection.run())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any, cast
@@ -11,7 +12,9 @@ import pytest
 
 from ros2_mcp.link.client import Bridge, Reply, Subscription
 from ros2_mcp.model.errors import BridgeRefused, NotFound
+from ros2_mcp.ops.topics.list import list_topics
 from ros2_mcp.robot import Robot
+from ros2_mcp_bridge.protocol import NOT_COUNTED
 from support.made_bridge import NUMBER
 
 QOS = {
@@ -40,6 +43,7 @@ class SlowBridge:
         self.open_subscriptions = 0
         self.durability = "volatile"
         self.is_published = True
+        self.present: dict[str, tuple[int, int]] = {}
         self._waiting: list[asyncio.Event] = []
 
     async def request(self, op: str, *_: bytes, **arguments: Any) -> Reply:
@@ -89,8 +93,16 @@ class SlowBridge:
     def _wait_endpoints(self, **_: Any) -> Any:
         raise BridgeRefused("timeout", "It did not come.")
 
-    def _topics(self, **_: Any) -> Any:
-        return {"settled": True, "topics": []}
+    def _topics(self, count_most: float = math.inf, **_: Any) -> Any:
+        counts = self.present if len(self.present) <= count_most else dict.fromkeys(self.present, (NOT_COUNTED,) * 2)
+        topics = [(name, [NUMBER], *counts[name]) for name in self.present]
+        return {"settled": True, "topics": topics, "nodes": [("arm", "/"), ("launch_ros_4711", "/")]}
+
+    def _counted(self, topics: list[str], **_: Any) -> Any:
+        return {"counted": [self.present[name] for name in topics]}
+
+    def _node(self, **_: Any) -> Any:
+        return {"publishers": [], "subscribers": [], "servers": [], "clients": []}
 
     def _nodes(self, **_: Any) -> Any:
         return {"settled": True, "nodes": []}
@@ -140,6 +152,25 @@ async def test_no_subscription_is_left_of_a_topic_that_has_gone(bridge: SlowBrid
         with pytest.raises(NotFound):
             await rounds_of_a_read(bridge, robot)
     assert bridge.open_subscriptions == 0
+
+
+@pytest.mark.parametrize(("limit", "asked"), [(3, ["topics"]), (2, ["topics", "counted"])])
+async def test_a_listing_is_one_request_and_of_a_large_graph_only_what_is_shown_is_counted(
+    bridge: SlowBridge, limit: int, asked: list[str]
+) -> None:
+    bridge.present = {"/c": (1, 2), "/a": (3, 0), "/b": (0, 4)}
+    robot = Robot(cast("Bridge", bridge))
+    async with bridge.answering():
+        await list_topics(robot, limit=limit)  # who sees the node for the first time asks what it publishes
+        bridge.asked.clear()
+        found = await list_topics(robot, limit=limit)
+    assert bridge.asked == asked
+    assert [(row.topic_name, row.publishers, row.subscribers) for row in found.topics] == [
+        ("/a", 3, 0),
+        ("/b", 0, 4),
+        ("/c", 1, 2),
+    ][:limit]
+    assert found.total == 3
 
 
 def test_who_publishes_again_and_again_asks_for_the_endpoints_only_when_one_has_come_or_gone() -> None:

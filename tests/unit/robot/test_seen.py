@@ -54,3 +54,4 @@ def test_nodes_that_never_come_back_are_not_missed() -> None:
     for node in ("/launch_ros_4711", "/transform_listener_impl_5581ab4b0a20", "(unknown node)", "/camera_2"):
         seen.note(node, dict.fromkeys(["/status"], SCAN) if node == "(unknown node)" else [])
     assert seen.left([], {}) == Left(["/camera_2"])
+    assert seen.knows("/launch_ros_4711"), "who is never noted is not looked at again and again"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -15,7 +16,7 @@ from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.guard.approvals import Approvals
 from ros2_mcp.guard.audit import Audit
 from ros2_mcp.guard.chain import GENESIS, file_name, line_of
-from ros2_mcp.guard.consent import AUDIT
+from ros2_mcp.guard.consent import AUDIT, audit_folder
 from ros2_mcp.guard.modes import Modes
 from ros2_mcp.guard.operating import Operated, StopAnswer, operating
 from ros2_mcp.guard.policy import Policy
@@ -26,7 +27,8 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.memory.record import CALLS
 from ros2_mcp.ops.sources.kinds import Sources
-from ros2_mcp.ops.view.acting import Acting, AgentPanel, acts_in
+from ros2_mcp.ops.view.acting import Acting, AgentPanel
+from ros2_mcp.ops.view.acts import acts_in
 from ros2_mcp.ops.view.look import Content, Look
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
@@ -156,3 +158,36 @@ async def test_a_recording_that_has_what_the_agent_did_shows_that(tmp_path: Path
     shown = await asyncio.wait_for(acts_at(panel, robot, source, 3.0), 10.0)
     assert [(act["name"], act["time"]) for act in shown["acts"]] == [("/cmd_vel", iso_time(START_NS + SECOND_NS))]
     assert shown["origin"] == "At the time shown, as recorded in /agent/calls"
+
+
+def test_a_call_that_waited_is_told_once_with_how_it_was_answered() -> None:
+    waits = {"kind": "waits", "verb": "publish", "name": "/cmd_vel"}
+    asked = [{**waits, "approval": name, "reason": "this waits"} for name in ("AB12", "AB12", "CD34", "EF56", "GH78")]
+    answers = [
+        {"kind": "approved", "approval": "AB12", "by": "operator"},
+        {"kind": "denied", "approval": "CD34", "by": "operator"},
+        {"kind": "granted", "approval": "IJ90", "of": "EF56", "what": "publish /cmd_vel"},
+    ]
+    done = {"kind": "act", "verb": "publish", "name": "/cmd_vel", "approval": "AB12", "seq": 9}
+    told = [act for act in acts_in([*asked, *answers, done]) if act["kind"] in ("waits", "act")]
+    assert [(act["approval"], act["outcome"], act["name"]) for act in told] == [
+        *(("AB12", "approved", "/cmd_vel"), ("CD34", "denied", "/cmd_vel"), ("EF56", "granted", "/cmd_vel")),
+        *(("GH78", "", "/cmd_vel"), ("AB12", "", "/cmd_vel")),
+    ]
+
+
+async def test_a_call_that_nobody_has_answered_waits_no_longer_once_its_server_has_ended(tmp_path: Path) -> None:
+    robot, source = await recorded(room_bag(tmp_path / "room"))
+    folder = StateFolder(tmp_path / "state")
+    log = Audit(lambda: audit_folder(folder))
+    log.note("waits", approval="AB12", verb="publish", name="/cmd_vel")
+    await log.written()
+    began_s, later_s = time.time(), 0.0
+    panel = AgentPanel(Acting(folder), now_s=lambda: began_s + later_s)
+    ends: list[str] = []
+    for later_s in (0.0, 1.0, 3.0):  # noqa: B007 - the panel's clock
+        shown = await panel.show(Look(robot, source))
+        assert shown
+        ends += [act["outcome"] for act in shown["acts"] if act["kind"] == "waits"]
+    log.close()
+    assert ends == ["", "", "not answered"]

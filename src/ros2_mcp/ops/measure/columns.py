@@ -8,12 +8,13 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ros2_mcp.codec.cdr import Codec, Message
+from ros2_mcp.codec.cdr import Codec
+from ros2_mcp.codec.columns import ColumnReader
 from ros2_mcp.codec.select import FieldPath
 from ros2_mcp.model.errors import BadData, BadValue
 from ros2_mcp.model.samples import Sample
@@ -30,6 +31,8 @@ MOST_ROWS = 1_000_000
 memory of one column, 80 MB."""
 
 
+Parts: TypeAlias = "Numbers | list[Numbers]"
+"""Values of messages: a number of each, a row of each, or where lists differ in length an array of each."""
 _WHOLE = {"int64": np.int64, "uint64": np.uint64}
 """Whole numbers that float64 rounds: equal ones are told by these."""
 
@@ -179,18 +182,18 @@ class Extreme:
     element: int = 0
     _least: float = np.inf
 
-    def add(self, numbers: Numbers, parts: Sequence[Numbers], times_s: Numbers) -> None:
-        """Takes in the values of messages, all of them and message by message."""
+    def add(self, numbers: Numbers, lengths: NDArray[np.int32], times_s: Numbers) -> None:
+        """Takes in the values of messages; of lists also how many each message has, else that is empty."""
         signed = np.where(np.isfinite(numbers), self.sign * numbers, np.inf)
         at = int(signed.argmin())
         if signed[at] >= self._least:
             return
         self._least = float(signed[at])
         row, self.element = at, 0
-        if len(parts) > 1 or len(times_s) == 1:  # a list: one array for each message
-            ends = np.cumsum([len(part) for part in parts])
+        if len(lengths):
+            ends = np.cumsum(lengths)
             row = int(np.searchsorted(ends, at, side="right"))
-            self.element = at - int(ends[row]) + len(parts[row])
+            self.element = at - int(ends[row]) + int(lengths[row])
         self.at_s = float(times_s[row])
 
 
@@ -217,36 +220,49 @@ class Column:
     _lengths: array[int] = field(default_factory=lambda: array("i"))
     _values: array[float] = field(default_factory=lambda: array("d"))
 
-    def read(self, messages: Sequence[Message]) -> tuple[list[int], list[Numbers]]:
-        """Which of the messages have the field, and its values in each: one, or those of a list that is not empty."""
-        values = [value_of(self.path, message) for message in messages]
-        whole = _WHOLE.get(self.path.type.base)
-        rows = [row for row, value in enumerate(values) if value is not None and (not self.path.is_list or len(value))]
-        present = [values[row] for row in rows]
-        parts = [flat(value) for value in present] if self.path.is_list else [flat(present)]
-        if rows:
-            lists = present if self.path.is_list else [present]
-            self._compare([np.asarray(one, whole).ravel() for one in lists] if whole else parts)
-        return rows, parts
+    def read(self, values: Sequence[Any] | NDArray[Any]) -> tuple[Sequence[int], Parts]:
+        """Which of the messages have the field, and its values in each: one, or those of a list that is not empty.
 
-    def add(self, rows: Sequence[int], parts: Sequence[Numbers], times_s: Numbers, first_row: int | None) -> None:
+        Args:
+            values: of each message one value, None where it has no such field.
+        """
+        whole = _WHOLE.get(self.path.type.base)
+        if isinstance(values, np.ndarray):
+            rows, present = range(len(values) if values.ndim == 1 or values.shape[1] else 0), values
+        else:
+            rows = [
+                row for row, value in enumerate(values) if value is not None and (not self.path.is_list or len(value))
+            ]
+            present = [values[row] for row in rows]
+        if not rows:
+            return rows, []
+        if self.path.is_list and not isinstance(present, np.ndarray):
+            self._compare([np.asarray(one, whole).ravel() for one in present] if whole else list(map(flat, present)))
+            return rows, [flat(value) for value in present]
+        numbers = np.asarray(present, np.float64)
+        self._compare(np.asarray(present, whole) if whole else numbers)
+        return rows, numbers
+
+    def add(self, rows: Sequence[int], parts: Parts, times_s: Numbers, first_row: int | None) -> None:
         """Takes in what `read` gave; `first_row` is where to keep it, None: nowhere."""
         if not rows:
             return
-        numbers = np.concatenate(parts)
+        numbers = parts.ravel() if isinstance(parts, np.ndarray) else np.concatenate(parts)
+        lengths = _lengths(parts) if self.path.is_list else np.zeros(0, np.int32)
         self.totals.add(numbers)
         self.messages += len(rows)
         whole = np.array(rows, np.int32)
         for extreme in (self.lowest, self.highest):
-            extreme.add(numbers, parts, times_s[whole])
-        if self.path.is_list:
+            extreme.add(numbers, lengths, times_s[whole])
+        is_finite = np.isfinite(numbers)
+        if not self.path.is_list:
+            series_rows, series = whole[is_finite], numbers[is_finite]
+        elif isinstance(parts, np.ndarray) and is_finite.all():
+            series_rows, series = whole, parts.mean(axis=1)
+        else:
             finite = [part[np.isfinite(part)] for part in parts]
             present = [bool(len(part)) for part in finite]
-            means = flat([part.mean() for part in finite if len(part)])
-            series_rows, series = whole[present], means
-        else:
-            is_finite = np.isfinite(numbers)
-            series_rows, series = whole[is_finite], numbers[is_finite]
+            series_rows, series = whole[present], flat([part.mean() for part in finite if len(part)])
         if len(series):
             self.first = float(series[0]) if not self.line.count else self.first
             self.last = float(series[-1])
@@ -256,24 +272,28 @@ class Column:
         if self.path.is_list and not self.whole_lists:
             whole, numbers = series_rows, series
         elif self.path.is_list:
-            self._lengths.extend(len(part) for part in parts)
+            self._lengths.frombytes(lengths.tobytes())
         self._rows.frombytes((whole + np.int32(first_row)).tobytes())
         self._values.frombytes(numbers.tobytes())
 
-    def kept_of(self, rows: Sequence[int], parts: Sequence[Numbers]) -> int:
+    def kept_of(self, rows: Sequence[int], parts: Parts) -> int:
         """How many numbers are kept of what `read` gave: of a list one, unless whole lists are."""
-        return len(rows) if self.path.is_list and not self.whole_lists else sum(map(len, parts))
+        is_list = self.path.is_list
+        return int(_lengths(parts).sum()) if rows and is_list and self.whole_lists else len(rows)
 
-    def _compare(self, parts: Sequence[NDArray[Any]]) -> None:
+    def _compare(self, parts: Sequence[NDArray[Any]] | NDArray[Any]) -> None:
         """Whether it is the same in every message that has it; a NaN is never the same, unless it is in a list."""
         if not self.messages:
-            self._first_part = parts[0] if self.path.is_list else parts[0][:1]
-        if self.is_constant and self.path.is_list:
+            self._first_part = parts[0] if self.path.is_list else np.asarray(parts[:1])
+        if self.is_constant and isinstance(parts, np.ndarray):
+            same = parts == self._first_part if parts.shape[1:] == self._first_part.shape[: parts.ndim - 1] else None
+            if self.path.is_list and parts.dtype.kind == "f" and same is not None:
+                same |= np.isnan(parts) & np.isnan(self._first_part)
+            self.is_constant = same is not None and bool(same.all())
+        elif self.is_constant:
             self.is_constant = all(
                 np.array_equal(part, self._first_part, equal_nan=part.dtype.kind == "f") for part in parts
             )
-        elif self.is_constant:
-            self.is_constant = bool((parts[0] == self._first_part).all())
 
     @property
     def first_value(self) -> NDArray[Any]:
@@ -302,6 +322,13 @@ class Column:
         return np.cumsum(counts, dtype=np.int32) - counts, counts
 
 
+def _lengths(parts: Parts) -> NDArray[np.int32]:
+    """How many values each message has."""
+    if isinstance(parts, np.ndarray):
+        return np.full(len(parts), parts.shape[1] if parts.ndim > 1 else 1, np.int32)
+    return np.array([len(part) for part in parts], np.int32)
+
+
 class Columns(Arrivals):
     """The chosen fields of one topic's messages, replayed ones too. `read_ns` are the times of the rows that are kept.
 
@@ -328,25 +355,18 @@ class Columns(Arrivals):
         self.trouble: BadData | None = None
         self._codec = codec
         self._type = type_name
+        self._reader = ColumnReader(codec.definitions, type_name, fields)
         self._read = array("q")
 
     def add(self, samples: Sequence[Sample]) -> None:
-        """Takes in messages, in the order of time; each is decoded once, and let go."""
+        """Takes in messages, in the order of time; each is read once, and let go."""
         super().add(samples)
         if not self.columns or not samples:
             return
         origin_ns = self.origin_ns = samples[0].received_ns if self.origin_ns is None else self.origin_ns
-        messages: list[Message] = []
-        readable: list[Sample] = []
-        for sample in samples:
-            try:
-                messages.append(self._codec.decode(self._type, sample.data))
-                readable.append(sample)
-            except BadData as error:
-                self.undecodable += 1
-                self.trouble = self.trouble or error
+        readable, values = self._values_in(samples)
         times_s = flat([(sample.received_ns - origin_ns) / 1e9 for sample in readable])
-        batches = [column.read(messages) for column in self.columns]
+        batches = [column.read(of_field) for column, of_field in zip(self.columns, values, strict=True)]
         kept = [column.kept_of(*batch) for column, batch in zip(self.columns, batches, strict=True)]
         numbers = len(readable) + sum(kept)
         first_row = None
@@ -359,6 +379,25 @@ class Columns(Arrivals):
         with np.errstate(over="ignore", invalid="ignore"):  # numbers at the end of their range
             for column, (rows, parts) in zip(self.columns, batches, strict=True):
                 column.add(rows, parts, times_s, first_row)
+
+    def _values_in(self, samples: Sequence[Sample]) -> tuple[Sequence[Sample], Sequence[Any]]:
+        """The messages that can be read, and of each field its values in them."""
+        found = self._reader.read([sample.data for sample in samples])
+        if found is not None:
+            return samples, found
+        readable: list[Sample] = []
+        values: list[list[Any]] = [[] for _ in self.columns]
+        for sample in samples:
+            try:
+                message = self._codec.decode(self._type, sample.data)
+            except BadData as error:
+                self.undecodable += 1
+                self.trouble = self.trouble or error
+                continue
+            readable.append(sample)
+            for column, of_field in zip(self.columns, values, strict=True):
+                of_field.append(value_of(column.path, message))
+        return readable, values
 
     def keep(self, samples: Sequence[Sample]) -> None:
         """For who keeps more of each row."""
@@ -392,7 +431,7 @@ class Columns(Arrivals):
         return f"{what} of the first {rows} of {self.decoded} messages only{until}: more values were too much to keep."
 
 
-def value_of(path: FieldPath, message: Message) -> Any:
+def value_of(path: FieldPath, message: object) -> Any:
     """The value of a field in a message; None where a list has no such element."""
     try:
         return path.value_in(message)

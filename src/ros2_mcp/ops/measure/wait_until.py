@@ -19,6 +19,7 @@ from ros2_mcp.ops.sources.source import Source, Stream
 
 if TYPE_CHECKING:
     from ros2_mcp.codec.cdr import Message
+    from ros2_mcp.codec.columns import ExcerptReader
     from ros2_mcp.ops.measure.expression import Condition
 
 # Examined in one go of a thread: some 10 ms, so that a cancelled call ends at once.
@@ -81,7 +82,8 @@ async def wait_until(
     with contextlib.suppress(NotFound):  # it may appear in time
         condition(source.codec.definitions, await source.type_of(topic), text)
     async with source.judging().follow(topic) as stream:
-        search = _Search(stream, condition(stream.codec.definitions, stream.type, text))
+        asked = condition(stream.codec.definitions, stream.type, text)
+        search = _Search(stream, asked, None if source.is_live else _excerpts(stream, asked))
 
         def progress() -> str:
             return f"{stream.topic}: {search.looked_at} messages, not met"
@@ -91,18 +93,30 @@ async def wait_until(
         return await asyncio.to_thread(search.result, source, monotonic() - started, max_bytes)
 
 
+def _excerpts(stream: Stream, asked: Condition) -> ExcerptReader | None:
+    """Reads of recorded messages what the condition looks at; None where that is not single numbers alone."""
+    from ros2_mcp.codec.columns import ExcerptReader  # imports NumPy, as what reads recordings does
+    from ros2_mcp.codec.select import parse_fields
+
+    if asked.computed or not asked.fields:  # what is computed may be of more than its fields
+        return None
+    definitions = stream.codec.definitions
+    reader = ExcerptReader(definitions, stream.type, parse_fields(definitions, stream.type, asked.fields))
+    return reader if reader.suits else None
+
+
 @dataclass(slots=True)
 class _Search:
-    """The search in one stream, and what has been seen so far: `message` is the last one, `met` if it is the one.
+    """The search in one stream, and what has been seen so far: the `last` message, which is the one if it is `met`.
 
-    Decoding and evaluating run in threads: 200 messages may take longer than other calls should wait.
+    Decoding and evaluating run in threads: 200 messages may take longer than other calls should wait. With `excerpts`
+    only the message that is told is decoded.
     """
 
     stream: Stream
     condition: Condition
-    message: Message | None = None
-    received_ns: int = 0
-    published_ns: int = 0
+    excerpts: ExcerptReader | None = None
+    last: Sample | None = None
     is_old: bool = False
     met: bool = False
     looked_at: int = 0
@@ -119,21 +133,28 @@ class _Search:
                     return
 
     def _examine(self, samples: Sequence[Sample]) -> None:
-        for sample in samples:
-            try:
-                self.message = self.stream.codec.decode(self.stream.type, sample.data)
-            except BadData:
-                self.undecodable += 1
+        excerpts = self.excerpts.read([sample.data for sample in samples]) if self.excerpts else None
+        for number, sample in enumerate(samples):
+            message = self._decoded(sample) if excerpts is None else excerpts[number]
+            if message is None:
                 continue
-            self.received_ns, self.published_ns = sample.received_ns, sample.source_ns
+            self.last = sample
             self.looked_at += 1
-            holds = self.condition.holds(self.message)
+            holds = self.condition.holds(message)
             if holds is None:
                 self.undecided += 1
-                self.why_undecided = self.why_undecided or self.condition.why_undecided(self.message)
+                self.why_undecided = self.why_undecided or self.condition.why_undecided(message)
             elif holds:
                 self.met, self.is_old = True, self.stream.is_replayed(sample)
                 return
+
+    def _decoded(self, sample: Sample) -> Message | None:
+        """A message as a whole; None, and counted, where it is not what its type says."""
+        try:
+            return self.stream.codec.decode(self.stream.type, sample.data)
+        except BadData:
+            self.undecodable += 1
+            return None
 
     def result(self, source: Source, waited_s: float, max_bytes: int) -> Wait:
         """The message in half of the result's size: the other half is for its text."""
@@ -141,17 +162,18 @@ class _Search:
 
         definitions, type_name = self.stream.codec.definitions, self.stream.type
         message, values = None, dict[str, Any]()
-        if self.message is not None:
+        whole = self._decoded(self.last) if self.last else None
+        if whole is not None:
             options = RenderOptions(max_bytes=max_bytes // 2)
-            message = render(definitions, type_name, self.message, options=options).value
+            message = render(definitions, type_name, whole, options=options).value
             for path in self.condition.fields:
                 options = RenderOptions(max_array=8, max_string=200, max_bytes=_VALUE_BYTES, fields=[path])
                 try:
-                    values |= render(definitions, type_name, self.message, options=options).value
+                    values |= render(definitions, type_name, whole, options=options).value
                 except BadValue:  # a list is too short
                     values[path] = None
-            values |= self.condition.values(self.message)
-        dropped, has_message = self.stream.counts.dropped, self.message is not None
+            values |= self.condition.values(whole)
+        dropped, at_ns = self.stream.counts.dropped, self.last.received_ns if self.last else 0
         notes: list[str] = []
         if self.undecodable:
             notes.append(undecodable(self.undecodable))
@@ -160,8 +182,8 @@ class _Search:
         if self.undecided:
             why = f"Of {self.undecided} of {self.looked_at} message(s) it cannot be said"
             notes.append(f"{why}: {self.why_undecided}")
-        if self.is_old:
-            age = f"{(self.received_ns - self.published_ns) / 1e9:.1f} s" if self.published_ns else "some time"
+        if self.is_old and self.last:
+            age = f"{(at_ns - self.last.source_ns) / 1e9:.1f} s" if self.last.source_ns else "some time"
             notes.append(f"That message was sent {age} before: the topic keeps it for whoever subscribes later.")
         if dropped:
             notes.append(f"{dropped} messages came too fast to be looked at.")
@@ -170,8 +192,8 @@ class _Search:
             topic_type=type_name,
             condition=self.condition.text,
             met=self.met,
-            at=iso_time(self.received_ns) if has_message else "",
-            seconds_in=seconds_in(self.received_ns, source.began_ns) if has_message else None,
+            at=iso_time(at_ns) if self.last else "",
+            seconds_in=seconds_in(at_ns, source.began_ns) if self.last else None,
             waited=round(waited_s, 6),
             looked_at=self.looked_at,
             undecided=self.undecided,
@@ -181,5 +203,5 @@ class _Search:
             source=source.words_after(waited_s),
             note=" ".join(notes),
             is_live=source.is_live,
-            when=recorded_time(self.received_ns, source.began_ns) if has_message else "",
+            when=recorded_time(at_ns, source.began_ns) if self.last else "",
         )

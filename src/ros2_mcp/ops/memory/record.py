@@ -51,6 +51,8 @@ LARGEST_BYTES = 32_000
 """Larger messages (pictures, clouds) would push all others out of the ring: their topics are kept only by name."""
 _TURN_S = 0.1
 """How often waiting samples are handed to the disk: rarely enough to cost nothing, and no more is lost at a crash."""
+_SHORT_TURN_S, _MUCH_BYTES = 0.02, 2_000_000
+"""Where so much came in a turn: a raw camera at full HD sends 19 MB in a tenth of a second."""
 _JOINED_POLL_S = 0.02
 """A subscription takes some milliseconds; this is by how much a start is longer than it needs to be."""
 _LOOK_S = 1.0
@@ -59,8 +61,9 @@ _JOINED_S = 2.0
 """How long a start waits for the subscriptions of topics that are there; discovery takes up to that long."""
 _LEFT_S = 3.0
 """How long an end waits for the last samples of subscriptions, which a busy bridge may withhold."""
-_WAITING_BYTES = 64_000_000
-"""What one topic may hold in memory while this server is busy: two seconds of a camera's raw pictures."""
+_WAITING_BYTES = 128_000_000
+"""What one topic may hold in memory while this server is busy: two bursts of large pictures (see
+`QUEUE_BYTES`)."""
 _TOLD = 3
 """Topics that cannot be recorded and are told in the summary, which is one line; all are among the topics."""
 _MOST_NOTES = 20
@@ -101,9 +104,9 @@ class RecordRequest:
 class TopicCounts:
     """One topic of a recording.
 
-    `written` messages are in the file; `dropped` were discarded because the disk or this server was too slow; `lost`
-    never arrived (null where that cannot be known). `other_types` are those of publishers that came later, and are not
-    recorded.
+    `written` messages are in the file; `dropped` were discarded because they were not written fast enough, or this
+    server was too busy; `lost` never arrived, as gaps between those that did show: not what is missing at the end (null
+    where that cannot be known). `other_types` are those of publishers that came later, and are not recorded.
     """
 
     topic_name: str
@@ -423,12 +426,12 @@ class Recording(Job):
             try:
                 while not (self._is_ending or joined.must_renew or recorder.ended):
                     samples = await listening.take(0.0)
-                    size = max((len(sample.data) for sample in samples), default=0)
-                    if largest and size > largest:
+                    sizes = [len(sample.data) for sample in samples]
+                    if largest and (size := max(sizes, default=0)) > largest:
                         what = f"Left out: it has messages of {size} bytes, more than {largest}."
                         raise Refused(what, "Name it to have it.")
                     recorder.put(name, samples)
-                    await anyio.sleep(_TURN_S)
+                    await anyio.sleep(_SHORT_TURN_S if sum(sizes) > _MUCH_BYTES else _TURN_S)
             except LinkError:
                 joined.former, joined.listening, joined.lost = joined.counts(), None, listening
                 raise
@@ -472,7 +475,7 @@ def _text_message(text: str) -> bytes:
 def drops_in_words(busy: int, slow: int, *, is_remote: bool = False) -> str:
     """In words, how many messages came and are not in the file, and why; empty if none."""
     who = "the link was too slow, or this server too busy" if is_remote else "this server was too busy"
-    reasons = ((busy, f"dropped because {who}"), (slow, "dropped because the disk was too slow"))
+    reasons = ((busy, f"dropped because {who}"), (slow, "dropped because they were not written fast enough"))
     return ", ".join(f"{count} {why}" for count, why in reasons if count)
 
 

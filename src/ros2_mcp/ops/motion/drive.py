@@ -119,7 +119,8 @@ class Driven:
         unit = "°" if self.unit == "deg" else " m"
         if self.measured is None:
             return f"{self.outcome}: nothing was driven. {self.note}".rstrip()
-        error = "" if self.error is None else f" (error {self.error:+.3g}{unit})"
+        missing = "error" if self.outcome == "reached" else "still missing"
+        error = "" if self.error is None else f" ({missing} {self.error:+.3g}{unit})"
         went = f"{self.measured:.3f}{unit} of {self.asked:g}{unit}{error} by {named(self.odometry)}"
         return f"{self.outcome}: {went} in {self.elapsed_s:.1f} s. {self.note}".rstrip()
 

@@ -57,15 +57,16 @@ async def _localisation(robot: Robot) -> list[str]:
 
 
 async def _costmap(robot: Robot, topics: Sequence[TopicRow], action: str) -> list[str]:
-    grid, topic = await costmap_of(robot, topics, action)
+    grid, topic, ages = await costmap_of(robot, topics, action)
     if grid is None or "costmap" not in topic:
         return ["No global costmap was received."]
+    if ages:
+        return [ages]
     stamp = grid.message.header.stamp
     age_s = (robot.now_ns() - stamp.sec * 1_000_000_000 - stamp.nanosec) / 1e9
     if not 0 <= age_s < _LONGEST_AGE_S:
         return [f"The costmap {named(topic)} is there."]
-    has_updates = any(row.name == f"{topic}_updates" and row.publishers for row in topics)
-    late = age_s > _OLD_COSTMAP_S and not has_updates
+    late = age_s > _OLD_COSTMAP_S
     return [f"The costmap {named(topic)} is {age_s:.1f} s old{': it is not updated' if late else ''}."]
 
 

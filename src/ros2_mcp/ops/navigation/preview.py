@@ -194,7 +194,7 @@ async def _give_up(robot: Robot, goal_id: str) -> None:
 async def _grid(robot: Robot, action: str, frame: str) -> tuple[CostGrid | None, str]:
     """The costmap in the frame of the way, and its topic."""
     with suppress(RobotError):
-        grid, topic = await costmap_of(robot, list(await robot.graph.topics()), action)
+        grid, topic, _ = await costmap_of(robot, list(await robot.graph.topics()), action)
         return (grid, topic) if grid and grid.frame_id == frame else (None, "")
     return None, ""
 

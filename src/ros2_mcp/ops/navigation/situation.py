@@ -14,17 +14,19 @@ from typing import TYPE_CHECKING, Any, cast
 
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.costs import cost_in_words
-from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.errors import RobotError, TimedOut
 from ros2_mcp.model.graph import TopicRow
-from ros2_mcp.model.nav2 import NAVIGATION_NODES
+from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE, NAVIGATION_NODES
 from ros2_mcp.model.pictures import OCCUPANCY_GRID
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.log import Log, LogLine, LogRequest
 from ros2_mcp.ops.log import read as read_log
 from ros2_mcp.ops.measure.diagnostics import Diagnostic, read_diagnostics
 from ros2_mcp.ops.navigation.base import Base, base_of
+from ros2_mcp.ops.navigation.costmaps import chosen_costmaps, costmap_now, updates_of
 from ros2_mcp.ops.navigation.whereabouts import Whereabouts, whereabouts
 from ros2_mcp.ops.nodes.lifecycle import states
+from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.robot import Robot
 
 if TYPE_CHECKING:
@@ -95,7 +97,7 @@ async def look_around(robot: Robot, frame: str, since_s: float, action: str = ""
     rows = await _or(robot.graph.topics(), (), absent, "The topics")
     topics = list(rows)
     beside = asyncio.gather(local_of(robot, topics, action), base_of(robot))
-    where, (grid, grid_topic), inactive, (quiet, uncertain), table, log = await asyncio.gather(
+    where, (grid, grid_topic, ages), inactive, (quiet, uncertain), table, log = await asyncio.gather(
         whereabouts(robot, frame),
         costmap_of(robot, topics, action, within_s=_SENSORS_S),
         inactive_servers(robot),
@@ -106,6 +108,8 @@ async def look_around(robot: Robot, frame: str, since_s: float, action: str = ""
     local, base = await beside
     if grid is None:
         absent.append("No costmap and no map could be read.")
+    if ages:
+        absent.append(ages)
     return Situation(
         where=where,
         grid=grid,
@@ -132,13 +136,14 @@ async def _or(work: Any, otherwise: Any, absent: list[str], what: str) -> Any:
 
 async def costmap_of(
     robot: Robot, topics: Sequence[TopicRow], action: str = "", *, within_s: float = 0.0
-) -> tuple[CostGrid | None, str]:
-    """The global costmap, else the map, with its topic; None where neither can be read.
+) -> tuple[CostGrid | None, str, str]:
+    """The global costmap, else the map, with its topic, and in words how old it and its changes are, if only these are
+    sent; None where neither can be read.
 
     Of several robots that which stands below the same namespace as the `action`. The newest that comes `within_s`: the
     first one is latched, and may be from before what it is asked for.
     """
-    grids = [row.name for row in topics if OCCUPANCY_GRID in row.types and row.publishers]
+    grids = _grids(topics)
     namespace = action.rpartition("/")[0]
     own = [name for name in grids if name.startswith(f"{namespace}/")] or grids
     wanted = sorted(own, key=lambda name: ("global_costmap" not in name, "costmap" in name, len(name)))
@@ -146,26 +151,23 @@ async def costmap_of(
         if "local_costmap" in name:
             continue
         try:
-            if found := await _newest_grid(robot, name, within_s):
-                return found, name
+            grid, ages = await _newest_grid(robot, topics, name, within_s)
+            return grid, name, ages
         except RobotError:
             continue
-    return None, ""
+    return None, "", ""
 
 
 async def local_of(robot: Robot, topics: Sequence[TopicRow], action: str = "") -> Local | None:
     """What the local costmap has around the robot; None where there is none, or the robot's place on it not known."""
-    grids = [row.name for row in topics if OCCUPANCY_GRID in row.types and row.publishers]
-    grids = [name for name in grids if "local_costmap" in name]
+    grids = [name for name in _grids(topics) if "local_costmap" in name]
     namespace = action.rpartition("/")[0]
     own = sorted([name for name in grids if name.startswith(f"{namespace}/")] or grids, key=len)
     if not own:
         return None
     try:
-        grid = await _newest_grid(robot, own[0], _SENSORS_S)
+        grid, _ = await _newest_grid(robot, topics, own[0], _SENSORS_S)
     except RobotError:
-        return None
-    if grid is None:
         return None
     where = await whereabouts(robot, grid.frame_id)
     if where.x_m is None or where.y_m is None or where.trouble:
@@ -186,19 +188,33 @@ def around(grid: CostGrid, topic: str, where: Whereabouts) -> Local:
     )
 
 
-async def _newest_grid(robot: Robot, topic: str, within_s: float) -> CostGrid | None:
+def _published(topics: Sequence[TopicRow], *types: str) -> list[str]:
+    return [row.name for row in topics if row.publishers and not set(types).isdisjoint(row.types)]
+
+
+def _grids(topics: Sequence[TopicRow]) -> list[str]:
+    return chosen_costmaps(_published(topics, OCCUPANCY_GRID), _published(topics, COSTMAP))
+
+
+async def _newest_grid(robot: Robot, topics: Sequence[TopicRow], topic: str, within_s: float) -> tuple[CostGrid, str]:
+    """A grid, and in words how old it and its changes are, if only these are sent; raises as `costmap_now`."""
     await load("ros2_mcp.codec.costmap")  # with numpy: not before it is needed
     from ros2_mcp.codec.costmap import CostGrid
 
+    kind = COSTMAP if topic in _published(topics, COSTMAP) else OCCUPANCY_GRID
+    updates = updates_of(topic, _published(topics, GRID_UPDATE, COSTMAP_UPDATE))
+    if updates or kind == COSTMAP:
+        found = await costmap_now(robot, Live(robot), topic, kind, updates, COSTMAP_S, newer_s=within_s)
+        return CostGrid(found.message), found.note
     async with robot.listen(topic, keep="latest") as listening:
         samples = await listening.take(COSTMAP_S)
         end = monotonic() + within_s
         while samples and (left_s := end - monotonic()) > 0:
             samples = await listening.take(left_s) or samples
         if not samples:
-            return None
+            raise TimedOut(f"No message on {topic}.")
         message = (await robot.values.decode_all(listening.type, samples[-1:]))[0]
-        return await aside(len(samples[-1].data), CostGrid, message)
+        return await aside(len(samples[-1].data), CostGrid, message), ""
 
 
 async def inactive_servers(robot: Robot) -> list[str]:

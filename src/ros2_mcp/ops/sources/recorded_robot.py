@@ -11,7 +11,7 @@ from ros2_mcp.guard.guard import Guard
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.link.client import Bridge
 from ros2_mcp.model.errors import RosNotFound, UnknownInterface
-from ros2_mcp.model.graph import Rows, TopicEndpoints, TopicRow
+from ros2_mcp.model.graph import NodeRow, Rows, TopicEndpoints, TopicRow
 from ros2_mcp.model.names import defining_type, did_you_mean
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.memory.bag_store import BagStore
@@ -50,7 +50,11 @@ class RecordedGraph(Graph):
         recorded = (await self._recorded_topics()).values()
         return Rows([TopicRow(found.topic, found.types, len(found.publishers), 0) for found in recorded], settled=True)
 
-    async def absence(self, within_s: float | None = None) -> str:  # noqa: ARG002 - as above
+    async def topics_and_absence(self, count_most: int) -> tuple[Rows[TopicRow], str]:  # noqa: ARG002 - all are known
+        """The recorded topics, and that it is there."""
+        return await self.topics(), ""
+
+    async def absence(self, within_s: float | None = None, found: Rows[NodeRow] | None = None) -> str:  # noqa: ARG002
         """It is there."""
         return ""
 

@@ -10,6 +10,7 @@ from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.codec.urdf import Urdf
 from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw, rotated
 from ros2_mcp.model.text import named
+from ros2_mcp.ops.space.frames import WORLDS
 
 NO_MOUNT = " (mount unknown)"
 _STEEP_DEG = 75.0
@@ -44,7 +45,7 @@ def footprint_in_words(
 
 def _stands_on(urdf: Urdf, base: str) -> bool:
     """Whether the base is fixed in the world by something that has a shape, such as a table."""
-    is_fixed = urdf.root.lower() in ("world", "map") and urdf.fixed_to(base) == urdf.root
+    is_fixed = urdf.root.lower() in WORLDS and urdf.fixed_to(base) == urdf.root
     held = [joint.parent for joint in urdf.way_up(base)] if is_fixed else []
     return any(urdf.links[name].collisions or urdf.links[name].visuals for name in held if name in urdf.links)
 

@@ -16,6 +16,8 @@ from ros2_mcp.ops.results import Report, silent
 from ros2_mcp.ops.sources.source import Source, Stream
 from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE, TransformListener
 
+WORLDS = ("map", "odom", "world", "earth")
+"""Frames in which a robot's place is meant, the better first (REP 105)."""
 APPEARING_S = 4.0
 """A publisher may be discovered up to 3 s late, and sends once a second at least; after that a frame is not there."""
 _SETTLED_S = 0.5

@@ -7,7 +7,6 @@ from typing import Any
 
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.nav2 import PATH
-from ros2_mcp.model.text import named
 from ros2_mcp.ops.pictures.next_message import Next
 from ros2_mcp.ops.sources.live import Live
 from ros2_mcp.robot import Robot
@@ -19,15 +18,14 @@ async def hear_plans(robot: Robot) -> None:
         await robot.last_plans.hear(await Live(robot).publishing(PATH))
 
 
-async def plan_sent_before(robot: Robot, topic: str) -> tuple[Next, str] | None:
-    """The plan of a topic that was heard last, and in words when; None if none was heard, or it was taken back."""
-    if not (heard := robot.last_plans.last(topic)) or heard[0] != PATH:
+async def sent_before(robot: Robot, topic: str, type_name: str) -> tuple[Next, float] | None:
+    """The plan or goal of a topic that was heard last, and how many s ago; None if none was, or it was taken back."""
+    if not (heard := robot.last_plans.last(topic)) or heard[0] != type_name:
         return None
     try:
-        message: Any = (await robot.values.decode_all(PATH, [heard[1]]))[0]
+        message: Any = (await robot.values.decode_all(type_name, [heard[1]]))[0]
     except RobotError:
         return None
-    if not message.poses:
+    if type_name == PATH and not message.poses:
         return None
-    ago_s = max(robot.now_ns() - heard[1].received_ns, 0) / 1e9
-    return Next(message, heard[1], "", ""), f"The path {named(topic)} was sent {ago_s:.0f} s ago, and nothing since."
+    return Next(message, heard[1], "", ""), max(robot.now_ns() - heard[1].received_ns, 0) / 1e9

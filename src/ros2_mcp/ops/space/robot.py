@@ -30,7 +30,7 @@ from ros2_mcp.ops.sources.source import GraphSnapshot, Source
 from ros2_mcp.ops.space.body import NO_MOUNT, footprint_in_words, mounted
 from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_in_words, in_groups, listed_controllers
 from ros2_mcp.ops.space.edges import edge_row, in_words
-from ros2_mcp.ops.space.frames import frames_of
+from ros2_mcp.ops.space.frames import WORLDS, frames_of
 from ros2_mcp.ops.space.heads import Head, heads_of
 from ros2_mcp.ops.space.inputs import command_inputs, drive_types
 from ros2_mcp.ops.space.joints import joints_in_words, placed, with_chains, with_turning_together, without_speeds
@@ -64,8 +64,6 @@ _SENSORS = (
 _TF = "tf2_msgs/msg/TFMessage"
 _BATTERY = "sensor_msgs/msg/BatteryState"
 _WITH_RANGE = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range")
-_WORLDS = ("map", "odom", "world", "earth")
-"""Frames in which a robot's place is meant, the better first (REP 105)."""
 _MOST = {
     "command_inputs": (8, 0.8),
     "sensors": (9, 0.6),
@@ -79,8 +77,6 @@ _COUNTS_BYTES = 20
 """For how many lines are left out."""
 _OLD_S = 2.0
 """A place that is older is not that of now."""
-_ALL_AROUND_DEG = 350.0
-"""A scanner that sees all around leaves out the last step, or has a strut in its view."""
 _MOST_CORNERS = 200
 """Of an outline: more are a mistake."""
 _logger = logging.getLogger(__name__)
@@ -253,7 +249,7 @@ async def _ranges(source: Source, seen: _Seen) -> None:
             seen.ranges[one.topic] = f"{message.min_range:.3g} to {message.max_range:.3g} m"
             continue
         wide_deg = math.degrees(abs(float(message.angle_max) - float(message.angle_min)))
-        wide = f" over {wide_deg:.0f}°" if 0 < wide_deg < _ALL_AROUND_DEG else ""
+        wide = f" over {wide_deg:.0f}°" if wide_deg else ""
         seen.ranges[one.topic] = f"{message.range_min:.3g} to {message.range_max:.3g} m{wide}"
 
 
@@ -376,7 +372,7 @@ def _base_of(seen: _Seen) -> str:
     if seen.urdf is None:
         return ""
     root = next((name for name in ("base_link", "base_footprint") if name in seen.urdf.links), seen.urdf.root)
-    arms = arms_of(seen.urdf) if root.lower() in _WORLDS else []
+    arms = arms_of(seen.urdf) if root.lower() in WORLDS else []
     return arms[0][0].parent if arms else root
 
 
@@ -456,7 +452,7 @@ def _misses_frames(seen: _Seen) -> bool:
 
 def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
     """Where it is, and what is wrong with that."""
-    for world in _WORLDS:
+    for world in WORLDS:
         match = next((name for name in seen.tree.frames if name.rpartition("/")[2] == world), "")
         if match and base and match != base and (found := seen.tree.newest(match, base)):
             age_s = _age_s(source, seen.tree, found)
@@ -483,7 +479,7 @@ def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
 
 def _fixed_in_world(urdf: Urdf, base: str) -> Mount | None:
     """Where the base is fixed in the link that stands for the world; None where the description tells none."""
-    is_fixed = urdf.root.lower() in _WORLDS and base != urdf.root and urdf.fixed_to(base) == urdf.root
+    is_fixed = urdf.root.lower() in WORLDS and base != urdf.root and urdf.fixed_to(base) == urdf.root
     return urdf.mount(base) if is_fixed else None
 
 

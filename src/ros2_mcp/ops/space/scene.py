@@ -12,21 +12,28 @@ from ros2_mcp.codec.limbs import Limb, LimbSeen, limbs_seen
 from ros2_mcp.codec.transforms import FrameTree, Located, pose_of
 from ros2_mcp.model import names
 from ros2_mcp.model.aside import aside, load
-from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError
-from ros2_mcp.model.nav2 import PATH
+from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError, TimedOut
+from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE, PATH
 from ros2_mcp.model.pictures import BOUNDS, LASER_SCAN, OCCUPANCY_GRID, Picture, Place
 from ros2_mcp.model.poses import Pose, planar
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.model.times import recorded_time, seconds_in
+from ros2_mcp.ops.navigation.costmaps import (
+    Costmap,
+    chosen_costmaps,
+    costmap_now,
+    costmap_recorded,
+    updates_of,
+)
 from ros2_mcp.ops.navigation.navigate import Navigation
 from ros2_mcp.ops.pictures.next_message import Next, next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
 from ros2_mcp.ops.results import Report, facts, iso_time, reporting, silent
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.ages import age_of, since_s, stamp_ns
-from ros2_mcp.ops.space.frames import frames_of
+from ros2_mcp.ops.space.frames import WORLDS, frames_of
 from ros2_mcp.ops.space.meaning import meaning_of
-from ros2_mcp.ops.space.plans import plan_sent_before
+from ros2_mcp.ops.space.plans import sent_before
 from ros2_mcp.ops.space.scene_picture import SceneLayer, ScenePicture, SceneRequest, Way
 from ros2_mcp.ops.space.silhouette import silhouette_of
 from ros2_mcp.robot import Robot
@@ -89,7 +96,7 @@ class Gathered:
 
     source: Source
     asked: Robot
-    grid: Next | None = None
+    grid: Costmap | None = None
     grid_topic: str = ""
     read_layers: list[tuple[str, str, Next]] = field(default_factory=list[tuple[str, str, Next]])
     frame: str = ""
@@ -114,38 +121,27 @@ class Gathered:
     async def read(self, request: SceneRequest) -> None:
         """Everything that there is."""
         source = self.source
-        grids, scans, paths, poses, polygons, texts = await asyncio.gather(
-            *(source.publishing(kind) for kind in (OCCUPANCY_GRID, LASER_SCAN, PATH, POSE_STAMPED, POLYGON, STRING))
-        )
-        self.grid_topic = _chosen_grid(request.grid, grids)
+        kinds = (OCCUPANCY_GRID, COSTMAP, LASER_SCAN, PATH, POSE_STAMPED, POLYGON, STRING)
+        grids, raw, scans, paths, poses, polygons, texts = await asyncio.gather(*map(source.publishing, kinds))
+        self.grid_topic = _chosen_grid(request.grid, chosen_costmaps(grids, raw))
+        grid_type = COSTMAP if self.grid_topic in raw else OCCUPANCY_GRID
+        goals = [name for name in poses if "goal" in name.rpartition("/")[2]]
         if source.is_live:
-            await self.asked.last_plans.hear(paths)
+            await self.asked.last_plans.hear([*paths, *goals])
         shown = [] if request.way else paths  # a way that is handed in is not drawn twice
         wanted = [("path", name, PATH) for name in self._first("paths", shown, _MOST_PATHS)]
-        goals = [name for name in poses if "goal" in name.rpartition("/")[2]]
         wanted += [("goal", name, POSE_STAMPED) for name in self._first("goals", goals, _MOST_GOALS)]
         footprints = [("footprint", name, POLYGON) for name in polygons if "footprint" in name]
         descriptions = [(_DESCRIPTION, name, STRING) for name in texts if name.endswith("robot_description")]
         wanted += [*footprints[:1], *descriptions[:1]]
         # Last: a scan is to be of the pose that is shown, and while the others are awaited the robot may turn.
         late = [("scan", name, LASER_SCAN) for name in self._first("scans", scans, _MOST_SCANS)]
-        grid = [(self.grid_topic, OCCUPANCY_GRID, _GRID_S)] if self.grid_topic else []
-        results = await self._read_all([*((name, kind, _LAYER_S) for _, name, kind in wanted), *grid])
-        found = results.pop() if grid else None
-        if isinstance(found, RobotError):
-            if request.grid:
-                raise found
-            self.missing.append(f"The grid {named(self.grid_topic)} is not shown: {found.message}")
-        elif found:
-            self.grid = found
-            self._tell_skipped(self.grid_topic, found)
-        results += await self._read_all([(name, kind, _LAYER_S) for _, name, kind in late])
-        if source.is_live:
-            for index, (layer, name, _) in enumerate(wanted):
-                is_silent = layer == "path" and isinstance(results[index], RobotError)
-                if is_silent and (before := await plan_sent_before(self.asked, name)):
-                    results[index] = before[0]
-                    self.missing.append(before[1])
+        results, error = await asyncio.gather(self._read_all(wanted), self._read_grid(grid_type))
+        if error and request.grid:
+            raise error
+        if error:
+            self.missing.append(f"The grid {named(self.grid_topic)} is not shown: {error.message}")
+        results += await self._read_all(late)
         for (layer, name, _), found in zip([*wanted, *late], results, strict=True):
             if isinstance(found, Next):
                 self.read_layers.append((layer, name, found))
@@ -153,11 +149,52 @@ class Gathered:
             elif layer in ("scan", "path"):
                 self.missing.append(f"The {layer} {named(name)} is not shown: {found.message}")
 
-    async def _read_all(self, topics: Sequence[tuple[str, str, float]]) -> list[Next | RobotError]:
-        """The next message of each topic of a type, awaited so long, at the same time."""
-        return [*await asyncio.gather(*(_next(self.source, *topic) for topic in topics))]
+    async def _read_all(self, layers: Sequence[tuple[str, str, str]]) -> list[Next | RobotError]:
+        """The message of each layer (its kind, its topic, its type), awaited at the same time."""
+        return [*await asyncio.gather(*(self._read_layer(*layer) for layer in layers))]
 
-    def _tell_skipped(self, name: str, found: Next) -> None:
+    async def _read_layer(self, layer: str, topic: str, type_name: str) -> Next | RobotError:
+        """The next message; live of a path or goal, which are sent once, the last one that was heard, if there is one.
+
+        What is heard from an earlier question on is not awaited again: nothing came.
+        """
+        heard_s = self.asked.last_plans.heard_s(topic) if self.source.is_live and layer in ("path", "goal") else 0.0
+        found: Next | RobotError
+        if heard_s > _LAYER_S:
+            was_sent = self.asked.last_plans.last(topic) is not None
+            why = "The last one is empty." if was_sent else f"Nothing was sent in {heard_s:.0f} s of listening."
+            found = TimedOut(why)
+        else:
+            found = await _next(self.source, topic, type_name, _LAYER_S)
+        if not heard_s or isinstance(found, Next) or not (before := await sent_before(self.asked, topic, type_name)):
+            return found
+        message, ago_s = before
+        if ago_s <= _LAYER_S:
+            return message
+        if layer == "goal":  # which may have been reached since
+            return found
+        self.missing.append(f"The path {named(topic)} was sent {ago_s:.0f} s ago, and nothing since.")
+        return message
+
+    async def _read_grid(self, type_name: str) -> RobotError | None:
+        """The grid with what has changed in it since it was sent; the error where it cannot be read."""
+        topic, source = self.grid_topic, self.source
+        if not topic:
+            return None
+        try:
+            updates = updates_of(topic, await source.publishing(GRID_UPDATE, COSTMAP_UPDATE))
+            if source.is_live:
+                self.grid = await costmap_now(self.asked, source, topic, type_name, updates, _GRID_S)
+            else:
+                self.grid = await costmap_recorded(source, topic, type_name, updates)
+        except RobotError as error:
+            return error
+        self._tell_skipped(topic, self.grid)
+        if not self.grid.is_complete:
+            self.missing.append(self.grid.note)
+        return None
+
+    def _tell_skipped(self, name: str, found: Next | Costmap) -> None:
         if found.skipped:
             self.missing.append(f"{named(name)}: {found.skipped}")
 
@@ -194,7 +231,7 @@ class Gathered:
     def _choose_frame(self, request: SceneRequest) -> None:
         of_messages = self._frames_of_messages()
         tree = self.tree
-        standard = [name for name in ("map", "odom", "world") if name in tree.frames]
+        standard = [name for name in WORLDS if name in tree.frames]
         self.frame = (
             request.frame.strip().lstrip("/")
             or (of_messages[0] if self.grid and of_messages else "")
@@ -204,10 +241,9 @@ class Gathered:
         )
 
     def _frames_of_messages(self) -> list[str]:
-        read = ([self.grid] if self.grid else []) + [
-            found for kind, _, found in self.read_layers if kind != _DESCRIPTION
-        ]
-        return [found.message.header.frame_id.lstrip("/") for found in read]
+        read = [self.grid.message] if self.grid else []
+        read += [found.message for kind, _, found in self.read_layers if kind != _DESCRIPTION]
+        return [message.header.frame_id.lstrip("/") for message in read]
 
     def _is_complete(self, tree: FrameTree) -> bool:
         """Whether everything can be placed, the scans at the time when they were taken."""
@@ -258,7 +294,7 @@ class Gathered:
         if age_s is not None and age_s > _LATE_S:
             self.missing.append(f"The scan {named(name)}, and what it means, is {age_s:.1f} s old: turned since?")
 
-    def _place_grid(self, grid: Next, now_ns: int) -> None:
+    def _place_grid(self, grid: Costmap, now_ns: int) -> None:
         from ros2_mcp.codec.scene import GridLayer, check_grid
 
         costs = _COSTMAP in self.grid_topic
@@ -274,7 +310,8 @@ class Gathered:
             self.missing.append(f"The {kind} {named(self.grid_topic)} is not shown: {str(error).rstrip('.')}.")
             return
         self.grid_layer = GridLayer(grid.message, corner, costs)
-        self.layers.append(SceneLayer(kind, self.grid_topic, age_s=age_of(grid, now_ns)))
+        age_s = since_s(grid.newest_ns, now_ns) if grid.newest_ns else age_of(grid, now_ns)
+        self.layers.append(SceneLayer(kind, self.grid_topic, age_s=age_s))
 
     def _unplaced(self, kind: str, name: str, header: Any) -> None:
         self.missing.append(

@@ -59,6 +59,7 @@ class Tellers:
         self, tree: FrameTree, publishers: Mapping[str, Publishers], also: Mapping[str, Sequence[str]]
     ) -> None:
         self._publishers = publishers
+        self._heard = {topic: tree.publishers(is_static=topic == TF_STATIC) for topic in (TF, TF_STATIC)}
         self._nodes = {
             topic: _concluded(
                 tree.writers(is_static=topic == TF_STATIC),
@@ -84,7 +85,7 @@ class Tellers:
     def silent(self, topic: str) -> tuple[int, Sequence[str]]:
         """How many nodes publish on a topic without that anything was heard of them, and who these, or they, may be."""
         publishers, nodes = self._publishers.get(topic, Publishers()), self._nodes[topic]
-        count = len(_all(publishers)) - len(nodes)
+        count = len(_all(publishers)) - min(len(nodes), self._heard[topic])
         if count <= 0:
             return 0, ()
         heard = set[str]().union(*nodes.values())

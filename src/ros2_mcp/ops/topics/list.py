@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -45,11 +44,11 @@ async def list_topics(
     robot: Robot, pattern: str = "", include_hidden: bool = False, limit: int = 200, *, with_fields: bool = False
 ) -> TopicList:
     """The topics whose names or types match the pattern (a glob, or any part of one), sorted by name."""
-    found, absence = await asyncio.gather(robot.graph.topics(), robot.graph.absence())
+    found, absence = await robot.graph.topics_and_absence(count_most=limit)
     visible = {row.name: row for row in found if include_hidden or not names.is_hidden(row.name)}
     chosen = names.matching(sorted(visible), pattern, lambda name: visible[name].types)
     note = list_note(len(chosen), limit, found.settled, absence)
-    rows = [visible[name] for name in chosen[:limit]]
+    rows = await robot.graph.counted([visible[name] for name in chosen[:limit]])
     fields, unknown = await robot.values.fields_of(row.types[0] for row in rows) if with_fields else ({}, "")
     topics = [
         TopicEntry(

@@ -12,6 +12,7 @@ from functools import partial
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, BadInput, RobotError
 from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.names import absolute
@@ -322,8 +323,13 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
     stream = collected.stream
     if stream.type:
         selection, _ = selection.fitting(stream.codec.definitions, stream.type)
-    fitted = await asyncio.to_thread(fit, stream.codec, stream.type, collected.samples, selection)
-    images, said = await asyncio.to_thread(pictures_of, stream.type, fitted)
+    await load("ros2_mcp.codec.cdr")  # with numpy: not before it is needed
+    size = sum(len(sample.data) for sample in collected.samples)
+    fitted = await aside(size, fit, stream.codec, stream.type, collected.samples, selection)
+    images: list[Picture] = []
+    said = ""
+    if stream.type in (IMAGE, COMPRESSED_IMAGE):
+        images, said = await asyncio.to_thread(pictures_of, stream.type, fitted)
     start, times_s = message_times(source, fitted.samples)
     # Who sees the picture needs no advice on how to read its bytes.
     hint = summarised([path for path in fitted.truncated if not images or path != "data"])
@@ -360,8 +366,6 @@ async def _shown(source: Source, collected: Collected, selection: Selection) -> 
 
 def pictures_of(type_name: str, fitted: Fitted) -> tuple[list[Picture], str]:
     """Pictures of the shown messages, from what is already decoded, and of which; or why there are none."""
-    if type_name not in (IMAGE, COMPRESSED_IMAGE):
-        return [], ""
     from ros2_mcp.codec.pictures import picture_of  # numpy: not at the start of the server
 
     try:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from time import time
 from typing import Any
 
+from ros2_mcp.guard.approvals import PENDING_S
 from ros2_mcp.guard.chain import files_of, tail
 from ros2_mcp.guard.consent import AUDIT
 from ros2_mcp.guard.operators import name_of, own_uid
@@ -16,6 +17,7 @@ from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.ops.view.acts import acts_in, told_as_lapsed
 from ros2_mcp.ops.view.look import Content, Look, Panel
 from ros2_mcp.ops.view.recorded_acts import RecordedActs
 from ros2_mcp.robot import Robot
@@ -32,15 +34,7 @@ _ASKED_EVERY_S = 0.5
 _TAIL_BYTES = 96_000
 """Of the audit: some hundred lines."""
 _MOST_ACTS = 60
-_MOST_TEXT = 300
-"""Of a field: the audit writes no longer ones."""
-_KINDS = (
-    *("act", "waits", "refused", "goal ended", "stop", "stopped", "latched", "reset", "mode"),
-    *("approved", "denied", "granted", "revoked", "withdrawn"),
-)
-"""Lines that a person wants to see; outcomes stand with their acts."""
-_TEXTS = ("tool", "verb", "name", "type", "by", "reason", "rule", "program", "outcome", "now")
-_NUMBERS = ("rate_hz", "duration_s")
+_SETTLED_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,10 +103,7 @@ class Acting:
                     "mode": answer["mode"],
                     "moves": answer.get("moves", ()),
                     "jobs": answer.get("jobs", ()),
-                    "waiting": [
-                        {"id": one["id"], "left_s": round(one["left_s"]), "summary": one["summary"]}
-                        for one in answer["waiting"]
-                    ],
+                    "waiting": [_waiting(one) for one in answer["waiting"]],
                     "grants": [one["what"] for one in answer["grants"]],
                     "audit_failed": answer["audit"]["failed"],
                 }
@@ -226,6 +217,8 @@ class AgentPanel(Panel):
         self._now_s = now_s
         self._asked_at = 0.0
         self._servers: list[Mapping[str, Any]] = []
+        self._waited: dict[str, float] = {}
+        """When each request was last among what waits."""
         self._why = ""
 
     async def show(self, look: Look) -> Content | None:
@@ -233,6 +226,8 @@ class AgentPanel(Panel):
         if abs(self._now_s() - self._asked_at) > _ASKED_EVERY_S:
             self._asked_at, self._why = self._now_s(), ""
             self._servers = await _or_none(self._acting.servers, self._fail)
+            waiting = {one["id"] for server in self._servers for one in server.get("waiting", ())}
+            self._waited |= dict.fromkeys(waiting, self._asked_at)
         content = {
             "servers": self._servers,
             "latch": self._acting.latch(),
@@ -240,9 +235,22 @@ class AgentPanel(Panel):
             "why": self._why,
         }
         if self._recorded is None:
-            return {**content, "acts": await asyncio.to_thread(self._acting.acts)}
+            acts = await asyncio.to_thread(self._acting.acts)
+            return {**content, "acts": told_as_lapsed(acts, self._waits_no_longer)}
         entries, origin = await self._recorded.until(look.now_ns, self._acting.at.path / AUDIT)
-        return {**content, "acts": list(acts_in(entries))[-_MOST_ACTS:], "origin": origin}
+        valid_since = iso_time(look.now_ns - round(PENDING_S * 1e9))
+        acts = told_as_lapsed([*acts_in(entries)], lambda act: act["time"] < valid_since)
+        return {**content, "acts": acts[-_MOST_ACTS:], "origin": origin}
+
+    def _waits_no_longer(self, act: Mapping[str, Any]) -> bool:
+        """Of a call that nobody has answered: it was asked too long ago, a stop ended it, or its server has ended.
+
+        A moment passes until servers and audit tell the same; of a server that hangs it is not known.
+        """
+        settled_s = self._now_s() - _SETTLED_S
+        is_known = not self._why and all(server["answers"] for server in self._servers)
+        is_old = act["time"] < iso_time(round(settled_s * 1e9))
+        return is_known and is_old and self._waited.get(act.get("approval", ""), 0.0) < settled_s
 
     def _fail(self, error: RobotError) -> None:
         self._why = str(error)
@@ -256,6 +264,12 @@ async def _or_none(
     except RobotError as error:
         failed(error)
         return []
+
+
+def _waiting(request: Row) -> Row:
+    """What a person sees of a request; it is answered by who has its nonce, which stays here."""
+    times = {name: round(request[name]) for name in ("age_s", "left_s")}
+    return {"id": request["id"], **times, "summary": request["summary"]}
 
 
 def _stop_of(server: Server) -> Row:
@@ -272,39 +286,3 @@ def _stop_of(server: Server) -> Row:
     finally:
         check.close()
     return server.answer()
-
-
-def acts_in(entries: Sequence[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
-    """What a person wants to see of lines of the audit, each act with what became of it by then. Each server writes
-    that it found the latch set: that is told once.
-
-    Lines may be from a recording, which is anybody's: a field of another type than ours is told as text, or not at all.
-    """
-    outcomes = {
-        str(entry.get("of")): str(entry.get("outcome", "")) for entry in entries if entry.get("kind") == "outcome"
-    }
-    latched: tuple[object, object] | None = None
-    for entry in entries:
-        kind, number = entry.get("kind"), entry.get("seq")
-        if kind not in _KINDS:
-            continue
-        if kind in ("latched", "reset"):
-            before = latched
-            latched = (entry.get("by"), entry.get("reason")) if kind == "latched" else None
-            if kind == "latched" and latched == before:
-                continue
-        fields: dict[str, Any] = {name: str(entry[name])[:_MOST_TEXT] for name in _TEXTS if entry.get(name)}
-        fields |= {name: entry[name] for name in _NUMBERS if type(entry.get(name)) in (int, float)}
-        if entry.get("approval"):  # of which request or grant it is
-            fields |= {"name": str(entry["approval"])[:_MOST_TEXT]}
-        if entry.get("what"):
-            fields |= {"reason": str(entry["what"])[:_MOST_TEXT]}
-        if kind == "act":
-            fields["outcome"] = outcomes.get(str(number), "")
-        fields |= {"seq": number if isinstance(number, int) else None, "value": entry.get("value")}
-        yield {
-            "time": str(entry.get("time", iso_time(0))),
-            "kind": kind,
-            "who": str(entry.get("principal", "")),
-            **fields,
-        }

@@ -21,6 +21,10 @@ _PANELS: Mapping[str, str] = {
 }
 """Type of a topic → the panel that shows it; any other is shown by its values."""
 _KINDS: Mapping[str, str] = {"image": "image", "pointcloud": "cloud", "plot": "plot"}
+_OTHERS = (
+    "It is a page of its own: {others} open already and not changed. What an open page shows its user changes by the "
+    "names in the heads of its panels."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,9 +59,16 @@ class OpenedView(WithPictures):
 
 
 async def opened(
-    robot: Robot, source: Source, request: OpeningRequest, *, shows_pages: bool, report: Report = silent
+    robot: Robot,
+    source: Source,
+    request: OpeningRequest,
+    *,
+    shows_pages: bool,
+    others: int = 0,
+    report: Report = silent,
 ) -> OpenedView:
-    """What the page is to show; for a client that shows none, what there is to see instead.
+    """What the page is to show; for a client that shows none, what there is to see instead. Clients show a page of its
+    own for each call: `others` are open already.
 
     Raises:
         NotFound: for a topic that there is not.
@@ -75,7 +86,8 @@ async def opened(
     )
     if shows_pages:
         line = f"Your user sees the page beside the chat: {subject}{chosen}, with a stop button."
-        return replace(told, lines=[line, "ros2_view_state tells what they look at and have picked."])
+        note = _OTHERS.format(others="1 page is" if others == 1 else f"{others} pages are") if others else ""
+        return replace(told, lines=[line, "ros2_view_state tells what they look at and have picked."], note=note)
     bag = f" --bag {shlex.quote(request.bag)}" if request.bag else ""
     how = f"This client shows no pages. Your user sees {subject} in a browser with: ros2-mcp view{bag}"
     where = "in a terminal of the server's machine, with the options of this server that say which robot."

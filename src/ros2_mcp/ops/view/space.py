@@ -22,14 +22,13 @@ from ros2_mcp.model.text import named
 from ros2_mcp.ops.pictures.next_message import Next, next_message
 from ros2_mcp.ops.results import silent
 from ros2_mcp.ops.sources.source import Source
-from ros2_mcp.ops.space.frames import frames_of
+from ros2_mcp.ops.space.frames import WORLDS, frames_of
 from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
 from ros2_mcp.ops.view.marker_topics import MarkerTopics
 from ros2_mcp.ops.view.mesh_files import MeshFiles
 from ros2_mcp.robot import Robot
 
 _CLOUD, _SCAN, _TEXT = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
-_WORLDS = ("map", "odom", "world")
 _MOST_FRAMES = 150
 _MOST_SCANS = 2
 _MOST_SHAPES = 500
@@ -185,7 +184,7 @@ async def _next(source: Source, topic: str, kind: str, missing: list[str]) -> Ne
 
 def _frame_of(tree: FrameTree, of_messages: Sequence[str]) -> str:
     """The frame in which all is shown: the world's where there is one."""
-    standard = [name for name in _WORLDS if name in tree.frames]
+    standard = [name for name in WORLDS if name in tree.frames]
     top = tree.root_of(tree.base) if tree.base else next(iter(tree.roots), "")
     return next(iter([*standard, *filter(None, [top]), *(name.lstrip("/") for name in of_messages)]), "")
 

@@ -80,7 +80,10 @@ class LogPanel(Panel):
             return {"lines": as_json(await self._live(look))}
         span_ns = look.source.covers_ns or (0, 0)
         part = look.source.part(span_ns[1] - _BEFORE_NS, span_ns[1])
-        lines = (await log.read_recorded(part, request, _MOST_LINE_BYTES)).lines
+        try:
+            lines = (await log.read_recorded(part, request, _MOST_LINE_BYTES)).lines
+        except NotFound:
+            return {"lines": [], "why": "The recording has no /rosout: what nodes said was not recorded."}
         why = {} if lines else {"why": "No node said anything of level INFO or above in the minute before this time."}
         return {"lines": as_json(lines), **why}
 

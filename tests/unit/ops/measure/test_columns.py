@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ros2_mcp.codec.columns import ColumnReader
 from ros2_mcp.codec.select import measurable
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.measure.columns import Column, Columns, Room
@@ -93,3 +94,21 @@ def test_times_count_from_the_first_message_although_it_came_at_0() -> None:
     for at_s in range(3):
         kept.add([Sample(at_s * 10**9, 0, None, encoded("std_msgs/msg/Float64", {"data": float(at_s)}))])
     assert (kept.origin_ns, kept.columns[0].highest.at_s) == (0, 2.0)
+
+
+@pytest.mark.parametrize("same_length", [True, False])
+def test_what_is_measured_of_bytes_is_to_the_bit_what_is_measured_of_decoded_messages(
+    same_length: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random = np.random.default_rng(3)
+    lengths = [7 if same_length else int(length) for length in random.integers(0, 9, 60)]
+    lists = samples_of(ARRAY, [random.normal(5, 3, length).tolist() for length in lengths])
+    numbers = samples_of(NUMBER, random.normal(5, 3, 60).tolist())
+
+    def measured() -> list[str]:
+        found = [columns(ARRAY, lists, Room(), whole_lists=whole).columns[0] for whole in (True, False)]
+        return [repr(column) for column in (*found, columns(NUMBER, numbers, Room()).columns[0])]
+
+    of_bytes = measured()
+    monkeypatch.setattr(ColumnReader, "read", lambda *_: None)
+    assert of_bytes == measured()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from ros2_mcp.codec.columns import ExcerptReader
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.ops.measure.wait_until import wait_until
 from support.made_windows import START_NS, Make, Recorded
@@ -33,6 +36,46 @@ async def test_the_last_seen_is_returned_if_none_meets_it(window: Make) -> None:
     found = await wait_until(ramp(window), "/x", "data < 0")
     assert (found.met, found.looked_at, found.message) == (False, 1000, {"data": 999.0})
     assert "was not met" in found.summary()
+
+
+@pytest.mark.parametrize(
+    ("type_name", "condition", "reads_excerpts"),
+    [
+        ("nav_msgs/msg/Odometry", "pose.pose.position.x > 6 and twist.twist.angular.z <= 1", True),
+        ("nav_msgs/msg/Odometry", "1 / (pose.pose.position.x - 3) > 0.9", True),
+        ("nav_msgs/msg/Odometry", "hypot(pose.pose.position.x, pose.pose.position.y) > 9", False),
+        ("nav_msgs/msg/Odometry", "pose.covariance[7] > 8.5", False),
+        ("nav_msgs/msg/Odometry", "header.frame_id == 'f9'", False),
+        ("odd_msgs/msg/State", "state == BUSY and on", True),
+        ("odd_msgs/msg/State", "1 < 2", False),
+    ],
+)
+async def test_what_is_told_is_the_same_whether_messages_are_decoded_or_read_in_part(
+    window: Make, monkeypatch: pytest.MonkeyPatch, type_name: str, condition: str, reads_excerpts: bool
+) -> None:
+    if type_name.endswith("State"):
+        values = [{"state": number % 4, "on": number > 9} for number in range(20)]
+    else:
+        values = [
+            {
+                "header": {"frame_id": f"f{number}"},
+                "pose": {"pose": {"position": {"x": number, "y": -number}}, "covariance": [number] * 36},
+            }
+            for number in range(12)
+        ]
+
+    def source() -> Recorded:
+        return Recorded([window("/t", type_name, [(at / 10, value) for at, value in enumerate(values)])])
+
+    read: list[bool] = []
+    real = ExcerptReader.read
+    monkeypatch.setattr(ExcerptReader, "read", lambda *given: read.append(True) or real(*given))
+    in_part = await wait_until(source(), "/t", condition)
+    assert bool(read) is reads_excerpts
+    monkeypatch.setattr(ExcerptReader, "read", lambda *_: None)
+    whole = await wait_until(source(), "/t", condition)
+    assert in_part.met
+    assert replace(in_part, waited=0.0) == replace(whole, waited=0.0)
 
 
 async def test_silence_says_so(window: Make) -> None:

@@ -212,7 +212,7 @@ async def test_what_is_still_being_recorded_is_not_called_damaged(tmp_path: Path
 def test_a_recording_says_why_messages_are_missing_in_it() -> None:
     assert recording.drops_in_words(0, 0) == ""
     assert recording.drops_in_words(3, 2) == (
-        "3 dropped because this server was too busy, 2 dropped because the disk was too slow"
+        "3 dropped because this server was too busy, 2 dropped because they were not written fast enough"
     )
     assert recording.drops_in_words(3, 0, is_remote=True) == (
         "3 dropped because the link was too slow, or this server too busy"

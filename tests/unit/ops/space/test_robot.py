@@ -51,7 +51,7 @@ def windows(window: Make, urdf: str) -> list[Window]:
         }
 
     ticks = [number / 10 for number in range(51)]
-    scan = {"range_min": 0.1, "range_max": 12.0}
+    scan = {"angle_min": -3.1416, "angle_max": 3.1416, "range_min": 0.1, "range_max": 12.0}
     joints = {"name": ["left_wheel_joint", "right_wheel_joint"], "position": [1.5, -0.25]}
     moving = [(at, {"transforms": [tf("map", "odom", at, 1), tf("odom", "base_link", at, at)]}) for at in ticks]
     return [
@@ -81,7 +81,8 @@ async def test_everything_is_told_of_a_cart_with_a_laser(window: Make, robot: Ro
     assert (found.name, found.kind, found.base_frame) == ("cart", "differential drive base, 2 wheels", "base_link")
     assert found.footprint.startswith("0.60 × 0.44 m: front 0.30, rear 0.30, left 0.22, right 0.22")
     assert found.command_inputs == ["/cmd_vel Twist → /base"]
-    assert found.sensors == ["/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 yaw 180° (by URDF, not TF) 0.1 to 12 m"]
+    mount = "in laser at 0.20 0.00 0.30 yaw 180° (by URDF, not TF)"
+    assert found.sensors == [f"/scan LaserScan 10 Hz {mount} 0.1 to 12 m over 360°"]
     assert found.joints[0] == "left_wheel_joint continuous now 1.5 rad"
     assert found.place == "In map at x 6.00 y 0.00 m, yaw 0° (TF, localised)."
     assert found.frames == "map → odom → base_link; 3 in all"
@@ -123,14 +124,13 @@ async def test_what_a_joint_carries_sits_where_that_joint_is_or_nowhere(window: 
     pan = BASE.replace('type="fixed"', 'type="revolute"').replace("</joint>", '<axis xyz="0 0 1"/></joint>')
     made = windows(window, f'<robot name="cart">{pan}</robot>')
     found = await in_brief(robot, source(made))
-    assert found.sensors == ["/scan LaserScan 10 Hz in laser (mount unknown: mount moves it) 0.1 to 12 m"]
+    assert found.sensors == ["/scan LaserScan 10 Hz in laser (mount unknown: mount moves it) 0.1 to 12 m over 360°"]
     told = window(
         "/joint_states", "sensor_msgs/msg/JointState", [(4.9, {"name": ["mount"], "position": [-math.pi / 2]})]
     )
     found = await in_brief(robot, source([*made[:-1], told]))
-    assert found.sensors == [
-        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 yaw 90° moving with mount (by URDF, not TF) 0.1 to 12 m"
-    ]
+    mount = "in laser at 0.20 0.00 0.30 yaw 90° moving with mount (by URDF, not TF)"
+    assert found.sensors == [f"/scan LaserScan 10 Hz {mount} 0.1 to 12 m over 360°"]
 
 
 async def test_joints_that_are_told_in_turns_are_all_told(window: Make, robot: Robot) -> None:
@@ -171,7 +171,7 @@ async def test_a_sensor_in_a_frame_that_nobody_tells_is_unhealthy(window: Make, 
 async def test_a_sensor_that_is_mounted_upside_down_says_so(window: Make, robot: Robot) -> None:
     found = await in_brief(robot, source(windows(window, CART.replace("0 0 3.14159265", "3.14159265 0 0"))))
     assert found.sensors[0].startswith(
-        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 roll 180° (by URDF, not TF) 0.1 to 12 m"
+        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 roll 180° (by URDF, not TF) 0.1 to 12 m over 360°"
     ), found.sensors
 
 

@@ -157,3 +157,16 @@ def test_of_two_localisations_the_one_that_corrects_odometry_is_not_said_to_plac
         assert tellers.by_whom(base, "map") == " by probably /slam_node"
         assert tellers.by_whom(base, "odom") == " by probably /ekf_node"
         assert tellers.by_whom(tree.edges["odom"], "map") == " by probably /amcl"
+
+
+def test_a_publisher_that_is_silent_is_missed_also_after_two_others_took_each_others_edges_over() -> None:
+    tree = FrameTree()
+    base, wheel = ("odom", "base_link"), ("base_link", "wheel")
+    moved = [(10, base), (12, wheel), (11, wheel), (13, base), (12, wheel), (14, base), (13, wheel), (15, base)]
+    for place, (sequence, edge) in enumerate(moved):
+        stamp_ns = 1_700_000_000 * SECOND + place * SECOND // 20
+        message = SimpleNamespace(transforms=[told(*edge, stamp_ns)])
+        tree.add(message, stamp_ns, is_static=False, sequence=sequence)
+    tellers = Tellers(tree, {"/tf": Publishers(["/amcl", "/base", "/wheels"])}, {})
+    assert tellers.silent("/tf")[0] == 1
+    assert Tellers(tree, {"/tf": Publishers(["/base", "/wheels"])}, {}).silent("/tf") == (0, ())

@@ -1,0 +1,134 @@
+"""Costmaps as Nav2 tells them: whole ones as occupancy grids or raw, and what has changed in them since.
+
+Nav2 sends a costmap that does not roll whole only once, and from then on the parts that change, to those who listen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ros2_mcp.model.aside import aside, load
+from ros2_mcp.model.errors import BadData, RobotError, TimedOut
+from ros2_mcp.model.nav2 import COSTMAP
+from ros2_mcp.model.samples import Sample
+from ros2_mcp.model.text import named
+from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.results import silent
+from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.robot import Robot
+from ros2_mcp.robot.last_costmaps import LastCostmap, sent_ns
+
+FIRST_S = 1.2
+"""For the first part that changes: Nav2 looks once a second what has changed."""
+_RAW = "_raw"
+
+
+@dataclass(frozen=True, slots=True)
+class Costmap:
+    """A grid with what has changed in it, the sample in which it was sent whole, and in words how old both are.
+
+    `newest_ns` is when the newest of it was sent; None where there are no updates. `is_complete`: nothing that changed
+    is known to be missing.
+    """
+
+    message: Any
+    sample: Sample
+    skipped: str = ""
+    note: str = ""
+    newest_ns: int | None = None
+    is_complete: bool = True
+
+
+def chosen_costmaps(grids: Sequence[str], raw: Sequence[str]) -> list[str]:
+    """The topics of grids, and those of raw costmaps that are not told as grids, too."""
+    return [*grids, *(name for name in raw if name.removesuffix(_RAW) not in grids)]
+
+
+def updates_of(topic: str, updates: Sequence[str]) -> str:
+    """The topic with what changes in a costmap; empty where there is none."""
+    name = f"{topic}_updates"
+    return name if name in updates else ""
+
+
+async def costmap_now(
+    robot: Robot, source: Source, topic: str, type_name: str, updates_topic: str, wait_s: float, *, newer_s: float = 0.0
+) -> Costmap:
+    """The costmap as it is now, as far as its changes are heard; `newer_s`: waits so long for what is newer than this.
+
+    Raises:
+        RobotError: as `next_message`.
+    """
+    unheard = ""
+    if updates_topic:
+        try:
+            kept = await robot.last_costmaps.last(topic, updates_topic, wait_s, first_s=FIRST_S, newer_s=newer_s)
+        except RobotError as error:  # such as: their type is not known where the bridge runs
+            unheard = f"What changes in {named(topic)} is not known: {error.message}"
+        else:
+            if kept.grid is None or kept.whole is None:
+                raise TimedOut(f"No message on {topic} (live, {wait_s:g} s).")
+            note = _known(kept, kept.whole, robot.now_ns())
+            return Costmap(kept.grid, kept.whole, kept.refused, note, kept.newest_ns, kept.is_complete)
+    found = await next_message(source.lasting(wait_s), topic, type_name, silent)
+    if type_name == COSTMAP:
+        await load("ros2_mcp.codec.cost_updates")  # with numpy: not before it is needed
+        from ros2_mcp.codec.cost_updates import as_grid
+
+        grid = await aside(len(found.sample.data), as_grid, type_name, found.message)
+        return Costmap(grid, found.sample, found.skipped, unheard, is_complete=not unheard)
+    return Costmap(found.message, found.sample, found.skipped, unheard, is_complete=not unheard)
+
+
+async def costmap_recorded(source: Source, topic: str, type_name: str, updates_topic: str) -> Costmap:
+    """The costmap at the end of a recording's part: the last whole one, with all that was changed in it since.
+
+    Raises:
+        RobotError: as `next_message`.
+    """
+    await load("ros2_mcp.codec.cost_updates")  # with numpy: not before it is needed
+    from ros2_mcp.codec.cost_updates import as_grid, updated
+
+    found = await next_message(source, topic, type_name, silent)
+    size = len(found.sample.data)
+    grid = await aside(size, as_grid, type_name, found.message)
+    if not updates_topic or source.covers_ns is None:
+        return Costmap(grid, found.sample, found.skipped)
+    until_ns, last, count, refused = source.covers_ns[1], None, 0, found.skipped
+    async with source.part(found.sample.received_ns, until_ns).follow(updates_topic, latched=False) as stream:
+        async for batch in stream.batches:
+            for sample in batch:
+                if sent_ns(sample) < sent_ns(found.sample):
+                    continue
+                try:
+                    update = await aside(len(sample.data), stream.codec.decode, stream.type, sample.data)
+                    grid = await aside(size, updated, grid, stream.type, update)
+                except BadData as error:
+                    refused = error.message
+                    continue
+                last, count = sample, count + 1
+        holes = stream.holes
+    note = _ages(topic, found.sample, last, count, until_ns)
+    is_complete = not holes and (source.began_ns or 0) <= sent_ns(found.sample)
+    if not is_complete:
+        note += " Some of what changed since was not recorded."
+    return Costmap(grid, found.sample, refused, note, sent_ns(last or found.sample), is_complete)
+
+
+def _known(kept: LastCostmap, whole: Sample, now_ns: int) -> str:
+    ages = _ages(kept.topic, whole, kept.update, kept.updates, now_ns)
+    if kept.is_complete:
+        return ages
+    return f"{ages} What changed before it was first listened to, {_ago(kept.since_ns, now_ns)}, is not known."
+
+
+def _ages(topic: str, whole: Sample, update: Sample | None, count: int, now_ns: int) -> str:
+    sent = f"The costmap {named(topic)} was sent whole {_ago(sent_ns(whole), now_ns)}"
+    if update is None:
+        return f"{sent}; no change of it came since."
+    return f"{sent}; changes of it since: {count}, the last {_ago(sent_ns(update), now_ns)}."
+
+
+def _ago(at_ns: int, now_ns: int) -> str:
+    return f"{max(now_ns - at_ns, 0) / 1e9:.1f} s ago"

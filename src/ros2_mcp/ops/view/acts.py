@@ -1,0 +1,86 @@
+"""What a person wants to see of the audit: the acts, each with what became of it, and what was asked and answered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from ros2_mcp.model.times import iso_time
+
+_MOST_TEXT = 300
+"""Of a field: the audit writes no longer ones."""
+_ANSWERS = ("approved", "denied", "granted", "withdrawn")
+"""To a request that waits."""
+_KINDS = (
+    *("act", "waits", "refused", "goal ended", "stop", "stopped", "latched", "reset", "mode"),
+    *(*_ANSWERS, "revoked"),
+)
+"""Lines that are shown; outcomes stand with their acts."""
+_TEXTS = ("tool", "verb", "name", "type", "by", "reason", "rule", "program", "outcome", "now", "approval")
+_NUMBERS = ("rate_hz", "duration_s")
+
+Line = Mapping[str, Any]
+
+
+def acts_in(lines: Sequence[Line]) -> Iterator[Mapping[str, Any]]:
+    """What is shown of lines of the audit, the oldest first. `outcome` of an act is what became of it by then, that of
+    a call that waits for a person how it was answered.
+
+    What is written again and again is told once: that a server found the latch set, and that the same call still waits.
+    Lines may be from a recording, which is anybody's: a field of another type than ours is told as text, or not at all.
+    """
+    outcomes = {str(line.get("of")): str(line.get("outcome", "")) for line in lines if line.get("kind") == "outcome"}
+    answers = {_request(line): str(line["kind"]) for line in lines if line.get("kind") in _ANSWERS}
+    latched: tuple[object, object] | None = None
+    asked: set[str] = set()
+    for line in lines:
+        kind = line.get("kind")
+        if kind not in _KINDS:
+            continue
+        if kind in ("latched", "reset"):
+            before = latched
+            latched = (line.get("by"), line.get("reason")) if kind == "latched" else None
+            if kind == "latched" and latched == before:
+                continue
+        act = _told(line)
+        if kind == "act":
+            act["outcome"] = outcomes.get(str(line.get("seq")), "")
+        if kind == "waits" and (request := _request(line)):
+            if request in asked:
+                continue
+            asked.add(request)
+            act |= {"outcome": answers.get(request, ""), "reason": ""}
+        yield act
+
+
+def told_as_lapsed(acts: Sequence[Line], waits_no_longer: Callable[[Line], bool]) -> list[Line]:
+    """The same acts; a call that nobody has answered, and that waits no longer, with that as its outcome."""
+    return [
+        {**act, "outcome": "not answered"}
+        if act["kind"] == "waits" and not act.get("outcome") and waits_no_longer(act)
+        else act
+        for act in acts
+    ]
+
+
+def _told(line: Line) -> dict[str, Any]:
+    kind, number = line["kind"], line.get("seq")
+    fields: dict[str, Any] = {name: str(line[name])[:_MOST_TEXT] for name in _TEXTS if line.get(name)}
+    fields |= {name: line[name] for name in _NUMBERS if type(line.get(name)) in (int, float)}
+    if kind in (*_ANSWERS, "revoked"):  # of which request or grant it is
+        fields |= {"name": fields.pop("approval", "")}
+    if line.get("what"):
+        fields |= {"reason": str(line["what"])[:_MOST_TEXT]}
+    return {
+        "time": str(line.get("time", iso_time(0))),
+        "kind": kind,
+        "who": str(line.get("principal", "")),
+        **fields,
+        "seq": number if isinstance(number, int) else None,
+        "value": line.get("value"),
+    }
+
+
+def _request(line: Line) -> str:
+    """The request that a line is about: a grant has an id of its own, too."""
+    return str((line.get("kind") == "granted" and line.get("of")) or line.get("approval") or "")
