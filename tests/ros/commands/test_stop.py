@@ -16,6 +16,7 @@ from support.raw_server import MODERN, RawServer, children
 from support.standstill import undisturbed
 
 ROUNDS = 50 if FULL else 1
+NOT_SETTLED = "Discovery had not settled yet"
 MOVING = {"linear": {"x": 0.5}}
 STOP_S, LAST_S = 0.5, 0.1
 UNOBSERVED = "Not observed: no odometry says whether the robot stands."
@@ -42,17 +43,29 @@ def tool(server: RawServer, name: str, **arguments: object) -> int:
 
 
 def begun(server: RawServer, field) -> RawServer:
-    """A server as soon as it has discovered the field."""
+    """A server as soon as it has discovered the field, and discovery has settled: until then a stop waits for the names
+    of others before it answers.
+    """
     server.begin(MODERN)
-    name = field.name("count")
-    listed = {"pattern": name}
-    wait_until(lambda: server.call("ros2_list_actions", **listed)["structuredContent"]["actions"])
+    listed = {"pattern": field.name("count")}
+
+    def is_discovered() -> bool:
+        found = server.call("ros2_list_actions", **listed)["structuredContent"]
+        return bool(found["actions"]) and NOT_SETTLED not in found["note"]
+
+    wait_until(is_discovered)
     return server
 
 
 def drive(server: RawServer, field, **repeat: float) -> int:
     topic, kind = field.name("cmd_vel"), "geometry_msgs/msg/Twist"
     return tool(server, "ros2_topic_publish", topic_name=topic, message_type=kind, data=MOVING, **repeat)
+
+
+def wait_until_named(server: RawServer, field) -> None:
+    """Until the node of everybody on the velocity topic is known: a stop waits for that before it answers."""
+    topic = {"topic_name": field.name("cmd_vel")}
+    wait_until(lambda: UNKNOWN_NODE not in str(server.call("ros2_topic_info", **topic)["structuredContent"]))
 
 
 def nonzero(field) -> list[float]:
@@ -161,6 +174,7 @@ def busy_stop(server: RawServer, field, robot) -> tuple[float, float]:
     repeat = drive(server, field, frequency=50, duration=30)
     wait_until(lambda: len(nonzero(field)) > 20)
     wait_until(lambda: field.count(name="count executing"))
+    wait_until_named(server, field)
     started = time.monotonic()
     result = server.call("ros2_stop")["structuredContent"]
     took, last = time.monotonic() - started, nonzero(field)[-1] - started
@@ -215,8 +229,7 @@ def test_what_was_begun_before_a_stop_is_confirmed_to_be_stopped_by_it(start_raw
     before = len(nonzero(field))
     repeat = drive(server, field, frequency=50, duration=30)
     wait_until(lambda: len(nonzero(field)) > before + 5)
-    seen = {"topic_name": field.name("cmd_vel")}  # a server of the test before may just be leaving
-    wait_until(lambda: UNKNOWN_NODE not in str(server.call("ros2_topic_info", **seen)["structuredContent"]))
+    wait_until_named(server, field)  # a server of the test before may just be leaving
     result = server.call("ros2_stop")
     stopped = result["structuredContent"]
     assert (stopped["confirmed"], stopped["repeats_stopped"], stopped["note"]) == (True, 1, UNOBSERVED)
