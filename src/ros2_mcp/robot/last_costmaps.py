@@ -56,6 +56,7 @@ class LastCostmap:
     asked_at: float = field(default_factory=monotonic)
     work: tuple[asyncio.Task[None], ...] = ()
     came: asyncio.Event = field(default_factory=asyncio.Event)
+    _taking: asyncio.Lock = field(default_factory=asyncio.Lock)
     _recent: deque[tuple[str, Sample]] = field(default_factory=lambda: deque[tuple[str, Sample]](maxlen=_MOST_RECENT))
 
     @property
@@ -77,17 +78,19 @@ class LastCostmap:
         """A whole costmap; what was changed since it was sent is changed in it."""
         from ros2_mcp.codec.cost_updates import as_grid
 
-        message: Any = (await self.values.decode_all(type_name, [sample]))[0]
-        self.grid = await aside(len(sample.data), as_grid, type_name, message)
-        self.whole, self.update, self.updates, self.refused = sample, None, 0, ""
-        for kind, part in list(self._recent):
-            await self._apply(kind, part)
+        async with self._taking:  # a large part takes longer to decode than a later small one
+            message: Any = (await self.values.decode_all(type_name, [sample]))[0]
+            self.grid = await aside(len(sample.data), as_grid, type_name, message)
+            self.whole, self.update, self.updates, self.refused = sample, None, 0, ""
+            for kind, part in self._recent:
+                await self._apply(kind, part)
         self._tell()
 
     async def take_part(self, type_name: str, sample: Sample) -> None:
         """A part that has changed."""
-        self._recent.append((type_name, sample))
-        await self._apply(type_name, sample)
+        async with self._taking:
+            self._recent.append((type_name, sample))
+            await self._apply(type_name, sample)
         self._tell()
 
     async def _apply(self, type_name: str, sample: Sample) -> None:
