@@ -168,14 +168,15 @@ def test_a_grant_never_allows_what_the_policy_does_not(tmp_path: Path) -> None:
 
 def test_an_act_that_cannot_be_written_down_is_not_done(tmp_path: Path) -> None:
     async def work(guard: Guard, consent: Consent) -> None:
+        head = guard.audit
+        assert isinstance(head, Auditing)
         await publish(guard, "/free")
+        await head.log.written()  # the line of the outcome, for which nobody waits
         for path in (tmp_path / AUDIT).iterdir():
             path.unlink()
         (tmp_path / AUDIT / "audit.head").mkdir()
         (tmp_path / AUDIT / "audit-000000000003.jsonl").mkdir()
         (tmp_path / AUDIT).chmod(0o500)
-        head = guard.audit
-        assert isinstance(head, Auditing)
         head.log._file.close()  # type: ignore[union-attr]  # pyright: ignore
         with pytest.raises(Refused, match="audit cannot be written"):
             await publish(guard, "/free")
