@@ -52,12 +52,8 @@ def _several_files_wait_for_ros(config: pytest.Config) -> bool:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with a test that must be alone begin first, while nobody waits long for it, then those that wait for ROS.
-
-    What needs many rounds, long times or a quiet machine must be asked for.
-    """
-    alone = {item.path for item in items if item.get_closest_marker("alone")}
-    items.sort(key=lambda item: (item.path not in alone, not item.path.is_relative_to(ROS)))
+    """Files that wait for ROS begin first; what needs many rounds, long times or a quiet machine must be asked for."""
+    items.sort(key=lambda item: not item.path.is_relative_to(ROS))
     if FULL:
         return
     skip = pytest.mark.skip(reason="set ROS2_MCP_FULL=1 on a quiet machine")
