@@ -12,6 +12,7 @@ from ros2_mcp.ops.pictures.map import MapPicture, map_picture
 from ros2_mcp.ops.pictures.plot import Plot, PlotRequest, plot
 from ros2_mcp.ops.results import Report
 from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.robot import Robot
 from ros2_mcp.tools.arguments import Number, Whole
 from ros2_mcp.tools.declare import tool
 
@@ -52,6 +53,7 @@ async def ros2_plot(
 
 @tool(title="Map as a picture", risk="read", group="pictures", recorded=True)
 async def ros2_get_map_as_image(
+    robot: Robot,
     report: Report,
     topic_name: Annotated[str, Field(description="A topic of nav_msgs/OccupancyGrid. Default: the only one.")] = "",
     timeout: Timeout = 5.0,
@@ -60,7 +62,7 @@ async def ros2_get_map_as_image(
 ) -> MapPicture:
     """Show an occupancy grid as a picture: axes in metres, origin and robot; resolution, size, shares of free, occupied
     and unknown."""
-    return await map_picture(source.lasting(timeout), topic_name, report)
+    return await map_picture(robot, source.lasting(timeout), topic_name, report)
 
 
 @tool(title="Point cloud from above", risk="read", group="pictures", recorded=True, by_default=False)

@@ -84,3 +84,21 @@ def test_what_changes_is_shown_from_the_first_question_on_and_what_is_not_known_
         change(peer, 12, 20, INSCRIBED)
         until(lambda: shown(agent, 12, 20, topic)[0] == CYAN)
         assert "; changes of it since: " in shown(agent, 12, 20, topic)[1]
+
+
+def occupied(agent: Agent) -> tuple[int, str]:
+    """How many cells the picture of the map shows occupied, and what is said of changes."""
+    result = agent.whole("ros2_get_map_as_image", {"topic_name": COSTMAP})
+    assert not result.is_error, result.content
+    facts = result.structured_content or {}
+    return round(facts["occupied"] * facts["width"] * facts["height"]), facts["note"]
+
+
+def test_the_picture_of_the_map_shows_what_changes_too(known: dict[str, str], peer: subprocess.Popen[str]) -> None:
+    with agent_for(known, "--tools", "all") as agent:
+        agent.knows(COSTMAP, f"{COSTMAP}_updates")
+        cells, said = occupied(agent)
+        assert (cells, "What changed before it was first listened to" in said) == (0, True)
+        until(lambda: change(peer, 12, 20)[0])
+        until(lambda: occupied(agent)[0] == 4)
+        assert "; changes of it since: " in occupied(agent)[1]

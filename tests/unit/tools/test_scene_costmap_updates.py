@@ -103,3 +103,33 @@ async def test_what_changed_before_the_recording_is_not_known_and_that_is_told(t
     assert occupied == [1, 2, 3]
     [said] = [line for line in facts["missing"] if "costmap" in line]
     assert "was sent whole 63.0 s ago; changes of it since: 3, the last 0.0 s ago. Some of what" in said
+
+
+async def map_shown(tools: Toolset, **arguments: str) -> tuple[list[int], dict[str, Any]]:
+    """For which x the cell (x, x) is black in the picture of the map, and the answer."""
+
+    async def silent(*_: object) -> None:
+        pass
+
+    result = await tools.call("ros2_get_map_as_image", {"topic_name": GRID, "bag": "told", **arguments}, silent)
+    facts: dict[str, Any] = result.structured_content or {}
+    [picture] = [part for part in result.content if part.type == "image"]
+    pixels = np.asarray(Image.open(io.BytesIO(base64.b64decode(picture.data))).convert("L"))
+    cell_px = CELL_M / facts["metres_per_pixel"]
+
+    def is_black(x: int) -> bool:
+        row = facts["top_px"] + (SIDE - x - 0.5) * cell_px
+        return bool(pixels[int(row), int(facts["left_px"] + (x + 0.5) * cell_px)] < 64)
+
+    return [x for x in range(SIDE) if is_black(x)], facts
+
+
+async def test_the_picture_of_a_map_shows_what_has_changed_in_it_or_says_that_it_does_not(tools: Toolset) -> None:
+    cells, facts = await map_shown(tools)
+    assert (cells, round(facts["occupied"], 4)) == ([1, 2, 3], 0.03)
+    assert "was sent whole 3.0 s ago; changes of it since: 3, the last 0.0 s ago." in facts["note"]
+    cells, facts = await map_shown(tools, end="2 s in")
+    assert cells == [1, 2]
+    cells, facts = await map_shown(tools, start="2 s in")
+    assert cells == []
+    assert "What changed in it since it was sent is not shown." in facts["note"]

@@ -11,7 +11,7 @@ from typing import Any
 
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, RobotError, TimedOut
-from ros2_mcp.model.nav2 import COSTMAP
+from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.pictures.next_message import next_message
@@ -50,6 +50,18 @@ def updates_of(topic: str, updates: Sequence[str]) -> str:
     """The topic with what changes in a costmap; empty where there is none."""
     name = f"{topic}_updates"
     return name if name in updates else ""
+
+
+async def costmap_of(robot: Robot, source: Source, topic: str, type_name: str, wait_s: float) -> Costmap:
+    """The costmap with what has changed in it since it was sent whole: live as it is now, else at the recording's end.
+
+    Raises:
+        RobotError: as `next_message`.
+    """
+    updates = updates_of(topic, await source.publishing(GRID_UPDATE, COSTMAP_UPDATE))
+    if source.is_live:
+        return await costmap_now(robot, source, topic, type_name, updates, wait_s)
+    return await costmap_recorded(source, topic, type_name, updates)
 
 
 async def costmap_now(

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from ros2_mcp.model import names
 from ros2_mcp.model.aside import load
+from ros2_mcp.model.nav2 import COSTMAP_UPDATE, GRID_UPDATE
 from ros2_mcp.model.pictures import BOUNDS, OCCUPANCY_GRID
 from ros2_mcp.model.times import seconds_in
-from ros2_mcp.ops.pictures.next_message import next_message
+from ros2_mcp.ops.navigation.costmaps import costmap_of, updates_of
+from ros2_mcp.ops.pictures.next_message import Next, next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
-from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
+from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, reporting, silent
 from ros2_mcp.ops.sources.only import only_topic
 from ros2_mcp.ops.sources.source import Source
+from ros2_mcp.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +55,9 @@ class MapPicture(WithPictures):
         return f"{self.topic_name}: {self.pictures[0].note} {self.note}".rstrip()
 
 
-async def map_picture(source: Source, topic: str, report: Report = silent) -> MapPicture:
-    """The first map of a topic, or without one of the only topic with maps; a latched one comes at once.
+async def map_picture(robot: Robot, source: Source, topic: str, report: Report = silent) -> MapPicture:
+    """The first map of a topic, or without one of the only topic with maps; a latched one comes at once. What has
+    changed in it since is in it live, and of a recording without a start at its end.
 
     Raises:
         NotFound: if the topic is not there, or there is no map.
@@ -67,10 +71,10 @@ async def map_picture(source: Source, topic: str, report: Report = silent) -> Ma
     from ros2_mcp.codec.raster import finished
 
     topic, chosen = await only_topic(source, topic, OCCUPANCY_GRID)
-    found = await next_message(source, topic, OCCUPANCY_GRID, report)
+    found = await _map(robot, source, topic, report)
     numbers = await asyncio.to_thread(map_facts, found.message)
-    robot = await robot_place(source, numbers.frame_id, found.sample.received_ns)
-    drawing = await asyncio.to_thread(map_drawing, found.message, BOUNDS, robot)
+    place = await robot_place(source, numbers.frame_id, found.sample.received_ns)
+    drawing = await asyncio.to_thread(map_drawing, found.message, BOUNDS, place)
     picture = await asyncio.to_thread(finished, drawing.raster, BOUNDS)
     smaller = picture.width / drawing.raster.pixels.shape[1]
     return MapPicture(
@@ -79,9 +83,9 @@ async def map_picture(source: Source, topic: str, report: Report = silent) -> Ma
         metres_per_pixel=drawing.metres_per_pixel / smaller,
         left_px=round(drawing.left_px * smaller),
         top_px=round(drawing.top_px * smaller),
-        robot_x_m=robot and robot.x_m,
-        robot_y_m=robot and robot.y_m,
-        robot_yaw_rad=robot and robot.yaw_rad,
+        robot_x_m=place and place.x_m,
+        robot_y_m=place and place.y_m,
+        robot_yaw_rad=place and place.yaw_rad,
         received_at=iso_time(found.sample.received_ns),
         seconds_in=seconds_in(found.sample.received_ns, source.began_ns),
         source=found.source,
@@ -89,3 +93,17 @@ async def map_picture(source: Source, topic: str, report: Report = silent) -> Ma
         pictures=facts([picture]),
         images=[picture],
     )
+
+
+async def _map(robot: Robot, source: Source, topic: str, report: Report) -> Next:
+    """The map; its note tells what has changed in it since it was sent whole, or that this is not in it."""
+    updates = updates_of(names.absolute(topic), await source.publishing(GRID_UPDATE, COSTMAP_UPDATE))
+    if not updates:
+        return await next_message(source, topic, OCCUPANCY_GRID, report)
+    if not (source.is_live or source.from_end):  # what changed up to the start may lie before it, and is not looked for
+        found = await next_message(source, topic, OCCUPANCY_GRID, report)
+        return replace(found, note=f"{found.note} What changed in it since it was sent is not shown.".lstrip())
+    async with reporting(report, source.duration_s, f"waiting for {topic}"):
+        grid = await costmap_of(robot, source, names.absolute(topic), OCCUPANCY_GRID, source.duration_s)
+    note = " ".join(filter(None, (grid.skipped, grid.note)))
+    return Next(grid.message, grid.sample, source.words, note, grid.skipped)

@@ -13,18 +13,12 @@ from ros2_mcp.codec.transforms import FrameTree, Located, pose_of
 from ros2_mcp.model import names
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError, TimedOut
-from ros2_mcp.model.nav2 import COSTMAP, COSTMAP_UPDATE, GRID_UPDATE, PATH
+from ros2_mcp.model.nav2 import COSTMAP, PATH
 from ros2_mcp.model.pictures import BOUNDS, LASER_SCAN, OCCUPANCY_GRID, Picture, Place
 from ros2_mcp.model.poses import Pose, planar
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.model.times import recorded_time, seconds_in
-from ros2_mcp.ops.navigation.costmaps import (
-    Costmap,
-    chosen_costmaps,
-    costmap_now,
-    costmap_recorded,
-    updates_of,
-)
+from ros2_mcp.ops.navigation.costmaps import Costmap, chosen_costmaps, costmap_of
 from ros2_mcp.ops.navigation.navigate import Navigation
 from ros2_mcp.ops.pictures.next_message import Next, next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
@@ -178,15 +172,11 @@ class Gathered:
 
     async def _read_grid(self, type_name: str) -> RobotError | None:
         """The grid with what has changed in it since it was sent; the error where it cannot be read."""
-        topic, source = self.grid_topic, self.source
+        topic = self.grid_topic
         if not topic:
             return None
         try:
-            updates = updates_of(topic, await source.publishing(GRID_UPDATE, COSTMAP_UPDATE))
-            if source.is_live:
-                self.grid = await costmap_now(self.asked, source, topic, type_name, updates, _GRID_S)
-            else:
-                self.grid = await costmap_recorded(source, topic, type_name, updates)
+            self.grid = await costmap_of(self.asked, self.source, topic, type_name, _GRID_S)
         except RobotError as error:
             return error
         self._tell_skipped(topic, self.grid)

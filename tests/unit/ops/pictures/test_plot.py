@@ -12,6 +12,7 @@ from PIL import Image
 from ros2_mcp.model.errors import BadInput, BadValue, NotFound
 from ros2_mcp.ops.pictures.map import map_picture
 from ros2_mcp.ops.pictures.plot import Plot, PlotRequest, plot
+from ros2_mcp.robot import Robot
 from support.made_windows import Make, Recorded
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -114,11 +115,11 @@ async def test_a_field_that_is_no_number_is_refused(window: Make, series: str) -
         await plotted([odometry(window)], [series])
 
 
-async def test_a_map_is_shown_with_its_facts(window: Make) -> None:
+async def test_a_map_is_shown_with_its_facts(robot: Robot, window: Make) -> None:
     info = {"resolution": 0.5, "width": 2, "height": 2, "origin": {"position": {"x": -1.0, "y": 2.0}}}
     message = {"header": {"frame_id": "map"}, "info": info, "data": [0, 100, -1, 0]}
     recorded = Recorded([window("/map", "nav_msgs/msg/OccupancyGrid", [(0.0, message)])])
-    found = await map_picture(recorded, "/map")
+    found = await map_picture(robot, recorded, "/map")
     assert (found.frame_id, found.resolution_m, found.width, found.height) == ("map", 0.5, 2, 2)
     assert (found.origin_x_m, found.origin_y_m) == (-1.0, 2.0)
     assert (found.free, found.occupied, found.unknown) == (0.5, 0.25, 0.25)
@@ -144,7 +145,7 @@ TF = "tf2_msgs/msg/TFMessage"
 
 @pytest.mark.promise("ros2_get_map_as_image", "axes in metres, origin and robot")
 @pytest.mark.parametrize("prefix", ["", "robot1/"])
-async def test_a_map_tells_where_the_robot_is_by_its_transforms(window: Make, prefix: str) -> None:
+async def test_a_map_tells_where_the_robot_is_by_its_transforms(robot: Robot, window: Make, prefix: str) -> None:
     odom, base = f"{prefix}odom", f"{prefix}base_link"
     moving = [
         (0.0, {"transforms": [tf("map", odom, 1, 2, math.pi / 2), tf(odom, f"{prefix}base_footprint", 9, 9)]}),
@@ -153,20 +154,20 @@ async def test_a_map_tells_where_the_robot_is_by_its_transforms(window: Make, pr
     static = [(0.0, {"transforms": [tf(f"{prefix}base_footprint", base, 0, 0)]})]
     windows = [window("/map", "nav_msgs/msg/OccupancyGrid", [(0.0, GROUND)])]
     windows += [window("/tf", TF, moving), window("/tf_static", TF, static)]
-    found = await map_picture(Recorded(windows), "/map")
+    found = await map_picture(robot, Recorded(windows), "/map")
     assert (found.robot_x_m, found.robot_y_m, found.robot_yaw_rad) == pytest.approx((1.0, 5.0, math.pi / 2 + 0.5))
 
 
-async def test_a_map_tells_where_the_robot_is_by_its_localisation(window: Make) -> None:
+async def test_a_map_tells_where_the_robot_is_by_its_localisation(robot: Robot, window: Make) -> None:
     pose = {"header": {"frame_id": "map"}, "pose": {"pose": {"position": {"x": 0.5, "y": 0.25}}}}
     posed = window("/amcl_pose", "geometry_msgs/msg/PoseWithCovarianceStamped", [(0.0, pose)])
     other = window("/tf", TF, [(0.0, {"transforms": [tf("odom", "base_link", 7, 7)]})])  # says nothing of the map
     recorded = Recorded([window("/map", "nav_msgs/msg/OccupancyGrid", [(0.0, GROUND)]), posed, other])
-    found = await map_picture(recorded, "/map")
+    found = await map_picture(robot, recorded, "/map")
     assert (found.robot_x_m, found.robot_y_m, found.robot_yaw_rad) == (0.5, 0.25, 0.0)
 
 
-async def test_transforms_in_a_circle_place_no_robot(window: Make) -> None:
+async def test_transforms_in_a_circle_place_no_robot(robot: Robot, window: Make) -> None:
     circle = [(0.0, {"transforms": [tf("odom", "base_link", 1, 0), tf("base_link", "odom", 1, 0)]})]
     recorded = Recorded([window("/map", "nav_msgs/msg/OccupancyGrid", [(0.0, GROUND)]), window("/tf", TF, circle)])
-    assert (await map_picture(recorded, "/map")).robot_x_m is None
+    assert (await map_picture(robot, recorded, "/map")).robot_x_m is None
