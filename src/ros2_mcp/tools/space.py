@@ -22,9 +22,14 @@ PLACE = 35
 
 
 @tool(title="The robot in brief", risk="read", recorded=True, place=9)
-async def ros2_robot(robot: Robot, *, source: RecordingSource) -> RobotInBrief:
+async def ros2_robot(
+    robot: Robot,
+    whole: Annotated[Flag, Field(description="All lines, also beyond 2 kB.")] = False,
+    *,
+    source: RecordingSource,
+) -> RobotInBrief:
     """Begin here: kind, size, command inputs, sensors, joints, where it is, what is unhealthy."""
-    return await in_brief(robot, source)
+    return await in_brief(robot, source, whole=whole)
 
 
 @tool(

@@ -73,8 +73,10 @@ _MOST = {
 }
 """So many lines of each, and which list is shortened first where the whole is too long: that with the most characters
 times this."""
-_COUNTS_BYTES = 20
-"""For how many lines are left out."""
+_COUNTS_BYTES = 70
+"""For how many lines are left out, and how to have them."""
+_MOST_HEARD = 40
+"""Sensors of which rate and frame are looked for, where all are told."""
 _OLD_S = 2.0
 """A place that is older is not that of now."""
 _MOST_CORNERS = 200
@@ -89,7 +91,7 @@ class RobotInBrief:
     which frame, how that is known, how old). `stacks` are Nav2, MoveIt, ros2_control, MAVROS and others, as far as
     they run. `not_read` are the parts that were not there within the time of this answer, or whose type is not known
     here, which says nothing of the robot; `left_out` counts the lines that did not fit into 2 kB: the speeds of the
-    joints go before them.
+    joints go before them. The whole of it leaves nothing out.
     """
 
     name: str
@@ -113,7 +115,8 @@ class RobotInBrief:
         health = f"unhealthy: {len(self.unhealthy)} finding(s)" if self.unhealthy else "nothing unhealthy seen"
         stacks = f", with {', '.join(self.stacks)}" if self.stacks else ""
         not_read = f" Not read: {', '.join(self.not_read)}." if self.not_read else ""
-        return f"{quoted(self.name)}: {self.kind}{stacks}. {self.place} {health}.{not_read}"
+        left_out = f" {self.left_out} line(s) left out: whole=true tells all." if self.left_out else ""
+        return f"{quoted(self.name)}: {self.kind}{stacks}. {self.place} {health}.{not_read}{left_out}"
 
 
 @dataclass(slots=True)
@@ -121,6 +124,7 @@ class _Seen:
     """What has been gathered; what did not come is None or empty."""
 
     graph: GraphSnapshot
+    most_sensors: int
     urdf: Urdf | None = None
     tree: FrameTree = field(default_factory=FrameTree)
     heads: Mapping[str, Head] = field(default_factory=dict[str, Head])
@@ -144,8 +148,9 @@ class _Seen:
         return max(self.asked_at + _ANSWERED_S - monotonic(), _LEAST_S)
 
 
-async def in_brief(robot: Robot, source: Source) -> RobotInBrief:
-    """What the robot is and has, and where it is, from its description, transforms, graph and sensors.
+async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> RobotInBrief:
+    """What the robot is and has, and where it is, from its description, transforms, graph and sensors; in two
+    kilobytes, or the `whole` of it.
 
     Raises:
         NotFound: if no robot is there.
@@ -156,7 +161,7 @@ async def in_brief(robot: Robot, source: Source) -> RobotInBrief:
     graph = await source.graph()
     if graph.absence:
         raise NotFound(graph.absence, "ros2_status tells domain and middleware.")
-    seen = _Seen(graph, asked_at=asked_at)
+    seen = _Seen(graph, most_sensors=_MOST_HEARD if whole else _MOST["sensors"][0] + 4, asked_at=asked_at)
     given_up_at = max(asked_at + _GIVEN_UP_S, monotonic() + _LEAST_S) if source.is_live else math.inf
     parts = (
         ("description", _description(robot, source, seen)),
@@ -171,7 +176,8 @@ async def in_brief(robot: Robot, source: Source) -> RobotInBrief:
         ("controllers", _managed(robot, source, seen)),
     )
     await asyncio.gather(*(_safely(seen, what, work, given_up_at) for what, work in parts))
-    return _within(_brief(source, seen), MOST_BYTES)
+    brief = _brief(source, seen)
+    return brief if whole else _within(brief, MOST_BYTES)
 
 
 # ── gathering ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -232,7 +238,7 @@ async def _frames(source: Source, seen: _Seen) -> None:
 
 async def _heads(robot: Robot, source: Source, seen: _Seen) -> None:
     topics = [one.topic for one, _ in _ranked(seen.graph)]
-    seen.heads = await heads_of(robot, source, topics[: _MOST["sensors"][0] + 4], seen.listen_s)
+    seen.heads = await heads_of(robot, source, topics[: seen.most_sensors], seen.listen_s)
 
 
 async def _ranges(source: Source, seen: _Seen) -> None:

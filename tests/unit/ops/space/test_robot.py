@@ -288,6 +288,10 @@ async def test_it_is_never_more_than_two_kilobytes(window: Make, robot: Robot, c
         f'<child link="a_long_name_of_a_link_{n}"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
         for n in range(count)
     )
-    found = await in_brief(robot, source(windows(window, f'<robot name="{"x" * 500}">{BASE}{chain}</robot>')))
-    assert size_of(found) <= MOST_BYTES
-    assert (found.left_out > 0) == (count > 12)
+    made = source(windows(window, f'<robot name="{"x" * 500}">{BASE}{chain}</robot>'))
+    found = await in_brief(robot, made)
+    assert max(size_of(found), len(found.summary().encode())) <= MOST_BYTES
+    assert (found.left_out > 0) == (count > 12) == ("whole=true tells all" in found.summary())
+    whole = await in_brief(robot, made, whole=True)
+    assert (len(whole.joints), whole.left_out) == (count + len(("the left wheel", "the right wheel")), 0)
+    assert whole.joints[count - 1] == f"a_long_name_of_a_joint_{count - 1} position unknown of -1..1 rad, ≤ 1 rad/s"
