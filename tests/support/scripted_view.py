@@ -20,6 +20,7 @@ from PIL import Image
 from ros2_mcp.view.page import page
 
 Answer = tuple[int, str, bytes]
+STOPPED = {"summary": "1 of 1 server(s) stopped.", "is_all_well": True, "servers": [], "problems": []}
 SIDE = 200
 """Of its map, in cells."""
 
@@ -66,7 +67,9 @@ class ScriptedView:
         self._thread.start()
 
     def answer(self, asked: dict[str, Any]) -> Answer:
-        if asked.get("name") != "ros2_view_frame":
+        if "name" not in asked:
+            return good(STOPPED)
+        if asked["name"] != "ros2_view_frame":
             return good(CHUNK)
         with self._lock:
             self.asked += 1

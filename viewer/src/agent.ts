@@ -31,6 +31,7 @@ export class AgentPanel {
 
   /** `shownS` is the time that is shown of a recording, Unix time in s. */
   update(state: AgentState, shownS: number | null = null): void {
+    this.frame.tell("");
     const servers = state.servers ?? [];
     const waiting = servers.flatMap((server) => server.waiting ?? []);
     this.waits.replaceChildren(...waiting.map((one) => make(

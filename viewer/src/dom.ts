@@ -95,7 +95,8 @@ export class Frame {
     section.append(
       make("div", { class: "head" }, make("h2", {}, title), chosen ? this.choice : null, this.age), this.body, this.foot);
     this.body.append(this.why);
-    this.why.hidden = this.foot.hidden = this.choice.hidden = true;
+    this.foot.hidden = this.choice.hidden = true;
+    this.tell("Waiting for the first answer.");
     this.choice.addEventListener("change", () => chosen?.(this.choice.value));
   }
   offer(topics: string[], current: string): void {

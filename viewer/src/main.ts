@@ -125,7 +125,7 @@ function tell(): void {
   const servers = latest.servers ?? [], moved = [...new Set(servers.flatMap((server) => server.moves ?? []))];
   const isLatched = !!latest.latch, waiting = servers.reduce((sum, server) => sum + (server.waiting?.length ?? 0), 0);
   const asked = waiting ? `${waiting} WAIT${waiting === 1 ? "S" : ""} for a person · ` : "";
-  say(moves, lost ? "" : (robot.live === false ? "now: " : "") + asked + (isLatched ? `LATCHED by ${latest.latch?.by}: ${latest.latch?.reason}` : moved.length ? `moves ${moved.join(", ")}` : servers.length ? "moves nothing now" : "nobody acts here"));
+  say(moves, lost ? "" : (robot.live === false ? "now: " : "") + asked + (isLatched ? `LATCHED by ${latest.latch?.by}: ${latest.latch?.reason}` : moved.length ? `moves ${moved.join(", ")}` : servers.length ? "moves nothing now" : latest.servers ? "nobody acts here" : ""));
   moves.classList.toggle("latched", isLatched);
   moves.classList.toggle("asked", waiting > 0);
   moves.classList.toggle("still", !isLatched && moved.length === 0 && !waiting);
@@ -156,6 +156,8 @@ async function stop(): Promise<void> {
     const lines = [...stopped.problems, ...stopped.servers.map((one) => `${one.name}: ${one.answered ? one.said : `NO ANSWER. ${one.said}`}`)];
     if (!stopped.is_all_well) lines.push("Use the robot's own emergency stop where it still moves.");
     tellStop(stopped.summary, lines, stopped.is_all_well);
+    latest = {}; // what moved before: the header says nothing of it until it is told anew
+    delete seen.agent;
   } catch (error) {
     tellStop(`NOT STOPPED from here (${error instanceof Error ? error.message : "?"}). Use the robot's own emergency stop, or a terminal: ros2-mcp operate stop`, [], false);
   } finally {

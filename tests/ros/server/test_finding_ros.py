@@ -15,7 +15,6 @@ import pytest
 from support.raw_server import RawServer
 from support.standstill import undisturbed
 
-pytestmark = pytest.mark.alone  # how long a server takes to start is asked for
 SITE_PACKAGES = Path(next(entry for entry in sys.path if entry.endswith("site-packages")))
 SLOW_S = 3.0
 WAIT_FOR_GATE = "for _ in {1..600}; do [ -e %s ] && break; sleep 0.05; done"

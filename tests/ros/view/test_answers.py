@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from itertools import cycle
@@ -15,7 +16,7 @@ pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2"
 from support.browser import CHROMIUM, Page, browsing
 from support.room_bag import room_bag
 from support.scripted_view import Answer, ScriptedView, good, scripted, updated
-from support.viewing import seek, text, viewing
+from support.viewing import STOP, seek, text, viewing
 
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="needs Chromium")
 
@@ -63,6 +64,37 @@ def test_a_server_that_fails_is_told_and_the_page_goes_on_when_it_answers(page: 
         view.answers = lambda asked: good(updated(asked, view.asked))
         page.until(LIVE)
     assert [one for one in page.complaints if "500" not in one] == []  # which the browser itself tells of the first
+
+
+def test_before_the_first_answer_the_page_says_that_it_waits_and_claims_nothing(page: Page, view: ScriptedView) -> None:
+    page.ask("Page.navigate", url="about:blank")
+    view.answers = lambda _: good({"view": "scripted", "now_s": 1.7e9, "panels": {}})
+    page.open(view.address)
+    page.until(LIVE)
+    assert page.run(text("#moves")) == ""
+    told = [page.run(text(f"#{panel} .why")) for panel in ("map", "image", "agent", "values", "log")]
+    assert told == ["Waiting for the first answer."] * 5
+    view.answers = lambda asked: good(updated(asked, view.asked))
+    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
+    page.until("[...document.querySelectorAll('.why')].every(one => one.hidden || !one.offsetParent)")
+
+
+def test_after_a_stop_the_page_says_only_what_it_is_told_from_then_on(page: Page, view: ScriptedView) -> None:
+    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
+    is_released, is_held = threading.Event(), threading.Event()
+
+    def held(asked: dict[str, Any]) -> Answer:
+        is_held.set()
+        is_released.wait(20.0)
+        return good(updated(asked, view.asked))
+
+    view.answers = held
+    assert is_held.wait(20.0)
+    page.run(STOP)
+    page.until(f"{text('#said')}.startsWith('1 of 1 server')")
+    page.until(f"{text('#moves')} === ''")
+    is_released.set()
+    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
 
 
 def test_nonsense_in_panels_is_told_and_forgotten_with_the_next_answer(page: Page, view: ScriptedView) -> None:

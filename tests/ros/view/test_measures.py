@@ -39,14 +39,15 @@ FORGOTTEN_S = 10.0
 WATCHED_S = 20.0
 TWIST = {"linear": {"x": 0.1}}
 COUNTED = """(() => {
-  window.told = {images: [], maps: 0, age: [], from: performance.now()};
+  window.told = {images: 0, maps: 0, age: [], at: new Set(), from: performance.now()};
   const asked = window.fetch;
   window.fetch = async (...given) => {
     const answer = await asked(...given);
     answer.clone().json().then(({panels}) => {
       if (panels?.map) told.maps++;
       if (!panels?.image?.at_s) return;
-      told.images.push(performance.now());
+      told.images++;
+      told.at.add(panels.image.at_s);
       told.age.push(Date.now() / 1000 - panels.image.at_s);
     }, () => null);
     return answer;
@@ -177,6 +178,43 @@ class Reading:
         self._call.cancel()
 
 
+@pytest.mark.parametrize("hertz", ["10", "30"])
+@pytest.mark.parametrize("what", ["scene", "noise"])
+def test_a_camera_costs_little_and_is_shown_soon(
+    ros_environment: dict[str, str], page: Page, hertz: str, what: str
+) -> None:
+    # reliable: what a socket of this machine has no room for is sent again, so that each picture is paid for
+    camera = peer_command("camera_peer", "640", "480", hertz, what, "reliable")
+    with running(ros_environment, *camera), seen(ros_environment) as (process, address):
+        page.ask("Page.navigate", url="about:blank")
+        page.open(address)
+        page.until("document.querySelector('#image canvas').ariaLabel")
+        page.run(COUNTED)
+        time.sleep(2.0)
+        before, cpu_before = page.run("[told.at.size, performance.now(), told.images]"), cpu_s(process.pid)
+        time.sleep(WATCHED_S)
+        after, cpu_after = page.run("[told.at.size, performance.now(), told.images]"), cpu_s(process.pid)
+        ages = json.loads(page.run("JSON.stringify(told.age)"))
+    seconds = (after[1] - before[1]) / 1000
+    shown_hz, used = (after[0] - before[0]) / seconds, (cpu_after - cpu_before) / seconds
+    figures = {
+        "shown_hz": shown_hz,
+        "sent_hz": (after[2] - before[2]) / seconds,
+        "age_p50": statistics.median(ages),
+        "age_p99": share(ages, 0.99),
+        "cores": used,
+    }
+    told(f"camera 640 x 480 ({what}) at {hertz} Hz", **figures)
+    assert shown_hz <= float(hertz) * 1.05, "another robot has a camera here: the demo's begins with the tests below"
+    if what == "scene":
+        assert share(ages, 0.99) <= IMAGE_AGE_S
+        if hertz == "10":
+            assert shown_hz >= IMAGES_HZ * 0.9, "else not all that the camera sent was paid for"
+            assert used <= CORE_SHARE
+        else:
+            assert shown_hz >= IMAGES_HZ
+
+
 def test_the_page_is_painted_within_a_second(demo_environment: dict[str, str], demo_robot: object, page: Page) -> None:
     paints: list[float] = []
     filled: list[float] = []
@@ -194,34 +232,6 @@ def test_the_page_is_painted_within_a_second(demo_environment: dict[str, str], d
     assert sum(one <= PAINT_S for one in paints) >= PAINTS - 1
 
 
-@pytest.mark.parametrize("hertz", ["10", "30"])
-@pytest.mark.parametrize("what", ["scene", "noise"])
-def test_a_camera_costs_little_and_is_shown_soon(
-    ros_environment: dict[str, str], page: Page, hertz: str, what: str
-) -> None:
-    camera = peer_command("camera_peer", "640", "480", hertz, what)
-    with running(ros_environment, *camera), seen(ros_environment) as (process, address):
-        page.ask("Page.navigate", url="about:blank")
-        page.open(address)
-        page.until("document.querySelector('#image canvas').ariaLabel")
-        page.run(COUNTED)
-        time.sleep(2.0)
-        before, cpu_before = page.run("[told.images.length, performance.now()]"), cpu_s(process.pid)
-        time.sleep(WATCHED_S)
-        after, cpu_after = page.run("[told.images.length, performance.now()]"), cpu_s(process.pid)
-        ages = json.loads(page.run("JSON.stringify(told.age)"))
-    seconds = (after[1] - before[1]) / 1000
-    shown_hz, used = (after[0] - before[0]) / seconds, (cpu_after - cpu_before) / seconds
-    figures = {"shown_hz": shown_hz, "age_p50": statistics.median(ages), "age_p99": share(ages, 0.99), "cores": used}
-    told(f"camera 640 x 480 ({what}) at {hertz} Hz", **figures)
-    if what == "scene":
-        assert share(ages, 0.99) <= IMAGE_AGE_S
-        if hertz == "10":
-            assert used <= CORE_SHARE
-        else:
-            assert shown_hz >= IMAGES_HZ
-
-
 def test_a_large_cloud_is_shown_soon_and_costs_what_it_weighs(
     demo_environment: dict[str, str], demo_robot: object, page: Page
 ) -> None:
@@ -235,7 +245,12 @@ def test_a_large_cloud_is_shown_soon_and_costs_what_it_weighs(
         used = watched_cpu(process.pid)
         shown_hz = page.run("clouds.count / (performance.now() - clouds.from) * 1000")
         ages = json.loads(page.run("JSON.stringify(clouds.age)"))
-    figures = {"shown_hz": shown_hz, "age_p50": statistics.median(ages), "age_most": max(ages), "cores": used}
+    figures = {
+        "shown_hz": shown_hz,
+        "age_p50": statistics.median(ages),
+        "age_most": max(ages),
+        "cores": used,
+    }
     told(f"a cloud of {CLOUD_POINTS} points at 5 Hz", **figures)
     assert shown_hz >= CLOUDS_HZ
 

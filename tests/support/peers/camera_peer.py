@@ -1,7 +1,8 @@
-"""A camera: `camera_peer.py WIDTH HEIGHT HZ [compressed] [scene]` publishes /camera/image_raw, and the same compressed.
+"""A camera: `camera_peer.py WIDTH HEIGHT HZ [compressed] [scene] [reliable]` publishes /camera/image_raw, and the same
+compressed.
 
 The raw pictures are noise, which nothing makes smaller, or a `scene` such as cameras see; the compressed ones are real
-JPEG.
+JPEG. They are best effort, or `reliable` as those of drivers that publish with image_transport's default.
 It says `ready`, answers each line of its stdin with how many raw pictures it has published, and ends with it.
 """
 
@@ -20,7 +21,8 @@ def main() -> None:
     width, height, hertz = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
     rclpy.init()
     node = rclpy.create_node("camera")
-    raw = node.create_publisher(Image, "/camera/image_raw", qos_profile_sensor_data)
+    profile = 10 if "reliable" in sys.argv else qos_profile_sensor_data
+    raw = node.create_publisher(Image, "/camera/image_raw", profile)
     image = Image(width=width, height=height, encoding="rgb8", step=3 * width, data=os.urandom(3 * width * height))
     if "scene" in sys.argv:
         image.data = scene_of(width, height)
