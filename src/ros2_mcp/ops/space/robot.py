@@ -359,7 +359,7 @@ def _brief(source: Source, seen: _Seen) -> RobotInBrief:
         joints=joints_in_words(seen.urdf, seen.positions),
         controllers=controllers_in_words(seen.graph, seen.managed, is_controlled="ros2_control" in stacks),
         stacks=stacks,
-        frames=_frames_in_words(seen),
+        frames=_frames_in_words(seen, base),
         unhealthy=[*trouble, *_unhealthy(source, seen)],
         not_read=seen.not_read,
         read_from="live" if source.is_live else source.words,
@@ -441,11 +441,11 @@ def _mounted(seen: _Seen, base: str, frame: str) -> str:
     return mounted(seen.urdf, seen.tree, base, frame, seen.positions)
 
 
-def _frames_in_words(seen: _Seen) -> str:
+def _frames_in_words(seen: _Seen, base: str) -> str:
     tree = seen.tree
     if not tree.frames:
         return "not read" if _misses_frames(seen) else "none"
-    chain = [tree.base, *(edge.newest.parent for edge in tree.way_up(tree.base) if edge.newest)] if tree.base else []
+    chain = [base, *(edge.newest.parent for edge in tree.way_up(base) if edge.newest)] if base in tree.frames else []
     way = f"{' → '.join(map(named, reversed(chain)))}; " if len(chain) > 1 else ""
     trees = f", {len(tree.roots)} trees" if len(tree.roots) > 1 else ""
     return f"{way}{len(tree.frames)} in all{trees}"

@@ -203,6 +203,19 @@ async def test_an_arm_that_its_description_fixes_in_the_world_is_there(window: M
     assert "not known" in (await in_brief(robot, source([described]))).place
 
 
+async def test_a_base_with_a_name_of_its_own_is_told_in_its_chain_of_frames(window: Make, robot: Robot) -> None:
+    """As Unitree's quadrupeds have it: the root of the description is called `base`."""
+    urdf = '<robot name="dog"><link name="base"/></robot>'
+    header = {"frame_id": "odom", "stamp": stamp(4.9)}
+    told = {"header": header, "child_frame_id": "base", "transform": {"rotation": {"w": 1.0}}}
+    made = [
+        window("/robot_description", "std_msgs/msg/String", [(0.0, {"data": urdf})]),
+        window("/tf", TF, [(4.9, {"transforms": [told]})]),
+    ]
+    found = await in_brief(robot, source(made))
+    assert (found.base_frame, found.frames) == ("base", "odom → base; 2 in all")
+
+
 async def test_frames_that_did_not_come_are_not_said_to_be_none(window: Make, robot: Robot) -> None:
     made = [one for one in windows(window, CART) if one.topic != "/tf"]
     found = await in_brief(robot, source([*made, window("/tf", TF, [])]))
