@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from support.agent import Agent, agent_for
-from support.demo_robot import build_interfaces
+from support.demo_robot import build_interfaces, with_interfaces
 from support.domains import reserved_domains
 from support.observer import Observer, observing
 from support.processes import peer_command, python_path, running
@@ -76,13 +76,7 @@ def observer(ros_environment: dict[str, str]) -> Iterator[Observer]:
 @pytest.fixture(scope="module")
 def demo_environment(ros_environment: dict[str, str]) -> dict[str, str]:
     """The environment of a robot and of servers that know its own interfaces."""
-    prefixes = [str(prefix) for prefix in build_interfaces()]
-    sites = [f"{prefix}/site-packages" for prefix in prefixes]
-    return {
-        **ros_environment,
-        "PYTHONPATH": os.pathsep.join([*sites, ros_environment["PYTHONPATH"]]),
-        "AMENT_PREFIX_PATH": os.pathsep.join([*prefixes, sys.prefix]),
-    }
+    return with_interfaces(ros_environment, build_interfaces())
 
 
 @pytest.fixture(scope="module")

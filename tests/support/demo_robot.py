@@ -35,16 +35,20 @@ def build_interfaces(robot="rover", *, later=False):
     return [Path(line) for line in run.stdout.split()]
 
 
+def with_interfaces(environment, prefixes):
+    """The environment, in which the interfaces in these prefixes are known, too."""
+    sites = [str(prefix / "site-packages") for prefix in prefixes]
+    return {
+        **environment,
+        "PYTHONPATH": os.pathsep.join(filter(None, [*sites, environment.get("PYTHONPATH")])),
+        "AMENT_PREFIX_PATH": os.pathsep.join([*map(str, prefixes), sys.prefix]),
+    }
+
+
 def robot_environment(prefixes, **more):
     """The environment of a process that knows the interfaces in these prefixes, on this machine alone."""
-    prefix_path = [*map(str, prefixes), sys.prefix]
-    return {
-        **os.environ,
-        "PYTHONPATH": python_path(*(prefix / "site-packages" for prefix in prefixes)),
-        "AMENT_PREFIX_PATH": os.pathsep.join(prefix_path),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        **more,
-    }
+    environment = {**os.environ, "PYTHONPATH": python_path(), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    return {**with_interfaces(environment, prefixes), **more}
 
 
 @contextmanager

@@ -8,16 +8,19 @@ type Mark = { name: string; x: number; y: number; yaw: number | null };
 type Grid = { key: string; name: string; width: number; height: number; resolution: number; costs: boolean; x: number; y: number; yaw: number };
 type Around = {
   why?: string; frame?: string; grids?: string[];
-  robot?: { x: number; y: number; yaw: number; at_s: number | null } | null;
-  grid?: Grid | null; footprint?: [number, number][] | null;
+  robot?: { x: number; y: number; z: number; yaw: number; at_s: number | null } | null;
+  grid?: Grid | null; footprint?: [number, number][] | null; limbs?: Limb[];
   paths?: { name: string; points: [number, number][] }[]; goals?: Mark[]; places?: Mark[];
   layers?: { kind: string; name: string; at_s: number | null }[]; missing?: string[]; bulk?: string[];
 };
+/** A link that joints move, from above; `bone` leads to it from the link that holds it. */
+type Limb = { outline: [number, number][]; bone: [[number, number], [number, number]] | null; jointed: boolean };
 type Tint = [number, number, number];
 
 const MOST_TRAIL = 3000;
 const STALE_S = 3;
 const CLICK_PX = 4; // what moves by less is no drag
+const FLAT_M = 0.05; // as ros2_scene: less is no height
 
 export class MapPanel {
   chosen = "";
@@ -92,7 +95,7 @@ export class MapPanel {
 
   private inWords(): string {
     const { robot, frame, goals = [], places = [] } = this.around;
-    const where = robot ? `Robot at ${robot.x.toFixed(2)}, ${robot.y.toFixed(2)} metres in ${frame}, heading ${Math.round((robot.yaw * 180) / Math.PI)} degrees.` : "Nobody says where the robot is.";
+    const where = robot ? `Robot at ${robot.x.toFixed(2)}, ${robot.y.toFixed(2)} metres in ${frame}${this.height(", ", " high")}, heading ${Math.round((robot.yaw * 180) / Math.PI)} degrees.` : "Nobody says where the robot is.";
     const named = [...goals, ...places].map((mark) => `${mark.name} at ${mark.x.toFixed(1)}, ${mark.y.toFixed(1)}`);
     const picked = this.picks.of("place").map(({ one }) => `Picked ${one.x.toFixed(2)}, ${one.y.toFixed(2)}.`);
     return `Map. ${where} ${named.slice(0, 8).join("; ")} ${picked.join(" ")}`.trim();
@@ -103,7 +106,14 @@ export class MapPanel {
     const at = this.around.robot?.at_s ?? null;
     const age = at === null ? NaN : nowS - at;
     const stale = lost || age > STALE_S;
-    this.frame.tellAge(this.around.frame ? `${this.around.frame} · ${at === null ? "pose unknown" : `pose ${ageText(age)}`}` : "", stale);
+    const told = !this.around.robot ? "pose unknown" : at === null ? "fixed" : `pose ${ageText(age)}`;
+    this.frame.tellAge(this.around.frame ? `${this.around.frame} · ${this.height("", " up · ")}${told}` : "", stale);
+  }
+
+  /** How high the robot is, between these words; empty where it is on the ground. */
+  private height(before: string, after: string): string {
+    const z = this.around.robot?.z ?? 0;
+    return Math.abs(z) < FLAT_M ? "" : `${before}${z.toFixed(2)} m${after}`;
   }
 
   private pick(x: number, y: number, beside: boolean): void {
@@ -145,6 +155,7 @@ export class MapPanel {
       add(grid.x + cos * u - sin * v, grid.y + sin * u + cos * v);
     }
     if (robot) add(robot.x, robot.y);
+    for (const limb of this.around.limbs ?? []) for (const [px, py] of limb.outline) add(px, py);
     for (const goal of goals) add(goal.x, goal.y);
     for (const path of paths) for (const [px, py] of path.points) add(px, py);
     if (!grid) for (const scan of this.scans) for (let at = 0; at < scan.length; at += 8) add(scan[at] ?? 0, scan[at + 1] ?? 0);
@@ -225,6 +236,7 @@ export class MapPanel {
     for (const mark of this.around.places ?? []) this.mark(mark, isDark ? "#7cb2ff" : "#0050c8", true);
     for (const mark of this.around.goals ?? []) this.mark(mark, isDark ? "#ea8bf0" : "#a800a8", false);
     this.drawRobot(isDark);
+    for (const limb of this.around.limbs ?? []) this.drawLimb(limb, isDark);
     for (const { one, label } of this.picks.of("place")) if (one.frame === this.around.frame) this.drawPick(one.x, one.y, label);
     for (const { one, label } of this.picks.of("point")) if (one.in_frame === this.around.frame) this.drawPick(one.in[0] ?? 0, one.in[1] ?? 0, label);
     if (this.sheet.canvas.matches(":focus-visible")) this.drawCross(this.sheet.width / 2, this.sheet.height / 2, 8, colour("accent"));
@@ -368,6 +380,28 @@ export class MapPanel {
     pen.fill();
     pen.stroke();
     this.arrow(x, y, at.yaw, reach + 14, isDark ? "#ffd29a" : "#7a3d00");
+  }
+
+  private drawLimb({ outline, bone, jointed }: Limb, isDark: boolean): void {
+    const { pen } = this.sheet, stroke = isDark ? "#b9a2f2" : "#5a3296";
+    if (outline.length > 2) {
+      pen.beginPath();
+      for (const [x, y] of outline) pen.lineTo(this.px(x), this.py(y));
+      pen.closePath();
+      pen.fillStyle = `${stroke}55`;
+      pen.strokeStyle = stroke;
+      pen.lineWidth = 1.5;
+      pen.fill();
+      pen.stroke();
+    }
+    if (!bone) return;
+    this.line(bone, stroke, 2);
+    if (!jointed) return;
+    pen.beginPath();
+    pen.arc(this.px(bone[1][0]), this.py(bone[1][1]), 3, 0, 7);
+    pen.fillStyle = colour("panel");
+    pen.fill();
+    pen.stroke();
   }
 }
 

@@ -93,7 +93,7 @@ export class SpacePanel {
     this.frame.offer(space.clouds ?? [], this.chosen || space.cloud?.name || "");
     const stage = this.stage;
     if (!stage) return;
-    stage.place(space.frames ?? [], space.base ?? "", isOther);
+    stage.place(space.frames ?? [], space.base ?? "", isOther, !!space.cloud || !!space.scans?.length || !!space.markers);
     stage.scan((space.scans ?? []).map((scan, index) => ({ pose: scan.pose, xy: new Float32Array(bytesOf(space.bulk?.[index] ?? "").buffer) })));
     if (!space.cloud) { stage.cloud(null); [this.cloudKey, this.drawn] = ["", null]; }
     else if (space.cloud.key === this.cloudKey) { stage.moveCloud(space.cloud.pose); this.drawn = space.cloud; } // the same points, elsewhere: what they are in has moved

@@ -16,6 +16,9 @@ export type Shape = { link: string; kind: string; size: number[]; xyz: number[];
 
 const GROUND_M = 20;
 const AXIS_M = 0.25;
+const LOOK_M = [-3.2, -3.6, 3.4] as const; // from where a room is seen
+const NEAREST = 0.4; // a robot alone is seen from nearer, but not from less than this share of it
+const ROOM_M = 1.6; // a robot with frames so far from its base is seen as a room is
 const MOST_NAMES = 60;
 const FRONT_M = 0.1; // what is farther behind the nearest point is hidden by it
 const FRONT_SHARE = 1.03;
@@ -48,6 +51,7 @@ export class Stage {
   private hasNames = true;
   private follows = true;
   private hasLooked = false;
+  private isRoom = true;
   private last: [number, number, number] | null = null;
   private isDirty = false;
   private isDark = false;
@@ -84,8 +88,9 @@ export class Stage {
 
   // ── what there is ───────────────────────────────────────────────────────────────────────────────────────────────
 
-  place(places: Place[], base: string, isOther: boolean): void {
-    [this.places, this.base] = [places, base];
+  /** `isRoom`: more than the robot itself is to be seen. */
+  place(places: Place[], base: string, isOther: boolean, isRoom = this.isRoom): void {
+    [this.places, this.base, this.isRoom] = [places, base, isRoom];
     const at = new Map(places.map((one) => [one.name, one]));
     const axes: number[] = [], ties: number[] = [];
     for (const { name, parent, pose } of places) {
@@ -228,9 +233,10 @@ export class Stage {
   }
 
   private reset(): void {
-    const [x, y, z] = this.robotAt();
+    const [x, y, z] = this.robotAt(), far = Math.max(0, ...this.places.map(({ pose }) => Math.hypot((pose[0] ?? 0) - x, (pose[1] ?? 0) - y, (pose[2] ?? 0) - z)));
+    const share = this.isRoom ? 1 : Math.min(Math.max(far / ROOM_M, NEAREST), 1);
     this.controls.target.set(x, y, z + 0.2);
-    this.camera.position.set(x - 3.2, y - 3.6, z + 3.4);
+    this.camera.position.set(x + LOOK_M[0] * share, y + LOOK_M[1] * share, z + LOOK_M[2] * share);
     this.controls.update();
     this.dirty();
   }

@@ -53,6 +53,14 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
+class RobotPlace(Place):
+    """The place of a robot, with its height, and the time of which it is told; None: it is fixed there."""
+
+    z_m: float = 0.0
+    stamp_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class BirdEyeOptions:
     """How to look at a cloud: metres for each pixel, the part shown (heights: None is all; x and y: None is where the
     points are, without outliers), `intensity`, `height` or `rgb` as colour, `jet` or `gray` as the scale of colours."""

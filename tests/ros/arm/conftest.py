@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
@@ -14,7 +13,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
 from support.agent import Agent, agent_for
-from support.demo_robot import Peer, build_interfaces
+from support.demo_robot import Peer, build_interfaces, with_interfaces
 from support.processes import running
 from support.raw_server import MODERN, RawServer
 
@@ -60,12 +59,7 @@ class Witness:
 @pytest.fixture(scope="module")
 def ros_environment(ros_environment: dict[str, str]) -> dict[str, str]:
     """With the arm's interfaces."""
-    prefixes = [str(prefix) for prefix in build_interfaces("arm", later=True)]
-    return {
-        **ros_environment,
-        "PYTHONPATH": os.pathsep.join([*(f"{each}/site-packages" for each in prefixes), ros_environment["PYTHONPATH"]]),
-        "AMENT_PREFIX_PATH": os.pathsep.join([*prefixes, sys.prefix]),
-    }
+    return with_interfaces(ros_environment, build_interfaces("arm", later=True))
 
 
 @pytest.fixture(scope="module", autouse=True)

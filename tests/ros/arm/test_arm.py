@@ -21,8 +21,10 @@ from ros2_mcp.guard.state import StateFolder
 from ros2_mcp_demo.arm.description import tool_point
 from support.agent import FULL, Refusal, until
 from support.arm_moves import HOME, far, trajectory
+from support.browser import CHROMIUM, browsing
 from support.driver import Driver
 from support.raw_server import RawServer, children, lives
+from support.viewing import pictured_in_all_sizes, text, viewing
 
 pytestmark = pytest.mark.timeout(180)
 TOPIC, ACTION = "/arm_controller/joint_trajectory", "/arm_controller/follow_joint_trajectory"
@@ -56,6 +58,22 @@ def test_the_scene_shows_the_arm_where_its_joints_are(agent, witness) -> None:
         return bool(links) and (np.abs(near - ImageColor.getrgb(LIMB)).max(axis=1) < 8).any()
 
     until(shown)
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="needs Chromium")
+def test_the_page_shows_the_arm_its_links_and_its_joints(agent, ros_environment: dict[str, str]) -> None:
+    with viewing(ros_environment) as address, browsing() as page:
+        page.look()
+        page.open(address)
+        page.until("/Robot at 0.00, 0.00 metres in world/.test(document.querySelector('#map canvas').ariaLabel)")
+        page.until(f"{text('#values .tree')}.includes({PAN!r})")
+        page.until(f"{text('#map .age')} === 'world · fixed'")
+        assert page.run(text("#state")) == "live"
+        pictured_in_all_sizes(page, "arm")
+        page.run("document.querySelector('[aria-controls=space]').click()")
+        page.until("/[1-9][0-9]* shapes of the robot/.test(document.querySelector('#space canvas').ariaLabel)")
+        pictured_in_all_sizes(page, "arm-space")
+        assert page.complaints == []
 
 
 @pytest.mark.promise("ros2_joint_move", "returns when they have arrived")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import random
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -17,10 +16,12 @@ pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2"
 
 from ros2_mcp.commands.prompted import PROMPTS, follow_mission
 from support.agent import FULL, Agent, Refusal, agent_for, until
-from support.demo_robot import build_interfaces
+from support.browser import CHROMIUM, browsing
+from support.demo_robot import build_interfaces, with_interfaces
 from support.driver import Driver
 from support.processes import running
 from support.prompting import PromptAgent
+from support.viewing import pictured_in_all_sizes, text, viewing
 
 MISSIONS = 20 if FULL else 1
 NOWHERE = {"min_pitch": 0.0, "yaw": 0.0, "latitude": 0.0, "longitude": 0.0}
@@ -29,13 +30,7 @@ NOWHERE = {"min_pitch": 0.0, "yaw": 0.0, "latitude": 0.0, "longitude": 0.0}
 @pytest.fixture(scope="module")
 def drone_environment(ros_environment: dict[str, str]) -> dict[str, str]:
     """The environment of the drone and of servers that know its interfaces."""
-    prefixes = [str(prefix) for prefix in build_interfaces("drone", later=True)]
-    sites = [f"{prefix}/site-packages" for prefix in prefixes]
-    return {
-        **ros_environment,
-        "PYTHONPATH": os.pathsep.join([*sites, ros_environment["PYTHONPATH"]]),
-        "AMENT_PREFIX_PATH": os.pathsep.join([*prefixes, sys.prefix]),
-    }
+    return with_interfaces(ros_environment, build_interfaces("drone", later=True))
 
 
 HASHES = {
@@ -139,7 +134,27 @@ def test_it_flies_up_by_velocity_commands_and_hovers_when_they_end(drone: Drone)
     scene = drone.call("ros2_scene")
     assert scene["frame_id"] == "map" and scene["robot_age_s"] is not None
     assert (scene["robot_x_m"], scene["robot_y_m"]) == pytest.approx((0.0, 0.0), abs=2.0)
+    assert scene["robot_z_m"] > 0.3
     assert "footprint" in {layer["kind"] for layer in scene["layers"]}
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="needs Chromium")
+def test_the_page_shows_a_drone_in_the_air(drone: Drone, drone_environment: dict[str, str]) -> None:
+    drone.take_off(3.0)
+    with viewing(drone_environment) as address, browsing() as page:
+        page.look()
+        page.open(address)
+        page.until(
+            "/Robot at -?[0-9.]+, -?[0-9.]+ metres in map/.test(document.querySelector('#map canvas').ariaLabel)"
+        )
+        assert page.run(text("#state")) == "live"
+        page.until(f"/mavros/.test({text('#agent')})")
+        page.until(f"/^map · [23].[0-9]+ m up · pose /.test({text('#map .age')})")
+        pictured_in_all_sizes(page, "drone")
+        page.run("document.querySelector('[aria-controls=space]').click()")
+        page.until("/[1-9][0-9]* shapes of the robot/.test(document.querySelector('#space canvas').ariaLabel)")
+        pictured_in_all_sizes(page, "drone-space")
+        assert page.complaints == []
 
 
 def test_wrong_orders_are_refused_in_words(drone: Drone) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -17,6 +16,7 @@ pytest.importorskip("rosidl_generator_py", reason="needs the interface generator
 
 from ros2_mcp_interfaces import build, default_cache
 from support.agent import DISCOVERY_S, Agent, agent_for
+from support.demo_robot import with_interfaces
 from support.processes import peer_command
 
 HERE = Path(__file__).parent
@@ -31,12 +31,8 @@ def prefixes() -> list[Path]:
 @contextmanager
 def box_node(generation: int, environment: dict[str, str], prefixes: list[Path]) -> Iterator[None]:
     """A Data Black Box while the block runs."""
-    known = {
-        **environment,
-        "AMENT_PREFIX_PATH": os.pathsep.join(map(str, [*prefixes, sys.prefix])),
-        "PYTHONPATH": os.pathsep.join([*(str(each / "site-packages") for each in prefixes), environment["PYTHONPATH"]]),
-    }
     command = peer_command("box_peer", str(generation))
+    known = with_interfaces(environment, prefixes)
     node = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=known)
     try:
         assert node.stdout and node.stdout.readline() == "ready\n"

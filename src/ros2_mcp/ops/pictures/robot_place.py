@@ -9,9 +9,11 @@ from typing import Any
 from ros2_mcp.codec.transforms import FrameTree, Located, pose_of
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import RobotError
-from ros2_mcp.model.pictures import Place
+from ros2_mcp.model.pictures import RobotPlace
+from ros2_mcp.model.poses import Pose
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.sources.source import Source, Stream
+from ros2_mcp.ops.space.ages import stamp_ns
 from ros2_mcp.ops.space.frames import frames_of
 
 _LISTEN_S = 0.6
@@ -25,7 +27,7 @@ _POSES = ("/amcl_pose", "/pose")
 _POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
-async def robot_place(source: Source, frame: str, near_ns: int | None = None) -> Place | None:
+async def robot_place(source: Source, frame: str, near_ns: int | None = None) -> RobotPlace | None:
     """Where the robot is in that frame; None where nobody says.
 
     Of a recording that was asked for from a time on, it is the place when the picture was received, at `near_ns`.
@@ -38,15 +40,19 @@ async def robot_place(source: Source, frame: str, near_ns: int | None = None) ->
     with suppress(RobotError):
         tree = await frames_of(source, until=lambda tree: _found(tree, frame) is not None, patience_s=_LISTEN_S)
         if found := _found(tree, frame):
-            x_m, y_m, _ = found.pose.translation
-            return Place(x_m, y_m, found.pose.yaw_rad)
+            return placed(found.pose, found.stamp_ns)
     for topic in _POSES:
         said = [message for message in await _messages(source, topic, _POSE) if message.header.frame_id == frame]
         if said:
             with suppress(ValueError):  # numbers that are not finite
-                pose = pose_of(said[-1].pose.pose)
-                return Place(*pose.translation[:2], pose.yaw_rad)
+                return placed(pose_of(said[-1].pose.pose), stamp_ns(said[-1].header))
     return None
+
+
+def placed(pose: Pose, stamp_ns: int | None) -> RobotPlace:
+    """A pose as the place of the robot."""
+    x_m, y_m, z_m = pose.translation
+    return RobotPlace(x_m, y_m, pose.yaw_rad, z_m, stamp_ns)
 
 
 def _found(tree: FrameTree, frame: str) -> Located | None:

@@ -14,14 +14,14 @@ from ros2_mcp.model import names
 from ros2_mcp.model.aside import aside, load
 from ros2_mcp.model.errors import BadData, BadInput, NotFound, RobotError, TimedOut
 from ros2_mcp.model.nav2 import COSTMAP, PATH
-from ros2_mcp.model.pictures import BOUNDS, LASER_SCAN, OCCUPANCY_GRID, Picture, Place
+from ros2_mcp.model.pictures import BOUNDS, LASER_SCAN, OCCUPANCY_GRID, Picture, Place, RobotPlace
 from ros2_mcp.model.poses import Pose, planar
 from ros2_mcp.model.text import listed, named
 from ros2_mcp.model.times import recorded_time, seconds_in
 from ros2_mcp.ops.navigation.costmaps import Costmap, chosen_costmaps, costmap_of
 from ros2_mcp.ops.navigation.navigate import Navigation
 from ros2_mcp.ops.pictures.next_message import Next, next_message
-from ros2_mcp.ops.pictures.robot_place import robot_place
+from ros2_mcp.ops.pictures.robot_place import placed, robot_place
 from ros2_mcp.ops.results import Report, facts, iso_time, reporting, silent
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.ages import age_of, since_s, stamp_ns
@@ -96,8 +96,7 @@ class Gathered:
     frame: str = ""
     at_ns: int = 0
     tree: FrameTree = field(default_factory=FrameTree)
-    robot: Place | None = None
-    robot_stamp_ns: int | None = None
+    robot: RobotPlace | None = None
     layers: list[SceneLayer] = field(default_factory=list[SceneLayer])
     missing: list[str] = field(default_factory=list[str])
     grid_layer: GridLayer | None = None
@@ -212,7 +211,7 @@ class Gathered:
             raise NotFound(f"There is no frame {named(self.frame)}.", names.did_you_mean(self.frame, known, ""))
         found = self.tree.newest(self.frame, self.tree.base) if self.tree.base else None
         if found:
-            self.robot, self.robot_stamp_ns = _place(found.pose), found.stamp_ns
+            self.robot = placed(found.pose, found.stamp_ns)
         else:
             self.robot = await robot_place(self.source, self.frame)
         if self.robot is None:
@@ -456,7 +455,7 @@ async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
         gathered.tell_age(name, found)
     smaller = picture.width / drawing.raster.pixels.shape[1]
     now_ns = gathered.at_ns
-    age_s = since_s(gathered.robot_stamp_ns, now_ns)
+    age_s = since_s(at.stamp_ns if at else None, now_ns)
     if age_s is not None and age_s > _OLD_S:
         gathered.missing.append(f"The robot's pose is {age_s:.1f} s old.")
     return ScenePicture(
@@ -471,6 +470,7 @@ async def _picture(gathered: Gathered, request: SceneRequest) -> ScenePicture:
         top_px=round(drawing.top_px * smaller),
         robot_x_m=at and round(at.x_m, 3),
         robot_y_m=at and round(at.y_m, 3),
+        robot_z_m=at and round(at.z_m, 3),
         robot_yaw_deg=at and round(math.degrees(at.yaw_rad), 1),
         robot_age_s=age_s,
         layers=gathered.layers,

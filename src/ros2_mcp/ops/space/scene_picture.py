@@ -9,6 +9,9 @@ from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.results import WithPictures
 
+_FLAT_M = 0.05
+"""A base that stands on the ground of its map may be told so much above or below it."""
+
 
 @dataclass(frozen=True, slots=True)
 class Way:
@@ -56,8 +59,9 @@ class ScenePicture(WithPictures):
     """What is around the robot, x to the right, y up, in metres of the frame `frame_id`, with a line each `line_m`.
 
     Pixel (`left_px` + column, `top_px` + row) begins at x = `x_min_m` + column · `metres_per_pixel`,
-    y = `y_max_m` - row · `metres_per_pixel`; the rest are labels. The robot's pose is null where nobody says it.
-    `meaning` is that of the first scan. `missing` says what is not shown, and why. `at` is the time that is shown.
+    y = `y_max_m` - row · `metres_per_pixel`; the rest are labels. The robot's pose is null where nobody says it,
+    its age where it is fixed. `meaning` is that of the first scan. `missing` says what is not shown, and why. `at` is
+    the time that is shown.
     """
 
     frame_id: str
@@ -71,6 +75,7 @@ class ScenePicture(WithPictures):
     top_px: int
     robot_x_m: float | None
     robot_y_m: float | None
+    robot_z_m: float | None
     robot_yaw_deg: float | None
     robot_age_s: float | None
     layers: Sequence[SceneLayer]
@@ -85,10 +90,10 @@ class ScenePicture(WithPictures):
         width, height = self.x_max_m - self.x_min_m, self.y_max_m - self.y_min_m
         where = ""
         if self.robot_x_m is not None and self.robot_yaw_deg is not None:
-            old = "" if self.robot_age_s is None else f", {self.robot_age_s:.2f} s ago"
-            where = (
-                f" Robot at ({self.robot_x_m:.2f}, {self.robot_y_m:.2f}) m, heading {round(self.robot_yaw_deg)}°{old}."
-            )
+            old = ", fixed there" if self.robot_age_s is None else f", {self.robot_age_s:.2f} s ago"
+            high = f", {self.robot_z_m:.2f} m high" if abs(self.robot_z_m or 0.0) >= _FLAT_M else ""
+            at = f"({self.robot_x_m:.2f}, {self.robot_y_m:.2f}) m{high}"
+            where = f" Robot at {at}, heading {round(self.robot_yaw_deg)}°{old}."
         shown = ", ".join(_in_words(layer) for layer in self.layers) or "nothing but lines"
         line = (
             f"Scene in {named(self.frame_id)}, {width:.4g} m × {height:.4g} m, a line each {self.line_m:g} m.{where} "

@@ -15,6 +15,7 @@ from ros2_mcp.ops.space.scene_picture import SceneLayer, SceneRequest
 from ros2_mcp.ops.view.look import Chunks, Content, Look, Panel
 
 if TYPE_CHECKING:
+    from ros2_mcp.codec.limbs import LimbSeen
     from ros2_mcp.codec.scene import GridLayer, Mark
 
 _MOST_CELLS = 4_000_000
@@ -44,8 +45,9 @@ class MapPanel(Panel):
         robot = at and {
             "x": round(at.x_m, 4),
             "y": round(at.y_m, 4),
+            "z": round(at.z_m, _MILLIMETRES),
             "yaw": round(at.yaw_rad, 5),
-            "at_s": found.robot_stamp_ns / 1e9 if found.robot_stamp_ns else None,
+            "at_s": None if at.stamp_ns is None else at.stamp_ns / 1e9,
         }
         grid = None
         if found.grid_layer:
@@ -56,6 +58,7 @@ class MapPanel(Panel):
             "robot": robot,
             "grid": grid,
             "footprint": _rounded(found.footprint) if found.footprint is not None else None,
+            "limbs": [_limb(limb) for limb in found.limbs],
             "paths": [
                 {"name": name, "points": _rounded(points)}
                 for name, points in zip(found.path_names, found.paths, strict=True)
@@ -95,6 +98,11 @@ def _rounded(points: Any) -> Sequence[Sequence[float]]:
 def _points(points: Any) -> str:
     """x, y, x, y, … as little-endian 32-bit floats in base64: a page reads them without parsing numbers."""
     return base64.b64encode(points.astype("<f4").tobytes()).decode("ascii")
+
+
+def _limb(limb: LimbSeen) -> Mapping[str, Any]:
+    bone = None if limb.bone is None else _rounded(limb.bone)
+    return {"outline": _rounded(limb.outline), "bone": bone, "jointed": limb.is_jointed}
 
 
 def _mark(mark: Mark) -> Mapping[str, Any]:
