@@ -281,4 +281,4 @@ def _instructions(fleet: Fleet, recording: str) -> str:
     if not toolset.left_out_groups:
         return said
     named = ", ".join(toolset.left_out_groups)
-    return f"{said}To keep the list short, some tools of these groups are left out, which --tools all has: {named}.\n"
+    return f"{said}To keep the list short, not all tools of these groups are offered; --tools all adds them: {named}.\n"

@@ -366,7 +366,7 @@ class Drive:
         if self._allowed.speed < (LEAST_RADPS if course.is_turn else LEAST_MPS):
             gap_m, bearing = max(0.0, self._allowed.gap), math.degrees(self._allowed.bearing)
             self._standing, self._ending = Standing(now), "guard"
-            self.why = f"Something is {gap_m:.2f} m from the robot's body, at {bearing:.0f}° (left is positive)."
+            self.why = f"The nearest beam is {gap_m:.2f} m from the robot's body, at {bearing:.0f}° (left is positive)."
             return None
         return self._allowed.speed
 

@@ -72,7 +72,7 @@ def depth_meaning(
         )
         frame, metres = message.header.frame_id, None if nearest is None else round(nearest, 3)
         return DepthMeaning(
-            frame_id=frame, is_base=False, nearest_m=metres, points=counts[0], invalid=counts[1], note=note
+            seen_from=frame, is_base=False, nearest_m=metres, points=counts[0], invalid=counts[1], note=note
         )
     fx, fy, cx, cy = intrinsics
     step = max(1, math.isqrt(depths.size // _MOST_POINTS))
@@ -150,7 +150,7 @@ def _meaning(
     if not len(seen):
         notes = ["No point has a place."]
         return DepthMeaning(
-            frame_id=base or frame, is_base=mount is not None, points=points, invalid=invalid, note=notes[0]
+            seen_from=base or frame, is_base=mount is not None, points=points, invalid=invalid, note=notes[0]
         )
     low, high = np.quantile(seen, 0.01, axis=0), np.quantile(seen, 0.99, axis=0)
     ground = _ground(seen)
@@ -159,7 +159,7 @@ def _meaning(
     standing = seen[(seen[:, 2] > floor) & (seen[:, 2] < ceiling)]
     near = _nearest_point(standing)
     return DepthMeaning(
-        frame_id=frame if mount is None else base,
+        seen_from=frame if mount is None else base,
         is_base=mount is not None,
         nearest_m=None if near is None else round(math.hypot(near[0], near[1]), 3),
         nearest_bearing_deg=None if near is None else round(math.degrees(math.atan2(near[1], near[0])), 1),

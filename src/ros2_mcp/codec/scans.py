@@ -89,7 +89,7 @@ def scan_meaning(message: Any, mount: Pose | None = None, base: str = "") -> Sca
     distances, bearings = np.hypot(seen[:, 0], seen[:, 1]), np.arctan2(seen[:, 1], seen[:, 0])
     nearest = int(np.argmin(np.where(points.hit, distances, np.inf))) if points.hit.any() else None
     return ScanMeaning(
-        frame_id=message.header.frame_id if mount is None else base,
+        seen_from=message.header.frame_id if mount is None else base,
         is_base=mount is not None,
         nearest_m=None if nearest is None else round(float(distances[nearest]), 3),
         nearest_bearing_deg=None if nearest is None else round(math.degrees(bearings[nearest]), 1),

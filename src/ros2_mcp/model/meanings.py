@@ -17,7 +17,7 @@ _ON_REQUEST = {"on_request": True}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanMeaning:
-    """What a laser scan says, seen from the origin of `frame_id`: the robot's base, or the scan's own frame where its
+    """What a laser scan says, seen from the origin of `seen_from`: the robot's base, or the scan's own frame where its
     mount is not known (`is_base` false).
 
     Bearings in degrees from straight ahead, to the left positive. `nearest_m` is null where nothing is within
@@ -25,7 +25,7 @@ class ScanMeaning:
     null where the scan does not cover it. Of `beams`, `invalid` tell nothing.
     """
 
-    frame_id: str
+    seen_from: str
     is_base: bool
     nearest_m: float | None
     nearest_bearing_deg: float | None
@@ -53,13 +53,13 @@ class ScanMeaning:
         if not seen:
             return "No side is covered by valid beams."
         not_seen = f"; not seen: {', '.join(unseen)}" if unseen else ""
-        where = f"from the origin of {named(self.frame_id)} by side (45° each) in metres"
+        where = f"from the origin of {named(self.seen_from)} by side (45° each) in metres"
         return f"Free distance {where}: {', '.join(seen)}{not_seen}."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthMeaning:
-    """What a point cloud or a depth image says, seen from the origin of `frame_id`: the robot's base, or (`is_base`
+    """What a point cloud or a depth image says, seen from the origin of `seen_from`: the robot's base, or (`is_base`
     false) the sensor's place, x forward, y to the left, z up, where its mount is not known.
 
     `nearest_m` is the horizontal distance of the nearest thing that stands 0.1 to 2 m above the ground, with its
@@ -69,7 +69,7 @@ class DepthMeaning:
     (along the optical axis) and `note` are told.
     """
 
-    frame_id: str
+    seen_from: str
     is_base: bool
     nearest_m: float | None = None
     nearest_bearing_deg: float | None = None

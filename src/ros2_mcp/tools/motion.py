@@ -30,7 +30,7 @@ async def ros2_drive(
     radius_m: Annotated[Number | None, Field(description="With angle_deg: an arc ahead.")] = None,
     speed: Annotated[Number | None, Field(description="m/s; on the spot °/s.")] = None,
     guard_m: Annotated[
-        Number | None, Field(description="Stops with its outline so far from what a laser scan sees in the way.")
+        Number | None, Field(description="Stop when something in the way is so near to its outline, by a laser scan.")
     ] = None,
     topic_name: Found = "",
     odometry: Found = "",
@@ -38,7 +38,7 @@ async def ros2_drive(
 ) -> drive.Driven:
     """Drive a distance or turn an angle, closed by odometry; returns when the robot stands. Moves the robot.
 
-    Says the measured way, its error, and what ended it. It stops when odometry or scan falls silent.
+    Says how far it came, what is missing, and what ended it. It stops when odometry or scan falls silent.
     """
     request = drive.DriveRequest(
         distance_m=distance_m,
@@ -65,7 +65,7 @@ async def ros2_move_until(
     angular_z: Annotated[Number, Field(ge=-10, le=10, description="In rad/s; positive: left.")] = 0.0,
     timeout: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description="Ends after so many seconds.")] = 10.0,
     max_distance_m: Annotated[
-        Number | None, Field(gt=0, le=1000, description="Ends after this way, by odometry.")
+        Number | None, Field(gt=0, le=1000, description="Ends after this distance, by odometry.")
     ] = None,
     is_event: Annotated[
         Flag, Field(description="The topic only tells of events, such as a bumper: it may be silent.")

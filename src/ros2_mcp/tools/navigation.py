@@ -48,14 +48,14 @@ async def ros2_navigate(
         BeforeValidator(_as_list),
         Field(description='Each {"place": its name} or {"x", "y", "yaw_deg", "frame"} (m, degrees; frame: map).'),
     ] = None,
-    job_id: Annotated[str, Field(description="Wait on for this one instead.")] = "",
+    job_id: Annotated[str, Field(description="Wait for this job instead.")] = "",
     timeout_sec: Annotated[Number, Field(ge=0, le=MAX_DURATION_S, description="Wait at most so many seconds.")] = 45.0,
     action_name: Action = "",
 ) -> Navigated:
     """Drive to places with Nav2, around obstacles. Can move the robot.
 
-    Says how long it took and how near it came; of a goal that failed the cause, and what would help. What goes on when
-    the time is over is waited for with its job_id; ros2_stop ends it.
+    Says how long it took and how near it came; of a goal that failed the cause, and what would help. After a time-out,
+    call again with its job_id; ros2_stop ends it.
     """
     return await navigate(robot, to, action=action_name, job_id=job_id, timeout_s=timeout_sec, report=report)
 

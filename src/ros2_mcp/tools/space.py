@@ -24,7 +24,7 @@ PLACE = 35
 @tool(title="The robot in brief", risk="read", recorded=True, place=9)
 async def ros2_robot(
     robot: Robot,
-    whole: Annotated[Flag, Field(description="All lines, also beyond 2 kB.")] = False,
+    whole: Annotated[Flag, Field(description="All, also beyond 2 kB.")] = False,
     *,
     source: RecordingSource,
 ) -> RobotInBrief:
@@ -47,13 +47,13 @@ async def ros2_tf_lookup(
     time: AtTime = "",
     duration: Annotated[Number | None, Field(description="Mean over so many s.")] = None,
     points: Annotated[
-        list[list[Number]] | None, Field(description="Given in target: [x,y,z] or [x,y,z,qx,qy,qz,qw].")
+        list[list[Number]] | None, Field(description="Points of source to transform: [x,y,z] or [x,y,z,qx,qy,qz,qw].")
     ] = None,
-    field: Annotated[str, Field(description="Or a message's: /plan:poses.")] = "",
+    field: Annotated[str, Field(description="Or of a message: /plan:poses.")] = "",
     *,
     reading: RecordingSource,
 ) -> Lookup:
-    """Where frame source is in target, how old, by which edges; else why not."""
+    """Where the frame source is in target, how old, by which frames; or why it is unknown."""
     request = LookupRequest(
         target=target, frame=source, time=time, duration_s=duration, points=points or (), field=field
     )

@@ -47,7 +47,7 @@ def truth(robot: CommandedProcess) -> tuple[float, float, float]:
     return x, y, yaw
 
 
-@pytest.mark.promise("ros2_drive", "Says the measured way, its error, and what ended it")
+@pytest.mark.promise("ros2_drive", "Says how far it came, what is missing, and what ended it")
 @pytest.mark.parametrize("seed", range(ROUNDS))
 def test_it_comes_to_stand_where_it_was_told(agent: Agent, robot: CommandedProcess, seed: int) -> None:
     rng = random.Random(seed)
@@ -83,7 +83,7 @@ def test_it_parks_before_what_stands_in_its_way(agent: Agent, robot: CommandedPr
     assert result["outcome"] == "guard", result["note"]
     assert gap_m - 0.01 <= nearest <= gap_m + 0.06
     assert f"The robot's size is that of {base}/robot_description: 0.20 m ahead" in result["note"]
-    assert "Something is" in result["note"]
+    assert "The nearest beam is" in result["note"]
 
 
 @pytest.mark.full  # each round is some seconds of driving; a thousand are stepped in tests/unit/bridge/test_drive.py

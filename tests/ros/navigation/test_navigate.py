@@ -76,7 +76,7 @@ def test_a_goal_that_fails_is_explained_in_the_same_answer(agent):
     assert rejected["outcome"] == "rejected" and "mapp" in rejected["explanation"]["cause"]
 
 
-@pytest.mark.promise("ros2_navigate", "waited for with its job_id")
+@pytest.mark.promise("ros2_navigate", "After a time-out, call again with its job_id")
 @pytest.mark.promise("ros2_navigate", "ros2_stop ends it")
 def test_what_is_not_waited_for_goes_on_and_a_stop_in_the_middle_ends_it(agent):
     begun = agent.call("ros2_navigate", to=[{"x": -1.5, "y": -1.5}, {"x": 0.0, "y": 0.0}], timeout_sec=0)

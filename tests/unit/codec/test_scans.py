@@ -65,7 +65,7 @@ def test_each_side_has_its_free_distance(scan: Any, degree: int, side: str) -> N
 
 def test_distances_are_those_from_the_base(scan: Any) -> None:
     meaning = scan_meaning(scan({0: 1.0}), mounted(x=0.3), "base_link")
-    assert (meaning.frame_id, meaning.is_base) == ("base_link", True)
+    assert (meaning.seen_from, meaning.is_base) == ("base_link", True)
     assert nearest(meaning) == pytest.approx((1.3, 0.0))
 
 
@@ -88,7 +88,7 @@ def test_a_tilted_scanner_says_that_it_may_see_the_floor(scan: Any) -> None:
 
 def test_without_a_mount_the_frame_is_the_scanners_own_and_it_is_said(scan: Any) -> None:
     meaning = scan_meaning(scan())
-    assert (meaning.frame_id, meaning.is_base) == ("laser", False)
+    assert (meaning.seen_from, meaning.is_base) == ("laser", False)
     assert "its mount on the base is not known" in meaning.note
 
 

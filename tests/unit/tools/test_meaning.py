@@ -63,7 +63,7 @@ async def test_every_reader_says_what_a_scan_means(tools: Toolset, name: str) ->
     summary, found = await answer(tools, name, **READERS[name])
     reading = found["topics"][0] if "topics" in found else found
     scan = reading["meaning"]["scan"]
-    assert (scan["frame_id"], scan["is_base"]) == ("base_link", True)
+    assert (scan["seen_from"], scan["is_base"]) == ("base_link", True)
     assert scan["free_m"]["front"] <= straight_ahead_m(LAST_S) + 0.01
     assert "Nearest obstacle" in summary and " by side (45° each) in metres: front " in summary
 
@@ -91,7 +91,7 @@ async def test_distances_are_from_the_base_and_not_from_the_scanner(tools: Tools
 
 async def test_without_transforms_the_scanners_own_frame_is_told(tools: Toolset) -> None:
     summary, found = await answer(tools, "ros2_topic_subscribe", topic_name="/scan", bag="unmounted")
-    assert found["meaning"]["scan"]["frame_id"] == "laser"
+    assert found["meaning"]["scan"]["seen_from"] == "laser"
     assert "its mount on the base is not known" in summary
 
 

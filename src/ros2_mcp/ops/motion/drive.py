@@ -95,9 +95,10 @@ class Driven:
 
     `outcome` is `reached`, or what ended it: `guard`, `silent` (odometry or scan), `stuck`, `jumped`, `missed`,
     `time_out`, `refused` (by the policy on the way), `nobody_listens`, `ended` (by a stop or the like; `note` says by
-    what). `measured` is what odometry says of the way, and `error` what is missing, both in `unit`, `m` or `deg`;
-    `aside_m` how far it stands to the left of its course, `heading_deg` how its heading differs. Null where nothing was
-    measured. `free_m` is what the scan showed free at the end.
+    what). `measured` is the distance or angle by odometry, and `error` what lacks of `asked`, in `unit` (`m`, `deg`);
+    `aside_m` how far it stands to the left of its course, `heading_deg` how its heading differs, by odometry, too.
+    Null where nothing was measured. `free_m` is the distance from the robot's outline to the nearest beam in the way at
+    the end: less than the mean distance to a wall by the noise of the scan.
     """
 
     outcome: str
@@ -119,10 +120,12 @@ class Driven:
         unit = "°" if self.unit == "deg" else " m"
         if self.measured is None:
             return f"{self.outcome}: nothing was driven. {self.note}".rstrip()
-        missing = "error" if self.outcome == "reached" else "still missing"
-        error = "" if self.error is None else f" ({missing} {self.error:+.3g}{unit})"
+        error = "" if self.error is None else f", {abs(self.error):.3g}{unit} {self._side(self.error)},"
         went = f"{self.measured:.3f}{unit} of {self.asked:g}{unit}{error} by {named(self.odometry)}"
         return f"{self.outcome}: {went} in {self.elapsed_s:.1f} s. {self.note}".rstrip()
+
+    def _side(self, error: float) -> str:
+        return "short" if error * self.asked >= 0 else "too far"
 
 
 async def drive(robot: Robot, request: DriveRequest, report: Report = silent) -> Driven:
@@ -221,7 +224,7 @@ def _driven(
         f"It stood for {told['paused_s']:g} s, as a topic was late." if told.get("paused_s") else "",
         limited(sent.limited) if sent.limited else "",
         guarded(sent.stopper_s, sent.unguarded),
-        "" if scan else "Nothing looked out for obstacles: guard_m was not given.",
+        "" if scan else "Obstacles were not looked for: guard_m was not given.",
         *notes,
     ]
     is_arc = bool(request.radius_m)

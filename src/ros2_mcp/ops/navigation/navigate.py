@@ -44,7 +44,8 @@ class Leg:
 
     `place` is its name, if it has one; the pose is in `frame` (m, degrees). `duration_s` is how long it took so far.
     `away_m` and `heading_off_deg` say where the robot is by its transforms, from the goal (null: not known, or any
-    heading). `recoveries` is how often it had to free itself, `remaining_m` the way that was left, as last told.
+    heading). `recoveries` is how often it had to free itself, `remaining_m` the distance that Nav2 last said
+    was left of a goal that is not reached.
     """
 
     place: str
@@ -92,11 +93,13 @@ class Navigated:
 
 def _line(leg: Leg) -> str:
     where = f"{quoted(leg.place)} " if leg.place else ""
-    told = f"{where}({leg.x_m:.2f}, {leg.y_m:.2f}) in {named(leg.frame)}: {leg.outcome}"
+    facing = "" if leg.yaw_deg is None else f" facing {leg.yaw_deg:.0f}°"
+    told = f"{where}({leg.x_m:.2f}, {leg.y_m:.2f}){facing} in {named(leg.frame)}: {leg.outcome}"
     if leg.duration_s is not None:
         told += f" after {leg.duration_s:.1f} s"
     if leg.away_m is not None:
-        told += f", {leg.away_m:.2f} m from the goal"
+        turned = "" if leg.heading_off_deg is None else f" and {abs(leg.heading_off_deg):.0f}°"
+        told += f", {leg.away_m:.2f} m{turned} from the goal"
     if leg.outcome == "under way" and leg.remaining_m is not None:
         told += f", {leg.remaining_m:.1f} m to go"
     return f"{told}. {leg.note}".rstrip()
@@ -171,7 +174,7 @@ class Navigation(Job):
             note = (
                 f"Nav2 says that it was reached, but by its transforms the robot is {away_m:.2f} m away." if far else ""
             )
-            self._note(outcome="reached", note=note)
+            self._note(outcome="reached", remaining_m=None, note=note)
         elif ended.status == "CANCELED":
             reason = self.stop_reason or (self._goal.stop_reason if self._goal else "")
             self._note(outcome="canceled", note=ended.note or ended_by(reason or "a request to cancel it"))

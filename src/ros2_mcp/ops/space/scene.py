@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -75,7 +76,7 @@ async def gather(robot: Robot, source: Source, request: SceneRequest, report: Re
     await load("ros2_mcp.codec.scene", "ros2_mcp.codec.scans")  # with numpy: not before it is needed
     gathered = Gathered(source, robot)
     async with reporting(report, _GRID_S, "gathering what is around the robot"):
-        await gathered.read(request)
+        await asyncio.gather(gathered.read(request), gathered.listen())
         await gathered.locate(request)
         gathered.at_ns = source.covers_ns[1] if source.covers_ns else robot.now_ns()
         await gathered.place(robot)
@@ -110,6 +111,12 @@ class Gathered:
     sent_to: set[str] = field(default_factory=set[str])
 
     # ── reading ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    async def listen(self) -> None:
+        """Transforms come while all else is read: a scan that waited for them would be old."""
+        with suppress(RobotError):  # `locate` tells of it
+            if self.source.transforms:
+                await self.source.transforms.listening()
 
     async def read(self, request: SceneRequest) -> None:
         """Everything that there is."""
@@ -281,7 +288,9 @@ class Gathered:
         """That what a scan means is of another moment than the robot's pose, where the robot may have turned since."""
         age_s = age_of(scan, self.at_ns)
         if age_s is not None and age_s > _LATE_S:
-            self.missing.append(f"The scan {named(name)}, and what it means, is {age_s:.1f} s old: turned since?")
+            self.missing.append(
+                f"The scan {named(name)} is {age_s:.1f} s old: where the robot has turned since, the sides are others."
+            )
 
     def _place_grid(self, grid: Costmap, now_ns: int) -> None:
         from ros2_mcp.codec.scene import GridLayer, check_grid
