@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from ros2_mcp.codec.robot_kind import above_of, legs_of, rotors_of, wheels_of
 from ros2_mcp.codec.urdf import Geometry, Mount, Urdf
+from ros2_mcp.model.poses import Vector
 
 _CORNERS = 24
 """Of a circle: the outline of a round robot is then 1 % of its radius too small at most."""
@@ -43,13 +44,39 @@ def outline(urdf: Urdf, base: str) -> Sequence[Point]:
     if base_in_body is None:
         return ()
     points: list[Point] = []
+    rotors = {joint.child: joint for joint in rotors_of(urdf)}
     for name in parts_of(urdf, body):
         link, mount = urdf.links[name], urdf.mount(name, body)
         if mount is None:
             continue
         for shape in link.collisions or link.visuals:
-            points += [_in_base(at, base_in_body) for at in corners(shape, mount)]
+            own = list(corners(shape, Mount()))
+            own = list(_swept(own, rotors[name].axis)) if name in rotors else own
+            points += [_in_base(mount.of(Mount(at)).xyz, base_in_body) for at in own]
     return hull(points)
+
+
+def _swept(points: Sequence[Vector], axis: Vector) -> Iterator[Vector]:
+    """What a rotor passes over: the circle of its farthest point about its axis, in the frame of its link."""
+    x, y, z = _unit(axis)
+    u = _unit((y, -x, 0.0) if math.hypot(x, y) > abs(z) else (0.0, z, -y))  # at a right angle to the axis
+    v = (y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0])
+    radius = max((_distance(point, (x, y, z)) for point in points), default=0.0)
+    for number in range(_CORNERS):
+        turn = 2 * math.pi * number / _CORNERS
+        along, aside = radius * math.cos(turn), radius * math.sin(turn)
+        yield along * u[0] + aside * v[0], along * u[1] + aside * v[1], along * u[2] + aside * v[2]
+
+
+def _unit(vector: Vector) -> Vector:
+    length = math.hypot(*vector) or 1.0
+    return vector[0] / length, vector[1] / length, vector[2] / length
+
+
+def _distance(point: Vector, axis: Vector) -> float:
+    """Of a point from an axis through the origin."""
+    along = sum(one * other for one, other in zip(point, axis, strict=True))
+    return math.hypot(*(one - along * other for one, other in zip(point, axis, strict=True)))
 
 
 def unmeasured(urdf: Urdf, base: str) -> Sequence[str]:

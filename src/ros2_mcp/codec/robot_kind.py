@@ -18,7 +18,7 @@ _OMNI = re.compile(r"(mecanum|omni|swerve|holonomic|(?<![a-z])roller)", re.IGNOR
 _NOT_SIDEWAYS = re.compile(r"diff_?drive", re.IGNORECASE)
 """A controller that turns its wheels by side alone, whatever the wheels are called."""
 _CAR = re.compile(r"(ackermann|bicycle|tricycle|steering)", re.IGNORECASE)
-_GRIPPER = re.compile(r"(gripper|finger|fngr|knuckle|jaw|claw)", re.IGNORECASE)
+_GRIPPER = re.compile(r"(gripper|finger|fngr|knuckle|jaw|claw|(?<![a-z])[lr]?hand(_joint)?$)", re.IGNORECASE)
 _ROTOR = re.compile(r"(rotor|propeller|(?<![a-z])prop(?![a-z]))", re.IGNORECASE)
 _THRUSTER = re.compile(r"thruster", re.IGNORECASE)
 _NO_WHEEL = re.compile(r"(propeller|thruster|rotor|engine|(?<![a-z])(prop|screw|fan)(?![a-z]))", re.IGNORECASE)

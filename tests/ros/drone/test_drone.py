@@ -135,6 +135,12 @@ def test_it_flies_up_by_velocity_commands_and_hovers_when_they_end(drone: Drone)
     assert scene["frame_id"] == "map" and scene["robot_age_s"] is not None
     assert (scene["robot_x_m"], scene["robot_y_m"]) == pytest.approx((0.0, 0.0), abs=2.0)
     assert scene["robot_z_m"] > 0.3
+    tree = drone.call("ros2_tf_tree", duration=1.0, picture=False)
+    assert (tree["roots"], tree["problems"]) == (["map"], [])
+    condition = "pose.pose.position.z > 1.5"
+    where = {"topic_name": "/odom", "condition": condition, "command_topic": "/X3/cmd_vel"}
+    moved = drone.call("ros2_move_until", **where, linear_z=0.5, timeout=20.0)
+    assert (moved["outcome"], moved["stopped_with_zero"]) == ("met", True)
     assert "footprint" in {layer["kind"] for layer in scene["layers"]}
 
 

@@ -61,7 +61,7 @@ def test_a_scan_that_is_read_says_what_is_near_from_the_base(agent: Agent) -> No
         return scan if scan["is_base"] else None
 
     scan = until(in_base)
-    assert scan["frame_id"] == "base_link"
+    assert scan["seen_from"] == "base_link"
     assert scan["nearest_m"] == pytest.approx(PILLAR[0], abs=0.1)  # noise of 1 cm in a beam
     assert scan["nearest_bearing_deg"] == pytest.approx(PILLAR[1], abs=6)
     assert scan["free_m"]["rear"] == pytest.approx(2.0, abs=0.1)

@@ -89,6 +89,16 @@ def test_a_base_above_a_footprint_sees_the_outline_from_its_own_origin() -> None
     assert found == approx(0.2, 0.2, 0.2, 0.2, math.hypot(0.2, 0.2))
 
 
+def test_a_rotor_reaches_as_far_as_it_sweeps() -> None:
+    upright = joint("rotor", "continuous", at="0.1 0 0.1").replace("0 1 0", "0 0 1")
+    found = reached(upright, base_link=box("0.2 0.2 0.1"), rotor=box("0.3 0.02 0.01"))
+    radius = math.hypot(0.15, 0.01)
+    assert found == approx(0.1 + radius, 0.1, radius, radius, 0.1 + radius)
+    aside = reached(joint("rotor", "continuous"), base_link=box("0.2 0.1 0.1"), rotor=box("0.3 0.02 0.01"))
+    radius = math.hypot(0.15, 0.005)
+    assert aside == approx(radius, radius, 0.05, 0.05, radius)
+
+
 def test_shapes_of_collision_count_before_those_that_are_seen() -> None:
     seen = '<visual><geometry><box size="9 9 1"/></geometry></visual>'
     assert reached(base_link=seen + box("0.4 0.4 0.2")) == approx(0.2, 0.2, 0.2, 0.2, math.hypot(0.2, 0.2))

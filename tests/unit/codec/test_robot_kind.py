@@ -115,6 +115,10 @@ def test_kinds_by_what_only_they_have(robot: Urdf, kind: str) -> None:
     assert kind_of(robot, [] if "arm of" in kind else [TWIST], []) == kind
 
 
+def test_a_hand_is_no_joint_of_its_arm() -> None:
+    assert kind_of(urdf("nao", *chain("revolute", *SIX, "LHand")), [], []) == "arm of 6 joints and a gripper"
+
+
 def test_a_gripper_alone_and_a_pan_tilt_head_are_told() -> None:
     robot = urdf("hand_e", *chain("revolute", "left_knuckle"), *chain("revolute", "right_knuckle"))
     assert kind_of(robot, [], []) == "gripper"

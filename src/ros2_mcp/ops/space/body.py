@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from ros2_mcp.codec.footprint import outline, reach, unmeasured
+from ros2_mcp.codec.robot_kind import legs_of
 from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.codec.urdf import Urdf
 from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw, rotated
@@ -37,6 +38,7 @@ def footprint_in_words(
     long_m, wide_m = size.front_m + size.rear_m, size.left_m + size.right_m
     least = f" without the mesh{'es' if len(meshes) > 1 else ''} of {_first(meshes)}" if meshes else ""
     stands = " with what it stands on" if urdf and _stands_on(urdf, root) else ""
+    stands += " with straight legs" if urdf and legs_of(urdf) else ""
     return (
         f"{'at least ' if meshes else ''}{long_m:.2f} × {wide_m:.2f} m: front {size.front_m:.2f}, "
         f"rear {size.rear_m:.2f}, left {size.left_m:.2f}, right {size.right_m:.2f} of {named(base)}{stands}{least}"

@@ -52,6 +52,21 @@ async def pose_in(source: Source, target: str, frame: str, at_ns: int | None = N
     return found
 
 
+def separate_roots(tree: FrameTree) -> Sequence[str]:
+    """The roots of the trees between which a transform is missing, that of the largest first.
+
+    MAVROS always tells odom with its copies for other axes (odom_ned) in a tree of their own, which lacks nothing.
+    """
+    largest, *others = tree.roots or [""]
+    of_copies = {
+        root
+        for root in others
+        if (held := [frame for frame in tree.frames if frame != root and tree.root_of(frame) == root])
+        and all(frame in (f"{root}_ned", f"{root}_frd") for frame in held)
+    }
+    return [root for root in (largest, *others) if root and root not in of_copies]
+
+
 async def frames_of(
     source: Source,
     at_ns: int | None = None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,12 @@ from ros2_mcp.ops.sources.source import GraphSnapshot
 
 _COMMANDS = ("Twist", "TwistStamped", "AckermannDrive", "AckermannDriveStamped", "JointTrajectory", "Joy")
 """Types that are for nothing else."""
-_LOW = re.compile(r"(^|[/_])(cmd|commands?|setpoint)($|[/_])")
+LOW_LEVEL = re.compile(r"(^|[/_])(cmd|commands?|setpoint)($|[/_])")
+"""In the name of a topic for orders of any type."""
+_REPORT = re.compile(r"/(sensors?|feedback|states?|status|reports?|measured|telemetry)/")
+"""In the name of what a driver tells, whatever else is in it: who publishes there moves nothing."""
+_RATES = re.compile(r"[/_](attitude|body_?rates?)([/_]|$)")
+"""In the topic of a velocity that is one of turning alone, as an autopilot has it."""
 _PART = re.compile(
     r"[/_](thrust(er)?s?|throttle|rudder|steering|brake|pos(ition)?|vel(ocity)?|effort|torque|speed)($|[/_])"
 )
@@ -21,17 +26,26 @@ _PART = re.compile(
 _SO_NAMED: Mapping[str, tuple[str, re.Pattern[str]]] = {
     "PoseStamped": ("goal", re.compile(r"[/_](goal(_pose)?$|setpoint)")),  # of Nav2, RViz; MAVROS
     "Pose": ("pose", re.compile(r"[/_](body|target|goal|desired|cmd|command|setpoint)")),  # of bodies on legs, of hands
-    "Float64MultiArray": ("low level", _LOW),  # forward_command_controller and its kind
-    "Float32MultiArray": ("low level", _LOW),
-    "Float64": ("low level", _LOW),  # motors of VESC, joints and thrusters of simulators
-    "Float32": ("low level", _LOW),
+    "Float64MultiArray": ("low level", LOW_LEVEL),  # forward_command_controller and its kind
+    "Float32MultiArray": ("low level", LOW_LEVEL),
+    "Float64": ("low level", LOW_LEVEL),  # motors of VESC, joints and thrusters of simulators
+    "Float32": ("low level", LOW_LEVEL),
     "String": ("script", re.compile(r"/script_command$")),  # of Universal Robots
+    "JointState": ("joints", re.compile(r"[/_](commands?|cmd|targets?|goals?|desired|setpoints?)$")),  # of simulators
 }
 """Types that are for anything, what they are for where drivers listen to them, and the names of such topics; in the
 order in which they are told."""
-_USES = ("", "goal", "action", "trajectory", "pose", "low level", "script")
+_USES = ("", "goal", "action", "trajectory", "pose", "body rates", "joints", "low level", "script", "joystick")
 _NUMBERS = ("Float64", "Float32")
-_GOALS = re.compile(r"nav2_msgs/action/Navigate\w+_FeedbackMessage")
+_FEEDBACK = "_FeedbackMessage"
+_GOALS = re.compile(r".*/action/(Navigate\w+|FollowJointTrajectory|\w*GripperCommand|MoveGroup)")
+"""Actions that whoever would move the robot begins with; others are told by their names alone."""
+_NO_INPUTS = (
+    "action_msgs", "bond", "diagnostic_msgs", "lifecycle_msgs", "map_msgs", "nav_msgs", "rcl_interfaces",
+    "rosgraph_msgs", "sensor_msgs", "service_msgs", "tf2_msgs", "visualization_msgs",
+)  # fmt: skip
+"""Packages of what somebody hears of the robot and its world: who waits for it lacks a sensor, and no order."""
+_PLAIN = ("geometry_msgs", "std_msgs")
 _OF_A_HAND = re.compile(r"(servo|delta_twist)", re.IGNORECASE)
 """In the topic of a velocity that moves the tip of an arm, and no base (MoveIt Servo)."""
 _MOST_NAMED = 3
@@ -56,7 +70,10 @@ class CommandInput:
         use = f" ({self.use})" if self.use and self.use != "trajectory" else ""  # its type says that
         state = "" if self.is_active else ", not active"
         who = " and ".join(map(named, self.listeners[:_MOST_NAMED]))
-        return f"{named(self.topic)} {named(self.type.rpartition('/')[2])}{use} → {who}{state}{by}"
+        kind = self.type.rpartition("/")[2]
+        is_so_called = kind.lower() == self.topic.rpartition("/")[2].replace("_", "")
+        told = "" if is_so_called and self.use == "action" else f" {named(kind)}"
+        return f"{named(self.topic)}{told}{use} → {who}{state}{by}"
 
 
 def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> Sequence[CommandInput]:
@@ -73,7 +90,49 @@ def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[
         if one["state"] != "active"
     }
     found = [one for topic in graph.topics.values() for one in _inputs_of(topic, idle) if not _has_action(graph, one)]
+    found += [
+        CommandInput(action, kind, servers, use="action", is_active=not set(servers) <= idle)
+        for action, kind, servers in _actions(graph)
+        if _GOALS.fullmatch(kind)
+    ]
     return sorted(found, key=lambda one: (not one.is_active, _USES.index(one.use), one.topic.count("/"), one.topic))
+
+
+def other_inputs(graph: GraphSnapshot, inputs: Sequence[CommandInput], most: int) -> Iterator[str]:
+    """Lines for what else can be asked of the robot, by name: further actions, and topics of which somebody waits for
+    messages that nobody sends, whatever their types are for. At most so many names in each.
+    """
+    told = {one.topic for one in inputs}
+    actions = [name for name, kind, _ in _actions(graph) if name not in told and not _GOALS.fullmatch(kind)]
+    if actions:
+        yield f"other actions: {in_short(map(named, actions), most)}"
+    if waiting := sorted((one for one in graph.topics.values() if _waits(one, told)), key=_rank):
+        names = (f"{named(one.topic)} {named(one.types[0].rpartition('/')[2])}" for one in waiting)
+        yield f"also waited for: {in_short(names, most)}"
+
+
+def in_short(names: Iterable[str], most: int) -> str:
+    """So many of them, and how many more there are."""
+    every = list(names)
+    more = f" and {len(every) - most} more" if len(every) > most else ""
+    return f"{', '.join(every[:most])}{more}"
+
+
+def _waits(topic: TopicEndpoints, told: Collection[str]) -> bool:
+    """Whether somebody listens to a topic for orders; one whose name says so may have others who send."""
+    if topic.topic in told or not topic.subscribers or "/_" in topic.topic:
+        return False
+    if any(kind.rpartition("/")[2] in _COMMANDS or kind.partition("/")[0] in _NO_INPUTS for kind in topic.types):
+        return False  # the first are told already, or their action is
+    if _REPORT.search(topic.topic):
+        return False
+    return not topic.publishers or bool(LOW_LEVEL.search(topic.topic))
+
+
+def _rank(topic: TopicEndpoints) -> tuple[bool, bool, int, str]:
+    """Those first whose name or type is an order's."""
+    is_plain = topic.types[0].partition("/")[0] in _PLAIN
+    return not LOW_LEVEL.search(topic.topic), is_plain, topic.topic.count("/"), topic.topic
 
 
 def drive_types(inputs: Sequence[CommandInput]) -> Sequence[str]:
@@ -93,11 +152,18 @@ def _inputs_of(topic: TopicEndpoints, idle: set[str]) -> Iterator[CommandInput]:
         waits = name in _NUMBERS and not topic.publishers and _PART.search(topic.topic)
         if use is None or (pattern and not pattern.search(topic.topic) and not waits):
             continue
-        use = "trajectory" if name == "JointTrajectory" else use
+        if use == "low level" and _REPORT.search(topic.topic):
+            continue
+        use = {"JointTrajectory": "trajectory", "Joy": "joystick"}.get(name, use)
+        use = "body rates" if name.startswith("Twist") and _RATES.search(topic.topic) else use
         who = sorted({subscriber.node for subscriber in topic.subscribers if subscriber.type == kind})
         senders = sorted({one.node for one in topic.publishers})
         yield CommandInput(topic.topic, kind, who, senders, use, not set(who) <= idle)
-    action, _, part = topic.topic.rpartition("/_action/")
-    for kind in filter(_GOALS.fullmatch, topic.types if part == "feedback" else ()):
-        if servers := sorted({one.node for one in topic.publishers}):
-            yield CommandInput(action, kind.removesuffix("_FeedbackMessage"), servers, use="action")
+
+
+def _actions(graph: GraphSnapshot) -> Iterator[tuple[str, str, Sequence[str]]]:
+    """Each action with its type and its servers."""
+    for topic in graph.topics.values():
+        action, _, part = topic.topic.rpartition("/_action/")
+        if part == "feedback" and (servers := sorted({one.node for one in topic.publishers})):
+            yield action, topic.types[0].removesuffix(_FEEDBACK), servers

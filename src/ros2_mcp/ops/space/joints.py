@@ -13,7 +13,12 @@ from ros2_mcp.model.text import named
 _SPEED = ", ≤ "
 _FAR = 1e6
 """Of a limit in rad or m: more means that there is none."""
-_NUMBERED = re.compile(r"(?P<before>\S*?)(?P<number>\d+)(?P<after>\D*) now (?P<now>\S+) of (?P<span>\S+)(?P<unit> m)?")
+_SIDES = r"left|right|[FRHL][LR]|[LR][FHRB]|[LRlr]"
+_NUMBERED = re.compile(
+    rf"(?P<before>\S*?)(?P<number>\d+|(?<![A-Za-z0-9])(?:{_SIDES})(?=[_A-Z ]))(?P<after>[^\d ]*) now (?P<now>\S+) of "
+    r"(?P<span>\S+)(?P<unit> m)?"
+)
+"""A joint as one of several that differ in a number, or in the side or corner of the robot on which they are."""
 
 
 def joints_in_words(urdf: Urdf | None, positions: Mapping[str, float]) -> list[str]:
@@ -59,7 +64,7 @@ def with_turning_together(lines: Sequence[str]) -> list[str]:
 
 
 def with_chains(lines: Sequence[str]) -> list[str]:
-    """The same, shorter: joints whose names differ in a number alone, as those of an arm do, in one line."""
+    """The same, shorter: joints whose names differ in a number or side alone, as of arms and legs, in one line."""
     chains: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
     found: list[tuple[tuple[str, ...], str]] = []
     for line in lines:
@@ -70,9 +75,10 @@ def with_chains(lines: Sequence[str]) -> list[str]:
             chains.setdefault(key, []).append((match["number"], match["now"], match["span"]))
     told: dict[tuple[str, ...], str] = {}
     for key, line in found:
-        numbers, nows, spans = zip(*chains[key], strict=True) if len(chains.get(key, ())) > 1 else ((), (), ())
+        numbers, nows, spans = zip(*chains[key], strict=True) if len(chains.get(key, ())) > 1 else ((), (), ("",))
         before, after, unit = key if numbers else ("", "", "")
-        together = f"{before}{','.join(numbers)}{after} now {', '.join(nows)} of {', '.join(spans)}{unit}"
+        limits = spans[0] if len(set(spans)) == 1 else ", ".join(spans)
+        together = f"{before}{','.join(numbers)}{after} now {', '.join(nows)} of {limits}{unit}"
         told.setdefault(key, together if numbers else line)
     return list(told.values())
 
@@ -83,7 +89,7 @@ def _joint(joint: Joint, at: float | None) -> str:
     span = ""
     if limits.lower is not None and limits.upper is not None:  # rounded inwards: who goes there stays within
         span = f" of {_inwards(limits.lower, math.ceil)}..{_inwards(limits.upper, math.floor)}"
-    speed = f"{_SPEED}{limits.velocity:.3g} {joint.unit}/s" if limits.velocity else ""
+    speed = f"{_SPEED}{_at_most(limits.velocity)} {joint.unit}/s" if limits.velocity else ""
     kind = "" if joint.kind == "revolute" else f" {joint.kind}"
     return f"{named(joint.name)}{kind} {now}{span} {joint.unit}{speed}"
 
@@ -91,6 +97,12 @@ def _joint(joint: Joint, at: float | None) -> str:
 def _inwards(limit: float, rounded: Callable[[float], int]) -> str:
     """To a thousandth; one that is beyond anything that moves as it is."""
     return f"{rounded(limit * 1000) / 1000:g}" if abs(limit) < _FAR else f"{limit:.3g}"
+
+
+def _at_most(speed: float) -> str:
+    """Three digits of it, rounded down: who moves so fast is within the limit."""
+    digits = 2 - math.floor(math.log10(speed)) if 0 < speed < _FAR else 0
+    return f"{math.floor(speed * 10**digits) / 10**digits:g}" if digits else f"{speed:.3g}"
 
 
 def _tidy(number: float) -> str:

@@ -6,6 +6,8 @@ import asyncio
 import json
 import logging
 import math
+import re
+from collections import Counter
 from collections.abc import Awaitable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -30,10 +32,11 @@ from ros2_mcp.ops.sources.source import GraphSnapshot, Source
 from ros2_mcp.ops.space.body import NO_MOUNT, footprint_in_words, mounted
 from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_in_words, in_groups, listed_controllers
 from ros2_mcp.ops.space.edges import edge_row, in_words
-from ros2_mcp.ops.space.frames import WORLDS, frames_of
+from ros2_mcp.ops.space.frames import WORLDS, frames_of, separate_roots
 from ros2_mcp.ops.space.heads import Head, heads_of
-from ros2_mcp.ops.space.inputs import command_inputs, drive_types
+from ros2_mcp.ops.space.inputs import command_inputs, drive_types, other_inputs
 from ros2_mcp.ops.space.joints import joints_in_words, placed, with_chains, with_turning_together, without_speeds
+from ros2_mcp.ops.space.sensors import of_own_types, ranked, sensors_in_words
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import LISTENS
@@ -49,30 +52,19 @@ _JOINTS_NS = 1_000_000_000
 """Of a recording, its end."""
 _LEAST_S = 0.4
 """For messages, however long the graph took: what comes twice a second is mostly heard, too."""
-_SENSORS = (
-    "sensor_msgs/msg/LaserScan",
-    "sensor_msgs/msg/Image",
-    "sensor_msgs/msg/Range",
-    "sensor_msgs/msg/Imu",
-    "sensor_msgs/msg/NavSatFix",
-    "geometry_msgs/msg/WrenchStamped",
-    "sensor_msgs/msg/PointCloud2",
-    "sensor_msgs/msg/MagneticField",
-    "sensor_msgs/msg/FluidPressure",
-)
-"""In the order in which they are told."""
 _TF = "tf2_msgs/msg/TFMessage"
 _BATTERY = "sensor_msgs/msg/BatteryState"
 _WITH_RANGE = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range")
-_MOST = {
-    "command_inputs": (8, 0.8),
-    "sensors": (9, 0.6),
-    "joints": (12, 1.0),
-    "unhealthy": (6, 0.5),
-    "controllers": (8, 1.2),
-}
-"""So many lines of each, and which list is shortened first where the whole is too long: that with the most characters
-times this."""
+_SHORTENED = {"command_inputs": 0.8, "sensors": 0.6, "joints": 1.0, "unhealthy": 0.5, "controllers": 1.2}
+"""Which list loses its last line where the whole is too long: that with the most characters times this."""
+_MOST_SENSORS = 13
+"""Of which rate and frame are looked for, where not all are told: more lines than two kilobytes have room for."""
+_NAMES, _ALL_NAMES = 4, 100
+"""In a line that tells several things by their names alone; where all is told."""
+_FIRST_PART, _SHARED = re.compile(r"(?<!\S)(/\w+)/"), 4
+"""Of a name in a line; so many names have it at least, and half of all, where it is told once."""
+_MOST_LINE = 220
+"""Characters: more are of names that somebody has made to be long."""
 _COUNTS_BYTES = 70
 """For how many lines are left out, and how to have them."""
 _MOST_HEARD = 40
@@ -91,7 +83,8 @@ class RobotInBrief:
     which frame, how that is known, how old). `stacks` are Nav2, MoveIt, ros2_control, MAVROS and others, as far as
     they run. `not_read` are the parts that were not there within the time of this answer, or whose type is not known
     here, which says nothing of the robot; `left_out` counts the lines that did not fit into 2 kB: the speeds of the
-    joints go before them. The whole of it leaves nothing out.
+    joints go before them. The whole of it leaves nothing out. Names that do not begin with / are below `namespace`,
+    which is told where it would stand in most of them.
     """
 
     name: str
@@ -106,6 +99,7 @@ class RobotInBrief:
     stacks: Sequence[str]
     frames: str
     unhealthy: Sequence[str]
+    namespace: str = ""
     not_read: Sequence[str] = ()
     left_out: int = 0
     read_from: str = field(default="live")
@@ -161,7 +155,7 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
     graph = await source.graph()
     if graph.absence:
         raise NotFound(graph.absence, "ros2_status tells domain and middleware.")
-    seen = _Seen(graph, most_sensors=_MOST_HEARD if whole else _MOST["sensors"][0] + 4, asked_at=asked_at)
+    seen = _Seen(graph, most_sensors=_MOST_HEARD if whole else _MOST_SENSORS, asked_at=asked_at)
     given_up_at = max(asked_at + _GIVEN_UP_S, monotonic() + _LEAST_S) if source.is_live else math.inf
     parts = (
         ("description", _description(robot, source, seen)),
@@ -176,7 +170,7 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
         ("controllers", _managed(robot, source, seen)),
     )
     await asyncio.gather(*(_safely(seen, what, work, given_up_at) for what, work in parts))
-    brief = _brief(source, seen)
+    brief = _brief(source, seen, _ALL_NAMES if whole else _NAMES)
     return brief if whole else _within(brief, MOST_BYTES)
 
 
@@ -237,7 +231,7 @@ async def _frames(source: Source, seen: _Seen) -> None:
 
 
 async def _heads(robot: Robot, source: Source, seen: _Seen) -> None:
-    topics = [one.topic for one, _ in _ranked(seen.graph)]
+    topics = [one.topic for one, _ in ranked(seen.graph)]
     seen.heads = await heads_of(robot, source, topics[: seen.most_sensors], seen.listen_s)
 
 
@@ -307,7 +301,11 @@ async def _reports(source: Source, seen: _Seen) -> None:
                         for status in message.status:
                             level = LEVELS[int(status.level)] if int(status.level) < len(LEVELS) else str(status.level)
                             worst[status.name] = "" if level == "OK" else f"{level} {quoted(status.message)}"
-    seen.reports = [f"{quoted(name)} reports {said}." for name, said in worst.items() if said]
+    told = {name: said for name, said in worst.items() if said}
+    summed_up = {name for name, said in told.items() if said.split()[1:] == [quoted(said.split()[0])]}
+    if len(summed_up) < len(told):  # a state that only sums up the others says nothing more
+        told = {name: said for name, said in told.items() if name not in summed_up}
+    seen.reports = [f"{quoted(name)} reports {said}." for name, said in told.items()]
 
 
 async def _odometry(source: Source, seen: _Seen) -> None:
@@ -343,7 +341,7 @@ async def _managed(robot: Robot, source: Source, seen: _Seen) -> None:
 # ── composing ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _brief(source: Source, seen: _Seen) -> RobotInBrief:
+def _brief(source: Source, seen: _Seen, names: int) -> RobotInBrief:
     base = _base_of(seen)
     inputs = command_inputs(seen.graph, seen.managed)
     stacks = _stacks(seen.graph)
@@ -354,8 +352,8 @@ def _brief(source: Source, seen: _Seen) -> RobotInBrief:
         base_frame=base,
         footprint=footprint_in_words(seen.urdf, seen.tree, base, seen.footprint, seen.footprint_frame),
         place=place,
-        command_inputs=list(map(str, inputs)),
-        sensors=_sensors(seen, base),
+        command_inputs=[*map(str, inputs), *other_inputs(seen.graph, inputs, names)],
+        sensors=_sensors(seen, base, names),
         joints=joints_in_words(seen.urdf, seen.positions),
         controllers=controllers_in_words(seen.graph, seen.managed, is_controlled="ros2_control" in stacks),
         stacks=stacks,
@@ -400,41 +398,11 @@ def _stacks(graph: GraphSnapshot) -> list[str]:
     ]
 
 
-def _ranked(graph: GraphSnapshot) -> Sequence[tuple[TopicEndpoints, str]]:
-    """The topics of sensors with their types: of each kind the first one before the second of any, for who sees only
-    some; the kinds in the order of `_SENSORS`.
-    """
-    of_kind: dict[str, list[TopicEndpoints]] = {kind: [] for kind in _SENSORS}
-    for one in _topics(graph, *_SENSORS):
-        of_kind[next(kind for kind in one.types if kind in of_kind)].append(one)
-    ranked = [
-        (place, rank, one, kind)
-        for rank, (kind, all_of) in enumerate(of_kind.items())
-        for place, one in enumerate(all_of)
-    ]
-    return [(one, kind) for _, _, one, kind in sorted(ranked, key=lambda each: each[:2])]
-
-
-def _sensors(seen: _Seen, base: str) -> list[str]:
-    found: list[str] = []
-    told = set[str]()
-    for one, type_name in _ranked(seen.graph):
-        kind = type_name.rpartition("/")[2]
-        head = seen.heads.get(one.topic)
-        said = [named(one.topic), kind]
-        if head and not head.count:
-            said.append("silent")
-        elif head and head.rate_hz:
-            said.append(f"{head.rate_hz:.3g} Hz")
-        if head and head.frame:  # of several sensors in one frame the first tells where it sits
-            said.append(f"in {named(head.frame)}{'' if head.frame in told else _mounted(seen, base, head.frame)}")
-            told.add(head.frame)
-        if one.topic in seen.ranges:
-            said.append(seen.ranges[one.topic])
-        found.append(" ".join(said))
-    batteries = seen.batteries.items()
-    told_of = [f"{named(topic)} BatteryState{'' if share is None else f' {share:.0%}'}" for topic, share in batteries]
-    return [*found[:1], *told_of, *found[1:]]
+def _sensors(seen: _Seen, base: str, names: int) -> list[str]:
+    frames = {head.frame for head in seen.heads.values() if head.frame}
+    mounts = {frame: _mounted(seen, base, frame) for frame in frames}
+    own = of_own_types(seen.graph, names)
+    return [*sensors_in_words(seen.graph, seen.heads, mounts, seen.ranges, seen.batteries), *([own] if own else [])]
 
 
 def _mounted(seen: _Seen, base: str, frame: str) -> str:
@@ -447,7 +415,7 @@ def _frames_in_words(seen: _Seen, base: str) -> str:
         return "not read" if _misses_frames(seen) else "none"
     chain = [base, *(edge.newest.parent for edge in tree.way_up(base) if edge.newest)] if base in tree.frames else []
     way = f"{' → '.join(map(named, reversed(chain)))}; " if len(chain) > 1 else ""
-    trees = f", {len(tree.roots)} trees" if len(tree.roots) > 1 else ""
+    trees = f", {len(roots)} trees" if len(roots := separate_roots(tree)) > 1 else ""
     return f"{way}{len(tree.frames)} in all{trees}"
 
 
@@ -464,7 +432,7 @@ def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
             age_s = _age_s(source, seen.tree, found)
             how = "TF, localised" if world == "map" else "TF, by dead reckoning" if world == "odom" else "TF"
             how = "TF, fixed there" if found.stamp_ns is None else how
-            old = [] if age_s is None or age_s < _OLD_S else [f"Where it is was last told {age_s:.0f} s ago."]
+            old = [] if age_s is None or age_s < _OLD_S else [f"Its place in {named(match)} is {age_s:.0f} s old."]
             return _pose_in_words(match, found.pose.translation, found.pose.yaw_rad, how, age_s), old
     if seen.odometry is not None:
         from ros2_mcp.codec.transforms import pose_of
@@ -492,7 +460,7 @@ def _fixed_in_world(urdf: Urdf, base: str) -> Mount | None:
 def _pose_in_words(frame: str, at: Sequence[float], yaw_rad: float, how: str, age_s: float | None) -> str:
     yaw_deg = round(math.degrees(yaw_rad))  # an int has no -0
     height = f" z {at[2]:.2f}" if abs(at[2]) >= 0.05 else ""
-    age = "" if age_s is None else f", {age_s:.1f} s old"
+    age = "" if age_s is None else f", {age_s:.1f} s old" if age_s < _OLD_S else f" {age_s:.0f} s ago"
     return f"In {named(frame)} at x {at[0]:.2f} y {at[1]:.2f}{height} m, yaw {yaw_deg}° ({how}{age})."
 
 
@@ -510,8 +478,8 @@ def _now_ns(source: Source) -> int:
 
 def _unhealthy(source: Source, seen: _Seen) -> list[str]:
     found = [*seen.problems, *filter(None, [seen.stands])]
-    if len(seen.tree.roots) > 1:
-        found.append(f"{len(seen.tree.roots)} trees of frames: {', '.join(map(named, seen.tree.roots[:4]))}.")
+    if len(roots := separate_roots(seen.tree)) > 1:
+        found.append(f"{len(roots)} trees of frames: {', '.join(map(named, roots[:4]))}.")
     now_ns = _now_ns(source)
     for edge in seen.tree.edges.values():
         row = edge_row(seen.tree, edge, now_ns or edge.last_received_ns, time_stands=bool(seen.stands))
@@ -560,17 +528,28 @@ def _within(brief: RobotInBrief, most: int) -> RobotInBrief:
     if _size(brief) > most:
         brief = replace(brief, joints=with_chains(brief.joints))
     if _size(brief) > most:
+        brief = _below_namespace(brief)
+    if _size(brief) > most:
         brief = replace(brief, command_inputs=[line.partition(" (from ")[0] for line in brief.command_inputs])
-    for name, (count, _) in _MOST.items():
-        whole: Sequence[str] = getattr(brief, name)
-        left_out += max(len(whole) - count, 0)
-        brief = replace(brief, **{name: [line[:220] for line in whole[:count]]})
     brief = replace(brief, name=brief.name[:60], frames=brief.frames[:200])
+    for name in _SHORTENED:
+        brief = replace(brief, **{name: [line[:_MOST_LINE] for line in getattr(brief, name)]})
     while _size(brief) > most:
-        name = max(_MOST, key=lambda name: len("".join(getattr(brief, name))) * _MOST[name][1])
+        name = max(_SHORTENED, key=lambda name: len("".join(getattr(brief, name))) * _SHORTENED[name])
         rest: Sequence[str] = getattr(brief, name)[:-1]
         brief, left_out = replace(brief, **{name: rest}), left_out + 1
     return replace(brief, left_out=left_out)
+
+
+def _below_namespace(brief: RobotInBrief) -> RobotInBrief:
+    """The same with the first part that most names share told once."""
+    lists = {name: getattr(brief, name) for name in ("command_inputs", "sensors", "controllers")}
+    firsts = Counter(_FIRST_PART.findall(" ".join(line for lines in lists.values() for line in lines)))
+    namespace, count = firsts.most_common(1)[0] if firsts else ("", 0)
+    if count < _SHARED or count * 2 < firsts.total():
+        return brief
+    at = re.compile(rf"(?<!\S){re.escape(namespace)}/")
+    return replace(brief, namespace=namespace, **{name: [at.sub("", one) for one in of] for name, of in lists.items()})
 
 
 def _size(brief: RobotInBrief) -> int:

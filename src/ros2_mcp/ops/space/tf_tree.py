@@ -17,7 +17,7 @@ from ros2_mcp.ops.results import HIDDEN, Report, WithPictures, facts, reporting,
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
-from ros2_mcp.ops.space.frames import frames_of
+from ros2_mcp.ops.space.frames import frames_of, separate_roots
 from ros2_mcp.ops.space.standing_time import other_clock, standing_time
 from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
@@ -168,9 +168,9 @@ def _line(name: str, depth: int, row: EdgeRow | None) -> str:
 
 def _problems(tree: FrameTree, rows: Mapping[str, EdgeRow], names: Sequence[str], *, whole: bool) -> list[str]:
     found: list[str] = []
-    if whole and len(tree.roots) > 1:
-        roots = ", ".join(map(named, tree.roots))
-        found.append(f"{len(tree.roots)} trees, with no transform between them; their roots are {roots}.")
+    if whole and len(separate := separate_roots(tree)) > 1:
+        roots = ", ".join(map(named, separate))
+        found.append(f"{len(separate)} trees, with no transform between them; their roots are {roots}.")
     if circles := {min(circle): circle for name in names if (circle := tree.circle_of(name))}:
         around = ", ".join(" → ".join(map(named, [*circle, circle[0]])) for circle in circles.values())
         found.append(f"Frames go in a circle, each told to be in the next: {around}.")

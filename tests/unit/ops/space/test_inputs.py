@@ -5,7 +5,7 @@ from __future__ import annotations
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.sources.source import GraphSnapshot
-from ros2_mcp.ops.space.inputs import command_inputs, drive_types
+from ros2_mcp.ops.space.inputs import command_inputs, drive_types, other_inputs
 
 FLOATS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
 
@@ -67,8 +67,67 @@ def test_movements_come_before_goals_and_goals_before_lower_inputs() -> None:
     assert list(map(str, found)) == [
         "/base/reference TwistStamped → /base",
         "/arm/servo_node/delta_twist_cmds TwistStamped → /servo_node",
-        "/nav/navigate_to_pose NavigateToPose (action) → /bt_navigator",
+        "/nav/navigate_to_pose (action) → /bt_navigator",
         "/spot/body_pose Pose (pose) → /spot",
         "/thrust Float32 (low level) → /hull",
     ]
     assert drive_types(found) == ["geometry_msgs/msg/TwistStamped"]  # that of the base: a hand is none
+
+
+def action(name: str, kind: str, server: str) -> TopicEndpoints:
+    end = Endpoint(server, f"{kind}_FeedbackMessage", "", "", QoS())
+    return TopicEndpoints(f"{name}/_action/feedback", [end], [])
+
+
+def test_what_a_driver_tells_is_no_input_and_turning_alone_and_joysticks_are_told_as_such() -> None:
+    found = command_inputs(
+        graph(
+            heard("/sensors/servo_position_command", "std_msgs/msg/Float64", "/odometry", "/vesc"),
+            heard("/uav/setpoint_attitude/cmd_vel", "geometry_msgs/msg/TwistStamped", "/uav"),
+            heard("/uav/setpoint_velocity/cmd_vel", "geometry_msgs/msg/TwistStamped", "/uav"),
+            heard("/joy", "sensor_msgs/msg/Joy", "/teleop", "/joy_node"),
+            heard("/joint_command", "sensor_msgs/msg/JointState", "/simulator"),
+            heard("/joint_states", "sensor_msgs/msg/JointState", "/robot_state_publisher", "/simulator"),
+        ),
+        {},
+    )
+    assert list(map(str, found)) == [
+        "/uav/setpoint_velocity/cmd_vel TwistStamped → /uav",
+        "/uav/setpoint_attitude/cmd_vel TwistStamped (body rates) → /uav",
+        "/joint_command JointState (joints) → /simulator",
+        "/joy Joy (joystick) → /teleop (from /joy_node)",
+    ]
+
+
+def test_actions_that_move_it_are_inputs_and_others_are_named() -> None:
+    arm = "/arm_controller/follow_joint_trajectory"
+    present = graph(
+        heard("/arm_controller/joint_trajectory", TRAJECTORY, "/arm_controller"),
+        action(arm, "control_msgs/action/FollowJointTrajectory", "/arm_controller"),
+        action("/gripper/cmd", "control_msgs/action/GripperCommand", "/gripper"),
+        action("/move_action", "moveit_msgs/action/MoveGroup", "/move_group"),
+        *(action(f"/{name}", f"nav2_msgs/action/{name}", "/behaviors") for name in ("Spin", "BackUp", "Wait")),
+    )
+    found = command_inputs(present, {"/controller_manager": [{"name": "gripper", "state": "inactive"}]})
+    assert list(map(str, found)) == [
+        "/move_action MoveGroup (action) → /move_group",
+        f"{arm} (action) → /arm_controller",
+        "/gripper/cmd GripperCommand (action) → /gripper, not active",
+    ]
+    assert list(other_inputs(present, found, 2)) == ["other actions: /Spin, /BackUp and 1 more"]
+
+
+def test_topics_on_which_somebody_waits_for_orders_are_named_and_sensors_that_are_missing_are_not() -> None:
+    present = graph(
+        heard("/cmd_vel", "geometry_msgs/msg/Twist", "/driver"),
+        heard("/joint_angles", "naoqi_bridge_msgs/msg/JointAnglesWithSpeed", "/driver"),
+        heard("/initialpose", "geometry_msgs/msg/PoseWithCovarianceStamped", "/amcl"),
+        heard("/setpoint_raw/local", "mavros_msgs/msg/PositionTarget", "/mavros", "/planner"),
+        heard("/scan", "sensor_msgs/msg/LaserScan", "/slam"),
+        heard("/speech", "std_msgs/msg/String", "/driver"),
+        heard("/chatter", "std_msgs/msg/String", "/listener", "/talker"),
+    )
+    waited = (
+        "/setpoint_raw/local PositionTarget, /joint_angles JointAnglesWithSpeed, /initialpose PoseWithCovarianceStamped"
+    )
+    assert list(other_inputs(present, command_inputs(present, {}), 3)) == [f"also waited for: {waited} and 1 more"]

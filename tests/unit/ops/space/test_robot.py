@@ -82,7 +82,7 @@ async def test_everything_is_told_of_a_cart_with_a_laser(window: Make, robot: Ro
     assert found.footprint.startswith("0.60 × 0.44 m: front 0.30, rear 0.30, left 0.22, right 0.22")
     assert found.command_inputs == ["/cmd_vel Twist → /base"]
     mount = "in laser at 0.20 0.00 0.30 yaw 180° (by URDF, not TF)"
-    assert found.sensors == [f"/scan LaserScan 10 Hz {mount} 0.1 to 12 m over 360°"]
+    assert found.sensors == [f"/scan LaserScan 10 Hz {mount}, 0.1 to 12 m over 360°"]
     assert found.joints[0] == "left_wheel_joint continuous now 1.5 rad"
     assert found.place == "In map at x 6.00 y 0.00 m, yaw 0° (TF, localised)."
     assert found.frames == "map → odom → base_link; 3 in all"
@@ -114,7 +114,7 @@ async def test_one_sensor_that_cannot_be_read_takes_nothing_else_away(window: Ma
     ]
     found = await in_brief(robot, source(made))
     lines = "\n".join(found.sensors)
-    assert "/sonar Range 10 Hz in laser 0.05 to 4 m" in lines
+    assert "/sonar Range 10 Hz in laser, 0.05 to 4 m" in lines
     assert "/battery BatteryState 72%" in lines and "/wrench WrenchStamped 10 Hz" in lines
     assert found.unhealthy == [] and found.kind.startswith("differential")
 
@@ -124,13 +124,13 @@ async def test_what_a_joint_carries_sits_where_that_joint_is_or_nowhere(window: 
     pan = BASE.replace('type="fixed"', 'type="revolute"').replace("</joint>", '<axis xyz="0 0 1"/></joint>')
     made = windows(window, f'<robot name="cart">{pan}</robot>')
     found = await in_brief(robot, source(made))
-    assert found.sensors == ["/scan LaserScan 10 Hz in laser (mount unknown: mount moves it) 0.1 to 12 m over 360°"]
+    assert found.sensors == ["/scan LaserScan 10 Hz in laser (mount unknown: mount moves it), 0.1 to 12 m over 360°"]
     told = window(
         "/joint_states", "sensor_msgs/msg/JointState", [(4.9, {"name": ["mount"], "position": [-math.pi / 2]})]
     )
     found = await in_brief(robot, source([*made[:-1], told]))
     mount = "in laser at 0.20 0.00 0.30 yaw 90° moving with mount (by URDF, not TF)"
-    assert found.sensors == [f"/scan LaserScan 10 Hz {mount} 0.1 to 12 m over 360°"]
+    assert found.sensors == [f"/scan LaserScan 10 Hz {mount}, 0.1 to 12 m over 360°"]
 
 
 async def test_joints_that_are_told_in_turns_are_all_told(window: Make, robot: Robot) -> None:
@@ -171,7 +171,7 @@ async def test_a_sensor_in_a_frame_that_nobody_tells_is_unhealthy(window: Make, 
 async def test_a_sensor_that_is_mounted_upside_down_says_so(window: Make, robot: Robot) -> None:
     found = await in_brief(robot, source(windows(window, CART.replace("0 0 3.14159265", "3.14159265 0 0"))))
     assert found.sensors[0].startswith(
-        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 roll 180° (by URDF, not TF) 0.1 to 12 m over 360°"
+        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 roll 180° (by URDF, not TF), 0.1 to 12 m over 360°"
     ), found.sensors
 
 
@@ -308,3 +308,21 @@ async def test_it_is_never_more_than_two_kilobytes(window: Make, robot: Robot, c
     whole = await in_brief(robot, made, whole=True)
     assert (len(whole.joints), whole.left_out) == (count + len(("the left wheel", "the right wheel")), 0)
     assert whole.joints[count - 1] == f"a_long_name_of_a_joint_{count - 1} position unknown of -1..1 rad, ≤ 1 rad/s"
+
+
+async def test_a_namespace_of_most_names_is_told_once_where_all_would_be_too_long(window: Make, robot: Robot) -> None:
+    header = {"frame_id": "laser", "stamp": stamp(4.9)}
+    sensors = [
+        window(
+            f"/robot_with_a_long_name_0140/sensors/imu_{number}/data",
+            "sensor_msgs/msg/Imu",
+            [(4.9, {"header": header})],
+        )
+        for number in range(30)
+    ]
+    made = source([*windows(window, CART), *sensors])
+    found = await in_brief(robot, made)
+    assert found.namespace == "/robot_with_a_long_name_0140"
+    assert "sensors/imu_10/data Imu in laser" in found.sensors and found.command_inputs == ["/cmd_vel Twist → /base"]
+    assert size_of(found) <= MOST_BYTES
+    assert (await in_brief(robot, made, whole=True)).namespace == ""
