@@ -123,7 +123,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
         "name": "ros2_mcp_demo_drone",
         "kind": "drone, 4 rotors",
         "base_frame": "base_link",
-        "footprint": "0.69 × 0.69 m: front 0.35, rear 0.35, left 0.35, right 0.35 of base_link",
+        "footprint": "0.69 × 0.69 m: front 0.35, rear 0.35, left 0.35, right 0.35 of base_link, swept by the rotors",
         "place": r"In map at x -?0.\d\d y -?0.\d\d z 0.12 m, yaw 90° \(TF, localised, 0.\d s old\).",
         "command_inputs": [
             r"/X3/cmd_vel Twist → /quadcopter",

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from ros2_mcp.codec.footprint import outline, reach, unmeasured
-from ros2_mcp.codec.robot_kind import legs_of
+from ros2_mcp.codec.robot_kind import arms_of, legs_of, rotors_of
 from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.codec.urdf import Urdf
 from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw, rotated
@@ -38,11 +38,18 @@ def footprint_in_words(
     long_m, wide_m = size.front_m + size.rear_m, size.left_m + size.right_m
     least = f" without the mesh{'es' if len(meshes) > 1 else ''} of {_first(meshes)}" if meshes else ""
     stands = " with what it stands on" if urdf and _stands_on(urdf, root) else ""
-    stands += " with straight legs" if urdf and legs_of(urdf) else ""
+    stands += _made_of(urdf) if urdf else ""
     return (
         f"{'at least ' if meshes else ''}{long_m:.2f} × {wide_m:.2f} m: front {size.front_m:.2f}, "
         f"rear {size.rear_m:.2f}, left {size.left_m:.2f}, right {size.right_m:.2f} of {named(base)}{stands}{least}"
     )
+
+
+def _made_of(urdf: Urdf) -> str:
+    """What the outline takes for the body where that is a choice."""
+    if legs_of(urdf):
+        return " (body and straight legs, without arms)" if arms_of(urdf) else " (body and straight legs)"
+    return ", swept by the rotors" if rotors_of(urdf) else ""
 
 
 def _stands_on(urdf: Urdf, base: str) -> bool:

@@ -49,6 +49,7 @@ _PLAIN = ("geometry_msgs", "std_msgs")
 _OF_A_HAND = re.compile(r"(servo|delta_twist)", re.IGNORECASE)
 """In the topic of a velocity that moves the tip of an arm, and no base (MoveIt Servo)."""
 _MOST_NAMED = 3
+_MORE = re.compile(r" and (\d+) more$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +117,12 @@ def in_short(names: Iterable[str], most: int) -> str:
     every = list(names)
     more = f" and {len(every) - most} more" if len(every) > most else ""
     return f"{', '.join(every[:most])}{more}"
+
+
+def unnamed(line: str) -> int:
+    """How many names a line that was made by `in_short` leaves out."""
+    found = _MORE.search(line)
+    return int(found[1]) if found else 0
 
 
 def _waits(topic: TopicEndpoints, told: Collection[str]) -> bool:

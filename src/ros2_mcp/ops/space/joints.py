@@ -21,9 +21,12 @@ _NUMBERED = re.compile(
 """A joint as one of several that differ in a number, or in the side or corner of the robot on which they are."""
 
 
-def joints_in_words(urdf: Urdf | None, positions: Mapping[str, float]) -> list[str]:
-    """Those of the description whose positions count, then others that somebody tells."""
+def joints_in_words(urdf: Urdf | None, positions: Mapping[str, float], reports: str = "") -> list[str]:
+    """Those of the description whose positions count, then others that somebody tells; first of all those of which
+    `reports` speak.
+    """
     joints: Sequence[Joint] = placed(urdf, positions) if urdf else ()
+    joints = sorted(joints, key=lambda joint: joint.name not in reports)
     lines = [_joint(joint, positions.get(joint.name)) for joint in joints]
     told = {joint.name for joint in joints}
     others = [name for name in positions if name not in told and (urdf is None or name not in urdf.joints)]

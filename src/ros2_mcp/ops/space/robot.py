@@ -34,7 +34,7 @@ from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_in_word
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.frames import WORLDS, frames_of, separate_roots
 from ros2_mcp.ops.space.heads import Head, heads_of
-from ros2_mcp.ops.space.inputs import command_inputs, drive_types, other_inputs
+from ros2_mcp.ops.space.inputs import command_inputs, drive_types, other_inputs, unnamed
 from ros2_mcp.ops.space.joints import joints_in_words, placed, with_chains, with_turning_together, without_speeds
 from ros2_mcp.ops.space.sensors import of_own_types, ranked, sensors_in_words
 from ros2_mcp.ops.space.standing_time import standing_time
@@ -82,9 +82,9 @@ class RobotInBrief:
     mount in the base's frame in m, range), `joints` (position now, limits; rad or m), and where it is (`place`: in
     which frame, how that is known, how old). `stacks` are Nav2, MoveIt, ros2_control, MAVROS and others, as far as
     they run. `not_read` are the parts that were not there within the time of this answer, or whose type is not known
-    here, which says nothing of the robot; `left_out` counts the lines that did not fit into 2 kB: the speeds of the
-    joints go before them. The whole of it leaves nothing out. Names that do not begin with / are below `namespace`,
-    which is told where it would stand in most of them.
+    here, which says nothing of the robot; `left_out` counts the lines and names that did not fit into 2 kB: the speeds
+    of the joints go before them. The whole of it leaves nothing out. Topics and nodes that do not begin with / are
+    below `namespace`, which is told where it would stand in most of them.
     """
 
     name: str
@@ -109,8 +109,9 @@ class RobotInBrief:
         health = f"unhealthy: {len(self.unhealthy)} finding(s)" if self.unhealthy else "nothing unhealthy seen"
         stacks = f", with {', '.join(self.stacks)}" if self.stacks else ""
         not_read = f" Not read: {', '.join(self.not_read)}." if self.not_read else ""
-        left_out = f" {self.left_out} line(s) left out: whole=true tells all." if self.left_out else ""
-        return f"{quoted(self.name)}: {self.kind}{stacks}. {self.place} {health}.{not_read}{left_out}"
+        left_out = f" {self.left_out} line(s) or name(s) left out: whole=true tells all." if self.left_out else ""
+        below = f" Topics and nodes without / are below {self.namespace}." if self.namespace else ""
+        return f"{quoted(self.name)}: {self.kind}{stacks}. {self.place} {health}.{below}{not_read}{left_out}"
 
 
 @dataclass(slots=True)
@@ -354,7 +355,7 @@ def _brief(source: Source, seen: _Seen, names: int) -> RobotInBrief:
         place=place,
         command_inputs=[*map(str, inputs), *other_inputs(seen.graph, inputs, names)],
         sensors=_sensors(seen, base, names),
-        joints=joints_in_words(seen.urdf, seen.positions),
+        joints=joints_in_words(seen.urdf, seen.positions, " ".join(seen.reports)),
         controllers=controllers_in_words(seen.graph, seen.managed, is_controlled="ros2_control" in stacks),
         stacks=stacks,
         frames=_frames_in_words(seen, base),
@@ -415,8 +416,11 @@ def _frames_in_words(seen: _Seen, base: str) -> str:
         return "not read" if _misses_frames(seen) else "none"
     chain = [base, *(edge.newest.parent for edge in tree.way_up(base) if edge.newest)] if base in tree.frames else []
     way = f"{' → '.join(map(named, reversed(chain)))}; " if len(chain) > 1 else ""
-    trees = f", {len(roots)} trees" if len(roots := separate_roots(tree)) > 1 else ""
-    return f"{way}{len(tree.frames)} in all{trees}"
+    roots = separate_roots(tree)
+    trees = f", {len(roots)} trees" if len(roots) > 1 else ""
+    apart = [root for root in tree.roots if root not in roots]
+    copies = f" ({', '.join(map(named, apart))} with its copies apart)" if apart else ""
+    return f"{way}{len(tree.frames)} in all{trees}{copies}"
 
 
 def _misses_frames(seen: _Seen) -> bool:
@@ -425,15 +429,20 @@ def _misses_frames(seen: _Seen) -> bool:
 
 
 def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
-    """Where it is, and what is wrong with that."""
+    """Where it is, and what is wrong with that: where a place is old, that in the next frame is told, too."""
+    told, old = list[str](), list[str]()
     for world in WORLDS:
         match = next((name for name in seen.tree.frames if name.rpartition("/")[2] == world), "")
         if match and base and match != base and (found := seen.tree.newest(match, base)):
             age_s = _age_s(source, seen.tree, found)
             how = "TF, localised" if world == "map" else "TF, by dead reckoning" if world == "odom" else "TF"
             how = "TF, fixed there" if found.stamp_ns is None else how
-            old = [] if age_s is None or age_s < _OLD_S else [f"Its place in {named(match)} is {age_s:.0f} s old."]
-            return _pose_in_words(match, found.pose.translation, found.pose.yaw_rad, how, age_s), old
+            told.append(_pose_in_words(match, found.pose.translation, found.pose.yaw_rad, how, age_s))
+            if age_s is None or age_s < _OLD_S:
+                break
+            old.append(f"Its place in {named(match)} is {age_s:.0f} s old.")
+    if told:
+        return " ".join(told), old
     if seen.odometry is not None:
         from ros2_mcp.codec.transforms import pose_of
 
@@ -538,7 +547,7 @@ def _within(brief: RobotInBrief, most: int) -> RobotInBrief:
         name = max(_SHORTENED, key=lambda name: len("".join(getattr(brief, name))) * _SHORTENED[name])
         rest: Sequence[str] = getattr(brief, name)[:-1]
         brief, left_out = replace(brief, **{name: rest}), left_out + 1
-    return replace(brief, left_out=left_out)
+    return replace(brief, left_out=left_out + sum(map(unnamed, (*brief.command_inputs, *brief.sensors))))
 
 
 def _below_namespace(brief: RobotInBrief) -> RobotInBrief:
