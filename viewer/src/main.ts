@@ -2,7 +2,7 @@
 
 import { AgentPanel, type AgentState } from "./agent.ts";
 import { Refused, call, fetchPart, host, pressStop } from "./call.ts";
-import { ages, byId, make, say } from "./dom.ts";
+import { ages, byId, clock, make, say } from "./dom.ts";
 import { FramesPanel } from "./frames.ts";
 import type { Host } from "./host.ts";
 import { ImagePanel } from "./image.ts";
@@ -20,6 +20,7 @@ type Stopped = { summary: string; is_all_well: boolean; servers: { name: string;
 const WAIT_MS = 1000;
 const STILL_MS = 150; // of a recording nothing is new but what is sought, which does not wait for it
 const AGAIN_MS = 700;
+const SILENT_S = 3; // as a panel looks old
 const LEAST_MS = 30; // between two questions: thirty a second are more than anybody sees
 
 // ── theme ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -120,15 +121,23 @@ function showTime(begin: number, end: number): void {
 function tell(): void {
   const state = byId("state"), moves = byId("moves");
   const why = lost || robot.why || [...failed.values()].join("; ");
-  say(state, why || (robot.live === false ? `recording · ${robot.source ?? ""}` : "live"));
-  state.classList.toggle("bad", !!why);
+  const silent = robot.live !== false && map.silentS > SILENT_S ? `SILENT for ${map.silentS.toFixed(1)} s` : "";
+  const is = robot.title === undefined ? "connecting" : robot.live === false ? `recording · ${robot.source ?? ""}` : silent || "live";
+  say(state, why || is);
+  state.classList.toggle("bad", !!(why || silent));
   const servers = latest.servers ?? [], moved = [...new Set(servers.flatMap((server) => server.moves ?? []))];
   const isLatched = !!latest.latch, waiting = servers.reduce((sum, server) => sum + (server.waiting?.length ?? 0), 0);
-  const asked = waiting ? `${waiting} WAIT${waiting === 1 ? "S" : ""} for a person · ` : "";
-  say(moves, lost ? "" : (robot.live === false ? "now: " : "") + asked + (isLatched ? `LATCHED by ${latest.latch?.by}: ${latest.latch?.reason}` : moved.length ? `moves ${moved.join(", ")}` : servers.length ? "moves nothing now" : latest.servers ? "nobody acts here" : ""));
+  const asked = waiting ? `${waiting} request${waiting === 1 ? " needs" : "s need"} you · ` : "";
+  const does = isLatched ? `LATCHED by ${latest.latch?.by} at ${clock(latest.latch?.since_s ?? 0)}` : moved.length ? `agent drives ${moved.join(", ")}` : servers.length ? "agent moves nothing" : latest.servers ? "no agent acts here" : "";
+  const robotDoes = robot.live === false || !latest.servers ? "" : silent ? "its motion is not known" : map.inMotion;
+  say(moves, lost ? "" : (robot.live === false && does ? "the robot now: " : "") + asked + [does, robotDoes].filter(Boolean).join(" · "));
+  moves.title = isLatched ? `${latest.latch?.reason}; an operator resets it: ros2-mcp operate reset` : "";
+  const target = byId("target");
+  target.hidden = robot.live !== false;
+  say(target, robot.live === false ? latest.folder ?? "the robot now" : "");
   moves.classList.toggle("latched", isLatched);
   moves.classList.toggle("asked", waiting > 0);
-  moves.classList.toggle("still", !isLatched && moved.length === 0 && !waiting);
+  moves.classList.toggle("still", !isLatched && moved.length === 0 && !waiting && !robotDoes.startsWith("robot moves"));
   const at = nowS();
   map.tick(at, !!lost);
   image.tick(at, !!lost);
@@ -141,11 +150,22 @@ function tell(): void {
 // ── stop ────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 const button = byId<HTMLButtonElement>("stop");
+/** A verdict and why, short, so that what is looked at stays where it is; the rest is there to be opened. */
 function tellStop(text: string, lines: string[], isWell: boolean): void {
   const said = byId("said");
   said.hidden = false;
   said.classList.toggle("ok", isWell);
-  said.replaceChildren(text, ...(lines.length ? [make("ul", {}, ...lines.map((line) => make("li", {}, line)))] : []));
+  const close = make("button", { type: "button", class: "quiet", title: "Close (Esc)", "aria-label": "Close" }, "×");
+  close.addEventListener("click", () => { said.hidden = true; });
+  const rest = lines.length > 1 || isWell ? lines.slice(isWell ? 0 : 1) : [];
+  said.replaceChildren(close, make("b", {}, `${clock(Date.now() / 1000)} · ${text}`), ...(isWell ? [] : lines.slice(0, 1).map((line) => make("div", {}, line))),
+    ...(rest.length ? [make("details", {}, make("summary", {}, "all that was said"), make("ul", {}, ...rest.map((line) => make("li", {}, line))))] : []));
+}
+
+/** The first sentence of what is in doubt. */
+function whyOf({ problems, servers }: Stopped): string {
+  const why = problems[0] ?? servers.find((one) => one.is_doubted)?.said ?? servers.filter((one) => !one.answered).map((one) => `${one.name} gave no answer.`)[0] ?? "";
+  return /^.*?[^.]\.(?= |$)/.exec(why.replace(/^NOT confirmed: /, ""))?.[0] ?? why;
 }
 
 async function stop(): Promise<void> {
@@ -154,8 +174,7 @@ async function stop(): Promise<void> {
   try {
     const stopped = await pressStop() as Stopped;
     const lines = [...stopped.problems, ...stopped.servers.map((one) => `${one.name}: ${one.answered ? one.said : `NO ANSWER. ${one.said}`}`)];
-    if (!stopped.is_all_well) lines.push("Use the robot's own emergency stop where it still moves.");
-    tellStop(stopped.summary, lines, stopped.is_all_well);
+    tellStop(stopped.summary, stopped.is_all_well ? lines : [`If it still moves, use its own emergency stop. ${whyOf(stopped)}`, ...lines], stopped.is_all_well);
     latest = {}; // what moved before: the header says nothing of it until it is told anew
     delete seen.agent;
   } catch (error) {

@@ -18,7 +18,11 @@ type Limb = { outline: [number, number][]; bone: [[number, number], [number, num
 type Tint = [number, number, number];
 
 const MOST_TRAIL = 3000;
-const STALE_S = 3;
+const STALE_S = 3; // at most; of what comes often a few missed turns are enough
+const SOON_S = 1.2, TURNS = 4;
+const MOST_POSES = 12;
+const SPEED_OVER_S = 0.8; // of the poses of which a speed is told
+const STILL_MPS = 0.015, STILL_RADPS = 0.02; // less is how a localisation trembles
 const CLICK_PX = 4; // what moves by less is no drag
 const FLAT_M = 0.05; // as ros2_scene: less is no height
 
@@ -33,6 +37,9 @@ export class MapPanel {
   private ground: { key: string; canvas: HTMLCanvasElement } | null = null;
   private trail: [number, number][] = [];
   private before: number | null = null;
+  private poses: { at: number; x: number; y: number; z: number; yaw: number; frame: string }[] = []; // the last ones
+  /** For how long nothing has been heard of where the robot is, in s. */
+  silentS = 0;
   private centre: [number, number] = [0, 0];
   private scale = 0; // pixels for each metre; 0: fit
   private fitted = true;
@@ -81,6 +88,7 @@ export class MapPanel {
     const at = around.robot, then = this.before;
     if (at?.at_s && then && at.at_s < then) this.trail = []; // an earlier time of a recording
     this.before = at?.at_s ?? null;
+    this.keepPose();
     const last = this.trail.at(-1);
     if (at && last && Math.hypot(at.x - last[0], at.y - last[1]) > 3) this.trail = []; // set anew, or another time
     if (at && (!last || Math.hypot(at.x - last[0], at.y - last[1]) > 0.02)) this.trail.push([at.x, at.y]);
@@ -91,6 +99,13 @@ export class MapPanel {
     if (around.grid) void this.fetchCells(around.grid.key);
     this.sheet.canvas.setAttribute("aria-label", this.inWords());
     this.draw();
+  }
+
+  /** The last poses, of which the speed is told; anew in another frame, or at an earlier time of a recording. */
+  private keepPose(): void {
+    const { robot: at, frame = "" } = this.around, last = this.poses.at(-1);
+    if (!at || at.at_s === null || (last && (last.frame !== frame || at.at_s < last.at))) this.poses = [];
+    if (at && at.at_s !== null && at.at_s !== this.poses.at(-1)?.at) this.poses = [...this.poses, { ...at, at: at.at_s, frame }].slice(-MOST_POSES);
   }
 
   private inWords(): string {
@@ -105,9 +120,33 @@ export class MapPanel {
     this.nowS = nowS;
     const at = this.around.robot?.at_s ?? null;
     const age = at === null ? NaN : nowS - at;
-    const stale = lost || age > STALE_S;
+    const turns = this.poses.slice(1).map((one, index) => one.at - (this.poses[index]?.at ?? one.at));
+    const stale = lost || age > Math.min(STALE_S, Math.max(SOON_S, TURNS * Math.max(0, ...turns)));
+    this.silentS = at === null ? 0 : age;
     const told = !this.around.robot ? "pose unknown" : at === null ? "fixed" : `pose ${ageText(age)}`;
     this.frame.tellAge(this.around.frame ? `${this.around.frame} · ${this.height("", " up · ")}${told}` : "", stale);
+  }
+
+  /** Its speed along and around, as far as its poses tell; null where they do not. */
+  private get speed(): { mps: number; radps: number } | null {
+    const last = this.poses.at(-1), first = last && this.poses.find((one) => last.at - one.at <= SPEED_OVER_S);
+    if (!last || !first || last.at - first.at < SPEED_OVER_S / 4) return null;
+    const s = last.at - first.at, turned = Math.atan2(Math.sin(last.yaw - first.yaw), Math.cos(last.yaw - first.yaw));
+    return { mps: Math.hypot(last.x - first.x, last.y - first.y, last.z - first.z) / s, radps: turned / s };
+  }
+
+  private get isMoving(): boolean {
+    const speed = this.speed;
+    return !!speed && (speed.mps > STILL_MPS || Math.abs(speed.radps) > STILL_RADPS);
+  }
+
+  /** What the robot does, in words; empty where its poses do not tell. */
+  get inMotion(): string {
+    const speed = this.speed;
+    if (!speed) return "";
+    if (!this.isMoving) return this.height("robot hovers ", " up") || "robot stands";
+    const parts = [speed.mps > STILL_MPS ? `${speed.mps.toFixed(2)} m/s` : "", Math.abs(speed.radps) > STILL_RADPS ? `turns ${Math.abs(Math.round((speed.radps * 180) / Math.PI))}°/s ${speed.radps > 0 ? "left" : "right"}` : "", this.height("", " up")];
+    return `robot moves ${parts.filter(Boolean).join(", ")}`;
   }
 
   /** How high the robot is, between these words; empty where it is on the ground. */
@@ -225,7 +264,7 @@ export class MapPanel {
     if (this.around.grid) this.drawGrid(this.around.grid, isDark);
     this.drawLines(isDark);
     pen.lineJoin = pen.lineCap = "round";
-    this.line(this.trail, isDark ? "#ffb45488" : "#c2600088", 2);
+    if (this.hasLeft()) this.line(this.trail, isDark ? "#ffb45488" : "#c2600088", 2);
     const paths = isDark ? ["#4cc38a", "#3fb8c4", "#b3c24a"] : ["#0a8a4a", "#007f8c", "#6d7f00"];
     (this.around.paths ?? []).forEach((path, index) => this.line(path.points, paths[index % 3] ?? "", 3));
     pen.fillStyle = isDark ? "#ff6f91" : "#d6003a";
@@ -241,6 +280,13 @@ export class MapPanel {
     for (const { one, label } of this.picks.of("point")) if (one.in_frame === this.around.frame) this.drawPick(one.in[0] ?? 0, one.in[1] ?? 0, label);
     if (this.sheet.canvas.matches(":focus-visible")) this.drawCross(this.sheet.width / 2, this.sheet.height / 2, 8, colour("accent"));
     this.drawScale();
+  }
+
+  /** Whether its trail leads out of its body: a shorter one is how its place trembles. */
+  private hasLeft(): boolean {
+    const at = this.around.robot, body = this.around.footprint ?? [];
+    const reach = at ? Math.max(0.1, ...body.map(([x, y]) => Math.hypot(x - at.x, y - at.y))) : 0;
+    return !!at && this.trail.some(([x, y]) => Math.hypot(x - at.x, y - at.y) > reach);
   }
 
   private drawPick(atX: number, atY: number, label: string): void {
@@ -312,9 +358,11 @@ export class MapPanel {
 
   private drawScale(): void {
     const { pen, width, height } = this.sheet;
-    const metres = this.roundMetres(64), long = metres * this.scale;
+    const metres = this.roundMetres(Math.min(64, width / 10)), long = metres * this.scale;
     pen.font = "12px system-ui, sans-serif";
     const text = this.pointer ? this.toMetres(...this.pointer).map((value) => value.toFixed(2)).join(", ") + " m" : "";
+    pen.fillStyle = `${colour("panel")}cc`; // so that no wall is taken for it
+    pen.fillRect(width - 18 - long, height - 31, long + 12, 27);
     for (const [at, said] of [[width - 12 - long, `${metres} m`], [12, text]] as const) {
       if (!said) continue;
       pen.fillStyle = colour("ink");
@@ -346,8 +394,9 @@ export class MapPanel {
     const name = mark.name.length > 28 ? `${mark.name.slice(0, 27)}…` : mark.name;
     pen.font = "600 12px system-ui, sans-serif";
     pen.lineWidth = 4;
-    pen.strokeText(name, x + 9, y - 7);
-    pen.fillText(name, x + 9, y - 7);
+    const isUp = mark.yaw !== null && Math.sin(mark.yaw) > 0 && Math.cos(mark.yaw) > 0, below = isUp ? y + 18 : y - 7; // beside the arrow
+    pen.strokeText(name, x + 9, below);
+    pen.fillText(name, x + 9, below);
   }
 
   private arrow(x: number, y: number, yaw: number, long: number, stroke: string): void {
@@ -356,9 +405,11 @@ export class MapPanel {
     pen.beginPath();
     pen.moveTo(x, y);
     pen.lineTo(...at(0, long));
-    pen.moveTo(...at(0.28, long - 7));
-    pen.lineTo(...at(0, long));
-    pen.lineTo(...at(-0.28, long - 7));
+    const [tipX, tipY] = at(0, long); // a head of the same size on every arrow
+    for (const side of [1, -1]) {
+      pen.moveTo(tipX, tipY);
+      pen.lineTo(tipX - 8 * Math.cos(yaw + side * 0.5), tipY + 8 * Math.sin(yaw + side * 0.5));
+    }
     pen.strokeStyle = stroke;
     pen.lineWidth = 2.5;
     pen.stroke();
@@ -374,7 +425,7 @@ export class MapPanel {
       for (const [px, py] of body) { pen.lineTo(this.px(px), this.py(py)); reach = Math.max(reach, Math.hypot(this.px(px) - x, this.py(py) - y)); }
       pen.closePath();
     } else pen.arc(x, y, 8, 0, 7);
-    pen.fillStyle = isDark ? "#ffa63d66" : "#ff8c0066";
+    pen.fillStyle = `${isDark ? "#ffa63d" : "#ff8c00"}${this.isMoving ? "aa" : "38"}`; // full while it moves
     pen.strokeStyle = isDark ? "#ffb95e" : "#b85c00";
     pen.lineWidth = 2;
     pen.fill();
@@ -422,7 +473,7 @@ function painted(grid: Grid, cells: Uint8Array, isDark: boolean): HTMLCanvasElem
 function tints(costs: boolean, isDark: boolean): Uint32Array {
   const table = new Uint32Array(256);
   const free: Tint = isDark ? [35, 45, 42] : [255, 255, 255];
-  const full: Tint = isDark ? [226, 236, 232] : [28, 36, 33];
+  const full: Tint = isDark ? [148, 162, 156] : [28, 36, 33]; // less bright than the robot and its scan
   const unknown: Tint = isDark ? [22, 29, 27] : [229, 233, 230];
   const mix = (one: Tint, two: Tint, share: number): Tint => [0, 1, 2].map((at) => Math.round((one[at] ?? 0) + ((two[at] ?? 0) - (one[at] ?? 0)) * share)) as Tint;
   const pack = ([red, green, blue]: Tint): number => ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;

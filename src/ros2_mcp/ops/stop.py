@@ -121,6 +121,8 @@ class Stopped:
             (len(self.flights), "{} flight(s) made to stand"),
         )
         told = ", ".join(words.format(count) for count, words in counted if count)
+        if self.is_doubted:  # why comes first: who reads no further knows what may still move
+            return f"{verdict}: {self.note} Done: {told}." if told else f"{verdict}: {self.note}"
         return f"{verdict}: {f'{told}. ' if told else ''}{self.note}".rstrip()
 
 

@@ -75,12 +75,12 @@ def test_before_the_first_answer_the_page_says_that_it_waits_and_claims_nothing(
     told = [page.run(text(f"#{panel} .why")) for panel in ("map", "image", "agent", "values", "log")]
     assert told == ["Waiting for the first answer."] * 5
     view.answers = lambda asked: good(updated(asked, view.asked))
-    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
+    page.until(f"{text('#moves')}.startsWith('agent drives /cmd_vel')")
     page.until("[...document.querySelectorAll('.why')].every(one => one.hidden || !one.offsetParent)")
 
 
 def test_after_a_stop_the_page_says_only_what_it_is_told_from_then_on(page: Page, view: ScriptedView) -> None:
-    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
+    page.until(f"{text('#moves')}.startsWith('agent drives /cmd_vel')")
     is_released, is_held = threading.Event(), threading.Event()
 
     def held(asked: dict[str, Any]) -> Answer:
@@ -94,7 +94,7 @@ def test_after_a_stop_the_page_says_only_what_it_is_told_from_then_on(page: Page
     page.until(f"{text('#said')}.startsWith('1 of 1 server')")
     page.until(f"{text('#moves')} === ''")
     is_released.set()
-    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
+    page.until(f"{text('#moves')}.startsWith('agent drives /cmd_vel')")
 
 
 def test_nonsense_in_panels_is_told_and_forgotten_with_the_next_answer(page: Page, view: ScriptedView) -> None:

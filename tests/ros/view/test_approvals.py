@@ -39,7 +39,7 @@ def asked(agent: Agent, page: Page, speed: float) -> str:
     assert f"Publish on {TOPIC}" in told and f"linear.x {speed} m/s" in told  # what
     assert "For the client" in told and re.search(r"asked \d+ s ago, \d+ s left", told)  # who, since when
     assert ended(page, request) == "waits"
-    page.until(f"{text('#moves')} .startsWith('1 WAITS for a person · ')")
+    page.until(f"{text('#moves')} .startsWith('1 request needs you · ')")
     return request
 
 

@@ -140,7 +140,7 @@ def test_its_button_stops_the_agent_of_the_chat(chat: Page, agent: Agent, observ
         duration=40.0,
     )
     observer.until_driven("/cmd_vel")
-    chat.until("document.getElementById('moves').textContent === 'moves /cmd_vel'", within=view)
+    chat.until("document.getElementById('moves').textContent.startsWith('agent drives /cmd_vel')", within=view)
     chat.run("document.getElementById('stop').click()", within=view)
     assert observer.comes_to_rest("/cmd_vel", 10.0) == []
     said = "document.getElementById('said').textContent"

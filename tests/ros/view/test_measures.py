@@ -135,7 +135,7 @@ def test_the_button_s_zero_is_at_a_subscriber_in_time(
         for _ in range(PRESSES):
             driving = agent.begin("ros2_topic_publish", **drive, frequency=20.0, duration=600.0)
             until(lambda: observer.driven(topic=topic)[topic])
-            page.until(f"{text('#moves')}.startsWith('moves')")
+            page.until(f"{text('#moves')}.startsWith('agent drives')")
             for one in reading:
                 one.go_on()
             before = time.monotonic_ns()

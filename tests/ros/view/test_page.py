@@ -106,7 +106,7 @@ def test_what_is_picked_in_the_browser_is_told_to_the_agent(page: Page, agent: A
 def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Agent, observer: Observer) -> None:
     recording = agent.call("ros2_record_start", topics=["/odom"])["recording_id"]
     call = driving(agent, observer)
-    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
+    page.until(f"{text('#moves')}.startsWith('agent drives /cmd_vel')")
     page.until(
         f"{text('#agent')}.includes('1 topic(s) into') && {text('#agent .rows:last-of-type')}.includes('under way')"
     )
@@ -153,15 +153,12 @@ def test_a_stop_that_is_not_confirmed_looks_like_an_alarm(
 ) -> None:
     reset(demo_environment)
     driving(agent, observer)
-    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
+    page.until(f"{text('#moves')}.startsWith('agent drives /cmd_vel')")
     with running(demo_environment, *peer_command("stranger_peer", "/cmd_vel")):  # publishes there, too
         until(lambda: "/stranger" in str(agent.call("ros2_topic_info", topic_name="/cmd_vel")))
         page.run(STOP)
         said = page.until(f"/of 1 server/.test({text('#said')}) && {text('#said')}")
-    assert (
-        "1 of them NOT confirmed; the robot was seen to stand, but read why" in said
-        and "also publishes on /cmd_vel" in said
-    )
+    assert "The robot was seen to stand, but that is NOT confirmed" in said and "also publishes on /cmd_vel" in said
     assert "emergency stop" in said
     assert not page.run("document.getElementById('said').classList.contains('ok')")
     pictured_in_all_sizes(page, "doubted")
@@ -172,7 +169,7 @@ def test_where_a_server_hangs_the_latch_is_set_and_the_page_says_that_it_did_not
 ) -> None:
     reset(demo_environment)
     driving(agent, observer)
-    page.until(f"{text('#moves')} === 'moves /cmd_vel'")
+    page.until(f"{text('#moves')}.startsWith('agent drives /cmd_vel')")
     pid = server_of(demo_environment)
     os.kill(pid, signal.SIGSTOP)
     try:
@@ -180,7 +177,7 @@ def test_where_a_server_hangs_the_latch_is_set_and_the_page_says_that_it_did_not
         assert observer.comes_to_rest("/cmd_vel", 10.0) == []
         page.until(f"{text('#said')}.includes('NO ANSWER')")
         said = page.run(text("#said"))
-        assert "zeros sent from here on /cmd_vel" in said and "the latch is set" in said
+        assert "zeros were sent from here on /cmd_vel" in said and "the latch is set" in said
     finally:
         os.kill(pid, signal.SIGCONT)
 

@@ -80,7 +80,7 @@ async def test_a_stop_that_is_not_confirmed_is_told_as_an_alarm(tmp_path: Path) 
         (one,) = stopped.servers
         assert (one.answered, one.said, one.is_doubted) == (True, words, is_doubted)
         assert stopped.is_all_well is not is_doubted
-        assert ("1 of them NOT confirmed: look whether the robot stands" in stopped.summary()) is is_doubted
+        assert ("The robot MAY STILL MOVE: look at it" in stopped.summary()) is is_doubted
 
 
 async def test_a_stop_that_is_not_confirmed_says_whether_the_robot_was_seen_to_stand(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ async def test_a_stop_that_is_not_confirmed_says_whether_the_robot_was_seen_to_s
     async with server(folder, StopAnswer("NOT confirmed: /logger did not acknowledge.", True, is_observed_still=True)):
         stopped = await Acting(folder).stop(robot)
     assert not stopped.is_all_well
-    assert "1 of them NOT confirmed; the robot was seen to stand, but read why" in stopped.summary()
+    assert "The robot was seen to stand, but that is NOT confirmed" in stopped.summary()
 
 
 def test_an_answer_to_a_request_is_told_with_what_it_is_about() -> None:

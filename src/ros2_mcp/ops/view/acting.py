@@ -68,15 +68,20 @@ class StoppedAll:
 
     def summary(self) -> str:
         """One line: how many answered, what was done for those that did not, and whether it is latched."""
-        answered = sum(server.answered for server in self.servers)
-        told = f"{answered} of {len(self.servers)} server(s) stopped" if self.servers else "No server acts here"
-        if doubted := [server for server in self.servers if server.is_doubted]:
-            told = f"{told}, {len(doubted)} of them NOT confirmed"
-            is_still = all(server.is_observed_still for server in doubted)
-            told += "; the robot was seen to stand, but read why" if is_still else ": look whether the robot stands"
-        zeros = f"; zeros sent from here on {', '.join(self.zeros)}" if self.zeros else ""
+        answered, doubted = (
+            [one for one in self.servers if one.answered],
+            [one for one in self.servers if one.is_doubted],
+        )
+        if doubted and all(one.is_observed_still for one in doubted):
+            verdict = "The robot was seen to stand, but that is NOT confirmed"
+        elif doubted or len(answered) < len(self.servers):
+            verdict = "The robot MAY STILL MOVE: look at it"
+        else:
+            verdict = "Stopped" if self.servers else "No server acts here"
+        told = f". {len(answered)} of {len(self.servers)} servers answered" if self.servers else ""
+        zeros = f", zeros were sent from here on {', '.join(self.zeros)}" if self.zeros else ""
         latched = "the latch is set" if self.latched else "the latch is NOT set"
-        return f"{told}{zeros}; {latched}."
+        return f"{verdict}{told}{zeros}; {latched}."
 
 
 class Acting:
