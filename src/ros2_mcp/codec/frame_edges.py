@@ -244,7 +244,7 @@ class Edge:
         Two pauses tell it, if they are most of the time; or so many messages at once that none was sent when it was
         measured, which is known from the first burst on.
         """
-        if len(self.moving) < _LEAST_BURST or len(self.writers) > 1:
+        if len(self.moving) < _LEAST_BURST:
             return None
         first_ns, span_ns = self.moving[0].received_ns, self.stamps[-1] - self.stamps[0]
         heard_ns = self.moving[-1].received_ns - first_ns
@@ -252,6 +252,8 @@ class Edge:
         flows_ns = heard_ns - sum(pauses)
         is_at_once = span_ns >= _LEAST_SPAN_NS and flows_ns * _AT_ONCE < span_ns
         if not is_at_once and (len(pauses) < 2 or 2 * sum(pauses) < heard_ns):
+            return None
+        if len(self.writers) > 1:  # one stamps later than the other: that tells nothing of when they came
             return None
         count = len(self.moving) // (len(pauses) + 1)
         if pauses:

@@ -232,7 +232,11 @@ class FrameTree:
         """The circle of which one of these edges between two frames is a part, though a further parent of one of its
         frames hides it: the same edge is then told the other way round, too, and neither can be trusted.
         """
-        for edge in {edge.child: edge for name in (frame, target) for edge in self.way_up(name)}.values():
+        between = {edge.child for edge in edges}  # of these it is known already whether they have two parents
+        above = {
+            edge.child: edge for name in (frame, target) for edge in self.way_up(name) if edge.child not in between
+        }
+        for edge in above.values():
             circle = self.circle_by(edge.child) if edge.two_parents else []
             steps = {*zip(circle, [*circle[1:], *circle[:1]], strict=True)}
             if any(one.newest and (one.child, one.newest.parent) in steps for one in edges):

@@ -245,15 +245,18 @@ class TransformListener:
         """Keeps in mind who publishes: so that one that goes is known to have been, and a look-up asks nobody."""
         self._lives.clear()
         self._looked_ns.clear()
-        gone = frozenset[str]()
+        gone, asked_for = frozenset[str](), 0
         while monotonic() - self._asked_at < self.idle_s:
             with suppress(RobotError):
                 for topic in LISTENS:
                     self._publishers.pop(topic, None)
                     await self.publishers(topic)
             before, gone = gone, frozenset(who for who, life in self.lives(TF_STATIC).items() if life.gone_by_ns)
-            if gone - before:
-                with suppress(RobotError):
+            with suppress(RobotError):
+                # More were heard than are there: one came and went between two looks.
+                heard = tree.publishers(is_static=True)
+                if gone - before or heard > max(asked_for, len(await self.publishers(TF_STATIC))):
+                    asked_for = heard
                     await self._find_left(tree)
             if self.namespace and (await self._graph.endpoints(TF)).publishers:
                 self.namespace = ""

@@ -106,7 +106,7 @@ def test_two_parents_are_an_error_and_an_edge_that_ended_is_told_to_be_stale(age
 def test_a_fixed_frame_whose_node_has_left_is_told_and_not_credited_to_others(agent: Agent, tell: Tell) -> None:
     tell("base_link", "laser", node="mounts", x=0.5, static=True)
     tell("base_link", "lens", node="calibration", x=0.2, static=True)
-    looked_up(agent, "base_link", "lens")
+    until(lambda: "/calibration" in looked_up(agent, "base_link", "lens")["edges"][0]["publisher"])
     tell("base_link", "lens", node="calibration", leaves=True)
     until(lambda: "its publisher has left" in looked_up(agent, "base_link", "lens")["note"])
     assert "/calibration, which is gone" in looked_up(agent, "base_link", "lens")["edges"][0]["publisher"]

@@ -77,6 +77,8 @@ class Tellers:
 
     def of(self, edge: Edge) -> str:
         """The node: its name, `probably …` where it is concluded, `one of …` where it is not known; empty of none."""
+        if edge.is_left and edge.is_static and not self._publishers.get(TF_STATIC, Publishers()).gone:
+            return f"a node that was not seen{GONE}"
         return self._named(TF_STATIC if edge.on_static else TF, edge.writers)
 
     def on(self, topic: str, edge: Edge, parent: str) -> str:

@@ -239,6 +239,8 @@ def test_what_is_fixed_and_left_behind_is_of_a_node_that_went_and_the_rest_of_th
     row = edge_row(tree, tree.edges["camera"], 1_700_000_002 * SECOND, tellers)
     assert "its publisher has left (probably /calibration, which is gone)" in row.problem
     assert "nodes that start from now on do not get this frame" in row.problem
+    unseen = Tellers(tree, {"/tf_static": Publishers(["/states"])}, {})
+    assert unseen.of(tree.edges["camera"]) == "a node that was not seen, which is gone"
     fixed(tree, ("base_link", "camera"), sequence=1)
     assert not tree.edges["camera"].is_left, "somebody has told it again"
 
