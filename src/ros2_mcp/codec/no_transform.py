@@ -13,7 +13,8 @@ from ros2_mcp.model.times import recorded_time
 
 _MOST_NAMED = 8
 """Frames in a sentence."""
-_YEAR_S = 365.25 * 86_400
+_DAY_S = 86_400
+_YEAR_S = 365.25 * _DAY_S
 UNIX_FROM_NS = 10**18
 """A stamp before 2001 is of another clock, such as that of a simulation: it is written in seconds."""
 
@@ -28,6 +29,8 @@ def seconds_in_words(away_ns: int) -> str:
     away_s = abs(away_ns) / 1e9
     if away_s >= _YEAR_S:
         return f"{away_s / _YEAR_S:.1f} years"
+    if away_s >= 2 * _DAY_S:
+        return f"{away_s / _DAY_S:.1f} days"
     return f"{away_s * 1000:.3g} ms" if away_s < 0.1 else f"{away_s:.3g} s" if away_s < 1000 else f"{away_s:.0f} s"
 
 
