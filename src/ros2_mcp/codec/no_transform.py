@@ -171,7 +171,8 @@ def _missing_edge(tree: FrameTree, target: str, frame: str) -> str:
     roots = {tree.root_of(target), tree.root_of(frame)}
     base = next((root for root in sorted(roots) if root.rpartition("/")[2] in BASES), "")
     odom = next((name for name in sorted(tree.frames) if name.rpartition("/")[2] == "odom"), "")
-    if base and odom and tree.root_of(odom) in roots - {base}:
+    below = {tree.root_of(name) for name in tree.frames if name.rpartition("/")[2] in BASES}
+    if base and odom and tree.root_of(odom) in roots - below:  # else odom has a base, and another edge is missing
         edge = f"{named(odom)} → {named(base)}"
         return f"The base's controller or a state estimation publishes {edge}: none does now."
     last = {root.rpartition("/")[2]: root for root in roots}

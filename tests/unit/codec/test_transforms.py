@@ -245,6 +245,17 @@ def test_two_trees_are_told_with_their_roots_and_what_is_missing() -> None:
     assert "base_link is in the tree of odom" in words and "map → odom" in words and "localisation" in words
 
 
+def test_where_odom_is_below_the_map_it_is_the_edge_to_the_base_that_is_missing() -> None:
+    tree = FrameTree()
+    follows(tree, "map", "odom", 0, 1)
+    tell(tree, transform("base_footprint", "base_link"), static=True)
+    assert "publishes odom → base_footprint: none does now" in reason(tree, "odom", "base_link")[1]
+    footprint = FrameTree()
+    follows(footprint, "odom", "base_footprint", 0, 1)
+    tell(footprint, transform("base_link", "laser"), static=True)
+    assert "Nobody publishes where base_link is in odom" in reason(footprint, "odom", "laser")[1]
+
+
 def test_two_parents_at_the_same_time_are_told_with_their_rates() -> None:
     tree = robot()
     for number in range(20):
