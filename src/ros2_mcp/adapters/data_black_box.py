@@ -181,6 +181,10 @@ class DataBlackBoxSource(Source):
             return DataBlackBoxSource(self._box, end_ns - length_ns, end_ns, self._bucket)
         return DataBlackBoxSource(self._box, self._start_ns, min(end_ns, self._start_ns + length_ns), self._bucket)
 
+    def from_beginning(self) -> DataBlackBoxSource:
+        """As far back as the box goes."""
+        return DataBlackBoxSource(self._box, None, self._end_ns, self._bucket)
+
     @property
     def codec(self) -> Codec:
         """Reads what it keeps, with the robot's definitions."""

@@ -26,6 +26,12 @@ _PAUSES, _LEAST_PAUSE_NS, _ONCE_NS = 3, 1_000_000_000, 5_000_000_000
 only, whose rate nobody knows, after 5 s."""
 _RATED = 100
 """Messages of which the rate is told."""
+_PAUSE_NS, _PAUSE_STEPS = 500_000_000, 4
+"""A pause between two bursts is so long at least, and so many times as long as the step of the stamps over it: what is
+sent seldom has steps as long as its pauses."""
+_AT_ONCE, _LEAST_BURST, _LEAST_SPAN_NS = 20, 5, 1_000_000_000
+"""One burst: so many times as fast as its stamps go, twice what simulated time runs at; messages; and their span."""
+_MOST_PAUSES = 50
 _LEAP_M, _LEAP_M_S, _LEAP_DEG, _LEAP_DEG_S = 0.25, 10.0, 30.0, 720.0
 """A step so far and so fast is no motion of a robot, if those before and after it are slow."""
 _LEAP_TIMES = 5
@@ -70,6 +76,14 @@ class Leap:
     received_ns: int
 
 
+@dataclass(frozen=True, slots=True)
+class Bursts:
+    """Messages that come many at once: `pause_ns` between two bursts, and about how many are in each."""
+
+    pause_ns: int
+    count: int
+
+
 @dataclass(slots=True)
 class _Steps:
     """A publisher's last message, how fast (m/s, degrees/s) the step to it was, and a leap that it may have been."""
@@ -83,12 +97,14 @@ class _Steps:
 class Edge:
     """All that was told of one frame and its parent: `moving` by stamps, and `static` by parents.
 
-    `received` counts the moving ones, `repeated` those of them with a stamp that was there already, which tf2 ignores,
-    too, and `unstamped` those whose stamp is 0: nobody has set it, and the last of them holds for all times, as of a
-    static one. `last_received_ns` is the time of receipt of the newest message. `refused` says in words why the last
-    transform of it was not taken, `refused_parent` and `refused_writer` of which parent, and by whom. `jumps` are those
-    of its stamps. `on_static` is whether the last came on /tf_static. `slashed` is how it was told, where that was with
-    a leading slash; `frozen` how many of the last messages in a row had a stamp that did not change.
+    `received` counts the moving ones, `repeated` those of them with a stamp that was there already, which tf2
+    ignores, too, and `unstamped` those whose stamp is 0: nobody has set it, and the last of them holds for all
+    times, as of a static one. `last_received_ns` is the time of receipt of the newest message. `refused` says in
+    words why the last transform of it was not taken, `refused_parent` and `refused_writer` of which parent, and by
+    whom, `refused_ns` when the last such came. `jumps` are those of its stamps. `is_left`: it is static, and
+    whoever tells it is gone, so that nodes that start from now on do not get it. `on_static` is whether the last
+    came on /tf_static. `slashed` is how it was told, where that was with a leading slash; `frozen` how many of the
+    last messages in a row had a stamp that did not change.
     """
 
     def __init__(self, child: str) -> None:
@@ -103,10 +119,13 @@ class Edge:
         self.refused = ""
         self.refused_parent = ""
         self.refused_writer = 0
+        self.refused_ns = 0
         self.jumps: list[Jump] = []
         self.on_static = False
         self.slashed = ""
         self.frozen = 0
+        self.is_left = False
+        self._pauses: deque[tuple[int, int]] = deque(maxlen=_MOST_PAUSES)
         self._last_stamp_ns: int | None = None
         self._told_by: deque[tuple[int, int]] = deque(maxlen=_LOOKED_BACK)
         self._static_by: dict[int, Told] = {}
@@ -148,6 +167,20 @@ class Edge:
             return sorted(set(recent))
         return recent[-1:] or sorted({told.writer for told in self.static.values()}) or [self.refused_writer]
 
+    @property
+    def on_both(self) -> bool:
+        """Whether it is told as static and as moving alike, with one parent."""
+        return bool(self.moving) and self.moving[-1].parent in self.static and not self.two_parents
+
+    def static_writers_of(self, parent: str) -> list[int]:
+        """The publishers of /tf_static that tell it with that parent."""
+        return sorted(writer for writer, told in self._static_by.items() if told.parent == parent)
+
+    def static_parent_by(self, writer: int) -> str:
+        """The parent with which a publisher of /tf_static told it last."""
+        told = self._static_by.get(writer)
+        return told.parent if told else self.refused_parent
+
     def writers_of(self, parent: str) -> list[int]:
         """The publishers that tell it with that parent, of the last messages."""
         told = [one for one in self.moving[-_LOOKED_BACK:] if one.parent == parent]
@@ -173,12 +206,25 @@ class Edge:
             pairs += _at_one_time(one, other)[-1:]
         if self.on_static:
             pairs += combinations(self._static_by.values(), 2)
+        if self.on_both:
+            pairs.append((self.static[self.moving[-1].parent], self.moving[-1]))
         found = [_apart(*pair) for pair in pairs if pair[0].parent == pair[1].parent]
         return max(found, default=None)
 
     @property
     def rate_hz(self) -> float | None:
-        """How often it is told, by the times of receipt; None for what is static, or was told once."""
+        """How often it is, by its stamps where they go on, else by the times of receipt; None for what is static, or
+        was told once. Messages may come many at once, or late: the stamps say how often it was measured.
+        """
+        stamps = self.stamps[-_RATED:]
+        # Right after a jump there are too few to tell a rate by.
+        if len(stamps) > (2 if self.jumps else 1) and stamps[-1] > stamps[0]:
+            return (len(stamps) - 1) / (stamps[-1] - stamps[0]) * 1e9
+        return self.received_hz
+
+    @property
+    def received_hz(self) -> float | None:
+        """How often it comes, by the times of receipt; None for what is static, or was told once."""
         if not self.moving and self.on_static:
             return None
         if len(self._times) < 2:
@@ -192,16 +238,48 @@ class Edge:
         return [leap for leap in self._leaps if leap.received_ns >= self.last_received_ns - KEPT_NS]
 
     @property
+    def bursts(self) -> Bursts | None:
+        """That messages come many at once, with pauses between, though their stamps have none; None if they do not.
+
+        Two pauses tell it, if they are most of the time; or so many messages at once that none was sent when it was
+        measured, which is known from the first burst on.
+        """
+        if len(self.moving) < _LEAST_BURST:
+            return None
+        first_ns, span_ns = self.moving[0].received_ns, self.stamps[-1] - self.stamps[0]
+        heard_ns = self.moving[-1].received_ns - first_ns
+        pauses = sorted(pause_ns for received_ns, pause_ns in self._pauses if received_ns > first_ns)
+        flows_ns = heard_ns - sum(pauses)
+        is_at_once = span_ns >= _LEAST_SPAN_NS and flows_ns * _AT_ONCE < span_ns
+        if not is_at_once and (len(pauses) < 2 or 2 * sum(pauses) < heard_ns):
+            return None
+        if len(self.writers) > 1:  # one stamps later than the other: that tells nothing of when they came
+            return None
+        count = len(self.moving) // (len(pauses) + 1)
+        if pauses:
+            return Bursts(pauses[len(pauses) // 2], count) if count >= _LEAST_BURST else None
+        return Bursts(span_ns + span_ns // (len(self.stamps) - 1), count)
+
+    def age_ns(self, at_ns: int) -> int:
+        """How long before that time, by the stamps, the last was that there was then; below 0 where all are later."""
+        place = bisect_right(self.stamps, at_ns)
+        return at_ns - self.stamps[max(place - 1, 0)]
+
+    def around(self, at_ns: int) -> tuple[int, int] | None:
+        """The stamps between which that time lies; None where it is that of one, or outside."""
+        after = bisect_left(self.stamps, at_ns)
+        if after in (0, len(self.stamps)) or self.stamps[after] == at_ns:
+            return None
+        return self.stamps[after - 1], self.stamps[after]
+
+    def longest_gap(self) -> tuple[int, int] | None:
+        """The stamps with the longest pause between them; None of fewer than two."""
+        return max(pairwise(self.stamps), key=lambda pair: pair[1] - pair[0], default=None)
+
+    @property
     def lag_ns(self) -> int:
         """How far its newest stamp was behind its receipt, when that stamp first came."""
         return self.moving[-1].received_ns - self.stamps[-1]
-
-    def gap_ns(self, at_ns: int) -> int:
-        """How far the two transforms are apart between which that time lies; 0 where it is that of one, or outside."""
-        after = bisect_left(self.stamps, at_ns)
-        if after in (0, len(self.stamps)) or self.stamps[after] == at_ns:
-            return 0
-        return self.stamps[after] - self.stamps[after - 1]
 
     def at(self, at_ns: int) -> Told | None:
         """What it is at that time; None where that is before the first or after the last that was told."""
@@ -242,6 +320,7 @@ class Edge:
             self.moving.clear()
             self.stamps.clear()
             self._steps.clear()
+            self._pauses.clear()
             self.jumps = [*self.jumps, jump][-_MOST_JUMPS:]
         self.received += 1
         self._told_by.append((told.writer, told.received_ns))
@@ -260,6 +339,10 @@ class Edge:
         else:
             self.frozen = 0
         self._count(told.received_ns)
+        if steps := self._steps.get(told.writer):
+            pause_ns = told.received_ns - steps.told.received_ns
+            if pause_ns >= max(_PAUSE_NS, _PAUSE_STEPS * abs(told.stamp_ns - steps.told.stamp_ns)):
+                self._pauses.append((told.received_ns, pause_ns))
         self._step_to(told)
         self.stamps.insert(place, told.stamp_ns)
         self.moving.insert(place, told)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from ros2_mcp.codec.frame_edges import Edge
-from ros2_mcp.codec.transforms import FrameTree, Located
+from ros2_mcp.codec.transforms import BASES, FrameTree, Located
 from ros2_mcp.model.errors import NoTransform
 from ros2_mcp.model.names import may_be_one, nearest
 from ros2_mcp.model.text import listed, named
@@ -13,6 +13,8 @@ from ros2_mcp.model.times import recorded_time
 
 _MOST_NAMED = 8
 """Frames in a sentence."""
+_DAY_S = 86_400
+_YEAR_S = 365.25 * _DAY_S
 UNIX_FROM_NS = 10**18
 """A stamp before 2001 is of another clock, such as that of a simulation: it is written in seconds."""
 
@@ -25,6 +27,10 @@ def stamp_in_words(stamp_ns: int, began_ns: int | None = None) -> str:
 def seconds_in_words(away_ns: int) -> str:
     """A duration as people read it."""
     away_s = abs(away_ns) / 1e9
+    if away_s >= _YEAR_S:
+        return f"{away_s / _YEAR_S:.1f} years"
+    if away_s >= 2 * _DAY_S:
+        return f"{away_s / _DAY_S:.1f} days"
     return f"{away_s * 1000:.3g} ms" if away_s < 0.1 else f"{away_s:.3g} s" if away_s < 1000 else f"{away_s:.0f} s"
 
 
@@ -50,10 +56,13 @@ def why_none(tree: FrameTree, target: str, frame: str, at_ns: int | None) -> NoT
     edges = tree.connected(target, frame)
     for edge in up if edges is None else edges:
         if edge.two_parents:
-            return _two_parents(edge)
+            circle = tree.circle_by(edge.child)
+            return _circle(tree, circle) if circle else _two_parents(edge)
     for edge in up:
         if circle := tree.circle_of(edge.child):
-            return _circle(circle)
+            return _circle(tree, circle)
+    if edges is not None and (circle := tree.hidden_circle(target, frame, edges)):
+        return _circle(tree, circle)
     if edges is None:
         roots = {tree.root_of(target), tree.root_of(frame)}
         for edge in tree.edges.values():
@@ -75,7 +84,7 @@ def _unknown(tree: FrameTree, name: str) -> NoTransform:
         said = f"{heard} message(s) came, with no transform in them." if heard else "Nothing came on /tf or /tf_static."
         return NoTransform("never published", f"No transform is known at all. {said}")
     near = nearest(name, list(tree.frames))
-    blank = " (told with a blank before or behind its name)" if near != near.strip() else ""
+    blank = " (published with a blank before or behind its name)" if near != near.strip() else ""
     hint = f"Did you mean {named(near)}{blank}? " if near else ""
     known = listed(sorted(tree.frames), _MOST_NAMED)
     message = f"No transform names the frame {named(name)}."
@@ -84,7 +93,7 @@ def _unknown(tree: FrameTree, name: str) -> NoTransform:
 
 def _two_parents(edge: Edge) -> NoTransform:
     parts = [f"{named(parent)} ({_how_told(edge, parent)})" for parent in edge.parents]
-    message = f"{named(edge.child)} is told to have {len(parts)} parents at the same time: {' and '.join(parts)}."
+    message = f"{named(edge.child)} has {len(parts)} parents at the same time: {' and '.join(parts)}."
     hint = "A frame has one parent: tf2 jumps between them. Look one edge up, or end one of the publishers."
     return NoTransform("two parents", message, hint)
 
@@ -93,14 +102,25 @@ def _how_told(edge: Edge, parent: str) -> str:
     of_it = [told for told in edge.moving if told.parent == parent]
     if not of_it:
         return "static"
-    span_ns = of_it[-1].received_ns - of_it[0].received_ns
+    span_ns = of_it[-1].stamp_ns - of_it[0].stamp_ns
     return f"{(len(of_it) - 1) / span_ns * 1e9:.3g} Hz" if len(of_it) > 1 and span_ns > 0 else "told once"
 
 
-def _circle(frames: Sequence[str]) -> NoTransform:
-    around = " → ".join(map(named, [*frames, frames[0]]))
-    message = f"The frames go in a circle, each told to be in the next: {around}."
-    return NoTransform("circle", message, "One edge is wrong.")
+def _circle(tree: FrameTree, frames: Sequence[str]) -> NoTransform:
+    reverse = ", each edge the reverse of the other" if len(frames) == 2 else ""
+    message = f"The frames go in a circle: {circle_in_words(frames)}{reverse}."
+    for child, parent in zip(frames, [*frames[1:], frames[0]], strict=True):
+        edge = tree.edges[child]
+        if others := [f"{named(one)} ({_how_told(edge, one)})" for one in edge.parents if one != parent]:
+            message += f" {named(child)} is in {' and '.join(others)}, too, which is no part of the circle."
+    hint = "One of these edges is too much, or the wrong way round: static_transform_publisher takes the parent first."
+    return NoTransform("circle", message, hint)
+
+
+def circle_in_words(frames: Sequence[str], by: Callable[[str, str], str] = lambda _child, _parent: "") -> str:
+    """Frames that go in a circle, each in the next; `by` adds who tells it of a child and its parent."""
+    steps = zip(frames, [*frames[1:], frames[0]], strict=True)
+    return ", ".join(f"{named(child)} is in {named(parent)}{by(child, parent)}" for child, parent in steps)
 
 
 def _two_trees(tree: FrameTree, target: str, frame: str) -> NoTransform:
@@ -116,7 +136,7 @@ def _two_trees(tree: FrameTree, target: str, frame: str) -> NoTransform:
         )
     refused = [edge for edge in (tree.edges.get(tree.root_of(frame)), tree.edges.get(tree.root_of(target))) if edge]
     why = " ".join(
-        f"What is told of {f'{named(edge.refused_parent)} → ' if edge.refused_parent else ''}{named(edge.child)} "
+        f"What is published of {f'{named(edge.refused_parent)} → ' if edge.refused_parent else ''}{named(edge.child)} "
         f"is refused: {edge.refused}."
         for edge in refused
         if edge.refused
@@ -149,13 +169,18 @@ def _misspelt(tree: FrameTree, target: str, frame: str) -> str:
 def _missing_edge(tree: FrameTree, target: str, frame: str) -> str:
     """Which edge is missing, where the names of REP 105 tell who publishes it."""
     roots = {tree.root_of(target), tree.root_of(frame)}
+    base = next((root for root in sorted(roots) if root.rpartition("/")[2] in BASES), "")
+    odom = next((name for name in sorted(tree.frames) if name.rpartition("/")[2] == "odom"), "")
+    below = {tree.root_of(name) for name in tree.frames if name.rpartition("/")[2] in BASES}
+    if base and odom and tree.root_of(odom) in roots - below:  # else odom has a base, and another edge is missing
+        edge = f"{named(odom)} → {named(base)}"
+        return f"The base's controller or a state estimation publishes {edge}: none does now."
     last = {root.rpartition("/")[2]: root for root in roots}
     if "map" in last and "odom" in last:
-        return f"A localisation (amcl, slam_toolbox) tells {named(last['map'])} → {named(last['odom'])}: none does now."
-    if "odom" in last and set(last) & {"base_link", "base_footprint"}:
-        return "The base's controller or a state estimation tells odom → base: none does now."
+        edge = f"{named(last['map'])} → {named(last['odom'])}"
+        return f"A localisation (amcl, slam_toolbox) publishes {edge}: none does now."
     one, other = sorted(roots)
-    return f"Nobody tells where {named(one)} is in {named(other)}, or the other way round."
+    return f"Nobody publishes where {named(one)} is in {named(other)}, or the other way round."
 
 
 def _no_common_time(tree: FrameTree, edges: Iterable[Edge], lacking: Sequence[Edge], common_ns: int) -> NoTransform:
@@ -169,12 +194,12 @@ def _no_common_time(tree: FrameTree, edges: Iterable[Edge], lacking: Sequence[Ed
     if abs(behind_ns - silent_ns) > max(_CLOCKS_NS, silent_ns // 2):
         jumped = [f"the stamps of {edge_in_words(edge)} {_jump_of(edge)}" for edge in (oldest, newest) if edge.jumps]
         reason = "clock jump" if jumped else "two clocks"
-        told = [_clock_of(edge, tree.clock_ns) for edge in (oldest, newest)]
+        told = [_clock_of(edge, tree) for edge in (oldest, newest)]
         clocks = f"they are stamped by different clocks: {', '.join(told)}"
-        message = (
-            f"No time in common: by its stamps {ends}, although both were told within {seconds_in_words(silent_ns)}"
-        )
+        message = f"No time in common: by its stamps {ends}, although both came within {seconds_in_words(silent_ns)}"
         hint = "Set use_sim_time alike everywhere, and mind the clocks of all computers."
+        if not jumped and is_since_boot(tree, oldest):
+            hint = "Synchronise the clock of the machine that stamps since its start (NTP; micro-ROS: its session's)."
         if not jumped and all(edge.stamps[-1] >= UNIX_FROM_NS for edge in (oldest, newest)):
             hint = "Set the clocks of all computers alike (chrony, NTP), or mend the stamps of whoever tells it."
         return NoTransform(reason, f"{message}: {' and '.join(jumped) or clocks}.", hint)
@@ -195,11 +220,19 @@ def _jump_of(edge: Edge) -> str:
     return f"jumped {back} by {seconds_in_words(jump.to_ns - jump.from_ns)}, {ago} before the last of it"
 
 
-def _clock_of(edge: Edge, clock_ns: int) -> str:
-    """By which clock an edge is stamped, as far as its stamps differ from when it came; `clock_ns` as of the tree."""
-    ahead_ns = edge.stamps[-1] - edge.last_received_ns
+def is_since_boot(tree: FrameTree, edge: Edge) -> bool:
+    """Whether its stamps are near 1970, though nobody tells simulated time: a machine whose clock was never set."""
+    return tree.has_clock is False and not tree.clock_ns and edge.stamps[-1] < UNIX_FROM_NS
+
+
+def _clock_of(edge: Edge, tree: FrameTree) -> str:
+    """By which clock an edge is stamped, as far as its stamps differ from when it came."""
+    ahead_ns, clock_ns = edge.stamps[-1] - edge.last_received_ns, tree.clock_ns
     if abs(ahead_ns) <= _CLOCKS_NS:
-        return f"{edge_in_words(edge)} by the robot's"
+        return f"{edge_in_words(edge)} by the robot's (wall time)"
+    if is_since_boot(tree, edge):
+        boot = f"{stamp_in_words(edge.stamps[-1])}, in 1970, and nobody publishes /clock"
+        return f"{edge_in_words(edge)} by the time since its machine started, which is not synchronised ({boot})"
     if edge.stamps[-1] < UNIX_FROM_NS:
         off_ns = ahead_ns + clock_ns if clock_ns else 0
         off = f", {seconds_in_words(off_ns)} {'ahead of' if off_ns > 0 else 'behind'} the others"
@@ -234,7 +267,7 @@ def _not_then(tree: FrameTree, lacking: Sequence[Edge], sought_ns: int) -> NoTra
         message += f" What is kept reaches from {stamp_in_words(first_ns)} to {stamp_in_words(last_ns)}."
         period_ns = (last_ns - first_ns) // (len(edge.stamps) - 1)
         if period_ns > _SLOW_NS:
-            message += f" It is told every {seconds_in_words(period_ns)} only."
+            message += f" It is published every {seconds_in_words(period_ns)} only."
     if edge.jumps:
         jump = edge.jumps[-1]
         back = "back" if jump.to_ns < jump.from_ns else "forward"
@@ -243,6 +276,8 @@ def _not_then(tree: FrameTree, lacking: Sequence[Edge], sought_ns: int) -> NoTra
         )
         return NoTransform("clock jump", message + told, "A bag or a simulation began again, or a clock was set.")
     older = "Ask a recording (bag) for what is older; a server with --black-box always keeps one."
+    if tree.is_recorded:
+        older = "That is before the recording began, or in a part of it that was not asked for."
     hint = "Leave time out for the latest." if is_later else older
     return NoTransform("not at that time", message, hint)
 

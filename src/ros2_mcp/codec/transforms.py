@@ -63,6 +63,8 @@ class FrameTree:
     those of roots too. `advanced_ns` is when a stamp last came that was not there yet. `messages` counts those of each
     topic, `left_out` transforms of more frames than are kept, `nameless` those whose frame has no name (child_frame_id
     is empty). `namespace` is that of the topics on which they are told, such as /robot1; empty of /tf itself.
+    `is_recorded`: all of it was read from a recording, of which `holes` could not be read. `has_clock` is whether
+    somebody tells simulated time, None where nobody has looked: without it a stamp near 1970 is no simulated time.
     """
 
     def __init__(self, around_ns: int | None = None) -> None:
@@ -73,6 +75,9 @@ class FrameTree:
         self.nameless = 0
         self.advanced_ns = 0
         self.namespace = ""
+        self.is_recorded = False
+        self.holes: Sequence[tuple[int, int]] = ()
+        self.has_clock: bool | None = None
         self.damaged = 0
         self.trouble = ""
         self._around_ns = around_ns
@@ -116,11 +121,12 @@ class FrameTree:
             if parent:
                 self.frames.setdefault(parent)
             if pose is None:
-                edge.refused_parent, edge.refused_writer = parent, writer
+                edge.refused_parent, edge.refused_writer, edge.refused_ns = parent, writer, received_ns
                 continue
             stamp_ns = one.header.stamp.sec * 1_000_000_000 + one.header.stamp.nanosec
             told = Told(parent, pose, stamp_ns, received_ns, writer)
             if is_static:
+                edge.is_left = False
                 edge.add_static(told)
                 continue
             edge.add_moving(told)
@@ -171,6 +177,8 @@ class FrameTree:
         chain = self._chain(target, frame, lambda edge: edge.newest if time_ns is None else edge.at(time_ns))
         if chain is None or self.circle_of(frame) or any(edge.two_parents for edge in chain.edges):
             return None
+        if self.hidden_circle(target, frame, chain.edges):
+            return None
         return chain.located(target, frame, time_ns if any(edge.moving for edge in chain.edges) else None)
 
     def common_ns(self, target: str, frame: str) -> int | None:
@@ -199,6 +207,41 @@ class FrameTree:
         children = [edge.child for edge, _ in up]
         last = up[-1][1].parent if up else frame
         return children[children.index(last) :] if last in children else []
+
+    def circle_by(self, frame: str) -> list[str]:
+        """The frames of a circle that goes up from this one by any of its parents, each below the next; empty where
+        there is none. A further parent may hide it from `circle_of`, which goes by what was told last.
+        """
+        came: dict[str, str] = {}
+        waiting = [frame]
+        while waiting:
+            name = waiting.pop()
+            edge = self.edges.get(name)
+            for parent in edge.parents if edge else ():
+                if parent == frame:
+                    path = [name]
+                    while path[-1] != frame:
+                        path.append(came[path[-1]])
+                    return path[::-1]
+                if parent not in came:
+                    came[parent] = name
+                    waiting.append(parent)
+        return []
+
+    def hidden_circle(self, target: str, frame: str, edges: Sequence[Edge]) -> list[str]:
+        """The circle of which one of these edges between two frames is a part, though a further parent of one of its
+        frames hides it: the same edge is then told the other way round, too, and neither can be trusted.
+        """
+        between = {edge.child for edge in edges}  # of these it is known already whether they have two parents
+        above = {
+            edge.child: edge for name in (frame, target) for edge in self.way_up(name) if edge.child not in between
+        }
+        for edge in above.values():
+            circle = self.circle_by(edge.child) if edge.two_parents else []
+            steps = {*zip(circle, [*circle[1:], *circle[:1]], strict=True)}
+            if any(one.newest and (one.child, one.newest.parent) in steps for one in edges):
+                return circle
+        return []
 
     def root_of(self, frame: str) -> str:
         """The root of a frame's tree, as it was last told; of frames that go in a circle the first by name."""
@@ -237,7 +280,7 @@ class FrameTree:
         """
         if not self.clock_ns:
             return 0
-        rates = [edge.rate_hz for edge in self.edges.values() if edge.moving and edge.rate_hz]
+        rates = [edge.received_hz for edge in self.edges.values() if edge.moving and edge.received_hz]
         usual_ns = max(_STANDS_NS, round(_STANDS_PERIODS * 1e9 / max(rates))) if rates else _STANDS_NS
         stood_ns = at_ns - self.advanced_ns
         return stood_ns if stood_ns > usual_ns else 0
@@ -311,9 +354,9 @@ def _pose_of(
     if not parent:
         return None, "its parent has no name (header.frame_id is empty)"
     if parent == child:
-        return None, "it is told to be its own parent"
+        return None, "it is said to be its own parent"
     if not all(map(math.isfinite, (*at, *turned))):
-        return None, "it has numbers that are not finite"
+        return None, "it has numbers that are not finite (NaN)"
     squared = sum(part * part for part in turned)
     if abs(squared - 1) > _UNIT:
         return None, f"its rotation is no unit quaternion: {', '.join(f'{part:.4g}' for part in turned)}"

@@ -44,6 +44,8 @@ _ROLES = {
     "localisation": frozenset({"geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/OccupancyGrid"}),
     "description": frozenset({"std_msgs/msg/String"}),
 }
+_AGAIN_S = 3.0
+"""For what is latched to come to a new subscription: its publishers are known, and a slow network takes a second."""
 _logger = logging.getLogger(__name__)
 
 
@@ -209,7 +211,7 @@ class TransformListener:
                 self.since = monotonic()
                 self._begun.set()
                 await asyncio.gather(
-                    self._follow(tree, static, TF_STATIC), self._follow(tree, moving, TF), self._watch_publishers()
+                    self._follow(tree, static, TF_STATIC), self._follow(tree, moving, TF), self._watch_publishers(tree)
                 )
         except RobotError as error:
             self._failure = error
@@ -239,20 +241,42 @@ class TransformListener:
                 tree.take_in(messages, is_static=topic == TF_STATIC)
                 self._tell()
 
-    async def _watch_publishers(self) -> None:
+    async def _watch_publishers(self, tree: FrameTree) -> None:
         """Keeps in mind who publishes: so that one that goes is known to have been, and a look-up asks nobody."""
         self._lives.clear()
         self._looked_ns.clear()
+        gone, asked_for = frozenset[str](), 0
         while monotonic() - self._asked_at < self.idle_s:
             with suppress(RobotError):
                 for topic in LISTENS:
                     self._publishers.pop(topic, None)
                     await self.publishers(topic)
+            before, gone = gone, frozenset(who for who, life in self.lives(TF_STATIC).items() if life.gone_by_ns)
+            with suppress(RobotError):
+                # More were heard than are there: one came and went between two looks.
+                heard = tree.publishers(is_static=True)
+                if gone - before or heard > max(asked_for, len(await self.publishers(TF_STATIC))):
+                    asked_for = heard
+                    await self._find_left(tree)
             if self.namespace and (await self._graph.endpoints(TF)).publishers:
                 self.namespace = ""
                 self._publishers.clear()
                 raise RobotError(f"{TF} itself is published now: what is asked next is asked of it")
             await asyncio.sleep(_SEEN_S)
+
+    async def _find_left(self, tree: FrameTree) -> None:
+        """Finds what is static and is left behind by a publisher that went: a new subscription does not get it."""
+        asked_ns = self.now_ns()
+        left = {edge.child for edge in tree.edges.values() if edge.is_static and edge.last_received_ns < asked_ns}
+        again = FrameTree()
+        async with await self._subscribe(TF_STATIC) as subscription:
+            deadline = monotonic() + _AGAIN_S
+            while left - again.edges.keys() and (wait_s := deadline - monotonic()) > 0:
+                again.take_in(again.decoded(self._values.codec, await subscription.take(wait_s)), is_static=True)
+        is_heard = again.edges or not await self.publishers(TF_STATIC)
+        for child in left if is_heard else ():  # nothing at all from somebody who is there tells nothing
+            edge = tree.edges[child]
+            edge.is_left = child not in again.edges and edge.last_received_ns < asked_ns
 
     def _tell(self) -> None:
         """Wakes everybody who waits for news."""

@@ -100,7 +100,18 @@ def test_two_parents_are_an_error_and_an_edge_that_ended_is_told_to_be_stale(age
     tell("odom", "wheel", node="base")
     until(lambda: looked_up(agent, "odom", "wheel")["edges"][0]["rate_hz"])  # told more than once
     tell("odom", "wheel", node="base", hz=0)
-    until(lambda: "odom → wheel is stale: last told" in looked_up(agent, "odom", "wheel")["note"])
+    until(lambda: "odom → wheel is stale: last published" in looked_up(agent, "odom", "wheel")["note"])
+
+
+def test_a_fixed_frame_whose_node_has_left_is_told_and_not_credited_to_others(agent: Agent, tell: Tell) -> None:
+    tell("base_link", "laser", node="mounts", x=0.5, static=True)
+    tell("base_link", "lens", node="calibration", x=0.2, static=True)
+    until(lambda: "/calibration" in looked_up(agent, "base_link", "lens")["edges"][0]["publisher"])
+    tell("base_link", "lens", node="calibration", leaves=True)
+    until(lambda: "its publisher has left" in looked_up(agent, "base_link", "lens")["note"])
+    assert "/calibration, which is gone" in looked_up(agent, "base_link", "lens")["edges"][0]["publisher"]
+    laser = looked_up(agent, "base_link", "laser")["edges"][0]
+    assert not laser["problem"] and "calibration" not in laser["publisher"]
 
 
 @pytest.mark.promise("ros2_tf_tree", "who tells each edge, its rate and age")

@@ -1,9 +1,9 @@
 """Nodes that tell transforms, as the lines of its input say: each is one edge as JSON, or its end.
 
 `{"node": "a", "parent": "odom", "child": "base_link", "hz": 20, "x": 1.0, "speed": 0.5, "late_s": 0.0}` is told from
-now on by the node /a ; with `"static": true` once, latched (unless `"latched": false`); `"hz": 0` ends it. Its stamps
-are `late_s` behind. With `"namespace": "/robot1"` it is told on /robot1/tf. With `"stamp_s": 5.0` the stamp is that,
-and /clock says it, too, ten times a second.
+now on by the node /a ; with `"static": true` once, latched (unless `"latched": false`); `"hz": 0` ends it, and
+`"leaves": true` the node. Its stamps are `late_s` behind. With `"namespace": "/robot1"` it is told on /robot1/tf. With
+`"stamp_s": 5.0` the stamp is that, and /clock says it, too, ten times a second.
 """
 
 from __future__ import annotations
@@ -88,6 +88,10 @@ def main() -> None:
     def obey() -> None:
         while waiting:
             edge = waiting.pop(0)
+            if edge.get("leaves"):
+                executor.remove_node(tellers[edge["node"]].node)
+                tellers.pop(edge["node"]).node.destroy_node()
+                continue
             if edge["node"] not in tellers:
                 tellers[edge["node"]] = Teller(edge["node"], executor)
             tellers[edge["node"]].tell(edge)

@@ -145,6 +145,10 @@ class BagSource(Source):
         start_ns, end_ns = max(self.span.start_ns, start_ns), min(self.span.end_ns, end_ns)
         return replace(self, span=replace(self.span, start_ns=start_ns, end_ns=max(start_ns, end_ns)))
 
+    def from_beginning(self) -> BagSource:
+        """From the beginning of the whole bag on."""
+        return replace(self, span=replace(self.span, start_ns=min(self.covers[0], self.span.start_ns)))
+
     async def type_of(self, topic: str) -> str:
         """The type of a topic; raises as `Source.type_of`."""
         return (await self._learn(topic)).type

@@ -281,6 +281,10 @@ class Source(ABC):
         """The part of it between two Unix times of receipt, as far as it has them; live it is the source itself."""
         return self
 
+    def from_beginning(self) -> Source:
+        """The same with all that was received before it, for what holds from when it was told on; live it is itself."""
+        return self
+
     @property
     def covers_ns(self) -> tuple[int, int] | None:
         """The Unix times of receipt between which it has messages, where that is known; None for what is live."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ros2_mcp.codec.frame_edges import Edge
-from ros2_mcp.codec.no_transform import UNIX_FROM_NS, seconds_in_words
+from ros2_mcp.codec.no_transform import UNIX_FROM_NS, is_since_boot, seconds_in_words
 from ros2_mcp.codec.transforms import OTHER_CLOCK_NS, FrameTree
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.results import four_digits, microseconds
-from ros2_mcp.ops.space.tellers import Tellers
+from ros2_mcp.ops.space.tellers import GONE, Tellers
+from ros2_mcp.robot.transforms import TF, TF_STATIC
 
 _PERIODS = 5.0
 """An edge that was last told so many of its usual periods ago has stopped."""
@@ -25,14 +26,19 @@ _RARELY_HZ = 1 / 1.5
 """The slowest usual publishers of what moves send once a second."""
 _AHEAD_NS = 2_500_000_000
 """Localisations stamp up to 1 s ahead, on purpose (`transform_tolerance`)."""
+_NOW_S = -5e-4
+"""No clock of another machine is set better; what is stamped later is stamped ahead."""
+_LATE_PAUSES = 2
+"""An edge that comes in bursts has stopped when none came for so many of its usual pauses."""
+_TWO_PARENTS, _ON_BOTH = "has two parents at the same time", f"is published on {TF}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EdgeRow:
     """One edge: where `child` is in `parent`. `age_s` is how long before the time of the answer it was last told (null
-    for a static one, which holds for all times), `rate_hz` how often it is. `publisher` is the node that tells it:
-    `probably …` where several publish and it is concluded, `one of …` where that is not known; empty in a recording,
-    which does not keep it.
+    for a static one, which holds for all times; below 0: it is stamped ahead), `rate_hz` how often, by its stamps.
+    `publisher` is the node that tells it: `probably …` where several publish and it is concluded, `one of …` where that
+    is not known; empty in a recording, which does not keep it.
     """
 
     parent: str
@@ -45,30 +51,45 @@ class EdgeRow:
 
     def words(self) -> str:
         """It in brackets, behind a name."""
-        told = [] if self.is_static else [f"{self.rate_hz:.3g} Hz" if self.rate_hz else "told once"]
+        told = [] if self.is_static else [f"{self.rate_hz:.3g} Hz" if self.rate_hz else "published once"]
         told = ["static"] if self.is_static else told
         if self.age_s is not None:
-            told.append(f"{seconds_in_words(round(self.age_s * 1e9))} old")
+            told.append(age_in_words(self.age_s))
         if self.publisher:
             told.append(self.publisher)
         return ", ".join(told)
 
 
+def age_in_words(age_s: float) -> str:
+    """How old something is by its stamp, which may be ahead of the clock."""
+    said = seconds_in_words(round(age_s * 1e9))
+    return f"stamped {said} ahead" if age_s < _NOW_S else f"{said if age_s > 0 else '0 ms'} old"
+
+
 def edge_row(
-    tree: FrameTree, edge: Edge, at_ns: int, tellers: Tellers | None = None, *, time_stands: bool = False
+    tree: FrameTree,
+    edge: Edge,
+    at_ns: int,
+    tellers: Tellers | None = None,
+    *,
+    time_stands: bool = False,
+    is_within: bool = False,
 ) -> EdgeRow:
     """An edge as it is at a time by the receiver's clock; `time_stands`: all stamps stand still, which is said once and
-    not of each.
+    not of each; `is_within`: the time is one in a recording, after which more of it was told.
     """
     newest = edge.newest
-    age_ns = max(at_ns - edge.stamps[-1] - tree.clock_ns, 0) if edge.moving else None
+    age_ns = at_ns - edge.stamps[-1] - tree.clock_ns if edge.moving else None
+    if edge.moving and is_within:
+        age_ns = edge.age_ns(at_ns - tree.clock_ns)
     is_other_clock = bool(edge.moving) and abs(edge.lag_ns - tree.clock_ns) > OTHER_CLOCK_NS
-    if is_other_clock:  # its stamps say nothing about its age
+    if is_other_clock or (edge.unstamped and not edge.moving):  # its stamps say nothing about its age
         age_ns = max(at_ns - edge.last_received_ns, 0)
     is_with_others = edge.moving and tree.advanced_ns - edge.moving[-1].received_ns <= _LEAST_STALE_NS
-    if edge.unstamped and not edge.moving:
-        age_ns = max(at_ns - edge.last_received_ns, 0)
     publisher = tellers.of(edge) if tellers else ""
+    problems = [*_who_tells(tree, edge, tellers), *_how_told(edge, at_ns, publisher), *_leaps(edge, at_ns)]
+    if not (time_stands and is_with_others):
+        problems += _when_told(tree, edge, at_ns, publisher, is_other_clock=is_other_clock)
     return EdgeRow(
         parent=newest.parent if newest else edge.refused_parent,
         child=edge.child,
@@ -76,51 +97,64 @@ def edge_row(
         publisher=publisher,
         rate_hz=four_digits(edge.rate_hz),
         age_s=None if age_ns is None else microseconds(age_ns / 1e9),
-        problem="; ".join(
-            [
-                *_who_tells(edge, tellers),
-                *_how_told(edge, at_ns),
-                *_leaps(edge, at_ns),
-                *(
-                    ()
-                    if time_stands and is_with_others
-                    else _when_told(tree, edge, at_ns, publisher, is_other_clock=is_other_clock)
-                ),
-            ]
-        ),
+        problem="; ".join(problems),
     )
 
 
 def in_words(row: EdgeRow) -> str:
-    """What is wrong with an edge, as a sentence."""
-    edge = f"{named(row.parent)} → {named(row.child)}" if row.parent else named(row.child)
+    """What is wrong with an edge, as a sentence; it is a frame that has parents, not an edge."""
+    is_of_frame = row.problem.startswith((_TWO_PARENTS, _ON_BOTH)) or not row.parent
+    edge = named(row.child) if is_of_frame else f"{named(row.parent)} → {named(row.child)}"
     return f"{edge} {row.problem}."
 
 
-def _who_tells(edge: Edge, tellers: Tellers | None) -> list[str]:
+def _who_tells(tree: FrameTree, edge: Edge, tellers: Tellers | None) -> list[str]:
     """Whether several tell it, and how far what they tell is apart."""
     parts: list[str] = []
     if edge.two_parents:
         parents = [f"{named(one)}{tellers.by_whom(edge, one) if tellers else ''}" for one in edge.parents]
-        parts.append(f"has two parents at the same time: {' and '.join(parents)}")
-    if len(edge.writers) > 1 and not edge.two_parents:
+        circle = tree.circle_by(edge.child)
+        wrong = f"; by {named(circle[1])} it is in a circle" if len(circle) > 1 else ""
+        parts.append(f"{_TWO_PARENTS}: {' and '.join(parents)}{wrong}")
+    if edge.on_both:
+        parent = edge.moving[-1].parent
+        who = [tellers.on(topic, edge, parent) if tellers else "" for topic in (TF, TF_STATIC)]
+        moving, static = (f" by {one}" if one else "" for one in who)
+        parts.append(f"{_ON_BOTH}{moving} and on {TF_STATIC}{static} alike, in {named(parent)} both times")
+    is_told_twice = len(edge.writers) > 1 and not edge.two_parents
+    if is_told_twice:
         who = tellers.of(edge) if tellers else ""
-        parts.append(f"is told by several publishers{f' ({who})' if who else ''}, so that it may jump between them")
+        parts.append(f"is published by several nodes{f' ({who})' if who else ''}, so that it may jump between them")
     if (apart := edge.apart) and (apart[0] > _SAME_M or apart[1] > _SAME_DEG):
-        where = "" if len(edge.writers) > 1 else "is told differently by two publishers, or by one that began again: "
-        parts.append(f"{where}what they tell is {apart[0]:.3g} m and {apart[1]:.3g}° apart")
+        is_said = len(edge.writers) > 1 or edge.on_both
+        where = "" if is_said else "is published differently by two nodes, or by one that began again: "
+        far, turned = (0 if size <= least else size for size, least in zip(apart, (_SAME_M, _SAME_DEG), strict=True))
+        parts.append(f"{where}what they tell is {far:.3g} m and {turned:.3g}° apart")
+    if edge.on_both:
+        parts.append("listeners keep it as fixed or as moving, by which came first: end one of both publishers")
     return parts
 
 
-def _how_told(edge: Edge, at_ns: int) -> list[str]:
+def _how_told(edge: Edge, at_ns: int, publisher: str) -> list[str]:
     """What is wrong with its messages, whenever they came."""
     parts: list[str] = []
-    if edge.refused:
+    by = f", by {publisher}" if publisher else ""
+    if edge.refused and _is_refused_since(edge):
+        good = at_ns - edge.last_received_ns
+        last = f"; the last good one came {seconds_in_words(good)} ago, and since then only such" if edge.newest else ""
+        parts.append(f"is refused: {edge.refused}{last}{by}")
+    elif edge.refused:
         parts.append(f"is refused: {edge.refused}")
+    if edge.is_left and edge.is_static:
+        who = f" ({publisher})" if publisher else ""
+        parts.append(f"is static, and its publisher has left{who}: nodes that start from now on do not get this frame")
     if edge.unstamped:
         parts.append("has no stamp (header.stamp is 0: not set, or use_sim_time without a /clock)")
     if edge.slashed:
-        parts.append(f"is told with a leading slash ({quoted(edge.slashed)}): tf2 has no such names, and takes it off")
+        parts.append(
+            f"is published with a leading slash ({quoted(edge.slashed)}): tf2 takes it off here, and refuses such a "
+            "name where it is looked up"
+        )
     if edge.jumps:
         last = edge.jumps[-1]
         step = f"{'back' if last.to_ns < last.from_ns else 'forward'} by {seconds_in_words(last.to_ns - last.from_ns)}"
@@ -130,9 +164,12 @@ def _how_told(edge: Edge, at_ns: int) -> list[str]:
             cause = "its publishers stamp by two clocks, in turn: a bag is played beside the robot?"
         ago = seconds_in_words(max(at_ns - last.received_ns, 0))
         parts.append(f"had its stamps jump {step}, {ago} ago{times} ({cause})")
-    if edge.static and edge.moving:
-        parts.append("is told on /tf and on /tf_static")
     return parts
+
+
+def _is_refused_since(edge: Edge) -> bool:
+    """Whether all that came since the last good one is refused."""
+    return edge.refused_ns >= edge.last_received_ns
 
 
 def _leaps(edge: Edge, at_ns: int) -> list[str]:
@@ -141,12 +178,13 @@ def _leaps(edge: Edge, at_ns: int) -> list[str]:
     if not leaps or (corrects and len(leaps) == 1):
         return []
     last = leaps[-1]
+    turned = last.turned_deg if last.turned_deg > _SAME_DEG else 0
     many = f", the last of {len(leaps)} such jumps" if len(leaps) > 1 else ""
     ago = seconds_in_words(max(at_ns - last.received_ns, 0))
     what = "odometry" if edge.newest and edge.newest.parent.rpartition("/")[2] == "odom" else "its source"
     cause = "a localisation that changes its mind" if corrects else f"{what} was reset, or is at fault"
     return [
-        f"jumped by {last.far_m:.3g} m and {last.turned_deg:.3g}° within {seconds_in_words(last.within_ns)}, {ago} "
+        f"jumped by {last.far_m:.3g} m and {turned:.3g}° within {seconds_in_words(last.within_ns)}, {ago} "
         f"ago{many} ({cause})"
     ]
 
@@ -157,32 +195,58 @@ def _when_told(tree: FrameTree, edge: Edge, at_ns: int, publisher: str, *, is_ot
         return []
     silent_ns = at_ns - edge.last_received_ns
     age_ns, ahead_ns = at_ns - edge.stamps[-1] - tree.clock_ns, tree.clock_ns - edge.lag_ns
-    limit_ns = max(_LEAST_STALE_NS, _PERIODS * (1e9 / edge.rate_hz if edge.rate_hz else 0))
+    # On a slow simulation it comes more seldom than it is stamped, in bursts more often.
+    slowest_hz = min(filter(None, (edge.rate_hz, edge.received_hz)), default=0.0)
+    limit_ns = max(_LEAST_STALE_NS, _PERIODS * (1e9 / slowest_hz if slowest_hz else 0))
+    by = f", by {publisher}" if publisher else ""
     parts: list[str] = []
     if is_other_clock:
-        away = f"{seconds_in_words(edge.lag_ns)} {'behind' if edge.lag_ns > 0 else 'ahead of'} the robot's clock"
-        clock = "simulated time" if edge.stamps[-1] < UNIX_FROM_NS else "another clock"
-        parts.append(f"is stamped by {clock}, {away}, unlike the others")
+        parts.append(_other_clock(tree, edge, publisher))
         age_ns = silent_ns
-    if age_ns > limit_ns:
-        by = f", by {publisher}" if publisher else ""
+    if bursts := edge.bursts:
+        limit_ns = max(limit_ns, _LATE_PAUSES * bursts.pause_ns)
+        pause = f"about {bursts.pause_ns / 1e9:.2g} s"
+        parts.append(
+            f"comes in bursts{by}: some {bursts.count} messages at once, then a pause of {pause}, so that what is "
+            f"looked up is up to {pause} late, whatever its stamps"
+        )
+    if age_ns > limit_ns and not (edge.refused and _is_refused_since(edge)):
         if edge.received == 1:
             rarely = "too rarely for what moves; what does not move belongs on /tf_static"
-            parts.append(f"was told once, {seconds_in_words(age_ns)} ago{by}: {rarely}")
+            parts.append(f"was published once, {seconds_in_words(age_ns)} ago{by}: {rarely}")
         elif silent_ns > limit_ns:
             usual = f", after {edge.rate_hz:.3g} Hz" if edge.rate_hz else ""
-            parts.append(f"is stale: last told {seconds_in_words(age_ns)} ago{usual}{by}")
+            is_one = publisher and GONE not in publisher and not publisher.startswith("one of")
+            still = ", which is still in the graph, but sends nothing of it" if is_one else ""
+            parts.append(f"is stale: last published {seconds_in_words(age_ns)} ago{usual}{by}{still}")
         elif edge.frozen > _FROZEN:
             again = f"the same stamp again and again, now {seconds_in_words(age_ns)} old"
-            parts.append(f"is told now with {again}: tf2 ignores what repeats")
+            parts.append(f"is published now with {again}: tf2 ignores what repeats")
         else:
             old = f"stamps that are {seconds_in_words(age_ns)} old"
-            parts.append(f"is told now with {old}: a delay, or the clock of another computer")
+            parts.append(f"is published now with {old}: a delay, or the clock of another computer")
     elif edge.rate_hz and edge.rate_hz < _RARELY_HZ:
         every = f"every {1 / edge.rate_hz:.3g} s ({edge.rate_hz:.2g} Hz)"
-        parts.append(f"is told too rarely for what moves, {every}: what is looked up is as old, and not there for now")
+        late = "what is looked up is as old, and not there for now"
+        parts.append(f"is published too rarely for what moves, {every}: {late}")
     if ahead_ns > _AHEAD_NS and not is_other_clock:
         parts.append(
             f"is stamped {seconds_in_words(ahead_ns)} ahead, in the future (by the clock of another computer?)"
         )
     return parts
+
+
+def _other_clock(tree: FrameTree, edge: Edge, publisher: str) -> str:
+    """By which other clock than most it is stamped, and whose mistake that is."""
+    away = f"{seconds_in_words(edge.lag_ns)} {'behind' if edge.lag_ns > 0 else 'ahead of'} the robot's clock"
+    if tree.clock_ns and abs(edge.lag_ns) < OTHER_CLOCK_NS:
+        others = "simulated time" if tree.has_clock else "another time (simulated, or a bag that is played)"
+        where = f" at {publisher}" if publisher else ""
+        return f"is stamped by the robot's clock (wall time), the others by {others}: use_sim_time is not set{where}"
+    if is_since_boot(tree, edge):
+        return (
+            f"is stamped {edge.stamps[-1] / 1e9:.0f} s into 1970, {away}: the time since its machine started, "
+            "which is not synchronised (nobody publishes /clock, so it is no simulated time)"
+        )
+    clock = "simulated time" if edge.stamps[-1] < UNIX_FROM_NS else "another clock"
+    return f"is stamped by {clock}, {away}, unlike the others"

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Sequence
 from time import monotonic
 
@@ -13,7 +14,7 @@ from ros2_mcp.codec.no_transform import why_none
 from ros2_mcp.codec.transforms import FrameTree, Located
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.results import Report, silent
-from ros2_mcp.ops.sources.source import Source, Stream
+from ros2_mcp.ops.sources.source import Capture, Source, Stream
 from ros2_mcp.robot.transforms import LISTENS, TF, TF_STATIC, TF_TYPE, TransformListener
 
 WORLDS = ("map", "odom", "world", "earth")
@@ -24,6 +25,8 @@ _SETTLED_S = 0.5
 """From the first question on: by then a second publisher of what moves has told its share, and there are rates."""
 _ELSEWHERE_S = 1.0
 """Without any frame, before it is looked whether there are some in a namespace: discovery has begun by then."""
+_BURST_S = 0.05
+"""For the rest of a burst of messages, which come as fast as the network carries them."""
 _NEWS_S = 0.5
 """For what is about to come to a tree that has listened for longer: a time just passed, or an edge that is slow."""
 _BEFORE_NS, _AFTER_NS = 10_000_000_000, 1_000_000_000
@@ -98,10 +101,15 @@ async def _live(listener: TransformListener, until: Callable[[FrameTree], bool],
     now = monotonic()
     since = now if listener.since is None else listener.since
     settled, deadline = since + _SETTLED_S, max(since + patience_s, now + min(patience_s, _NEWS_S))
+    was_waited_for = False
     while listener.tree is tree:
-        end = settled if until(tree) else deadline
+        is_there = until(tree)
+        end = settled if is_there else deadline
         if monotonic() >= end:
+            if is_there and was_waited_for:  # it may be the first message of a burst, of which the last is the newest
+                await asyncio.sleep(_BURST_S)
             break
+        was_waited_for = not is_there
         await listener.news(end - monotonic())
     if not tree.frames and listener.listened_s > _ELSEWHERE_S and await listener.moved():
         return await _live(listener, until, patience_s)
@@ -135,8 +143,16 @@ class _Transforms:
 async def _read(source: Source, around_ns: int | None, report: Report) -> FrameTree:
     tree = FrameTree(around_ns)
     tree.namespace = await _namespace(source)
-    topics = [tree.namespace + topic for topic in (TF_STATIC, TF)]
-    await source.captures(topics, lambda stream: _Transforms(tree, stream), report)
+    tree.is_recorded = True
+
+    def keep(stream: Stream) -> _Transforms:
+        return _Transforms(tree, stream)
+
+    # What is static holds from when it was told on, however long before the part that is asked for that was, and
+    # whatever the recording says of its durability: not every recorder keeps that.
+    await source.from_beginning().captures([tree.namespace + TF_STATIC], keep)
+    found = await source.captures([tree.namespace + TF], keep, report)
+    tree.holes = [hole for one in found if isinstance(one, Capture) for hole in one.holes]
     return tree
 
 

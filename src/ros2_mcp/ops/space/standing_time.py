@@ -7,13 +7,13 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any
 
-from ros2_mcp.codec.no_transform import seconds_in_words, stamp_in_words
+from ros2_mcp.codec.no_transform import UNIX_FROM_NS, seconds_in_words, stamp_in_words
 from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import Source
 
-_CLOCK = "/clock"
+_CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/msg/Clock"
 _LOOK_S = 0.5
 """For two messages of /clock; simulations send it ten times a second at least."""
 _TOLD_NS = 1_000_000_000
@@ -43,6 +43,18 @@ async def standing_time(source: Source, tree: FrameTree, at_ns: int) -> str:
     )
 
 
+async def look_for_clock(source: Source, tree: FrameTree) -> None:
+    """Finds out whether somebody tells simulated time, where stamps are such that it matters.
+
+    A recording that has no /clock tells nothing: it is seldom recorded.
+    """
+    if any(edge.moving and edge.stamps[-1] < UNIX_FROM_NS for edge in tree.edges.values()):
+        if source.transforms:
+            tree.has_clock = bool(await source.transforms.clock_publishers())
+        elif await source.publishing(_CLOCK_TYPE):
+            tree.has_clock = True
+
+
 async def other_clock(source: Source, tree: FrameTree) -> list[str]:
     """That all stamps are of another clock than the robot's, and whether somebody tells that clock."""
     if not tree.clock_ns:
@@ -50,7 +62,9 @@ async def other_clock(source: Source, tree: FrameTree) -> list[str]:
     away = f"{seconds_in_words(tree.clock_ns)} {'behind' if tree.clock_ns > 0 else 'ahead of'} the robot's clock"
     what = "simulated time, or a bag that is played"
     if source.transforms and not await source.transforms.clock_publishers():
-        what = f"nobody publishes {_CLOCK}: a bag that is played without it, or clocks that are set wrong"
+        is_wall = all(edge.stamps[-1] >= UNIX_FROM_NS for edge in tree.edges.values() if edge.moving)
+        wrong = "clocks that are set wrong" if is_wall else "the time since a machine started, never synchronised"
+        what = f"nobody publishes {_CLOCK}: a bag that is played without it, or {wrong}"
     return [f"Stamps are {away} ({what}): ages are by receipt."]
 
 

@@ -29,6 +29,8 @@ _CALLED = {
     "description": re.compile(r"state_publisher|description|joint"),
 }
 """What nodes with a role are called: those of Nav2, slam_toolbox, robot_localization, ros2_control and such."""
+_LOCALISATION = "localisation"
+GONE = ", which is gone"
 _AS = {"placing": "localisation"}
 """Who places the base in the map itself, past odom, is a localisation, too."""
 _CORRECTS = re.compile(r"amcl")
@@ -58,6 +60,7 @@ class Tellers:
     def __init__(
         self, tree: FrameTree, publishers: Mapping[str, Publishers], also: Mapping[str, Sequence[str]]
     ) -> None:
+        self._tree = tree
         self._publishers = publishers
         self._heard = {topic: tree.publishers(is_static=topic == TF_STATIC) for topic in (TF, TF_STATIC)}
         self._nodes = {
@@ -67,13 +70,21 @@ class Tellers:
                 _all(publishers.get(topic)),
                 tree,
                 also,
+                is_static=topic == TF_STATIC,
             )
             for topic in (TF, TF_STATIC)
         }
 
     def of(self, edge: Edge) -> str:
         """The node: its name, `probably …` where it is concluded, `one of …` where it is not known; empty of none."""
+        if edge.is_left and edge.is_static and not self._publishers.get(TF_STATIC, Publishers()).gone:
+            return f"a node that was not seen{GONE}"
         return self._named(TF_STATIC if edge.on_static else TF, edge.writers)
+
+    def on(self, topic: str, edge: Edge, parent: str) -> str:
+        """The nodes that tell it with that parent on one of both topics, as `of` names them."""
+        writers = edge.static_writers_of(parent) if topic == TF_STATIC else edge.writers_of(parent)
+        return self._named(topic, writers)
 
     def by_whom(self, edge: Edge, parent: str) -> str:
         """Who tells it with that parent, in words that follow a name: " by …"; empty where that is not known."""
@@ -89,7 +100,39 @@ class Tellers:
         if count <= 0:
             return 0, ()
         heard = set[str]().union(*nodes.values())
-        return count, [name for name in publishers.now if name not in heard] or publishers.now
+        sure = set[str]().union(*(names for names in nodes.values() if len(names) == 1))
+        now = publishers.now
+        return count, next(filter(None, ([name for name in now if name not in known] for known in (heard, sure))), now)
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing was heard of a node yet that has something to say."""
+        return any(
+            count and not self.waits_for_joints(topic, names)
+            for topic in (TF, TF_STATIC)
+            for count, names in [self.silent(topic)]
+        )
+
+    @property
+    def has_localisation(self) -> bool:
+        """Whether somebody tells where odometry, or what moves, is in a map."""
+        told = [(edge, edge.newest) for edge in self._tree.edges.values()]
+        return any(
+            edge.child.rpartition("/")[2] == "odom" or (edge.moving and newest.parent.rpartition("/")[2] == "map")
+            for edge, newest in told
+            if newest
+        )
+
+    def is_missed(self, names: Sequence[str]) -> bool:
+        """Whether something lacks that these nodes, of which nothing is heard, may have to tell: the frames are not one
+        tree, or nobody tells where the base is in odom or odom in a map, which by its name is the task of one of them.
+
+        A controller whose odometry transform is switched off has its publisher all the same.
+        """
+        tree, roles = self._tree, {_role_of_name(name) for name in names}
+        if len(tree.roots) != 1 or (_LOCALISATION in roles and not self.has_localisation):
+            return True
+        return "odometry" in roles and tree.base in tree.roots
 
     def waits_for_joints(self, topic: str, names: Sequence[str]) -> bool:
         """Whether these say nothing on /tf because nothing moves: on /tf_static they are heard, as a state publisher is
@@ -111,7 +154,7 @@ class Tellers:
 
     def _with_fate(self, topic: str, name: str) -> str:
         gone = name in self._publishers.get(topic, Publishers()).gone
-        return f"{named(name)}, which is gone" if gone else named(name)
+        return f"{named(name)}{GONE}" if gone else named(name)
 
 
 async def tellers_of(source: Source, tree: FrameTree) -> Tellers:
@@ -133,24 +176,28 @@ async def tellers_of(source: Source, tree: FrameTree) -> Tellers:
 
 def silent_in_words(tellers: Tellers, since_s: float, *, harmless: bool | None = None) -> list[str]:
     """Who publishes on /tf or /tf_static and sends nothing, in so many seconds of listening; `harmless`: only those, or
-    only the others, that have nothing to send.
+    only the others, of which nothing is missed.
     """
     found: list[str] = []
     for topic in (TF, TF_STATIC):
         count, names = tellers.silent(topic)
-        if not count or not names or harmless not in (None, tellers.waits_for_joints(topic, names)):
+        if not count or not names:
+            continue
+        has_reason = tellers.waits_for_joints(topic, names)
+        is_missed = not has_reason and (topic == TF_STATIC or tellers.is_missed(names))
+        if harmless is is_missed:
             continue
         more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
         who = f"{', '.join(map(named, names[:_MOST_NAMED]))}{more}"
         many = f"{count} of {who}" if count < len(names) else who
-        waits = " A localisation tells nothing before it knows where it is." if _has_role(names) else ""
+        waits = ""
+        if not tellers.has_localisation and any(_role_of_name(name) == _LOCALISATION for name in names):
+            waits = " A localisation tells nothing before it knows where it is."
+        elif not is_missed and not has_reason:
+            waits = " No edge lacks for that: a controller may have its odometry transform switched off."
         verb = "publish" if len(names) > 1 and count == len(names) else "publishes"
         found.append(f"{many} {verb} on {topic} and has sent nothing in {since_s:.0f} s of listening.{waits}")
     return found
-
-
-def _has_role(nodes: Iterable[str]) -> bool:
-    return any(_CALLED["localisation"].search(name) for name in nodes)
 
 
 def _all(publishers: Publishers | None) -> Sequence[str]:
@@ -171,6 +218,11 @@ def _there(tree: FrameTree, topic: str, publishers: Publishers) -> Mapping[int, 
             and (life.gone_by_ns is None or last_ns <= life.gone_by_ns + _HEARD_LATE_NS)
         }
         found[writer] = there or set(_all(publishers))
+    if topic == TF_STATIC and any(edge.is_left for edge in tree.edges.values()):
+        # It was asked again who still tells what is static: what nobody does is of those who went.
+        for writer, children in tree.writers(is_static=True).items():
+            is_left = any(tree.edges[child].is_left for child in children if child in tree.edges)
+            found[writer] = found[writer] & set(publishers.gone if is_left else publishers.now) or found[writer]
     return found
 
 
@@ -180,6 +232,8 @@ def _concluded(
     names: Sequence[str],
     tree: FrameTree,
     also: Mapping[str, Sequence[str]],
+    *,
+    is_static: bool,
 ) -> Mapping[int, set[str]]:
     """The nodes that each publisher may be, the fewer the better: of those that were `there` when it was heard.
 
@@ -187,10 +241,7 @@ def _concluded(
     what the nodes publish besides, then by what they are called.
     """
     possible = {writer: set(there.get(writer, names)) for writer in writers if writer}
-    roles = {
-        writer: {_role(tree.edges[child], writer) for child in writers[writer] if child in tree.edges}
-        for writer in possible
-    }
+    roles = {writer: _roles(tree, writer, writers[writer], is_static=is_static) for writer in possible}
     fitting = [
         {writer: {name for role in roles[writer] for name in also.get(_AS.get(role, role), ())} for writer in possible},
         {writer: {name for name in names if roles[writer] & _roles_of_name(name)} for writer in possible},
@@ -220,19 +271,35 @@ def _are(possible: dict[int, set[str]], writers: Sequence[int], nodes: frozenset
             possible[writer] = others - nodes
 
 
+def _roles(tree: FrameTree, writer: int, children: Iterable[str], *, is_static: bool) -> set[str]:
+    """What a publisher that tells such edges may be; none where one of them is of none that is known."""
+    edges = [tree.edges[child] for child in children if child in tree.edges]
+    roles = {_static_role(edge, writer) if is_static else _role(edge, writer) for edge in edges}
+    return set() if "" in roles else roles
+
+
+def _static_role(edge: Edge, writer: int) -> str:
+    """A mount is of the description; but no description tells where the robot is, nor has its base below a part."""
+    child, parent = edge.child.rpartition("/")[2], edge.static_parent_by(writer).rpartition("/")[2]
+    is_place = parent in ("map", "odom") or child == "odom"
+    return "" if is_place or (child in BASES and parent not in (*BASES, "world")) else "description"
+
+
 def _role(edge: Edge, writer: int) -> str:
-    """What a publisher that tells such an edge is, by the names of REP 105; a mount is of the description."""
-    if edge.on_static:
-        return "description"
+    """What a publisher that tells such an edge is, by the names of REP 105."""
     child, parent = edge.child.rpartition("/")[2], edge.parent_by(writer).rpartition("/")[2]
     if child == "odom":
-        return "localisation"
+        return _LOCALISATION
     if parent == "map":
         return "placing"
     return "odometry" if child in BASES or parent == "odom" else "description"
 
 
-def _roles_of_name(name: str) -> set[str]:
+def _role_of_name(name: str) -> str:
     last = name.rpartition("/")[2].lower()
-    role = next((role for role, pattern in reversed(_CALLED.items()) if pattern.search(last)), "")
-    return {role, "placing"} if role == "localisation" and not _CORRECTS.search(last) else {role}
+    return next((role for role, pattern in reversed(_CALLED.items()) if pattern.search(last)), "")
+
+
+def _roles_of_name(name: str) -> set[str]:
+    role = _role_of_name(name)
+    return {role, "placing"} if role == _LOCALISATION and not _CORRECTS.search(name.rpartition("/")[2]) else {role}

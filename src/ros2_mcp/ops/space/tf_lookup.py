@@ -10,20 +10,20 @@ from time import monotonic
 import anyio
 
 from ros2_mcp.codec.no_transform import alike, edge_in_words, seconds_in_words, stamp_in_words, why_none
-from ros2_mcp.codec.transforms import FrameTree, Located
+from ros2_mcp.codec.transforms import OTHER_CLOCK_NS, FrameTree, Located
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, BadValue, NoTransform
 from ros2_mcp.model.poses import Pose, angle_between_rad, mean_of, normalised, product
-from ros2_mcp.model.text import named
+from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.results import ON_REQUEST, Report, microseconds, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.sources.times import is_relative, parsed_ns
 from ros2_mcp.ops.space.described import described_frame
-from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
+from ros2_mcp.ops.space.edges import EdgeRow, age_in_words, edge_row, in_words
 from ros2_mcp.ops.space.frames import frames_of
 from ros2_mcp.ops.space.message_field import given_in
-from ros2_mcp.ops.space.standing_time import other_clock, standing_time
+from ros2_mcp.ops.space.standing_time import look_for_clock, other_clock, standing_time
 from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
 
@@ -103,9 +103,10 @@ class Lookup:
     """Where `source` is in `target`, as tf2 has it: a point of `source` times the rotation plus the translation is that
     point in `target`. Roll, pitch and yaw are turns about the fixed axes x, y, z of `target`.
 
-    `stamp` is the time that it is of, by the stamps (null where all between is static, or without a stamp), `age_s`
-    how long before now, or the recording's end, or the time that was asked for. `chain` goes from `source` to `target`,
-    with its `edges`. `transformed` is what was given, in `target`: [x, y, z], or [x, y, z, qx, qy, qz, qw].
+    `stamp` is the time that it is of, by the stamps (null where all between is static, or without a stamp), `age_s` how
+    long before now, or the recording's end (null where a time in a recording was asked for). `chain` goes from `source`
+    to `target`, with its `edges`. `transformed` is what was given, in `target`: [x, y, z], or [x, y, z, qx, qy, qz,
+    qw].
     """
 
     target: str
@@ -129,9 +130,8 @@ class Lookup:
 
     def summary(self) -> list[str]:
         """The pose in a line, the chain in another, and what was transformed."""
-        at, age = self.translation, ""
-        if self.age_s is not None:
-            age = f", {seconds_in_words(round(self.age_s * 1e9))} old"
+        at = self.translation
+        age = "" if self.age_s is None else f", {age_in_words(self.age_s)}"
         when = "static" if self.is_static else f"{f'at {self.stamp}' if self.stamp else 'without a stamp'}{age}"
         lines = [
             f"{named(self.source)} in {named(self.target)} ({when}): x {at.x:.4f}, y {at.y:.4f}, z {at.z:.4f} m; "
@@ -180,6 +180,12 @@ async def tf_lookup(source: Source, request: LookupRequest, report: Report = sil
     if not frame:
         raise BadInput("Which frame is asked for is not said.", "Give source, such as base_link.")
     target = request.target.strip().lstrip("/")
+    slashed = [name for name in (request.target.strip(), request.frame.strip()) if name.startswith("/")]
+    if slashed:
+        notes.append(
+            f"tf2 refuses names with a leading slash, as in {' and '.join(map(quoted, slashed))}: nodes have to ask "
+            f"without it, as it is answered here."
+        )
     if request.duration_s is not None:
         tree, located, spread = await _over(source, target, frame, request, report)
     else:
@@ -238,6 +244,7 @@ async def _at(
 
     tree = await frames_of(source, wall_ns, until=is_there, report=report)
     await _watched(source, tree)
+    await look_for_clock(source, tree)
     found = tree.find(target, frame, sought(tree))
     if found is None:
         raise await _more_of(source, why_none(tree, target, frame, sought(tree)), tree, (frame, target))
@@ -263,13 +270,13 @@ async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: S
     tellers = await tellers_of(source, tree)
     where = followed_in_words(source, tree)
     if error.reason not in ("never published", "unknown frame", "two trees"):
-        who = _who_tells(tree, names, tellers, error.reason)
+        who = [*_who_tells(tree, names, tellers, error.reason), *_not_simulated(tree, names, tellers, error.reason)]
         return NoTransform(error.reason, " ".join([error.message, *who, *where]), error.hint)
     more = [*where, *await unheard_publishers(source)]
     if listener := source.transforms:
         more += silent_in_words(tellers, listener.listened_s)
     more += [
-        f"What is told of {named(edge.refused_parent)} → {named(edge.child)} is refused: {edge.refused}."
+        f"What is published of {named(edge.refused_parent)} → {named(edge.child)} is refused: {edge.refused}."
         for edge in tree.edges.values()
         if edge.refused and edge.refused not in error.message
     ][:_MOST_TOLD]
@@ -279,7 +286,7 @@ async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: S
         concerned = [edge for edge in tree.edges.values() if {edge.child, *edge.parents} & set(pair)]
         who = [(edge, tellers.by_whom(edge, edge.parents[-1])) for edge in concerned if edge.parents]
         told = [f"{edge_in_words(edge)}{by}" for edge, by in who if by]
-        more += [f"Told: {', '.join(told[:_MOST_TOLD])}."] if told else []
+        more += [f"Published: {', '.join(told[:_MOST_TOLD])}."] if told else []
     if unknown := next((name for name in names if name not in tree.frames), ""):
         more += filter(None, [await described_frame(source, unknown)])
     return NoTransform(error.reason, " ".join([error.message, *more]), error.hint)
@@ -297,7 +304,20 @@ def _who_tells(tree: FrameTree, names: Sequence[str], tellers: Tellers, reason: 
         for parent in edge.parents if edge.two_parents else edge.parents[-1:] or [edge.refused_parent]:
             if who := tellers.by_whom(edge, parent):
                 told.append(f"{named(parent)} → {named(edge.child)}{who}")
-    return [f"Told: {', '.join(told[:_MOST_TOLD])}."] if told else []
+    return [f"Published: {', '.join(told[:_MOST_TOLD])}."] if told else []
+
+
+def _not_simulated(tree: FrameTree, names: Sequence[str], tellers: Tellers, reason: str) -> list[str]:
+    """Who stamps by the robot's clock though others have simulated time."""
+    if reason != "two clocks" or not tree.has_clock:
+        return []
+    edges = {edge.child: edge for name in names for edge in tree.way_up(name) if edge.moving}.values()
+    wall = [edge for edge in edges if abs(edge.lag_ns) < OTHER_CLOCK_NS]
+    found: list[str] = []
+    for edge in wall if len(wall) < len(edges) else ():
+        who = tellers.of(edge) or f"whoever publishes {edge_in_words(edge)}"
+        found.append(f"/clock is published, and {who} does not use it: use_sim_time is not set there.")
+    return found
 
 
 def _wall_ns(source: Source, time: str) -> int:
@@ -403,18 +423,23 @@ async def _answer(
     tellers = await tellers_of(source, tree)
     moves = any(edge.moving for edge in located.edges)
     stands = await standing_time(source, tree, reference_ns) if moves else ""
-    rows = [edge_row(tree, edge, reference_ns, tellers, time_stands=bool(stands)) for edge in located.edges]
+    is_within = not source.is_live and bool(request.time)
+    rows = [
+        edge_row(tree, edge, reference_ns, tellers, time_stands=bool(stands), is_within=is_within)
+        for edge in located.edges
+    ]
     notes += [stands] if stands else []
     notes += [in_words(row) for row in rows if row.problem]
-    notes += [*_gaps(located), *followed_in_words(source, tree)]
+    began_ns = None if clock_ns else source.began_ns
+    notes += [*_gaps(located, began_ns), *followed_in_words(source, tree)]
     notes += [undecodable(tree.damaged, tree.trouble)] if tree.damaged else []
     notes += await other_clock(source, tree)
-    age_ns = None if stamp_ns is None else reference_ns - stamp_ns - clock_ns
+    # At a time in a recording that was asked for, the pose is of that time, and no older.
+    age_ns = None if stamp_ns is None or is_within else reference_ns - stamp_ns - clock_ns
     unstamped = [edge.last_received_ns for edge in located.edges if edge.unstamped and not edge.moving]
     if stamp_ns is None and unstamped:
         age_ns = max(reference_ns - min(unstamped), 0)
     roll, pitch, yaw = map(math.degrees, located.pose.roll_pitch_yaw_rad)
-    began_ns = None if clock_ns else source.began_ns
     return Lookup(
         target=located.target,
         source=located.frame,
@@ -437,13 +462,17 @@ async def _answer(
     )
 
 
-def _gaps(located: Located) -> list[str]:
+def _gaps(located: Located, began_ns: int | None) -> list[str]:
     """Which edges had a pause at that time, so that what is told of it is a guess between before and after."""
     found: list[str] = []
     for edge in located.edges if located.stamp_ns is not None else ():
-        gap_ns = edge.gap_ns(located.stamp_ns or 0)
-        if gap_ns > _LONG_GAP_NS:
+        at_ns = located.stamp_ns or 0
+        before_ns, after_ns = edge.around(at_ns) or (at_ns, at_ns)
+        if after_ns - before_ns > _LONG_GAP_NS:
             found.append(
-                f"{edge_in_words(edge)} was silent for {seconds_in_words(gap_ns)} around then: it is interpolated."
+                f"Nothing of {edge_in_words(edge)} was published for {seconds_in_words(after_ns - before_ns)} around "
+                f"then, from {stamp_in_words(before_ns, began_ns)} to {stamp_in_words(after_ns, began_ns)}: "
+                f"the nearest are {seconds_in_words(at_ns - before_ns)} before and "
+                f"{seconds_in_words(after_ns - at_ns)} after it, and this pose is interpolated between both."
             )
     return found

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from time import monotonic
 
+from ros2_mcp.codec.no_transform import circle_in_words, edge_in_words, seconds_in_words, stamp_in_words
 from ros2_mcp.codec.transforms import FrameTree
 from ros2_mcp.model.aside import load
 from ros2_mcp.model.errors import NotFound, NoTransform
@@ -18,7 +19,7 @@ from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
 from ros2_mcp.ops.space.frames import frames_of, separate_roots
-from ros2_mcp.ops.space.standing_time import other_clock, standing_time
+from ros2_mcp.ops.space.standing_time import look_for_clock, other_clock, standing_time
 from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
 
@@ -29,11 +30,14 @@ _AGAIN_NS = 4_000_000_000
 """For the second message of an edge that came once: its rate is not known before; and for the first message of a
 publisher, which may be discovered late."""
 
+_LEAST_GAP_NS, _GAP_PERIODS = 2_000_000_000, 10
+"""A pause in a recording that is said: a busy machine makes shorter ones, and what is seen now and then has many."""
+
 _LOOK_S = 0.2
 """Between two looks whether a silent publisher is heard."""
 
 _MOST_DRAWN = 80
-"""Characters of a name, and of what is said of it, in the picture: more make it too wide to be read."""
+"""Characters of a name in the picture: more make it too wide to be read."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,18 +87,19 @@ async def tf_tree(
         raise NotFound(f"No transform names the frame {named(top)}.", did_you_mean(top, list(tree.frames)))
     listener, covers = source.transforms, source.covers_ns
     at_ns = listener.now_ns() if listener else covers[1] if covers else _newest_ns(tree)
+    await look_for_clock(source, tree)
     stands = await standing_time(source, tree, at_ns)
     said = [*_note(tree), *await other_clock(source, tree), *followed_in_words(source, tree), *harmless]
     rows = {child: edge_row(tree, edge, at_ns, tellers, time_stands=bool(stands)) for child, edge in tree.edges.items()}
     walk = list(_walk(tree, [top] if top else tree.roots))
     lines = [_line(name, depth, rows.get(name)) for name, depth in walk]
-    problems = _problems(tree, rows, [name for name, _ in walk], whole=not top)
+    problems = _problems(tree, rows, [name for name, _ in walk], tellers, whole=not top)
     images = [await asyncio.to_thread(_picture, walk, rows)] if picture else []
     return Tree(
         frames=len(walk),
         roots=[top] if top else tree.roots,
         edges=[rows[name] for name, _ in walk if name in rows],
-        problems=[*unheard, *wrong, *filter(None, [stands]), *problems],
+        problems=[*unheard, *wrong, *filter(None, [stands]), *problems, *_gaps(source, tree, walk)],
         read_from="live" if source.is_live else source.words,
         note=" ".join(said),
         lines=lines,
@@ -124,7 +129,7 @@ async def _heard_out(source: Source, tree: FrameTree, duration_s: float) -> Tell
     """Who tells the edges; of whom nothing was heard yet may be discovered late, and is listened to a little longer."""
     tellers = await tellers_of(source, tree)
     listener = source.transforms
-    while listener and duration_s and listener.tree is tree and _silent(source, tellers, harmless=False):
+    while listener and duration_s and listener.tree is tree and tellers.is_silent:
         left_s = _AGAIN_NS / 1e9 - listener.listened_s
         if left_s <= 0:
             break
@@ -140,7 +145,7 @@ def _once_ns(tree: FrameTree, now_ns: int) -> int:
 
 
 def _newest_ns(tree: FrameTree) -> int:
-    return max((edge.last_received_ns for edge in tree.edges.values()), default=0)
+    return max((max(edge.last_received_ns, edge.refused_ns) for edge in tree.edges.values()), default=0)
 
 
 def _walk(tree: FrameTree, tops: Sequence[str]) -> Iterator[tuple[str, int]]:
@@ -166,18 +171,43 @@ def _line(name: str, depth: int, row: EdgeRow | None) -> str:
     return f"{'  ' * depth}{'└ ' if depth else ''}{named(name)}{said}{wrong}"
 
 
-def _problems(tree: FrameTree, rows: Mapping[str, EdgeRow], names: Sequence[str], *, whole: bool) -> list[str]:
+def _problems(
+    tree: FrameTree, rows: Mapping[str, EdgeRow], names: Sequence[str], tellers: Tellers, *, whole: bool
+) -> list[str]:
     found: list[str] = []
     if whole and len(separate := separate_roots(tree)) > 1:
         roots = ", ".join(map(named, separate))
         found.append(f"{len(separate)} trees, with no transform between them; their roots are {roots}.")
-    if circles := {min(circle): circle for name in names if (circle := tree.circle_of(name))}:
-        around = ", ".join(" → ".join(map(named, [*circle, circle[0]])) for circle in circles.values())
-        found.append(f"Frames go in a circle, each told to be in the next: {around}.")
+    trees = len(found)
+
+    def by(child: str, parent: str) -> str:
+        return tellers.by_whom(tree.edges[child], parent)
+
+    hidden = [tree.circle_by(name) for name in names if name in tree.edges and tree.edges[name].two_parents]
+    circles = {frozenset(circle): circle for circle in [*map(tree.circle_of, names), *hidden] if circle}
+    found += [f"Frames go in a circle: {circle_in_words(circle, by)}." for circle in circles.values()]
     for name in names:
         row = rows.get(name)
         if row and row.problem:
             found.append(in_words(row))
+    causes = [edge for name in names if (edge := tree.edges.get(name)) and (edge.two_parents or not edge.newest)]
+    # That there are several trees follows from an edge that is refused, or that has two ends.
+    return [*found[trees:], *found[:trees]] if causes else found
+
+
+def _gaps(source: Source, tree: FrameTree, walk: Sequence[tuple[str, int]]) -> list[str]:
+    """Which edges had a pause in the recording, which says at its end that all is well again."""
+    found: list[str] = []
+    for edge in (tree.edges[name] for name, _ in walk if name in tree.edges) if tree.is_recorded else ():
+        from_ns, to_ns = edge.longest_gap() or (0, 0)
+        usual_ns = 1e9 / edge.rate_hz if edge.rate_hz else 0.0
+        came_ns = from_ns + tree.clock_ns, to_ns + tree.clock_ns
+        is_hole = any(start_ns < came_ns[1] and end_ns > came_ns[0] for start_ns, end_ns in tree.holes)
+        if to_ns - from_ns <= max(_LEAST_GAP_NS, _GAP_PERIODS * usual_ns) or is_hole:
+            continue
+        began_ns = None if tree.clock_ns else source.began_ns
+        when = f"from {stamp_in_words(from_ns, began_ns)} to {stamp_in_words(to_ns, began_ns)}"
+        found.append(f"{edge_in_words(edge)} was silent for {seconds_in_words(to_ns - from_ns)}, {when}.")
     return found
 
 
@@ -203,5 +233,5 @@ def _picture(walk: Sequence[tuple[str, int]], rows: Mapping[str, EdgeRow]) -> Pi
         kind = "root" if row is None else "problem" if row.problem else "static" if row.is_static else "moving"
         said = (row.problem or row.words()) if row else ""
         shown = name if is_name(name) else ascii(name)
-        drawn.append(TreeRow(shown[:_MOST_DRAWN], depth, said[:_MOST_DRAWN], kind))
+        drawn.append(TreeRow(shown[:_MOST_DRAWN], depth, said, kind))
     return finished(tree_raster(drawn), BOUNDS)

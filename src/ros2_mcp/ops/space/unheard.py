@@ -24,10 +24,23 @@ async def unheard_publishers(source: Source) -> Sequence[str]:
             elif why := mismatch(one.qos, LISTENS[topic]):
                 found.append(f"What {named(one.node)} publishes on {name} does not reach listeners of tf2: {why}.")
     if not await listener.publishers(TF) and not await listener.publishers(TF_STATIC):
-        others = await listener.other_topics()
-        elsewhere = f" There is {', '.join(map(named, others))}: a namespace?" if others else ""
-        found.append(f"Nobody publishes on {TF} or {TF_STATIC}.{elsewhere}")
+        found.append(f"Nobody publishes on {TF} or {TF_STATIC}.{_elsewhere(await listener.other_topics())}")
     return found
+
+
+def _elsewhere(topics: Sequence[str]) -> str:
+    """Where else there are frames, and what can be done: of one namespace alone they are followed by themselves."""
+    if not topics:
+        return ""
+    spaces = {one.removesuffix(topic): None for one in topics for topic in (TF, TF_STATIC) if one.endswith(topic)}
+    there = f" There is {', '.join(map(named, topics))}"
+    if len(spaces) < 2:
+        return f"{there}: a namespace?"
+    return (
+        f"{there}: frames of {len(spaces)} robots, each in its namespace ({', '.join(map(named, spaces))}). None of "
+        f"them can be chosen by an argument; where only one of them is there (a ROS domain for each robot), or where "
+        f"one is remapped to {TF} and {TF_STATIC}, its frames are followed."
+    )
 
 
 def followed_in_words(source: Source, tree: FrameTree) -> list[str]:
@@ -36,4 +49,4 @@ def followed_in_words(source: Source, tree: FrameTree) -> list[str]:
         return []
     where = f"{named(tree.namespace + TF)} and {named(tree.namespace + TF_STATIC)}"
     why = f"nobody publishes on {TF}" if source.is_live else f"the recording has no {TF}"
-    return [f"These frames are told on {where}: {why}."]
+    return [f"These frames are published on {where}: {why}."]

@@ -45,6 +45,6 @@ def _told(row: EdgeRow) -> Mapping[str, Any]:
         "static": row.is_static,
         "publisher": row.publisher,
         "rate_hz": row.rate_hz,
-        "age_s": None if row.age_s is None else round(row.age_s, 2),
+        "age_s": None if row.age_s is None else round(max(row.age_s, 0.0), 2),
         "problem": row.problem,
     }

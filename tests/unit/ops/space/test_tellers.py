@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from ros2_mcp.codec.transforms import FrameTree
+from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.tellers import Publishers, Tellers, silent_in_words
 from ros2_mcp.robot.transforms import Life
 
@@ -170,3 +171,86 @@ def test_a_publisher_that_is_silent_is_missed_also_after_two_others_took_each_ot
     tellers = Tellers(tree, {"/tf": Publishers(["/amcl", "/base", "/wheels"])}, {})
     assert tellers.silent("/tf")[0] == 1
     assert Tellers(tree, {"/tf": Publishers(["/base", "/wheels"])}, {}).silent("/tf") == (0, ())
+
+
+def fixed(tree: FrameTree, *edges: tuple[str, str], sequence: int = 1) -> None:
+    """A message on /tf_static."""
+    message = SimpleNamespace(transforms=[told(*edge, SECOND) for edge in edges])
+    tree.add(message, 1_700_000_001 * SECOND, is_static=True, sequence=sequence)
+
+
+def test_who_tells_an_edge_on_each_of_both_topics_is_known() -> None:
+    tree = tree_of((1, (("map", "odom"),)), (500, (("odom", "base_link"),)))
+    fixed(tree, ("base_link", "laser"), ("base_link", "imu"))
+    fixed(tree, ("map", "odom"))
+    publishers = {"/tf": Publishers(["/amcl", "/base"]), "/tf_static": Publishers(["/robot_state_publisher", "/zero"])}
+    tellers, edge = Tellers(tree, publishers, ALSO), tree.edges["odom"]
+    assert tellers.on("/tf", edge, "map") == "probably /amcl"
+    assert tellers.on("/tf_static", edge, "map") == "probably /zero"
+    row = edge_row(tree, edge, 1_700_000_002 * SECOND, tellers)
+    said = "odom is published on /tf by probably /amcl and on /tf_static by probably /zero alike, in map both times"
+    assert in_words(row).startswith(said) and "end one of both" in row.problem
+
+
+def test_how_far_two_nodes_are_apart_is_told_no_more_exactly_than_it_counts() -> None:
+    tree = FrameTree()
+    for number in range(20):
+        for first, x, turned in ((1, 0.0, 0.0), (500, 0.41, 1e-8)):
+            one = told("odom", "base_link", 1_700_000_000 * SECOND + number * SECOND // 10)
+            one.transform.translation.x, one.transform.rotation.z = x, turned
+            message = SimpleNamespace(transforms=[one])
+            tree.add(message, 1_700_000_000 * SECOND + number * SECOND // 10, is_static=False, sequence=first + number)
+    row = edge_row(tree, tree.edges["base_link"], 1_700_000_002 * SECOND)
+    assert "what they tell is 0.41 m and 0° apart" in row.problem
+
+
+def test_the_reverse_of_a_mount_is_named_with_who_tells_it() -> None:
+    tree = tree_of((1, (("odom", "base_link"),)))
+    fixed(tree, ("base_link", "laser"), ("base_link", "imu"))
+    fixed(tree, ("laser", "base_link"))
+    names = {"/tf": Publishers(["/base"]), "/tf_static": Publishers(["/laser_tf", "/robot_state_publisher"])}
+    row = edge_row(tree, tree.edges["base_link"], 1_700_000_002 * SECOND, Tellers(tree, names, ALSO))
+    said = "base_link has two parents at the same time: laser by probably /laser_tf and odom by /base; by laser it is "
+    assert in_words(row).startswith(f"{said}in a circle") and "is published on" not in row.problem
+
+
+def test_a_silent_publisher_is_no_fault_of_a_tree_that_lacks_nothing() -> None:
+    tree = tree_of((1, (("odom", "base_link"),)), (500, (("map", "odom"),)))
+    names = Publishers(["/amcl", "/diff_drive_controller", "/ekf"])
+    tellers = Tellers(tree, {"/tf": names}, {})
+    assert silent_in_words(tellers, 4.0, harmless=False) == []
+    (note,) = silent_in_words(tellers, 4.0, harmless=True)
+    assert note.startswith("1 of /diff_drive_controller, /ekf publishes on /tf") and "localisation" not in note
+    lost = tree_of((500, (("map", "odom"),)), (1, (("base_link", "wheel"),)))
+    assert silent_in_words(Tellers(lost, {"/tf": names}, {}), 4.0, harmless=True) == []
+    alone = tree_of((1, (("base_link", "wheel"),)))
+    states = Publishers(["/diff_drive_controller", "/joint_states"])
+    assert silent_in_words(Tellers(alone, {"/tf": states}, {}), 4.0, harmless=True) == [], "nobody tells odom → base"
+
+
+def test_what_is_fixed_and_left_behind_is_of_a_node_that_went_and_the_rest_of_those_that_are_there() -> None:
+    tree = FrameTree()
+    fixed(tree, ("base_link", "camera"))
+    fixed(tree, ("base_link", "laser"), ("base_link", "imu"))
+    tree.edges["camera"].is_left = True
+    tellers = Tellers(tree, {"/tf_static": Publishers(["/states"], ["/calibration"])}, {})
+    assert tellers.of(tree.edges["camera"]) == "probably /calibration, which is gone"
+    assert tellers.of(tree.edges["laser"]) == "probably /states"
+    row = edge_row(tree, tree.edges["camera"], 1_700_000_002 * SECOND, tellers)
+    assert "its publisher has left (probably /calibration, which is gone)" in row.problem
+    assert "nodes that start from now on do not get this frame" in row.problem
+    unseen = Tellers(tree, {"/tf_static": Publishers(["/states"])}, {})
+    assert unseen.of(tree.edges["camera"]) == "a node that was not seen, which is gone"
+    fixed(tree, ("base_link", "camera"), sequence=1)
+    assert not tree.edges["camera"].is_left, "somebody has told it again"
+
+
+def test_of_a_silent_edge_it_is_said_whether_its_node_is_there() -> None:
+    tree = tree_of((1, (("odom", "base_link"),)))
+    late_ns = 1_700_000_030 * SECOND
+    here = Tellers(tree, {"/tf": Publishers(["/base"])}, {})
+    row = edge_row(tree, tree.edges["base_link"], late_ns, here)
+    assert "by /base, which is still in the graph, but sends nothing of it" in row.problem
+    gone = Tellers(tree, {"/tf": Publishers([], ["/base"])}, {})
+    row = edge_row(tree, tree.edges["base_link"], late_ns, gone)
+    assert "by /base, which is gone" in row.problem and "still" not in row.problem

@@ -177,7 +177,10 @@ async def test_a_pause_around_the_time_that_is_asked_for_is_told(window: Make) -
     found = await tf_lookup(
         Recorded([window("/tf", TF, told)]), request("odom", "base_link", time=f"{START_NS / 1e9 + 3:.3f}")
     )
-    assert "odom → base_link was silent for 5 s around then: it is interpolated." in found.note
+    assert "Nothing of odom → base_link was published for 5 s around then, from 2023" in found.note
+    assert "the nearest are 2.9 s before and 2.1 s after it, and this pose is interpolated" in found.note
+    assert found.age_s is None and found.edges[0].age_s == pytest.approx(2.9)
+    assert "0 ms old" not in " ".join(found.summary())
 
 
 @pytest.mark.parametrize(
@@ -202,4 +205,11 @@ async def test_a_jump_of_the_place_is_told_of_a_localisation_only_where_it_jumps
 async def test_what_moves_and_is_told_too_rarely_is_said_with_its_rate(window: Make) -> None:
     told = [(n * 3.0, {"transforms": [tf("map", "odom", 0.0, 0.0, at_s=n * 3.0)]}) for n in range(4)]
     found = await tf_lookup(Recorded([window("/tf", TF, told)]), request("map", "odom"))
-    assert "map → odom is told too rarely for what moves, every 3 s (0.33 Hz)" in found.note
+    assert "map → odom is published too rarely for what moves, every 3 s (0.33 Hz)" in found.note
+
+
+async def test_a_name_with_a_leading_slash_is_answered_but_tf2_would_refuse_it(recorded: Recorded) -> None:
+    found = await tf_lookup(recorded, request("odom", "/base_link"))
+    assert found.source == "base_link"
+    assert "tf2 refuses names with a leading slash, as in «/base_link»" in found.note
+    assert "slash" not in (await tf_lookup(recorded, request("odom", "base_link"))).note
