@@ -8,21 +8,23 @@ type Mark = { name: string; x: number; y: number; yaw: number | null };
 type Grid = { key: string; name: string; width: number; height: number; resolution: number; costs: boolean; x: number; y: number; yaw: number };
 type Around = {
   why?: string; frame?: string; grids?: string[];
-  robot?: { x: number; y: number; z: number; yaw: number; at_s: number | null } | null;
+  robot?: { x: number; y: number; z: number; yaw: number; at_s: number | null; reckoned: { x: number; y: number; z: number; yaw: number; at_s: number } | null } | null;
   grid?: Grid | null; footprint?: [number, number][] | null; limbs?: Limb[];
   paths?: { name: string; points: [number, number][] }[]; goals?: Mark[]; places?: Mark[];
   layers?: { kind: string; name: string; at_s: number | null }[]; missing?: string[]; bulk?: string[];
 };
 /** A link that joints move, from above; `bone` leads to it from the link that holds it. */
 type Limb = { outline: [number, number][]; bone: [[number, number], [number, number]] | null; jointed: boolean };
+/** Where the robot was at a time (Unix, s), in metres and radians of the frame that is shown. */
+type Pose = { at: number; x: number; y: number; z: number; yaw: number };
 type Tint = [number, number, number];
 
 const MOST_TRAIL = 3000;
 const STALE_S = 3; // at most; of what comes often a few missed turns are enough
 const SOON_S = 1.2, TURNS = 4;
 const MOST_POSES = 12;
-const SPEED_OVER_S = 0.8; // of the poses of which a speed is told
-const STILL_MPS = 0.015, STILL_RADPS = 0.02; // less is how a localisation trembles
+// Over how many seconds a speed is told, and what is less than any (m/s, rad/s): by odometry, and by a localisation, which trembles by a centimetre from pose to pose.
+const RECKONED = { overS: 0.7, stillMps: 0.01, stillRadps: 0.02 }, LOCALISED = { overS: 1.6, stillMps: 0.03, stillRadps: 0.04 };
 const CLICK_PX = 4; // what moves by less is no drag
 const FLAT_M = 0.05; // as ros2_scene: less is no height
 
@@ -37,7 +39,8 @@ export class MapPanel {
   private ground: { key: string; canvas: HTMLCanvasElement } | null = null;
   private trail: [number, number][] = [];
   private before: number | null = null;
-  private poses: { at: number; x: number; y: number; z: number; yaw: number; frame: string }[] = []; // the last ones
+  private poses: (Pose & { frame: string })[] = []; // the last ones
+  private judged = LOCALISED;
   /** For how long nothing has been heard of where the robot is, in s. */
   silentS = 0;
   private centre: [number, number] = [0, 0];
@@ -103,9 +106,11 @@ export class MapPanel {
 
   /** The last poses, of which the speed is told; anew in another frame, or at an earlier time of a recording. */
   private keepPose(): void {
-    const { robot: at, frame = "" } = this.around, last = this.poses.at(-1);
+    const { robot } = this.around, at = robot?.reckoned ?? robot, last = this.poses.at(-1);
+    const frame = `${this.around.frame} ${robot?.reckoned ? "reckoned" : ""}`;
+    this.judged = robot?.reckoned ? RECKONED : LOCALISED;
     if (!at || at.at_s === null || (last && (last.frame !== frame || at.at_s < last.at))) this.poses = [];
-    if (at && at.at_s !== null && at.at_s !== this.poses.at(-1)?.at) this.poses = [...this.poses, { ...at, at: at.at_s, frame }].slice(-MOST_POSES);
+    if (at && at.at_s !== null && at.at_s !== this.poses.at(-1)?.at) this.poses = [...this.poses, { x: at.x, y: at.y, z: at.z, yaw: at.yaw, at: at.at_s, frame }].slice(-MOST_POSES);
   }
 
   private inWords(): string {
@@ -129,15 +134,16 @@ export class MapPanel {
 
   /** Its speed along and around, as far as its poses tell; null where they do not. */
   private get speed(): { mps: number; radps: number } | null {
-    const last = this.poses.at(-1), first = last && this.poses.find((one) => last.at - one.at <= SPEED_OVER_S);
-    if (!last || !first || last.at - first.at < SPEED_OVER_S / 4) return null;
-    const s = last.at - first.at, turned = Math.atan2(Math.sin(last.yaw - first.yaw), Math.cos(last.yaw - first.yaw));
-    return { mps: Math.hypot(last.x - first.x, last.y - first.y, last.z - first.z) / s, radps: turned / s };
+    const end = this.poses.at(-1)?.at ?? 0, recent = this.poses.filter((one) => end - one.at <= this.judged.overS), half = Math.floor(recent.length / 2);
+    if (half < 1) return null;
+    const before = middle(recent.slice(0, half)), after = middle(recent.slice(-half)), s = after.at - before.at;
+    if (s < this.judged.overS / 8) return null;
+    return { mps: Math.hypot(after.x - before.x, after.y - before.y, after.z - before.z) / s, radps: Math.atan2(Math.sin(after.yaw - before.yaw), Math.cos(after.yaw - before.yaw)) / s };
   }
 
   private get isMoving(): boolean {
     const speed = this.speed;
-    return !!speed && (speed.mps > STILL_MPS || Math.abs(speed.radps) > STILL_RADPS);
+    return !!speed && (speed.mps > this.judged.stillMps || Math.abs(speed.radps) > this.judged.stillRadps);
   }
 
   /** What the robot does, in words; empty where its poses do not tell. */
@@ -145,7 +151,7 @@ export class MapPanel {
     const speed = this.speed;
     if (!speed) return "";
     if (!this.isMoving) return this.height("robot hovers ", " up") || "robot stands";
-    const parts = [speed.mps > STILL_MPS ? `${speed.mps.toFixed(2)} m/s` : "", Math.abs(speed.radps) > STILL_RADPS ? `turns ${Math.abs(Math.round((speed.radps * 180) / Math.PI))}°/s ${speed.radps > 0 ? "left" : "right"}` : "", this.height("", " up")];
+    const parts = [speed.mps > this.judged.stillMps ? `${speed.mps.toFixed(2)} m/s` : "", Math.abs(speed.radps) > this.judged.stillRadps ? `turns ${Math.abs(Math.round((speed.radps * 180) / Math.PI))}°/s ${speed.radps > 0 ? "left" : "right"}` : "", this.height("", " up")];
     return `robot moves ${parts.filter(Boolean).join(", ")}`;
   }
 
@@ -361,8 +367,10 @@ export class MapPanel {
     const metres = this.roundMetres(Math.min(64, width / 10)), long = metres * this.scale;
     pen.font = "12px system-ui, sans-serif";
     const text = this.pointer ? this.toMetres(...this.pointer).map((value) => value.toFixed(2)).join(", ") + " m" : "";
-    pen.fillStyle = `${colour("panel")}cc`; // so that no wall is taken for it
+    pen.globalAlpha = 0.8; // a plate, so that no wall is taken for it
+    pen.fillStyle = colour("panel");
     pen.fillRect(width - 18 - long, height - 31, long + 12, 27);
+    pen.globalAlpha = 1;
     for (const [at, said] of [[width - 12 - long, `${metres} m`], [12, text]] as const) {
       if (!said) continue;
       pen.fillStyle = colour("ink");
@@ -454,6 +462,12 @@ export class MapPanel {
     pen.fill();
     pen.stroke();
   }
+}
+
+/** The mean of some poses, which trembles less than each. */
+function middle(poses: Pose[]): Pose {
+  const mean = (of: (pose: Pose) => number): number => poses.reduce((sum, pose) => sum + of(pose), 0) / poses.length;
+  return { at: mean((one) => one.at), x: mean((one) => one.x), y: mean((one) => one.y), z: mean((one) => one.z), yaw: Math.atan2(mean((one) => Math.sin(one.yaw)), mean((one) => Math.cos(one.yaw))) };
 }
 
 /** A grid as pixels, row 0 below in metres, which the transform turns up. */

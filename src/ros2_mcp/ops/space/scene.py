@@ -162,7 +162,7 @@ class Gathered:
         found: Next | RobotError
         if heard_s > _LAYER_S:
             was_sent = self.asked.last_plans.last(topic) is not None
-            why = "The last one is empty." if was_sent else "Nothing was sent since it is listened to."
+            why = "The last one is empty." if was_sent else "Nothing was sent so far."
             found = TimedOut(why)
         else:
             found = await _next(self.source, topic, type_name, _LAYER_S)

@@ -48,6 +48,7 @@ class MapPanel(Panel):
             "z": round(at.z_m, _MILLIMETRES),
             "yaw": round(at.yaw_rad, 5),
             "at_s": None if at.stamp_ns is None else at.stamp_ns / 1e9,
+            "reckoned": _reckoned(found),
         }
         grid = None
         if found.grid_layer:
@@ -89,6 +90,18 @@ class MapPanel(Panel):
             "y": corner.y_m,
             "yaw": corner.yaw_rad,
         }
+
+
+def _reckoned(found: Gathered) -> Mapping[str, float] | None:
+    """Where odometry alone has the robot: it drifts, but does not tremble as a localisation does, so that it tells how
+    the robot moves. None where nobody tells it, or it is that of the picture.
+    """
+    frame = next((name for name in found.tree.frames if name.rpartition("/")[2] == "odom" and name != found.frame), "")
+    at = found.tree.newest(frame, found.tree.base) if frame and found.tree.base else None
+    if at is None or at.stamp_ns is None:
+        return None
+    x, y, z = (round(part, 4) for part in at.pose.translation)
+    return {"x": x, "y": y, "z": z, "yaw": round(at.pose.yaw_rad, 5), "at_s": at.stamp_ns / 1e9}
 
 
 def _rounded(points: Any) -> Sequence[Sequence[float]]:
