@@ -273,6 +273,8 @@ async def _more_of(source: Source, error: NoTransform, tree: FrameTree, names: S
         who = [*_who_tells(tree, names, tellers, error.reason), *_not_simulated(tree, names, tellers, error.reason)]
         return NoTransform(error.reason, " ".join([error.message, *who, *where]), error.hint)
     more = [*where, *await unheard_publishers(source)]
+    if error.reason == "never published" and (absence := (await source.graph()).absence):
+        more.append(absence)
     if listener := source.transforms:
         more += silent_in_words(tellers, listener.listened_s)
     more += [

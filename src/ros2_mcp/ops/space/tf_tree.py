@@ -80,7 +80,9 @@ async def tf_tree(
     tellers = await _heard_out(source, tree, duration_s)
     wrong, harmless = (_silent(source, tellers, harmless=which) for which in (False, True))
     if not tree.frames:
-        said = " ".join([*unheard, *wrong, *harmless]) or "Nothing came on /tf or /tf_static."
+        absence = (await source.graph()).absence
+        found = [*unheard, *wrong, *harmless, *([absence] if absence else [])]
+        said = " ".join(found) or "Nothing came on /tf or /tf_static."
         raise NoTransform("never published", f"No transform is known at all. {said}")
     top = frame.strip().lstrip("/")
     if top and top not in tree.frames:
