@@ -96,7 +96,7 @@ function isRunning(act: Act, nowMs: number): boolean {
 function row(act: Act, nowMs: number, isLive: boolean): HTMLElement {
   const isAct = act.kind === "act" || act.kind === "ended" || act.kind.startsWith("refused") || act.kind === "waits";
   const does = isAct ? word(VERBS, act.verb ?? "") ?? act.verb ?? act.tool ?? act.kind : act.kind;
-  const verb = act.kind === "ended" ? `${word(ENDED, does) ?? does} ended` : act.kind === "stop" && act.outcome ? "stopped the robot" : act.kind === "act" ? inThird(does) : act.kind === "waits" ? `asked to ${does}` : act.kind.startsWith("refused") && act.verb ? `tried to ${does}` : does;
+  const verb = act.kind === "ended" ? `${word(ENDED, does) ?? does} ended` : act.kind === "act" ? inThird(does) : act.kind === "waits" ? `asked to ${does}` : act.kind.startsWith("refused") && act.verb ? `tried to ${does}` : does;
   const often = [act.rate_hz ? `${act.rate_hz} Hz` : "", act.duration_s && act.kind !== "ended" ? `for ${act.duration_s} s` : ""].filter(Boolean).join(" ");
   const value = act.verb === "set" ? parameters(act.value) : brief(act.value);
   const running = isRunning(act, nowMs);

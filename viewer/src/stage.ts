@@ -202,6 +202,7 @@ export class Stage {
     const bounded = size.map((value) => Math.min(Math.max(Math.abs(value), 1e-4), 1000)), [one = 0.1, two = 0.1, three = 0.1] = bounded;
     const geometry = kind === "box" ? new BoxGeometry(one, two, three) : kind === "sphere" ? new SphereGeometry(one, 20, 14)
       : kind === "cylinder" ? new CylinderGeometry(one, one, two, 24) : kind === "capsule" ? new CapsuleGeometry(one, two, 6, 18) : meshes.get(facts?.key ?? "");
+    if (kind === "outline") return this.outlined(bounded, xyz, rpy);
     if (!geometry) return null;
     const hasOwn = !!facts?.coloured && !rgba, look = rgba || facts ? lookOf(rgba ?? [0.78, 0.78, 0.76, 1], hasOwn) : this.shapeLook;
     if (look !== this.shapeLook) this.ofModel.push(look);
@@ -211,6 +212,19 @@ export class Stage {
     if (facts) mesh.scale.set(size[0] ?? 1, size[1] ?? 1, size[2] ?? 1);
     if (kind === "cylinder" || kind === "capsule") mesh.rotateX(Math.PI / 2); // theirs stand along y, a URDF's along z
     mount.add(mesh);
+    mount.position.set(xyz[0] ?? 0, xyz[1] ?? 0, xyz[2] ?? 0);
+    mount.rotation.set(rpy[0] ?? 0, rpy[1] ?? 0, rpy[2] ?? 0, "ZYX");
+    return mount;
+  }
+
+  /** The edges of a box, where a shape cannot be drawn: something is there. */
+  private outlined([x = 0, y = 0, z = 0]: number[], xyz: number[], rpy: number[]): Object3D {
+    const corner = (at: number): Vector3 => new Vector3((at & 1 ? x : -x) / 2, (at & 2 ? y : -y) / 2, (at & 4 ? z : -z) / 2);
+    const edges = [1, 2, 4].flatMap((way) => [0, 1, 2, 3, 4, 5, 6, 7].filter((at) => !(at & way)).flatMap((at) => [corner(at), corner(at | way)]));
+    const geometry = new BufferGeometry().setFromPoints(edges), look = new LineBasicMaterial({ color: "#ff9f3d" }), mount = new Group();
+    this.ofModel.push(geometry, look);
+    mount.renderOrder = OVER_ALL;
+    mount.add(new LineSegments(geometry, look));
     mount.position.set(xyz[0] ?? 0, xyz[1] ?? 0, xyz[2] ?? 0);
     mount.rotation.set(rpy[0] ?? 0, rpy[1] ?? 0, rpy[2] ?? 0, "ZYX");
     return mount;

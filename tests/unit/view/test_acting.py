@@ -120,6 +120,8 @@ def test_one_press_of_the_button_is_one_act_also_of_two_servers() -> None:
         ("stop", "operator", None),
         ("stop", "agent", None),
     ]
+    (doubted,) = presses_as_one([*acts_in([*press, {**line("stopped", 2.5), "confirmed": False}])])
+    assert doubted["outcome"] == "not confirmed, latched"
     assert len(presses_as_one([*acts_in([{**one, "time": "x"} for one in press])])) == len(press)  # of a recording
 
 

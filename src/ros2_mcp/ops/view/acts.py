@@ -76,10 +76,11 @@ def presses_as_one(acts: Sequence[Line]) -> list[Line]:
         if abs(at_s - began_s) >= _PRESS_S:
             index, began_s, kinds = len(found), at_s, set[str]()
             found.append(act)
-        kinds.add(kind)
+        kinds |= {kind, act.get("outcome") or kind}
         begun[by] = index, began_s, kinds
         if len(kinds) > 1 or kind == "stopped":
-            ends = [word for word in ("stopped", "latched") if word in kinds]
+            ends = [word for word in ("not confirmed", "stopped", "latched") if word in kinds]
+            ends = ends[:1] + ends[2:] if ends[:2] == ["not confirmed", "stopped"] else ends
             known = {name: value for name, value in {**act, **found[index]}.items() if value not in (None, "")}
             found[index] = {**known, "kind": "stop", "outcome": ", ".join(ends)}
     return found
@@ -108,6 +109,8 @@ def _told(line: Line) -> dict[str, Any]:
     fields |= {name: line[name] for name in _NUMBERS if type(line.get(name)) in (int, float)}
     if kind in (*_ANSWERS, "revoked"):  # of which request or grant it is
         fields |= {"name": fields.pop("approval", "")}
+    if kind == "stopped" and line.get("confirmed") is False:
+        fields |= {"outcome": "not confirmed"}
     if line.get("what"):
         fields |= {"reason": str(line["what"])[:_MOST_TEXT]}
     return {
