@@ -148,8 +148,14 @@ function lineOf(value: unknown, path: string): Leaf[] {
 function text(value: unknown): string {
   if (Array.isArray(value)) return `[${value.map(text).join(", ")}]`;
   if (value && typeof value === "object") return Object.entries(value).map(([name, inner]) => `${name} ${text(inner)}`).join("   ");
-  if (typeof value === "number") return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(6)));
+  if (typeof value === "number") return Number.isInteger(value) ? String(value) : String(Number(brief(value)));
   return typeof value === "string" ? value || "“”" : String(value);
+}
+
+/** Six digits, of what is small only as many as are of use: the others are noise that changes all the time. */
+function brief(value: number): string {
+  const size = Math.abs(value);
+  return size >= 1 ? value.toPrecision(6) : size >= 1e-3 ? value.toFixed(5) : value.toPrecision(3);
 }
 
 /** A joint's number: what moves by less than its last digit stands still here. */
