@@ -171,7 +171,7 @@ export class PlotPanel {
       return units.length > 1 && first && !others.length ? this.tint(first.name) : ink.stroke;
     };
     const yAxis = (unit: string, index: number): uPlot.Axis => ({
-      ...ink, stroke: inkOf(unit), space: 36, scale: `u${index}`, side: index ? 1 : 3, size: 44 + Math.min(unit.length, 8) * 5, // the unit stands at the topmost number
+      ...ink, stroke: inkOf(unit), space: 46, scale: `u${index}`, side: index ? 1 : 3, size: 44 + Math.min(unit.length, 8) * 5, // the unit stands at the topmost number
       grid: index ? { show: false } : ink.grid, values: (_, ticks) => ticks.map((tick, at) => (at === ticks.length - 1 && unit ? `${short(tick)} ${unit}` : short(tick))),
     });
     const range: uPlot.Range.Function = (_, low, high) => {
