@@ -129,3 +129,24 @@ export class Frame {
     this.foot.replaceChildren(...parts);
   }
 }
+
+/** How often something comes, always with as many digits; nothing while that is not known, or no longer true. */
+export const rateText = (hz: number | null | undefined, isOld = false): string => (hz && !isOld ? `${hz.toFixed(hz < 99.95 ? 1 : 0)} Hz · ` : "");
+
+/** Sentences below a panel: one stands there whole, several open below a line that says how many. Anew only where they are other ones. */
+export class Notes {
+  private told = "";
+  private isOpen = false;
+  constructor(private readonly frame: Frame, private readonly what: string) { }
+  tell(lines: string[]): void {
+    if (lines.join("\n") === this.told) return;
+    this.told = lines.join("\n");
+    const rows = lines.map((line) => make("div", {}, line));
+    if (rows.length < 2) return this.frame.tellFoot(rows);
+    const hadFocus = this.frame.foot.contains(document.activeElement), head = make("summary", {}, `${lines.length} ${this.what}`), all = make("details", {}, head, ...rows);
+    all.open = this.isOpen;
+    all.addEventListener("toggle", () => { this.isOpen = all.open; });
+    this.frame.tellFoot([all]);
+    if (hadFocus) head.focus();
+  }
+}

@@ -35,29 +35,31 @@ export class FramesPanel {
     const { edges = [], roots = [] } = this.shown;
     const below = new Map<string, Edge[]>(), seen = new Set<string>(), rows: HTMLElement[] = [];
     for (const edge of edges) below.set(edge.parent, [...(below.get(edge.parent) ?? []), edge]);
-    const add = (name: string, depth: number, edge: Edge | null): void => {
+    // `goesOn` tells of each level above whether another frame follows there: as far a line leads down.
+    const add = (name: string, goesOn: boolean[], edge: Edge | null): void => {
       if (seen.has(name)) return; // frames that go in a circle stand here once
       seen.add(name);
       const inner = below.get(name) ?? [], isFolded = this.folded.has(name);
-      rows.push(this.row(name, depth, edge, inner.length > 0, isFolded));
-      for (const one of inner) if (isFolded) hide(one.child); else add(one.child, depth + 1, one);
+      rows.push(this.row(name, goesOn, edge, inner.length > 0, isFolded));
+      inner.forEach((one, index) => { if (isFolded) hide(one.child); else add(one.child, [...goesOn, index < inner.length - 1], one); });
     };
     const hide = (name: string): void => {
       if (seen.has(name)) return;
       seen.add(name);
       for (const one of below.get(name) ?? []) hide(one.child);
     };
-    for (const root of roots) add(root, 0, null);
-    for (const edge of edges) add(edge.child, 0, edge); // what no root leads to: a circle
+    for (const root of roots) add(root, [], null);
+    for (const edge of edges) add(edge.child, [], edge); // what no root leads to: a circle
     const active = document.activeElement?.getAttribute("data-frame") ?? null;
-    const head = make("tr", {}, ...["Frame", "Told by", "Rate", "Age"].map((text, column) => make("th", { scope: "col", class: column > 1 ? "number" : undefined }, text)));
+    const head = make("tr", {}, ...["Frame", "Published by", "Rate", "Age"].map((text, column) => make("th", { scope: "col", class: column > 1 ? "number" : undefined }, text)));
     this.table.replaceChildren(make("caption", { class: "unseen" }, `${this.shown.frames ?? 0} coordinate frames, each below its parent`),
       make("thead", {}, head), make("tbody", {}, ...rows));
     if (active !== null) [...this.table.querySelectorAll<HTMLElement>("[data-frame]")].find((one) => one.dataset.frame === active)?.focus();
   }
 
-  private row(name: string, depth: number, edge: Edge | null, hasMore: boolean, isFolded: boolean): HTMLElement {
-    const steps = Array.from({ length: Math.min(depth, 24) }, (_, at) => make("i", { class: at === depth - 1 ? "step last" : "step", "aria-hidden": "true" }));
+  private row(name: string, goesOn: boolean[], edge: Edge | null, hasMore: boolean, isFolded: boolean): HTMLElement {
+    const depth = goesOn.length;
+    const steps = goesOn.slice(0, 24).map((more, at) => make("i", { class: `step${at === depth - 1 ? " own" : ""}${more ? " on" : ""}`, "aria-hidden": "true" }));
     const label = hasMore
       ? make("button", { type: "button", class: "fold", "data-frame": name, "aria-expanded": String(!isFolded), title: isFolded ? "Show what is below" : "Hide what is below" }, name)
       : make("span", { class: "leaf" }, name);
@@ -79,7 +81,7 @@ export class FramesPanel {
   tick(nowS: number, lost: boolean): void {
     const { at_s, frames, problems = [] } = this.shown;
     if (at_s === undefined) return this.frame.tellAge("", false);
-    const health = problems.length ? `${problems.length} problem${problems.length === 1 ? "" : "s"}` : "no problem";
+    const health = problems.length ? `${problems.length} problem${problems.length === 1 ? "" : "s"}` : "no problems";
     this.frame.tellAge(`${frames} frames · ${health}`, lost || nowS - at_s > STALE_S, problems.length > 0);
   }
 }

@@ -1,7 +1,7 @@
 // The newest picture of a camera, decoded without blob: or data: addresses. A drag picks a box, with Shift one more;
 // with the keyboard Enter begins a box in the middle, arrow keys move it, + and - change its size, Enter picks it.
 
-import { Frame, Sheet, ageText, bytesOf, colour } from "./dom.ts";
+import { Frame, Sheet, ageText, bytesOf, colour, rateText } from "./dom.ts";
 import type { Picks } from "./picks.ts";
 
 type Shown = { why?: string; topic?: string; topics?: string[]; at_s?: number; rate_hz?: number | null; mime?: string; width?: number; height?: number; note?: string; bulk?: string; whole?: number[]; frame?: string };
@@ -11,6 +11,7 @@ const STALE_S = 2;
 const DRAG_PX = 4; // what moves by less is no box, but one around a point
 const AROUND_PX = 5; // of the picture: half the side of that
 const STEP = 1 / 20;
+const BOX = "#0b6a58";
 
 export class ImagePanel {
   chosen = "";
@@ -146,18 +147,21 @@ export class ImagePanel {
   tick(nowS: number, lost: boolean): void {
     this.nowS = nowS;
     if (!this.picture || this.shown.at_s === undefined) return this.frame.tellAge("", false);
-    const age = nowS - this.shown.at_s;
-    const rate = this.shown.rate_hz ? `${this.shown.rate_hz.toFixed(this.shown.rate_hz < 10 ? 1 : 0)} Hz · ` : "";
-    this.frame.tellAge(`${rate}${ageText(age)}`, lost || age > STALE_S);
+    const age = nowS - this.shown.at_s, isOld = lost || age > STALE_S;
+    this.frame.tellAge(`${rateText(this.shown.rate_hz, isOld)}${ageText(age)}`, isOld);
   }
 
   draw(): void {
     this.sheet.clear();
+    this.picks.tellWhere(this.section, (one) => one.kind !== "box" || one.topic === this.shown.topic);
     const { pen, width } = this.sheet, picture = this.picture;
     if (!picture || !width) return;
     const [left, top, wide, high] = this.drawnAt();
     pen.imageSmoothingEnabled = wide / picture.width < 3;
     pen.drawImage(picture, left, top, wide, high);
+    pen.strokeStyle = colour("line-deep"); // a bright wall at its edge does not run into the panel
+    pen.lineWidth = 1;
+    pen.strokeRect(left + 0.5, top + 0.5, wide - 1, high - 1);
     for (const { one, label } of this.picks.of("box")) {
       const [across = 1, down = 1] = one.size, [x1 = 0, y1 = 0, x2 = 0, y2 = 0] = one.box;
       if (one.topic === this.shown.topic) this.drawBox([x1 / across, y1 / down, (x2 + 1) / across, (y2 + 1) / down], label);
@@ -168,13 +172,17 @@ export class ImagePanel {
   private drawBox(box: Rectangle, label: string): void {
     const { pen } = this.sheet, [left, top, wide, high] = this.drawnAt();
     const at = [left + box[0] * wide, top + box[1] * high, (box[2] - box[0]) * wide, (box[3] - box[1]) * high] as const;
-    for (const [stroke, width] of [[colour("panel"), 4], [colour("accent"), 2]] as const) {
+    for (const [stroke, width] of [["#fff", 5], [BOX, 2.5]] as const) { // a picture is the same in both themes, and so is this
       pen.strokeStyle = stroke;
       pen.lineWidth = width;
       pen.strokeRect(...at);
     }
+    if (!label) return;
     pen.font = "600 12px system-ui, sans-serif";
-    pen.fillStyle = colour("accent");
-    if (label) pen.fillText(label, at[0] + at[2] + 5, at[1] + 10);
+    pen.strokeStyle = "#fff";
+    pen.lineWidth = 4;
+    pen.fillStyle = BOX;
+    pen.strokeText(label, at[0] + at[2] + 5, at[1] + 10);
+    pen.fillText(label, at[0] + at[2] + 5, at[1] + 10);
   }
 }

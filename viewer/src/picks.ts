@@ -20,20 +20,27 @@ export class Picks {
   /** What the server says of each: its words are what the model reads. */
   lines: string[] = [];
   private readonly told = make("span");
+  private readonly where = make("span", { class: "where" }, "On another picture.");
   private readonly ask = make("button", { type: "button" }, "Ask about it");
   private readonly clear = make("button", { type: "button" }, "Clear");
 
   constructor(private readonly changed: (picks: Pick[]) => Promise<string[]>, private readonly chat: { canSay: boolean; sayForUser(text: string): void } | null, private readonly shown: () => void) {
     this.bar.hidden = true;
-    this.bar.append(this.told, this.ask, this.clear);
+    this.where.hidden = true;
+    this.bar.append(this.told, this.where, this.ask, this.clear);
     this.ask.addEventListener("click", () => { if (this.lines.length) chat?.sayForUser(this.lines.join("\n")); });
     this.clear.addEventListener("click", () => void this.set([]));
   }
 
   /** Picks one in a panel, in place of what was picked before or beside it. */
   pick(one: Pick, beside: boolean, section: HTMLElement): void {
-    if (this.bar.parentElement !== section) section.append(this.bar);
+    if (this.bar.parentElement !== section) { section.append(this.bar); this.where.hidden = true; }
     void this.set(beside ? [...this.list, one].slice(-MOST) : [one]);
+  }
+
+  /** Says in a panel that what is picked is not seen in what it shows now. */
+  tellWhere(section: HTMLElement, isSeen: (one: Pick) => boolean): void {
+    if (this.bar.parentElement === section) this.where.hidden = !this.list.length || this.list.some(isSeen);
   }
 
   /** Those of one kind, with their numbers where there are several. */

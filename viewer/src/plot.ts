@@ -1,7 +1,7 @@
 // Numbers over time. What has not come is not drawn: a gap is a gap, and where nothing comes the line ends.
 
 import uPlot from "uplot";
-import { Frame, ageText, bytesOf, colour, make, say } from "./dom.ts";
+import { Frame, Notes, ageText, bytesOf, colour, make, rateText, say } from "./dom.ts";
 import type { Picks } from "./picks.ts";
 
 type Field = { name: string; unit: string };
@@ -24,6 +24,7 @@ export class PlotPanel {
   private readonly frame: Frame;
   private readonly fields = make("div", { class: "curves", role: "group", "aria-label": "Curves" });
   private readonly sheet = make("div", { class: "sheet", role: "img", tabindex: "0" });
+  private readonly notes: Notes;
   private readonly chips = new Map<string, HTMLElement>();
   private topics: string[] = [];
   private drawn: string[] = [];
@@ -32,6 +33,7 @@ export class PlotPanel {
   private columns: Column[] = [];
   private next = 0; // the number of the row that has not been taken yet
   private spanS = 30;
+  private flat = ""; // the drawn curves that lie on each other, as none of them moves
   private bare = new Set<string>(); // the curves whose scale has no axis here
   private still: [number, number] | null = null; // the time that a person has chosen to look at
   private plot: uPlot | null = null;
@@ -41,6 +43,7 @@ export class PlotPanel {
 
   constructor(private readonly section: HTMLElement, private readonly picks: Picks) {
     this.frame = new Frame(section, "Plot", true, (topic) => { this.chosen = topic; this.forget(); });
+    this.notes = new Notes(this.frame, "notes");
     this.frame.body.append(make("div", { class: "plot" }, this.fields, this.sheet));
     new ResizeObserver(() => {
       const { clientWidth: width, clientHeight: height } = this.sheet;
@@ -70,7 +73,7 @@ export class PlotPanel {
 
   update(told: Told): void {
     this.frame.tell(told.why && !this.times.length ? told.why : "");
-    this.frame.tellFoot([...(told.why && this.times.length ? [told.why] : []), ...(told.notes ?? [])].map((text) => make("div", {}, text)));
+    this.notes.tell([...(told.why && this.times.length ? [told.why] : []), ...(told.notes ?? [])]);
     if (!told.bulk || !told.fields) return;
     const names = told.fields.map((field) => field.name).join("\n");
     const isOther = told.topic !== this.told.topic || names !== (this.told.fields ?? []).map((field) => field.name).join("\n");
@@ -168,26 +171,27 @@ export class PlotPanel {
       return units.length > 1 && first && !others.length ? this.tint(first.name) : ink.stroke;
     };
     const yAxis = (unit: string, index: number): uPlot.Axis => ({
-      ...ink, stroke: inkOf(unit), space: 42, scale: `u${index}`, side: index ? 1 : 3, size: 54, label: unit || undefined, labelSize: unit ? 16 : 0, labelFont: ink.font, labelGap: 0,
-      grid: index ? { show: false } : ink.grid, values: (_, ticks) => ticks.map(short),
+      ...ink, stroke: inkOf(unit), space: 46, scale: `u${index}`, side: index ? 1 : 3, size: 44 + Math.min(unit.length, 8) * 5, // the unit stands at the topmost number
+      grid: index ? { show: false } : ink.grid, values: (_, ticks) => ticks.map((tick, at) => (at === ticks.length - 1 && unit ? `${short(tick)} ${unit}` : short(tick))),
     });
     const range: uPlot.Range.Function = (_, low, high) => {
       if (low === null || high === null) return [0, 1];
-      const room = Math.max((high - low) * 0.08, Math.abs(high) * 1e-6, 1e-6);
-      return high - low < 1e-9 ? [low - Math.max(Math.abs(low) * 0.2, 0.1), high + Math.max(Math.abs(high) * 0.2, 0.1)] : [low - room, high + room];
+      const room = Math.max((high - low) * 0.12, Math.abs(high) * 1e-6, 1e-6);
+      return high - low < 1e-9 ? [low - Math.max(Math.abs(low) * 0.25, 0.13), high + Math.max(Math.abs(high) * 0.25, 0.13)] : [low - room, high + room];
     };
     this.plot = new uPlot({
       width, height, legend: { show: false }, padding: [10, units.length > 1 ? 4 : 14, 0, 0], pxAlign: 0,
       cursor: { drag: { x: true, y: false, setScale: false }, points: { size: 6 }, y: false },
       scales: { x: { time: false, range: () => this.range() }, ...Object.fromEntries(units.map((_, index) => [`u${index}`, { range }])) },
       axes: [{ ...ink, size: 26, space: 76, splits: (plot, _, low, high, step) => this.marks(plot, low, high, step), values: (_, ticks) => ticks.map((at) => this.timeText(at)) }, ...axes.map(yAxis)],
-      series: [{}, ...curves.map((curve) => ({ label: curve.name, scale: scaleOf(curve.unit), stroke: this.tint(curve.name), width: 1.75, points: { show: false } }))],
+      series: [{}, ...curves.map((curve) => ({ label: curve.name, scale: scaleOf(curve.unit), stroke: this.tint(curve.name), ...this.stroke(curve.name), points: { show: false } }))],
       hooks: {
         setSelect: [(plot) => {
           if (plot.select.width > 4) this.look([plot.posToVal(plot.select.left, "x"), plot.posToVal(plot.select.left + plot.select.width, "x")]);
           plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
         }],
         setCursor: [() => this.tellValues()],
+        drawAxes: [(plot) => this.drawGaps(plot)],
         draw: [(plot) => this.drawTimes(plot)],
       },
     }, this.data(), this.sheet);
@@ -216,18 +220,67 @@ export class PlotPanel {
     for (const { one, label } of this.picks.of("time")) {
       const x = Math.round(plot.valToPos(one.at_s, "x", true));
       if (one.topic !== this.told.topic || x < bbox.left || x > bbox.left + bbox.width) continue;
+      const ratio = devicePixelRatio, y = bbox.top + 13 * ratio;
       ctx.save();
-      ctx.strokeStyle = ctx.fillStyle = colour("accent");
-      ctx.lineWidth = 2 * devicePixelRatio;
+      ctx.strokeStyle = ctx.fillStyle = colour("ink"); // no curve's colour, and dashed: it is no value
+      ctx.lineWidth = ratio;
+      ctx.setLineDash([3 * ratio, 4 * ratio]);
       ctx.beginPath();
-      ctx.moveTo(x, bbox.top);
+      ctx.moveTo(x, y + 6 * ratio);
       ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+      ctx.setLineDash([]);
+      ctx.lineWidth = 1.75 * ratio;
+      ctx.beginPath(); // ring and cross, as on the map
+      ctx.arc(x, y, 6 * ratio, 0, 7);
+      for (const [dx, dy] of [[1, 0], [-1, 0], [0, 1], [0, -1]] as const) { ctx.moveTo(x + dx * 3 * ratio, y + dy * 3 * ratio); ctx.lineTo(x + dx * 9 * ratio, y + dy * 9 * ratio); }
       ctx.stroke();
       ctx.textAlign = "left";
       ctx.font = `600 ${12 * devicePixelRatio}px system-ui, sans-serif`;
-      ctx.fillText(label, x + 4 * devicePixelRatio, bbox.top + 12 * devicePixelRatio);
+      ctx.fillText(label, x + 11 * ratio, bbox.top + 12 * ratio);
       ctx.restore();
     }
+  }
+
+  /** Spans in which nothing came are shaded, and say so where there is room: a line that is missing is no zero. */
+  private drawGaps(plot: uPlot): void {
+    const { ctx, bbox } = plot, [begin, end] = this.range(), least = this.gapS(), gaps: [number, number][] = [];
+    let before = begin;
+    this.times.forEach((at, row) => {
+      if (!this.columns.some((column) => typeof column[row] === "number")) return;
+      if (at >= begin && at - before > least) gaps.push([Math.max(before, begin), Math.min(at, end)]);
+      before = at;
+    });
+    if (end - before > least) gaps.push([Math.max(before, begin), end]);
+    ctx.save();
+    ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+    ctx.textAlign = "center";
+    for (const [from, to] of gaps) {
+      const left = Math.max(plot.valToPos(from, "x", true), bbox.left), right = Math.min(plot.valToPos(to, "x", true), bbox.left + bbox.width);
+      if (right <= left) continue;
+      ctx.fillStyle = colour("no-data");
+      ctx.fillRect(left, bbox.top, right - left, bbox.height);
+      ctx.fillStyle = colour("soft");
+      if (right - left > 54 * devicePixelRatio) ctx.fillText("no data", (left + right) / 2, bbox.top + bbox.height - 8 * devicePixelRatio);
+    }
+    ctx.restore();
+  }
+
+  /** Curves that stand still lie on each other, each in the middle of its scale: the lower ones are broader, the upper ones dashed. */
+  private stroke(name: string): { width: number; dash?: number[] } {
+    const at = this.flat.split("\n").indexOf(name), all = this.flat ? this.flat.split("\n").length : 0;
+    if (at < 0 || all < 2) return { width: 1.75 };
+    return at ? { width: 2.5, dash: [7, 7 * at] } : { width: 2.5 };
+  }
+
+  private whatIsFlat(): string {
+    const [begin, end] = this.range(), names = (this.told.fields ?? []).map((field) => field.name);
+    return this.drawn.filter((name) => {
+      const column = this.columns[names.indexOf(name)] ?? [];
+      let low = Infinity, high = -Infinity;
+      this.times.forEach((at, row) => { const value = column[row]; if (typeof value === "number" && at >= begin && at <= end) { low = Math.min(low, value); high = Math.max(high, value); } });
+      return high >= low && high - low < 1e-9;
+    }).join("\n");
   }
 
   private data(): uPlot.AlignedData {
@@ -258,7 +311,9 @@ export class PlotPanel {
     this.isNew ||= isNew;
     if (!this.plot || now - this.drawnAt < 66 || this.sheet.clientWidth < 40) return;
     this.drawnAt = now;
-    this.plot.setData(this.data(), true);
+    const flat = this.isNew ? this.whatIsFlat() : this.flat;
+    if (flat !== this.flat) { this.flat = flat; this.build(); }
+    this.plot?.setData(this.data(), true);
     if (this.isNew) this.tellValues();
     this.isNew = false;
   }
@@ -278,9 +333,9 @@ export class PlotPanel {
     this.nowS = nowS;
     const at = this.told.at_s;
     if (at === undefined || at === null) return this.frame.tellAge("", false);
-    const age = nowS - at, rate = this.told.rate_hz;
+    const age = nowS - at, rate = this.told.rate_hz, isOld = lost || age > Math.max(2, rate ? 5 / rate : 2);
     const seen = this.still ? " · stands still (0 or double click: goes on)" : "";
-    this.frame.tellAge(`${rate ? `${rate.toFixed(rate < 10 ? 1 : 0)} Hz · ` : ""}${ageText(age)}${seen}`, lost || age > Math.max(2, rate ? 5 / rate : 2));
+    this.frame.tellAge(`${rateText(rate, isOld)}${ageText(age)}${seen}`, isOld);
     if (!this.still && !lost) this.draw(false);
     if (this.sheet.clientWidth && !lost) this.sheet.setAttribute("aria-label", this.inWords());
   }

@@ -1,7 +1,7 @@
 // What is around the robot in three dimensions. It is begun when it is first seen, and drawn only when something is new.
 
 import type { BufferGeometry } from "three";
-import { Frame, ageText, bytesOf, colour, make } from "./dom.ts";
+import { Frame, Notes, ageText, bytesOf, colour, make } from "./dom.ts";
 import type { Picks } from "./picks.ts";
 import { type Body, type MeshFacts, meshOf } from "./solids.ts";
 import { Stage, type Cloud, type Place, type Shape } from "./stage.ts";
@@ -30,6 +30,7 @@ export class SpacePanel {
   /** Whether it can be drawn here; what cannot is not asked for. */
   works = true;
   private readonly frame: Frame;
+  private readonly notes: Notes;
   private readonly names = make("div", { class: "names", "aria-hidden": "true" });
   private readonly canvas = make("canvas", { role: "img", class: "shown", tabindex: "0", "aria-label": "3D: nothing has come yet" });
   private stage: Stage | null = null;
@@ -50,6 +51,7 @@ export class SpacePanel {
 
   constructor(private readonly section: HTMLElement, private readonly askChunk: (key: string) => Promise<Uint8Array<ArrayBuffer>>, private readonly picks: Picks) {
     this.frame = new Frame(section, "3D", true, (topic) => { this.chosen = topic; });
+    this.notes = new Notes(this.frame, "things are not drawn, or not whole");
     this.frame.choice.setAttribute("aria-label", "Cloud");
     this.frame.body.append(this.canvas, this.names);
     for (const [event, isLost] of [["webglcontextlost", true], ["webglcontextrestored", false]] as const) {
@@ -86,7 +88,7 @@ export class SpacePanel {
   update(space: Space): void {
     if (!this.works) return;
     this.tellWhy(space.why);
-    this.frame.tellFoot([...(space.why && this.shown.frame ? [space.why] : []), ...this.notes(space)].map((text) => make("div", {}, text)));
+    this.notes.tell([...(space.why && this.shown.frame ? [space.why] : []), ...missingIn(space)]);
     if (space.frame === undefined || !this.begin()) return;
     const isOther = space.frame !== this.shown.frame;
     this.shown = space;
@@ -122,7 +124,7 @@ export class SpacePanel {
     if (on === this.works) return;
     [this.works, this.canvas.hidden, this.names.hidden] = [on, !on, !on];
     this.frame.tell(on ? "" : GONE);
-    if (!on) this.frame.tellFoot([]);
+    if (!on) this.notes.tell([]);
     this.onGone(on ? "" : GONE);
   }
 
@@ -186,12 +188,6 @@ export class SpacePanel {
     return new Uint8Array(await new Response(stream).arrayBuffer());
   }
 
-  private notes(space: Space): string[] {
-    const cloud = space.cloud;
-    const thinned = cloud?.cell_m ? [`${cloud.count} of ${cloud.points} points are drawn: one in each ${Number(cloud.cell_m.toPrecision(2))} m.`] : [];
-    return [...thinned, ...(space.missing ?? [])];
-  }
-
   private tellWords(): void { this.canvas.setAttribute("aria-label", this.inWords()); }
 
   private inWords(): string {
@@ -213,4 +209,9 @@ export class SpacePanel {
   }
 
   repaint(): void { this.stage?.paint(colour("deep"), colour("line-deep"), colour("soft"), document.documentElement.dataset.theme === "dark"); }
+}
+
+/** Sentences about what is not drawn, or not whole. */
+function missingIn({ cloud, missing = [] }: Space): string[] {
+  return [...(cloud?.cell_m ? [`${cloud.count} of ${cloud.points} points are drawn: one in each ${Number(cloud.cell_m.toPrecision(2))} m.`] : []), ...missing];
 }

@@ -23,6 +23,7 @@ const MOST_NAMES = 60;
 const FRONT_M = 0.1; // what is farther behind the nearest point is hidden by it
 const FRONT_SHARE = 1.03;
 const TURN = Math.PI / 24;
+const ABOVE = 1, OVER_ALL = 2; // orders of drawing, of groups: after everything else
 // Viridis, by eight of its colours: what is higher, or brighter, is lighter, for every eye.
 const VIRIDIS = [[68, 1, 84], [70, 50, 127], [54, 92, 141], [39, 127, 142], [31, 161, 135], [74, 194, 109], [159, 218, 58], [253, 231, 37]];
 
@@ -33,11 +34,11 @@ export class Stage {
   private readonly ground: LineSegments;
   private readonly axes = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ vertexColors: true }));
   private readonly ties = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ transparent: true, opacity: 0.6 }));
-  private readonly scans = new Points(new BufferGeometry(), new PointsMaterial({ size: 3.5, sizeAttenuation: false, color: "#d6003a" }));
+  private readonly scans = new Points(new BufferGeometry(), new PointsMaterial({ size: 3, sizeAttenuation: false, color: "#d6003a" }));
   private readonly links = new Map<string, Group>();
   private readonly shapeLook = new MeshLambertMaterial({ color: "#ff9f3d" });
   private readonly labels = new Map<string, HTMLElement>();
-  private readonly pointLook = new PointsMaterial({ size: 2.2, sizeAttenuation: false, vertexColors: true });
+  private readonly pointLook = new PointsMaterial({ size: 1.7, sizeAttenuation: false, vertexColors: true });
   private readonly ofModel: { dispose(): void }[] = [];
   private readonly ofMarkers: { dispose(): void }[] = [];
   private markers: { at: Group; text: HTMLElement | null }[] = [];
@@ -82,6 +83,13 @@ export class Stage {
     const sun = new DirectionalLight("#ffffff", 1.6);
     sun.position.set(3, -4, 8);
     this.axes.frustumCulled = this.ties.frustumCulled = this.scans.frustumCulled = false; // they change, and are few
+    // The robot is what is looked for: it is drawn over the cloud, of which what stands before it would hide it. So once
+    // all else is drawn how deep that lies is forgotten.
+    const forget = new Mesh(new BoxGeometry(1, 1, 1), new MeshLambertMaterial({ colorWrite: false, depthWrite: false })), between = new Group();
+    forget.frustumCulled = false;
+    forget.onBeforeRender = (by) => by.clearDepth();
+    between.renderOrder = ABOVE;
+    this.scene.add(between.add(forget));
     this.scene.add(this.ground, this.axes, this.ties, this.scans, new HemisphereLight("#ffffff", "#667066", 1.6), sun);
     this.reset();
   }
@@ -156,6 +164,7 @@ export class Stage {
       const made = this.shaped(shape, meshes);
       if (!made) continue;
       const link = this.links.get(shape.link) ?? new Group();
+      link.renderOrder = OVER_ALL;
       link.add(made);
       if (!this.links.has(shape.link)) { this.links.set(shape.link, link); this.scene.add(link); }
     }
@@ -193,14 +202,29 @@ export class Stage {
     const bounded = size.map((value) => Math.min(Math.max(Math.abs(value), 1e-4), 1000)), [one = 0.1, two = 0.1, three = 0.1] = bounded;
     const geometry = kind === "box" ? new BoxGeometry(one, two, three) : kind === "sphere" ? new SphereGeometry(one, 20, 14)
       : kind === "cylinder" ? new CylinderGeometry(one, one, two, 24) : kind === "capsule" ? new CapsuleGeometry(one, two, 6, 18) : meshes.get(facts?.key ?? "");
+    if (kind === "outline") return this.outlined(bounded, xyz, rpy);
     if (!geometry) return null;
     const hasOwn = !!facts?.coloured && !rgba, look = rgba || facts ? lookOf(rgba ?? [0.78, 0.78, 0.76, 1], hasOwn) : this.shapeLook;
     if (look !== this.shapeLook) this.ofModel.push(look);
     if (!facts) this.ofModel.push(geometry);
     const mesh = new Mesh(geometry, look), mount = new Group();
+    mount.renderOrder = OVER_ALL; // a group's order is not that of those in it
     if (facts) mesh.scale.set(size[0] ?? 1, size[1] ?? 1, size[2] ?? 1);
     if (kind === "cylinder" || kind === "capsule") mesh.rotateX(Math.PI / 2); // theirs stand along y, a URDF's along z
     mount.add(mesh);
+    mount.position.set(xyz[0] ?? 0, xyz[1] ?? 0, xyz[2] ?? 0);
+    mount.rotation.set(rpy[0] ?? 0, rpy[1] ?? 0, rpy[2] ?? 0, "ZYX");
+    return mount;
+  }
+
+  /** The edges of a box, where a shape cannot be drawn: something is there. */
+  private outlined([x = 0, y = 0, z = 0]: number[], xyz: number[], rpy: number[]): Object3D {
+    const corner = (at: number): Vector3 => new Vector3((at & 1 ? x : -x) / 2, (at & 2 ? y : -y) / 2, (at & 4 ? z : -z) / 2);
+    const edges = [1, 2, 4].flatMap((way) => [0, 1, 2, 3, 4, 5, 6, 7].filter((at) => !(at & way)).flatMap((at) => [corner(at), corner(at | way)]));
+    const geometry = new BufferGeometry().setFromPoints(edges), look = new LineBasicMaterial({ color: "#ff9f3d" }), mount = new Group();
+    this.ofModel.push(geometry, look);
+    mount.renderOrder = OVER_ALL;
+    mount.add(new LineSegments(geometry, look));
     mount.position.set(xyz[0] ?? 0, xyz[1] ?? 0, xyz[2] ?? 0);
     mount.rotation.set(rpy[0] ?? 0, rpy[1] ?? 0, rpy[2] ?? 0, "ZYX");
     return mount;
@@ -328,7 +352,7 @@ export class Stage {
     recolour(this.ground, line);
     recolour(this.ties, soft);
     recolour(this.scans, isDark ? "#ff6f91" : "#d6003a");
-    this.pointLook.color = new Color(isDark ? "#ffffff" : "#a8a8a8"); // times their own: white is seen on a light ground, too
+    this.pointLook.color = new Color(isDark ? "#c4c4c4" : "#909090"); // times their own: white is seen on a light ground, too, and the cloud is behind the robot
     this.isDark = isDark;
     this.place(this.places, this.base, false);
     this.dirty();

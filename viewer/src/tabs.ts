@@ -2,6 +2,9 @@
 
 import { byId, make } from "./dom.ts";
 
+const FOLDED = ["map", "image", "values", "log"];
+const WAITING = "Waiting for the first answer."; // which all panels say at first
+
 /** Gives each of these panels the names of all in place of its title; returns what shows one of them. */
 export function share(panels: [id: string, title: string][], shown: () => void): (id: string) => void {
   const show = (id: string): void => {
@@ -34,8 +37,22 @@ export function share(panels: [id: string, title: string][], shown: () => void):
   return show;
 }
 
+/** Folds a panel that has no source to its title and the reason, so that the others have its space. One that a person
+ * can give a source stays as it is, and so does one that only waits. */
+export function foldable(ids: string[]): void {
+  for (const id of ids) {
+    const panel = byId(id), why = panel.querySelector<HTMLElement>(".why"), choice = panel.querySelector("select");
+    if (!why) continue;
+    const fold = (): void => { panel.classList.toggle("bare", !why.hidden && why.textContent !== WAITING && (!choice || choice.hidden)); };
+    const seen = new MutationObserver(fold);
+    seen.observe(why, { attributes: true, childList: true, subtree: true, characterData: true });
+    if (choice) seen.observe(choice, { attributes: true });
+  }
+}
+
 /** A button in each head that makes the panel as large as the page, and back; the others cost nothing meanwhile. */
 export function enlargeable(ids: string[]): void {
+  foldable(FOLDED);
   for (const id of ids) {
     const button = make("button", { type: "button", class: "enlarge", title: "As large as the page (Esc: back)", "aria-label": "As large as the page", "aria-pressed": "false" }, "⤢");
     button.addEventListener("click", () => enlarge(byId(id).classList.contains("large") ? "" : id));

@@ -20,7 +20,7 @@ declare module "three" {
   export class Matrix4 { compose(at: Vector3, turn: Quaternion, size: Vector3): this }
   export class Color { constructor(colour?: string); setRGB(r: number, g: number, b: number, space: string): this; setHSL(h: number, s: number, l: number): this }
   export class Object3D {
-    position: Vector3; quaternion: Quaternion; rotation: Euler; up: Vector3; scale: Vector3; visible: boolean; matrixWorld: Matrix4; children: Object3D[];
+    position: Vector3; quaternion: Quaternion; rotation: Euler; up: Vector3; scale: Vector3; visible: boolean; matrixWorld: Matrix4; children: Object3D[]; renderOrder: number; onBeforeRender: (renderer: WebGLRenderer) => void; frustumCulled: boolean;
     add(...others: Object3D[]): this;
     remove(...others: Object3D[]): this;
     clear(): this;
@@ -47,13 +47,13 @@ declare module "three" {
   export class SphereGeometry extends BufferGeometry { constructor(radius: number, across: number, up: number) }
   export class CylinderGeometry extends BufferGeometry { constructor(top: number, bottom: number, height: number, around: number) }
   export class CapsuleGeometry extends BufferGeometry { constructor(radius: number, length: number, caps: number, around: number) }
-  type Look = { color?: string; size?: number; sizeAttenuation?: boolean; vertexColors?: boolean; transparent?: boolean; opacity?: number; depthTest?: boolean; flatShading?: boolean; side?: number };
+  type Look = { color?: string; size?: number; sizeAttenuation?: boolean; vertexColors?: boolean; transparent?: boolean; opacity?: number; depthTest?: boolean; depthWrite?: boolean; colorWrite?: boolean; flatShading?: boolean; side?: number };
   export class Material { color: Color; opacity: number; needsUpdate: boolean; dispose(): void; constructor(look?: Look) }
   export class PointsMaterial extends Material { size: number }
   export class LineBasicMaterial extends Material { }
   export class MeshLambertMaterial extends Material { }
-  export class Points extends Object3D { constructor(geometry: BufferGeometry, material: Material); frustumCulled: boolean }
-  export class LineSegments extends Object3D { constructor(geometry: BufferGeometry, material: Material); frustumCulled: boolean }
+  export class Points extends Object3D { constructor(geometry: BufferGeometry, material: Material) }
+  export class LineSegments extends Object3D { constructor(geometry: BufferGeometry, material: Material) }
   export class Mesh extends Object3D { constructor(geometry: BufferGeometry, material: Material) }
   export class InstancedMesh extends Mesh {
     constructor(geometry: BufferGeometry, material: Material, count: number);
@@ -67,6 +67,7 @@ declare module "three" {
     constructor(options: { canvas: HTMLCanvasElement; antialias?: boolean; alpha?: boolean });
     setPixelRatio(ratio: number): void;
     setSize(width: number, height: number, style?: boolean): void;
+    clearDepth(): void;
     setClearColor(colour: string, alpha: number): void;
     render(scene: Scene, camera: PerspectiveCamera): void;
   }

@@ -69,6 +69,8 @@ def test_the_page_shows_the_arm_its_links_and_its_joints(agent, ros_environment:
         page.until(f"{text('#values .tree')}.includes({PAN!r})")
         page.until(f"{text('#map .age')} === 'world · fixed'")
         assert page.run(text("#state")) == "live"
+        joints = "[...document.querySelectorAll('#values .joints tbody tr')].map(row => row.cells[0].textContent)"
+        assert page.run(joints)[:3] == ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"]
         pictured_in_all_sizes(page, "arm")
         page.run("document.querySelector('[aria-controls=space]').click()")
         page.until("/[1-9][0-9]* shapes of the robot/.test(document.querySelector('#space canvas').ariaLabel)")

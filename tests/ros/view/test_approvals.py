@@ -77,6 +77,13 @@ def test_what_waits_for_a_person_is_shown_until_it_is_answered_and_then_how(
         assert answered(page, state, denied, "deny") == "denied"
         assert "denied" in agent.refusal("ros2_topic_publish", topic_name=TOPIC, data={"linear": {"x": 0.3}})
         approved = asked(agent, page, 0.1)
+        assert page.run(text("#agent .answer code")) == "ros2-mcp operate"
+        assert page.run("document.querySelector('#image.bare').clientHeight < 60")  # no camera: a line
+        for width in (1440, 820, 390):  # and what waits is seen, in every width
+            page.look(width=width)
+            page.until("document.querySelector('#agent .waits').getBoundingClientRect().bottom < innerHeight")
+            assert page.run("document.documentElement.scrollWidth <= innerWidth")
+        page.look()
         pictured(page, "waits", of="#agent")
         pictured_in_all_sizes(page, "waits")
         assert answered(page, state, approved, "approve") == "approved"
@@ -86,6 +93,7 @@ def test_what_waits_for_a_person_is_shown_until_it_is_answered_and_then_how(
         granted = asked(agent, page, 0.2)
         assert answered(page, state, granted, "grant", "60") == "granted"
         page.until(f"{text('#agent .foot')}.includes('Granted: publish {TOPIC}')")
+        assert re.search(r"Granted: .*, \d+ s left", page.run(text("#agent .foot")))
         agent.call("ros2_topic_publish", topic_name=TOPIC, data={"linear": {"x": 0.25}})
         named = f"row.querySelector('code')?.textContent === '{TOPIC}'"
         page.until(f"{ROWS}.filter(row => {named} && row.querySelector('.end').textContent === 'done').length === 2")

@@ -58,6 +58,8 @@ def test_the_page_shows_what_the_robot_sees_and_where_it_is(page: Page) -> None:
     page.until("document.querySelector('#image canvas').ariaLabel")
     page.until("/Robot at -?[0-9.]+, -?[0-9.]+ metres in map/.test(document.querySelector('#map canvas').ariaLabel)")
     page.until(f"{text('#values .tree')}.includes('base_link')")
+    told = page.run(text("#values .tree"))
+    assert told.index("position") < told.index("linear") < told.index("angular") < told.index("header")
     assert page.run(text("#state")) == "live"
     assert "#" not in page.run("location.href")  # the token is out of the address
     for name, width, height, dark in (
@@ -116,9 +118,13 @@ def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Age
     said = page.until(f"/1 of 1 server/.test({text('#said')}) && {text('#said')}")
     assert "the latch is set" in said
     page.until(f"{text('#moves')}.startsWith('LATCHED by operator')")
+    rows = "[...document.querySelectorAll('#agent .rows:last-of-type li')].map(row => row.textContent)"
+    page.until(f"{rows}.some(row => /stop .*by operator.*latched$/.test(row))")
+    assert page.run(f"{rows}.filter(row => /by operator/.test(row)).length") == 1  # one press, one row
     pictured_in_all_sizes(page, "stopped")
     assert call.exception(10.0) is not None or call.result()["status"]
     assert agent.call("ros2_record_stop", recording_id=recording)["messages"] > 0  # it moves nothing, and goes on
+    page.until(f"{rows}.some(row => row.includes('recording ended {recording}'))")
     assert "latch" in agent.refusal(
         "ros2_topic_publish", topic_name="/cmd_vel", message_type="geometry_msgs/msg/Twist", data=TWIST
     )
@@ -141,10 +147,13 @@ def test_a_box_that_is_drawn_in_a_depth_picture_is_told_with_the_depth_there(pag
     across, down = box["of_pixels"]
     assert 0 < x1 < across / 2 < x2 < across and down / 2 < y1 < y2 < down
     assert f"{x2 - x1 + 1} × {y2 - y1 + 1} pixels of /camera/depth/image_raw" in told
-    assert 0.1 < box["depth_m"] < 10.0 and f"depth there {box['depth_m']:.2f} m" in told
+    there = re.search(r"depth there (\d+\.\d\d) m", told)
+    assert there and 0.1 < box["depth_m"] < 10.0
+    assert abs(float(there[1]) - box["depth_m"]) < 0.0051  # each is rounded by itself
     assert box["frame"] and box["age_s"] < 30.0
     page.run(choose("image", "/camera/image_raw"))
     page.until("!document.querySelector('#image canvas').ariaLabel.includes('Depth (')")
+    assert not page.run("document.querySelector('.picked .where').hidden")  # it is on the other picture
     assert page.complaints == []
 
 

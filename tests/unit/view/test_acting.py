@@ -28,7 +28,7 @@ from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.memory.record import CALLS
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.view.acting import Acting, AgentPanel
-from ros2_mcp.ops.view.acts import acts_in
+from ros2_mcp.ops.view.acts import acts_in, presses_as_one
 from ros2_mcp.ops.view.look import Content, Look
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
@@ -104,6 +104,40 @@ def test_that_the_latch_was_found_set_is_told_once_until_it_is_reset() -> None:
     lines = [{"kind": "latched", **cause}, {"kind": "latched", **cause}, {"kind": "reset", "by": "operator"}]
     told = [act["kind"] for act in acts_in([*lines, *lines, {"kind": "latched", "by": "watchdog"}])]
     assert told == ["latched", "reset", "latched", "reset", "latched"]
+
+
+def test_one_press_of_the_button_is_one_act_also_of_two_servers() -> None:
+    def line(kind: str, second: float, by: str = "operator") -> dict[str, Any]:
+        return {"kind": kind, "by": by, "time": iso_time(START_NS + round(second * SECOND_NS))}
+
+    press = [line("latched", 0.1), line("stop", 0.2), line("stop", 0.3), line("stopped", 2.0), line("stopped", 2.4)]
+    lines = [*press, line("reset", 5), line("latched", 7, "watchdog"), line("stop", 60), line("stop", 60.2, "agent")]
+    told = [(act["kind"], act["by"], act.get("outcome")) for act in presses_as_one([*acts_in(lines)])]
+    assert told == [
+        ("stop", "operator", "stopped, latched"),
+        ("reset", "operator", None),
+        ("latched", "watchdog", None),
+        ("stop", "operator", None),
+        ("stop", "agent", None),
+    ]
+    (doubted,) = presses_as_one([*acts_in([*press, {**line("stopped", 2.5), "confirmed": False}])])
+    assert doubted["outcome"] == "not confirmed, latched"
+    assert len(presses_as_one([*acts_in([{**one, "time": "x"} for one in press])])) == len(press)  # of a recording
+
+
+async def test_a_job_that_has_ended_is_told_as_an_act(tmp_path: Path) -> None:
+    robot, source = await recorded(room_bag(tmp_path / "room"))
+    folder = StateFolder(tmp_path / "state")
+    now_s = time.time()
+    panel = AgentPanel(Acting(folder), now_s=lambda: now_s)
+    async with server(folder, StopAnswer("Stopped.", is_doubted=False)):
+        shown = await panel.show(Look(robot, source))
+    assert shown and shown["acts"] == []
+    now_s += 3.0
+    shown = await panel.show(Look(robot, source))
+    assert shown
+    told = [(act["kind"], act["verb"], act["name"], act["reason"]) for act in shown["acts"]]
+    assert told == [("ended", "recording", "recording_1", "2 topic(s) into run")]
 
 
 async def test_what_runs_and_is_no_command_is_told(tmp_path: Path) -> None:

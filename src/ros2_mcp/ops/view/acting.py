@@ -17,7 +17,7 @@ from ros2_mcp.guard.state import StateFolder
 from ros2_mcp.model.errors import NotFound, RobotError
 from ros2_mcp.model.times import iso_time
 from ros2_mcp.ops.sources.source import Source
-from ros2_mcp.ops.view.acts import acts_in, told_as_lapsed
+from ros2_mcp.ops.view.acts import acts_in, presses_as_one, told_as_lapsed
 from ros2_mcp.ops.view.look import Content, Look, Panel
 from ros2_mcp.ops.view.recorded_acts import RecordedActs
 from ros2_mcp.robot import Robot
@@ -35,6 +35,8 @@ _TAIL_BYTES = 96_000
 """Of the audit: some hundred lines."""
 _MOST_ACTS = 60
 _SETTLED_S = 2.0
+_MOST_ENDED = 20
+"""Jobs that have ended while the page was open: the audit has no line of their ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +111,7 @@ class Acting:
                     "moves": answer.get("moves", ()),
                     "jobs": answer.get("jobs", ()),
                     "waiting": [_waiting(one) for one in answer["waiting"]],
-                    "grants": [one["what"] for one in answer["grants"]],
+                    "grants": [{"what": one["what"], "left_s": round(one["left_s"])} for one in answer["grants"]],
                     "audit_failed": answer["audit"]["failed"],
                 }
             )
@@ -127,7 +129,7 @@ class Acting:
         files = files_of(folder)[-1:] if folder.is_dir() else []
         seen = tuple((path.name, path.stat().st_size) for path in files)
         if seen != self._audit[0]:
-            self._audit = seen, list(acts_in(tail(folder, _TAIL_BYTES)))[-_MOST_ACTS:]
+            self._audit = seen, presses_as_one([*acts_in(tail(folder, _TAIL_BYTES))])[-_MOST_ACTS:]
         return self._audit[1]
 
     async def stop(self, robot: Robot) -> StoppedAll:
@@ -225,6 +227,8 @@ class AgentPanel(Panel):
         self._waited: dict[str, float] = {}
         """When each request was last among what waits."""
         self._why = ""
+        self._jobs: dict[str, Mapping[str, Any]] = {}
+        self._ended: list[Mapping[str, Any]] = []
 
     async def show(self, look: Look) -> Content | None:
         """The state of all servers that act now, and the newest acts; of a recording, those before what is shown."""
@@ -233,6 +237,7 @@ class AgentPanel(Panel):
             self._servers = await _or_none(self._acting.servers, self._fail)
             waiting = {one["id"] for server in self._servers for one in server.get("waiting", ())}
             self._waited |= dict.fromkeys(waiting, self._asked_at)
+            self._note_ended()
         content = {
             "servers": self._servers,
             "latch": self._acting.latch(),
@@ -241,11 +246,23 @@ class AgentPanel(Panel):
         }
         if self._recorded is None:
             acts = await asyncio.to_thread(self._acting.acts)
-            return {**content, "acts": told_as_lapsed(acts, self._waits_no_longer)}
+            told = sorted([*told_as_lapsed(acts, self._waits_no_longer), *self._ended], key=lambda act: act["time"])
+            return {**content, "acts": told[-_MOST_ACTS:]}
         entries, origin = await self._recorded.until(look.now_ns, self._acting.at.path / AUDIT)
         valid_since = iso_time(look.now_ns - round(PENDING_S * 1e9))
-        acts = told_as_lapsed([*acts_in(entries)], lambda act: act["time"] < valid_since)
+        acts = told_as_lapsed(presses_as_one([*acts_in(entries)]), lambda act: act["time"] < valid_since)
         return {**content, "acts": acts[-_MOST_ACTS:], "origin": origin}
+
+    def _note_ended(self) -> None:
+        """Keeps which jobs run no more. Of a server that hangs it is not known."""
+        if self._why:
+            return
+        running = {job["id"]: job for server in self._servers for job in server.get("jobs", ())}
+        if all(server["answers"] for server in self._servers):
+            gone = [job for job_id, job in self._jobs.items() if job_id not in running]
+            self._ended = [*self._ended, *(_ended(job, self._asked_at) for job in gone)][-_MOST_ENDED:]
+            self._jobs = {}
+        self._jobs |= running
 
     def _waits_no_longer(self, act: Mapping[str, Any]) -> bool:
         """Of a call that nobody has answered: it was asked too long ago, a stop ended it, or its server has ended.
@@ -269,6 +286,12 @@ async def _or_none(
     except RobotError as error:
         failed(error)
         return []
+
+
+def _ended(job: Row, now_s: float) -> Row:
+    """The end of a job as an act, when it was seen."""
+    fields = {"name": job["id"], "verb": job["kind"], "reason": job.get("doing", ""), "duration_s": job.get("for_s")}
+    return {"time": iso_time(round(now_s * 1e9)), "kind": "ended", "who": "", "seq": None, "value": None, **fields}
 
 
 def _waiting(request: Row) -> Row:

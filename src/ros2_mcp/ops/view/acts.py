@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
 from ros2_mcp.model.times import iso_time
@@ -17,7 +18,11 @@ _KINDS = (
 )
 """Lines that are shown; outcomes stand with their acts."""
 _TEXTS = ("tool", "verb", "name", "type", "by", "reason", "rule", "program", "outcome", "now", "approval")
-_NUMBERS = ("rate_hz", "duration_s")
+_NUMBERS = ("rate_hz", "duration_s", "for_s")
+_OF_A_STOP = ("stop", "latched", "stopped")
+"""What one press of the button writes, each server its own."""
+_PRESS_S = 20.0
+"""From the first of these lines to the last: a server that hangs is waited for."""
 
 Line = Mapping[str, Any]
 
@@ -53,6 +58,41 @@ def acts_in(lines: Sequence[Line]) -> Iterator[Mapping[str, Any]]:
         yield act
 
 
+def presses_as_one(acts: Sequence[Line]) -> list[Line]:
+    """The same acts; what one stop has written (that it was asked for, that the latch is set, that all stands) is one.
+
+    Its outcome says how far it has come. A latch that nobody's stop has set, and what comes after a reset, stand alone.
+    """
+    found: list[Line] = []
+    begun: dict[object, tuple[int, float, set[str]]] = {}
+    for act in acts:
+        kind, by, at_s = act["kind"], act.get("by"), _seconds(act["time"])
+        if kind == "reset":
+            begun.clear()
+        if kind not in _OF_A_STOP or at_s is None:
+            found.append(act)
+            continue
+        index, began_s, kinds = begun.get(by, (0, -_PRESS_S, set[str]()))
+        if abs(at_s - began_s) >= _PRESS_S:
+            index, began_s, kinds = len(found), at_s, set[str]()
+            found.append(act)
+        kinds |= {kind, act.get("outcome") or kind}
+        begun[by] = index, began_s, kinds
+        if len(kinds) > 1 or kind == "stopped":
+            ends = [word for word in ("not confirmed", "stopped", "latched") if word in kinds]
+            ends = ends[:1] + ends[2:] if ends[:2] == ["not confirmed", "stopped"] else ends
+            known = {name: value for name, value in {**act, **found[index]}.items() if value not in (None, "")}
+            found[index] = {**known, "kind": "stop", "outcome": ", ".join(ends)}
+    return found
+
+
+def _seconds(time: str) -> float | None:
+    try:
+        return datetime.fromisoformat(time.replace("Z", "+00:00")).timestamp()
+    except (ValueError, OverflowError):  # of a recording, which is anybody's
+        return None
+
+
 def told_as_lapsed(acts: Sequence[Line], waits_no_longer: Callable[[Line], bool]) -> list[Line]:
     """The same acts; a call that nobody has answered, and that waits no longer, with that as its outcome."""
     return [
@@ -69,6 +109,8 @@ def _told(line: Line) -> dict[str, Any]:
     fields |= {name: line[name] for name in _NUMBERS if type(line.get(name)) in (int, float)}
     if kind in (*_ANSWERS, "revoked"):  # of which request or grant it is
         fields |= {"name": fields.pop("approval", "")}
+    if kind == "stopped" and line.get("confirmed") is False:
+        fields |= {"outcome": "not confirmed"}
     if line.get("what"):
         fields |= {"reason": str(line["what"])[:_MOST_TEXT]}
     return {

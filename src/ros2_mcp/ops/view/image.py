@@ -40,7 +40,7 @@ class ImagePanel(Panel):
         topics = await look.source.publishing(IMAGE, COMPRESSED_IMAGE)
         topic = look.chosen or _preferred(topics)
         if not topic:
-            raise NotFound("Nobody publishes pictures." if look.source.is_live else "The recording has no pictures.")
+            raise NotFound("No camera topic." if look.source.is_live else "The recording has no pictures.")
         source = look.source
         if source.is_live:
             found = await self._shown.newer(look.robot, topic)

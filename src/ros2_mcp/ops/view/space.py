@@ -31,6 +31,8 @@ from ros2_mcp.robot import Robot
 _CLOUD, _SCAN, _TEXT = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan", "std_msgs/msg/String"
 _MOST_FRAMES = 150
 _MOST_SCANS = 2
+_OUTLINE, _OUTLINE_M = "outline", 0.15
+"""What is drawn of a link whose mesh cannot be read, and that has no simpler shape. How large it is nobody knows."""
 _MOST_SHAPES = 500
 _MOST_REASONS = 3
 _DIGITS = 4
@@ -149,11 +151,14 @@ class SpacePanel(Panel):
             await self._read()
         shapes = _shapes_of(urdf, self._meshes)
         missing += _without(urdf, self._meshes) if self._is_read else ["The robot's meshes are being read."]
+        if hidden := sum(1 for shape in shapes if shape["kind"] == _OUTLINE):
+            links = "1 link" if hidden == 1 else f"{hidden} links"
+            missing.append(f"The robot's shape is missing of {links}: an outline stands where each is.")
         of = hashlib.sha256(json.dumps(shapes).encode()).hexdigest()[:32]
         if self._model[0] != of or self._chunks.find(of) is None:
             self._chunks.keep(of, await asyncio.to_thread(_compressed, shapes), "model")
             meshes = sum(1 for shape in shapes if shape["mesh"])
-            self._model = of, {"key": of, "shapes": len(shapes), "meshes": meshes}
+            self._model = of, {"key": of, "shapes": len(shapes) - hidden, "meshes": meshes}
         return self._model[1]
 
     async def _read(self) -> None:
@@ -258,6 +263,8 @@ def _shapes_of(urdf: Urdf, meshes: Mapping[str, Mapping[str, Any] | str]) -> Seq
         if len(drawn) < len(looks) or not looks:
             drawn += [one for one in link.collisions if one.kind != "mesh" and one not in drawn]
         shapes += [_shape(link.name, one, meshes.get(one.mesh)) for one in drawn]
+        if not drawn and any(isinstance(meshes.get(one.mesh), str) for one in looks):
+            shapes.append({**_shape(link.name, looks[0], None), "kind": _OUTLINE, "size": [_OUTLINE_M] * 3})
     return shapes[:_MOST_SHAPES]
 
 

@@ -18,6 +18,8 @@ _FIRST = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState", "sensor_msgs/ms
 """What is shown where nothing is chosen: what moves, or else what there is."""
 _MOST_ARRAY, _MOST_STRING, _MOST_BYTES = 12, 400, 12_000
 """Of one message: as much as a person looks at while it changes."""
+_MOST_JOINTS = 64
+"""Of what has a row for each joint: a humanoid with both hands."""
 _MOST_LINES, _MOST_LINE_BYTES = 120, 40_000
 _MOST_TOPICS = 1000
 _BEFORE_NS = 60_000_000_000
@@ -54,7 +56,8 @@ class ValuesPanel(Panel):
             kind = await look.source.type_of(topic)
             sample = (await next_message(look.source, topic, kind, silent)).sample
             await look.robot.values.learn(kind)
-        options = RenderOptions(max_array=_MOST_ARRAY, max_string=_MOST_STRING, max_bytes=_MOST_BYTES)
+        most = _MOST_JOINTS if kind == "sensor_msgs/msg/JointState" else _MOST_ARRAY
+        options = RenderOptions(max_array=most, max_string=_MOST_STRING, max_bytes=_MOST_BYTES)
         rendered = await look.robot.values.render(kind, sample.data, options)
         return {
             "topic": topic,
