@@ -89,7 +89,6 @@ export class Frame {
   private readonly age = make("span", { class: "age" });
   private readonly why = make("div", { class: "why" }, make("span"));
   private options = "";
-  private lines = "";
   constructor(readonly section: HTMLElement, title: string, full: boolean, chosen?: (topic: string) => void) {
     this.body = make("div", { class: full ? "body full" : "body", ...(full ? {} : { tabindex: "0" }) });
     section.append(
@@ -118,12 +117,6 @@ export class Frame {
     this.age.classList.toggle("bad", bad);
     this.section.classList.toggle("stale", stale);
   }
-  /** Lines below the body; anew only where they are other ones, so that what is marked there stays marked. */
-  tellLines(lines: string[]): void {
-    if (lines.join("\n") === this.lines) return;
-    this.lines = lines.join("\n");
-    this.tellFoot(lines.map((line) => make("div", {}, line)));
-  }
   tellFoot(parts: (Node | string)[]): void {
     this.foot.hidden = parts.length === 0;
     this.foot.replaceChildren(...parts);
@@ -138,15 +131,17 @@ export class Notes {
   private told = "";
   private isOpen = false;
   constructor(private readonly frame: Frame, private readonly what: string) { }
-  tell(lines: string[]): void {
-    if (lines.join("\n") === this.told) return;
-    this.told = lines.join("\n");
-    const rows = lines.map((line) => make("div", {}, line));
-    if (rows.length < 2) return this.frame.tellFoot(rows);
+  /** `first` is always seen. */
+  tell(lines: string[], first = ""): void {
+    const told = [first, ...lines].join("\n");
+    if (told === this.told) return;
+    this.told = told;
+    const rows = lines.map((line) => make("div", {}, line)), above = first ? [make("div", {}, first)] : [];
+    if (rows.length < 2) return this.frame.tellFoot([...above, ...rows]);
     const hadFocus = this.frame.foot.contains(document.activeElement), head = make("summary", {}, `${lines.length} ${this.what}`), all = make("details", {}, head, ...rows);
     all.open = this.isOpen;
     all.addEventListener("toggle", () => { this.isOpen = all.open; });
-    this.frame.tellFoot([all]);
+    this.frame.tellFoot([...above, all]);
     if (hadFocus) head.focus();
   }
 }

@@ -21,6 +21,7 @@ const WAIT_MS = 1000;
 const STILL_MS = 150; // of a recording nothing is new but what is sought, which does not wait for it
 const AGAIN_MS = 700;
 const SILENT_S = 3; // as a panel looks old
+const MAP_MS = 1500; // until a map that is shown again has been answered for
 const LEAST_MS = 30; // between two questions: thirty a second are more than anybody sees
 
 // ── theme ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -118,10 +119,13 @@ function showTime(begin: number, end: number): void {
 
 // ── the header ──────────────────────────────────────────────────────────────────────────────────────────────────────
 
+let mapSeenAt = 0;
 function tell(): void {
   const state = byId("state"), moves = byId("moves");
   const why = lost || robot.why || [...failed.values()].join("; ");
-  const silent = robot.live !== false && map.silentS > SILENT_S ? `SILENT for ${map.silentS.toFixed(1)} s` : "";
+  mapSeenAt = isSeen("map") ? mapSeenAt || performance.now() : 0; // hidden it is not asked for, and tells of no silence
+  const hasMap = mapSeenAt > 0 && performance.now() - mapSeenAt > MAP_MS;
+  const silent = robot.live !== false && hasMap && map.silentS > SILENT_S ? `SILENT for ${map.silentS.toFixed(1)} s` : "";
   const is = robot.title === undefined ? "connecting" : robot.live === false ? `recording · ${robot.source ?? ""}` : silent || "live";
   say(state, why || is);
   state.classList.toggle("bad", !!(why || silent));
@@ -129,7 +133,7 @@ function tell(): void {
   const isLatched = !!latest.latch, waiting = servers.reduce((sum, server) => sum + (server.waiting?.length ?? 0), 0);
   const asked = waiting ? `${waiting} request${waiting === 1 ? " needs" : "s need"} you · ` : "";
   const does = isLatched ? `LATCHED by ${latest.latch?.by} at ${clock(latest.latch?.since_s ?? 0)}` : moved.length ? `agent drives ${moved.join(", ")}` : servers.length ? "agent moves nothing" : latest.servers ? "no agent acts here" : "";
-  const robotDoes = robot.live === false || !latest.servers ? "" : silent ? "its motion is not known" : map.inMotion;
+  const robotDoes = robot.live === false || !latest.servers ? "" : !hasMap ? "" : map.isOld ? "its motion is not known" : map.inMotion;
   say(moves, lost ? "" : (robot.live === false && does ? "the robot now: " : "") + asked + [does, robotDoes].filter(Boolean).join(" · "));
   moves.title = isLatched ? `${latest.latch?.reason}; an operator resets it: ros2-mcp operate reset` : "";
   const target = byId("target");

@@ -1,7 +1,7 @@
 // The map: what is around the robot, from above. Drag moves, the wheel or + and - zoom, 0 shows all; a click picks a
 // place, with Shift one more; Enter picks the middle.
 
-import { Frame, Sheet, ageText, bytesOf, colour } from "./dom.ts";
+import { Frame, Notes, Sheet, ageText, bytesOf, colour } from "./dom.ts";
 import type { Picks } from "./picks.ts";
 
 type Mark = { name: string; x: number; y: number; yaw: number | null };
@@ -32,6 +32,7 @@ export class MapPanel {
   chosen = "";
   private readonly frame: Frame;
   private readonly sheet: Sheet;
+  private readonly notes: Notes;
   private around: Around = {};
   private scans: Float32Array[] = [];
   private cells = new Map<string, Uint8Array>();
@@ -43,6 +44,8 @@ export class MapPanel {
   private judged = LOCALISED;
   /** For how long nothing has been heard of where the robot is, in s. */
   silentS = 0;
+  /** Whether what is shown is older than it should be. */
+  isOld = false;
   private centre: [number, number] = [0, 0];
   private scale = 0; // pixels for each metre; 0: fit
   private fitted = true;
@@ -54,6 +57,7 @@ export class MapPanel {
 
   constructor(private readonly section: HTMLElement, private readonly askPart: (key: string) => Promise<Uint8Array<ArrayBuffer>>, private readonly picks: Picks) {
     this.frame = new Frame(section, "Map", true, (topic) => { this.chosen = topic; this.fitted = true; });
+    this.notes = new Notes(this.frame, "things are not shown, or not whole");
     this.sheet = new Sheet(this.frame.body, () => this.draw());
     const canvas = this.sheet.canvas;
     canvas.classList.add("shown");
@@ -98,7 +102,7 @@ export class MapPanel {
     if (this.trail.length > MOST_TRAIL) this.trail = this.trail.filter((_, index) => index % 2 === 0);
     this.frame.offer(around.grids ?? [], this.chosen || around.grid?.name || "");
     this.frame.tell(around.why ?? "");
-    this.frame.tellLines([...(this.note ? [this.note] : []), ...(around.missing ?? [])]);
+    this.notes.tell(around.missing ?? [], this.note);
     if (around.grid) void this.fetchCells(around.grid.key);
     this.sheet.canvas.setAttribute("aria-label", this.inWords());
     this.draw();
@@ -127,7 +131,7 @@ export class MapPanel {
     const age = at === null ? NaN : nowS - at;
     const turns = this.poses.slice(1).map((one, index) => one.at - (this.poses[index]?.at ?? one.at));
     const stale = lost || age > Math.min(STALE_S, Math.max(SOON_S, TURNS * Math.max(0, ...turns)));
-    this.silentS = at === null ? 0 : age;
+    [this.silentS, this.isOld] = at === null ? [0, false] : [age, stale];
     const told = !this.around.robot ? "pose unknown" : at === null ? "fixed" : `pose ${ageText(age)}`;
     this.frame.tellAge(this.around.frame ? `${this.around.frame} · ${this.height("", " up · ")}${told}` : "", stale);
   }

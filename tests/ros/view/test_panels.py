@@ -169,6 +169,8 @@ def test_the_robots_meshes_and_all_kinds_of_markers_are_drawn_and_what_is_not_sa
         assert "3 more" in missing or ("no number" in missing and "the type 99" in missing)
         assert page.run("document.querySelector('#space .names .written').textContent") == "<b>a pallet</b>"
         pictured(page, "space", "markers")
+        # The map is hidden, and so not asked for: its silence is not the robot's.
+        assert page.run("document.getElementById('state').textContent") == "live"
     assert page.complaints == []
 
 
