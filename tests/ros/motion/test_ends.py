@@ -92,6 +92,14 @@ def zero_after(robot: CommandedProcess, since: float) -> float:
     return state["zero_at"] - since
 
 
+@pytest.fixture
+def robot(ros_environment: dict[str, str]) -> Iterator[CommandedProcess]:
+    """A process for each test: of one that has had a hundred bases, a new server no longer hears of the next."""
+    process = CommandedProcess("driven_robot", ros_environment)
+    yield process
+    process.kill()
+
+
 def happen(what: str, server: Driver) -> None:
     bridge = children(server.process.pid)[0]
     if what == "asleep":
