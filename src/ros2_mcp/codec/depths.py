@@ -98,9 +98,10 @@ def depth_within(message: Any, box: Sequence[int]) -> tuple[float | None, str]:
     valid = part[np.isfinite(part)]
     if not len(valid):
         return None, "no valid depth there"
-    low, median, high = (float(value) for value in np.percentile(valid, (2, 50, 98)))
+    # To a millimetre, once: the words and the number are of the same value.
+    low, median, high = (round(float(value), 3) for value in np.percentile(valid, (2, 50, 98)))
     told = f"depth there {median:.2f} m (from {low:.2f} to {high:.2f} m, {len(valid) / part.size:.0%} of it valid)"
-    return round(median, 3), told
+    return median, told
 
 
 def intrinsics_of(info: Any) -> tuple[float, float, float, float]:
