@@ -34,7 +34,10 @@ HIDDEN = {"hidden": True}
 """Metadata of a result's field that is not part of its JSON, such as a picture."""
 
 ON_REQUEST = {"on_request": True}
-"""Metadata of a result's field that is part of its JSON only where it was asked for; else it is None."""
+"""Metadata of a result's field that is part of its JSON only where it was asked for, or has something; else None."""
+
+SAID = {"said": True}
+"""Metadata of a result's field that its summary tells: the text, which begins with that, does not tell it again."""
 
 
 def four_digits(measured: float | None) -> float | None:
@@ -188,7 +191,8 @@ def in_brief(result: Any, value: Any, said: str) -> tuple[Any, bool]:
             return short
         if not is_dataclass(one):
             return value
-        names = [name for name, _ in _shown_fields(type(one)) if name in value]
+        said_above = () if is_row else _said_fields(type(one))
+        names = [name for name, _ in _shown_fields(type(one)) if name in value and name not in said_above]
         parts = {name: shown(getattr(one, name), value[name]) for name in names}
         if not hasattr(one, "summary"):  # a row: what is empty there may be a value
             return parts
@@ -202,6 +206,12 @@ def _is_needless(part: Any, said: str) -> bool:
     if not isinstance(part, (str, list)) or not part:
         return isinstance(part, (str, list))
     return isinstance(part, str) and " " in part and part.endswith(".") and part in said
+
+
+@cache
+def _said_fields(kind: type[Any]) -> frozenset[str]:
+    """The names of those that the summary tells."""
+    return frozenset(field.name for field in fields(kind) if "said" in field.metadata)
 
 
 @cache

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -279,7 +279,7 @@ def _report(
     )
 
 
-def _presence(expected: Sequence[str], present: Sequence[str] | None) -> dict[str, Presence]:
+def _presence(expected: Sequence[str], present: Collection[str] | None) -> dict[str, Presence]:
     """Which of the expected names are there, as far as that is known."""
     if present is None:
         return dict.fromkeys(expected, "UNKNOWN")
@@ -414,7 +414,7 @@ def _missing(graph: GraphSnapshot, expected: Expectations) -> Iterator[Finding]:
     for kind, expected_names, present in kinds:
         for name in expected_names if present is not None else ():
             if name not in (present or ()):
-                hint = names.did_you_mean(name, present or (), "Start it, or correct the name.")
+                hint = names.did_you_mean(name, list(present or ()), "Start it, or correct the name.")
                 cause = name if kind == "node" else ""
                 yield Finding("critical", name, f"The expected {kind} is not there.", hint, cause)
 

@@ -367,7 +367,7 @@ class Live(Source):
         return GraphSnapshot(
             by_name,
             others,
-            sorted(row.name for row in services),
+            {row.name: row.types for row in sorted(services)},
             topics.settled and nodes.settled,
             absence=await graph.absence(),
             left=graph.seen.left(others, by_name),

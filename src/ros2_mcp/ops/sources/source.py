@@ -172,14 +172,15 @@ class Stream:
 
 @dataclass(frozen=True, slots=True)
 class GraphSnapshot:
-    """What a source knows of the graph. `nodes` has a name as often as nodes share it; None is not known.
+    """What a source knows of the graph. `nodes` has a name as often as nodes share it, `services` the types of each;
+    None is not known.
 
     `absence` says in words that no robot is there; `left` is what was seen of it earlier in this session.
     """
 
     topics: Mapping[str, TopicEndpoints]
     nodes: Sequence[str] | None = None
-    services: Sequence[str] | None = None
+    services: Mapping[str, Sequence[str]] | None = None
     settled: bool = True
     absence: str = ""
     left: Left = field(default_factory=Left)

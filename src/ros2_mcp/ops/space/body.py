@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from ros2_mcp.codec.footprint import outline, reach, unmeasured
 from ros2_mcp.codec.robot_kind import arms_of, legs_of, rotors_of
@@ -13,7 +14,6 @@ from ros2_mcp.model.poses import Pose, from_roll_pitch_yaw, rotated
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.space.frames import WORLDS
 
-NO_MOUNT = " (mount unknown)"
 _STEEP_DEG = 75.0
 """A camera that looks up or down more steeply has no direction seen from above."""
 _TILTED_DEG = 2.0
@@ -22,11 +22,24 @@ _LEAST_ROUND, _ROUND = 8, 0.95
 """Of an outline: from so many corners on, with radii that differ by 5 % at most, it is a circle."""
 
 
+@dataclass(frozen=True, slots=True)
+class MountInWords:
+    """Where a frame is in that of the base: `at` x y z in m and how it is turned, empty if it is the base's own or not
+    known, and what is to be said of that.
+    """
+
+    at: str = ""
+    note: str = ""
+
+
+NO_MOUNT = MountInWords(note=" (mount unknown)")
+
+
 def footprint_in_words(
     urdf: Urdf | None, tree: FrameTree, base: str, published: Sequence[tuple[float, float, float]], frame: str
 ) -> str:
-    """From the description; where that has meshes alone for a part, the outline that Nav2 publishes in `frame`; else
-    that it is a least size, or not known.
+    """As it lies about the origin of the base: from the description; where that has meshes alone for a part, the
+    outline that Nav2 publishes in `frame`; else that it is a least size, or not known.
     """
     root = urdf.root if urdf and base not in urdf.links else base
     size = reach(outline(urdf, root)) if urdf else None
@@ -39,16 +52,14 @@ def footprint_in_words(
     least = f" without the mesh{'es' if len(meshes) > 1 else ''} of {_first(meshes)}" if meshes else ""
     stands = " with what it stands on" if urdf and _stands_on(urdf, root) else ""
     stands += _made_of(urdf) if urdf else ""
-    return (
-        f"{'at least ' if meshes else ''}{long_m:.2f} × {wide_m:.2f} m: front {size.front_m:.2f}, "
-        f"rear {size.rear_m:.2f}, left {size.left_m:.2f}, right {size.right_m:.2f} of {named(base)}{stands}{least}"
-    )
+    reaches = _reaches_in_words(size.front_m, size.rear_m, size.left_m, size.right_m)
+    return f"{'at least ' if meshes else ''}{long_m:.2f} × {wide_m:.2f} m{reaches}{stands}{least}"
 
 
 def _made_of(urdf: Urdf) -> str:
     """What the outline takes for the body where that is a choice."""
     if legs_of(urdf):
-        return " (body and straight legs, without arms)" if arms_of(urdf) else " (body and straight legs)"
+        return " (legs straight, without arms)" if arms_of(urdf) else " (legs straight)"
     return ", swept by the rotors" if rotors_of(urdf) else ""
 
 
@@ -73,34 +84,41 @@ def _of_costmap(tree: FrameTree, base: str, published: Sequence[tuple[float, flo
     if min(far) > _ROUND * max(far) and len(points) >= _LEAST_ROUND:
         return f"radius {max(far):.2f} m about {named(base)} (that of the costmap)"
     x, y = [at[0] for at in points], [at[1] for at in points]
-    return (
-        f"{max(x) - min(x):.2f} × {max(y) - min(y):.2f} m: front {max(x):.2f}, rear {-min(x):.2f}, left {max(y):.2f}, "
-        f"right {-min(y):.2f} of {named(base)} (that of the costmap)"
-    )
+    reaches = _reaches_in_words(max(x), -min(x), max(y), -min(y))
+    return f"{max(x) - min(x):.2f} × {max(y) - min(y):.2f} m{reaches} (that of the costmap)"
 
 
-def mounted(urdf: Urdf | None, tree: FrameTree, base: str, frame: str, positions: Mapping[str, float]) -> str:
+def _reaches_in_words(front_m: float, rear_m: float, left_m: float, right_m: float) -> str:
+    """How far it goes to each side of the base's origin, without saying the same twice."""
+    front, rear, left, right = (f"{round(side, 2) + 0.0:.2f}" for side in (front_m, rear_m, left_m, right_m))
+    if front == rear and left == right:
+        return ", centred"
+    sides = f"each side {left}" if left == right else f"left {left}, right {right}"
+    return f": front {front}, rear {rear}, {sides}"
+
+
+def mounted(urdf: Urdf | None, tree: FrameTree, base: str, frame: str, positions: Mapping[str, float]) -> MountInWords:
     """Where a sensor sits: from the transforms; else from the description and the joints' positions, and then it says
     so, for nobody has told it as a transform.
     """
     frame = frame.lstrip("/")
     if frame == base:
-        return ""
+        return MountInWords()
     movers = urdf.moved_by(frame, base) if urdf and base in urdf.links else ()
     moving = f" moving with {named(movers[0].name)}" if movers else ""
     if base and (found := tree.newest(base, frame)):
-        return f"{_at(found.pose, frame)}{moving}"
+        return MountInWords(_at(found.pose, frame), moving)
     if urdf is None or base not in urdf.links or (mount := urdf.mount(frame, base, positions)) is None:
         return NO_MOUNT
     unknown = next((joint.name for joint in movers if urdf.position(joint, positions) is None), None)
     if unknown is not None:
-        return f" (mount unknown: {named(unknown)} moves it)"
-    return f"{_at(Pose(mount.xyz, from_roll_pitch_yaw(*mount.rpy)), frame)}{moving} (by URDF, not TF)"
+        return MountInWords(note=f" (mount unknown: {named(unknown)} moves it)")
+    return MountInWords(_at(Pose(mount.xyz, from_roll_pitch_yaw(*mount.rpy)), frame), f"{moving} (by URDF, not TF)")
 
 
 def _at(pose: Pose, frame: str) -> str:
-    x, y, z = (round(part, 2) + 0.0 for part in pose.translation)
-    return f" at {x:.2f} {y:.2f} {z:.2f}{_looking(pose) if 'optical' in frame else _turned(pose)}"
+    x, y, z = (f"{round(part, 2) + 0.0:g}" for part in pose.translation)
+    return f"{x} {y} {z}{_looking(pose) if 'optical' in frame else _turned(pose)}"
 
 
 def _turned(pose: Pose) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from ros2_mcp.model.errors import RobotError, UnknownInterface
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
+from ros2_mcp.ops.space.style import Style
 from ros2_mcp.robot import Robot
 
 LIST_CONTROLLERS = "/list_controllers"
@@ -16,9 +18,17 @@ LIST_CONTROLLERS = "/list_controllers"
 _LIST = "controller_manager_msgs/srv/ListControllers"
 _ANSWER_S = 1.0
 """One that is alive answers within milliseconds, and the whole answer is to be there in two seconds."""
-_ACTION = "/follow_joint_trajectory"
 _TELLS = ("broadcaster", "status")
 """In the type of a controller that moves nothing: it only publishes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Controller:
+    """A controller by its full name; `type` is empty of those that only publish, `state` of those that are active."""
+
+    name: str
+    type: str = ""
+    state: str = ""
 
 
 async def listed_controllers(robot: Robot, graph: GraphSnapshot) -> Mapping[str, Sequence[Mapping[str, Any]]]:
@@ -44,48 +54,35 @@ async def listed_controllers(robot: Robot, graph: GraphSnapshot) -> Mapping[str,
     return found
 
 
-def controllers_in_words(
+def controllers_of(
     graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]], *, is_controlled: bool
-) -> list[str]:
-    """Those that move something first, each with its action; without a manager's answer what the graph tells."""
-    follow = {
-        one.topic.rpartition("/_action/")[0]
+) -> list[Controller]:
+    """Those that move something first; without a manager's answer what the graph tells."""
+    moved = {
+        one.topic.rpartition("/_action/")[0].rpartition("/")[0]
         for one in graph.topics.values()
         if any(kind.startswith("control_msgs/action/") for kind in one.types)
-    }
-    either = {name: _with_topic(graph, name) for name in follow}
+    } - {""}
     if not managed:
         own = {name for name in graph.nodes or () if is_controlled and name.endswith(("_controller", "_broadcaster"))}
-        alone = {name for name in own if not any(one.startswith(f"{name}/") for one in follow)}
-        return [either.get(name, named(name)) for name in sorted(follow | alone)]
-    lines: list[tuple[int, str]] = []
-    told = set[str]()
+        return [Controller(name) for name in sorted(moved | own)]
+    found: list[tuple[int, Controller]] = []
     for listed_by, controllers in managed.items():
         for one in controllers:
             node = f"{listed_by.rpartition('/')[0]}/{one['name']}"
-            action = next((name for name in sorted(follow) if name.startswith(f"{node}/")), "")
-            told.add(action)
             is_active, kind = one["state"] == "active", str(one["type"]).rpartition("/")[2]
             tells = any(word in kind.lower() for word in _TELLS)
-            state = "" if is_active else f" is {named(one['state'])}"
-            line = f"{either.get(action) or named(node)} {named(kind)}{state}" if not tells else f"{named(node)}{state}"
-            lines.append((tells * 4 + (not is_active) * 2 + (not action), line))
-    lines += [(0, either[action]) for action in sorted(follow - told)]
-    return [line for _, line in sorted(lines, key=lambda one: one[0])]
+            rank = tells * 4 + (not is_active) * 2 + (node not in moved)
+            found.append((rank, Controller(node, "" if tells else kind, "" if is_active else str(one["state"]))))
+    known = {controller.name for _, controller in found}
+    found += [(0, Controller(name)) for name in sorted(moved - known)]
+    return [controller for _, controller in sorted(found, key=lambda one: one[0])]
 
 
-def _with_topic(graph: GraphSnapshot, action: str) -> str:
-    """An action for trajectories, and whether its controller takes them on its topic, too."""
-    topic = f"{action.rpartition('/')[0]}/joint_trajectory"
-    return f"{named(action)}{' (or joint_trajectory)' if topic in graph.topics else ''}"
-
-
-def in_groups(lines: Sequence[str]) -> list[str]:
-    """The same, shorter: those that take the same, or say nothing more than their names, in one line."""
-    groups: dict[str, list[str]] = {}
-    for line in lines:
-        name, mark, rest = line.partition(_ACTION)
-        groups.setdefault(f"{mark}{rest}".lstrip("/") if mark else line.partition(" ")[2], []).append(
-            name if mark else line.partition(" ")[0]
-        )
-    return [f"{', '.join(names)}{f': {what}' if what else ''}" for what, names in groups.items()]
+def controllers_in_words(controllers: Iterable[Controller], style: Style) -> list[str]:
+    """A line each, or for those of one type and state together."""
+    return [
+        f"{style.names(one.name for one in group)}{f' {named(group[0].type)}' if group[0].type else ''}"
+        f"{f' is {named(group[0].state)}' if group[0].state else ''}"
+        for group in style.groups(controllers, key=lambda one: (one.type, one.state))
+    ]

@@ -10,12 +10,14 @@ from typing import Any
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
+from ros2_mcp.ops.space.style import Names, Style, is_called_as
+from ros2_mcp.robot.resolution import is_infrastructure
 
 _COMMANDS = ("Twist", "TwistStamped", "AckermannDrive", "AckermannDriveStamped", "JointTrajectory", "Joy")
 """Types that are for nothing else."""
 LOW_LEVEL = re.compile(r"(^|[/_])(cmd|commands?|setpoint)($|[/_])")
 """In the name of a topic for orders of any type."""
-_REPORT = re.compile(r"/(sensors?|feedback|states?|status|reports?|measured|telemetry)/")
+REPORT = re.compile(r"/(sensors?|feedback|states?|status|reports?|measured|telemetry)/")
 """In the name of what a driver tells, whatever else is in it: who publishes there moves nothing."""
 _RATES = re.compile(r"[/_](attitude|body_?rates?)([/_]|$)")
 """In the topic of a velocity that is one of turning alone, as an autopilot has it."""
@@ -48,14 +50,23 @@ _NO_INPUTS = (
 _PLAIN = ("geometry_msgs", "std_msgs")
 _OF_A_HAND = re.compile(r"(servo|delta_twist)", re.IGNORECASE)
 """In the topic of a velocity that moves the tip of an arm, and no base (MoveIt Servo)."""
+_TRAJECTORIES = "joint_trajectory"
 _MOST_NAMED = 3
-_MORE = re.compile(r" and (\d+) more$")
+_OF_PROGRAMS = (
+    "composition_interfaces", "controller_manager_msgs", "diagnostic_msgs", "lifecycle_msgs",
+    "map_msgs", "moveit_msgs", "nav2_msgs", "nav_msgs", "rcl_interfaces", "robot_localization", "rosbag2_interfaces",
+    "slam_toolbox", "tf2_msgs", "topic_tools_interfaces", "type_description_interfaces",
+)  # fmt: skip
+"""Packages of services that ask or set up programs; whoever would move the robot uses their actions and topics."""
+_ASKS = re.compile(r"^(get|list|query|is|has|read|check|dump|save|load)(_|$)|(/|_)(get|list|query)_|_status$")
+"""In the last part of a service's name: it changes nothing of the robot."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommandInput:
     """A topic with one of its types and who subscribes, or an action and its servers. `use` says what it takes if not
-    a movement; `is_active` is false where all who listen are controllers that are not active.
+    a movement; `is_active` is false where all who listen are controllers that are not active; `or_topic` is the topic
+    on which the servers of an action take the same.
     """
 
     topic: str
@@ -64,17 +75,27 @@ class CommandInput:
     senders: Sequence[str] = ()
     use: str = ""
     is_active: bool = True
+    or_topic: str = ""
 
-    def __str__(self) -> str:
-        """With who else may send there, which whoever would drive there wants to know."""
-        by = f" (from {', '.join(map(named, self.senders[:2]))})" if self.senders else ""
-        use = f" ({self.use})" if self.use and self.use != "trajectory" else ""  # its type says that
+    def about(self, style: Style) -> str:
+        """All but its name, with who else may send there, which whoever would drive there wants to know."""
+        by = f" (from {', '.join(map(style.name, self.senders[:2]))})" if self.senders and style.has_senders else ""
+        use = self.use if self.use != "trajectory" else ""  # its type says that
+        use += f", or topic {named(self.or_topic)}" if self.or_topic else ""
         state = "" if self.is_active else ", not active"
-        who = " and ".join(map(named, self.listeners[:_MOST_NAMED]))
+        who = " and ".join(map(style.name, self.listeners[:_MOST_NAMED]))
+        return f"{self._type_in_words()}{f' ({use})' if use else ''} → {who}{state}{by}"
+
+    def _type_in_words(self) -> str:
+        """With a blank before it; nothing where an action is called as its type is."""
         kind = self.type.rpartition("/")[2]
-        is_so_called = kind.lower() == self.topic.rpartition("/")[2].replace("_", "")
-        told = "" if is_so_called and self.use == "action" else f" {named(kind)}"
-        return f"{named(self.topic)}{told}{use} → {who}{state}{by}"
+        return "" if self.use == "action" and is_called_as(kind, self.topic) else f" {named(kind)}"
+
+
+def inputs_in_words(inputs: Iterable[CommandInput], style: Style) -> list[str]:
+    """A line each, or for those that go the same way together."""
+    groups = style.groups(inputs, key=lambda one: one.about(style))
+    return [f"{style.names(one.topic for one in group)}{group[0].about(style)}" for group in groups]
 
 
 def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> Sequence[CommandInput]:
@@ -92,37 +113,37 @@ def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[
     }
     found = [one for topic in graph.topics.values() for one in _inputs_of(topic, idle) if not _has_action(graph, one)]
     found += [
-        CommandInput(action, kind, servers, use="action", is_active=not set(servers) <= idle)
+        CommandInput(action, kind, servers, use="action", is_active=not set(servers) <= idle, or_topic=topic)
         for action, kind, servers in _actions(graph)
         if _GOALS.fullmatch(kind)
+        for topic in [_TRAJECTORIES if _beside(action) in graph.topics else ""]
     ]
     return sorted(found, key=lambda one: (not one.is_active, _USES.index(one.use), one.topic.count("/"), one.topic))
 
 
-def other_inputs(graph: GraphSnapshot, inputs: Sequence[CommandInput], most: int) -> Iterator[str]:
-    """Lines for what else can be asked of the robot, by name: further actions, and topics of which somebody waits for
-    messages that nobody sends, whatever their types are for. At most so many names in each.
-    """
+def other_actions(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> Names:
+    """The actions that are no command inputs."""
     told = {one.topic for one in inputs}
-    actions = [name for name, kind, _ in _actions(graph) if name not in told and not _GOALS.fullmatch(kind)]
-    if actions:
-        yield f"other actions: {in_short(map(named, actions), most)}"
-    if waiting := sorted((one for one in graph.topics.values() if _waits(one, told)), key=_rank):
-        names = (f"{named(one.topic)} {named(one.types[0].rpartition('/')[2])}" for one in waiting)
-        yield f"also waited for: {in_short(names, most)}"
+    found = [(name, "") for name, kind, _ in _actions(graph) if name not in told and not _GOALS.fullmatch(kind)]
+    return Names("other actions", found)
 
 
-def in_short(names: Iterable[str], most: int) -> str:
-    """So many of them, and how many more there are."""
-    every = list(names)
-    more = f" and {len(every) - most} more" if len(every) > most else ""
-    return f"{', '.join(every[:most])}{more}"
+def waited_for(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> Names:
+    """Topics of which somebody waits for messages that nobody sends, whatever their types are for."""
+    told = {one.topic for one in inputs}
+    waiting = sorted((one for one in graph.topics.values() if _waits(one, told)), key=_rank)
+    return Names("also waited for", [(one.topic, one.types[0].rpartition("/")[2]) for one in waiting])
 
 
-def unnamed(line: str) -> int:
-    """How many names a line that was made by `in_short` leaves out."""
-    found = _MORE.search(line)
-    return int(found[1]) if found else 0
+def orders_by_service(graph: GraphSnapshot) -> Names:
+    """Services by which a robot is told to do something, such as to stand up, to arm, to reset."""
+    found = [
+        (name, types[0].rpartition("/")[2])
+        for name, types in sorted((graph.services or {}).items(), key=lambda one: (one[0].count("/"), one[0]))
+        if not is_infrastructure(name, types) and types[0].partition("/")[0] not in _OF_PROGRAMS
+        if not _ASKS.search(name.rpartition("/")[2])
+    ]
+    return Names("services", found)
 
 
 def _waits(topic: TopicEndpoints, told: Collection[str]) -> bool:
@@ -131,7 +152,7 @@ def _waits(topic: TopicEndpoints, told: Collection[str]) -> bool:
         return False
     if any(kind.rpartition("/")[2] in _COMMANDS or kind.partition("/")[0] in _NO_INPUTS for kind in topic.types):
         return False  # the first are told already, or their action is
-    if _REPORT.search(topic.topic):
+    if REPORT.search(topic.topic):
         return False
     return not topic.publishers or bool(LOW_LEVEL.search(topic.topic))
 
@@ -147,8 +168,13 @@ def drive_types(inputs: Sequence[CommandInput]) -> Sequence[str]:
     return [one.type for one in inputs if not one.use and one.is_active and not _OF_A_HAND.search(one.topic)]
 
 
+def _beside(action: str) -> str:
+    """The topic of a controller that takes trajectories, by its action."""
+    return f"{action.removesuffix('/follow_joint_trajectory')}/{_TRAJECTORIES}"
+
+
 def _has_action(graph: GraphSnapshot, one: CommandInput) -> bool:
-    action = f"{one.topic.removesuffix('/joint_trajectory')}/follow_joint_trajectory/_action/feedback"
+    action = f"{one.topic.removesuffix(f'/{_TRAJECTORIES}')}/follow_joint_trajectory/_action/feedback"
     return one.type.endswith("/JointTrajectory") and action in graph.topics
 
 
@@ -159,7 +185,7 @@ def _inputs_of(topic: TopicEndpoints, idle: set[str]) -> Iterator[CommandInput]:
         waits = name in _NUMBERS and not topic.publishers and _PART.search(topic.topic)
         if use is None or (pattern and not pattern.search(topic.topic) and not waits):
             continue
-        if use == "low level" and _REPORT.search(topic.topic):
+        if use == "low level" and REPORT.search(topic.topic):
             continue
         use = {"JointTrajectory": "trajectory", "Joy": "joystick"}.get(name, use)
         use = "body rates" if name.startswith("Twist") and _RATES.search(topic.topic) else use

@@ -4,33 +4,76 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from ros2_mcp.codec.robot_kind import arms_of, is_passive, rotors_of, wheels_of
 from ros2_mcp.codec.urdf import Joint, Urdf
-from ros2_mcp.model.text import named
+from ros2_mcp.ops.space.style import Style, same_or_each
 
-_SPEED = ", ≤ "
 _FAR = 1e6
 """Of a limit in rad or m: more means that there is none."""
-_SIDES = r"left|right|[FRHL][LR]|[LR][FHRB]|[LRlr]"
-_NUMBERED = re.compile(
-    rf"(?P<before>\S*?)(?P<number>\d+|(?<![A-Za-z0-9])(?:{_SIDES})(?=[_A-Z ]))(?P<after>[^\d ]*) now (?P<now>\S+) of "
-    r"(?P<span>\S+)(?P<unit> m)?"
-)
-"""A joint as one of several that differ in a number, or in the side or corner of the robot on which they are."""
+_SIDE = r"left|right|front|rear|back|hind|middle|[FRHL][LR]|[LR][FHRB]|[LRlrFfHhBb]"
+_NUMBER_OR_SIDE = re.compile(rf"\d+|(?<![A-Za-z0-9])(?:{_SIDE})(?:_?(?:left|right))?(?=[_.A-Z]|$)")
+"""In the name of a joint: in what those of an arm, of two sides or of four corners differ."""
 
 
-def joints_in_words(urdf: Urdf | None, positions: Mapping[str, float], reports: str = "") -> list[str]:
+@dataclass(frozen=True, slots=True)
+class JointNow:
+    """A joint where it is now, and how far and how fast it may move; empty where that is not known. `unit` is rad or
+    m, and empty of one that the description does not have.
+    """
+
+    name: str
+    kind: str = "revolute"
+    at: str = ""
+    span: tuple[float, float] | None = None
+    speed: float = 0.0
+    unit: str = ""
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """What those have in common that can stand together: all that turn without end, such as wheels, can."""
+        pattern = "" if self.kind == "continuous" else _NUMBER_OR_SIDE.sub("#", self.name, count=1)
+        return pattern, self.kind, self.unit, "limited" if self.span else "", "slow" if self.speed else ""
+
+
+def joints_now(urdf: Urdf | None, positions: Mapping[str, float], reports: str = "") -> list[JointNow]:
     """Those of the description whose positions count, then others that somebody tells; first of all those of which
     `reports` speak.
     """
     joints: Sequence[Joint] = placed(urdf, positions) if urdf else ()
     joints = sorted(joints, key=lambda joint: joint.name not in reports)
-    lines = [_joint(joint, positions.get(joint.name)) for joint in joints]
     told = {joint.name for joint in joints}
     others = [name for name in positions if name not in told and (urdf is None or name not in urdf.joints)]
-    return [*lines, *(f"{named(name)} now {_tidy(positions[name])}" for name in others)]
+    return [
+        *(_joint(joint, positions.get(joint.name)) for joint in joints),
+        *(JointNow(name, at=_tidy(positions[name])) for name in others),
+    ]
+
+
+def without_last_speeds(joints: Sequence[JointNow]) -> tuple[list[JointNow], int]:
+    """The same without the speeds of the last row that has any, and how many those are."""
+    last = next((joint.row for joint in reversed(joints) if joint.speed), None)
+    found = [replace(joint, speed=0.0) if joint.row == last else joint for joint in joints]
+    return found, sum(joint.row == last for joint in joints)
+
+
+def joints_in_words(joints: Iterable[JointNow], style: Style) -> list[str]:
+    """A line each, or for those together that differ in a number or side alone: `{L,R}Hip 0.1, 0.2 of -1..1`."""
+    return [_together(group, style) for group in style.groups(joints, key=lambda one: one.row)]
+
+
+def _together(joints: Sequence[JointNow], style: Style) -> str:
+    first = joints[0]
+    kind = "" if first.kind == "revolute" else f" {first.kind}"
+    places = [one.at or ("position unknown" if len(joints) == 1 else "unknown") for one in joints]
+    span = f" of {_spans_in_words([one.span for one in joints if one.span], style.decimals)}" if first.span else ""
+    is_told = first.unit and not (style.is_brief and first.unit == "rad")
+    unit = f" {first.unit}" if is_told else ""
+    speeds = [_at_most(one.speed, style.decimals) for one in joints if one.speed]
+    speed = f", {'' if style.is_brief else '≤ '}{same_or_each(speeds)}{unit}/s" if speeds else ""
+    return f"{style.names(one.name for one in joints)}{kind} {same_or_each(places)}{span}{unit}{speed}"
 
 
 def placed(urdf: Urdf, positions: Mapping[str, float]) -> Sequence[Joint]:
@@ -51,61 +94,36 @@ def placed(urdf: Urdf, positions: Mapping[str, float]) -> Sequence[Joint]:
     )
 
 
-def without_speeds(lines: Sequence[str]) -> list[str]:
-    """The same, shorter: how fast a joint may move is found elsewhere, too, and rad are what joints turn by."""
-    return [line.partition(_SPEED)[0].removesuffix(" rad") for line in lines]
-
-
-def with_turning_together(lines: Sequence[str]) -> list[str]:
-    """The same, shorter: joints that turn without end, such as wheels, in one line at the end."""
-    kinds = " continuous now "
-    turning = [line.split(kinds) for line in lines if kinds in line]
-    if len(turning) < 2:
-        return list(lines)
-    others = [line for line in lines if kinds not in line]
-    return [*others, f"continuous: {', '.join(f'{name} {at}' for name, at in turning)}"]
-
-
-def with_chains(lines: Sequence[str]) -> list[str]:
-    """The same, shorter: joints whose names differ in a number or side alone, as of arms and legs, in one line."""
-    chains: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
-    found: list[tuple[tuple[str, ...], str]] = []
-    for line in lines:
-        match = _NUMBERED.fullmatch(line)
-        key = (match["before"], match["after"], match["unit"] or "") if match else (line,)
-        found.append((key, line))
-        if match:
-            chains.setdefault(key, []).append((match["number"], match["now"], match["span"]))
-    told: dict[tuple[str, ...], str] = {}
-    for key, line in found:
-        numbers, nows, spans = zip(*chains[key], strict=True) if len(chains.get(key, ())) > 1 else ((), (), ("",))
-        before, after, unit = key if numbers else ("", "", "")
-        limits = spans[0] if len(set(spans)) == 1 else ", ".join(spans)
-        together = f"{before}{','.join(numbers)}{after} now {', '.join(nows)} of {limits}{unit}"
-        told.setdefault(key, together if numbers else line)
-    return list(told.values())
-
-
-def _joint(joint: Joint, at: float | None) -> str:
+def _joint(joint: Joint, at: float | None) -> JointNow:
     limits = joint.limits
-    now = "position unknown" if at is None else f"now {_tidy(at)}"
-    span = ""
-    if limits.lower is not None and limits.upper is not None:  # rounded inwards: who goes there stays within
-        span = f" of {_inwards(limits.lower, math.ceil)}..{_inwards(limits.upper, math.floor)}"
-    speed = f"{_SPEED}{_at_most(limits.velocity)} {joint.unit}/s" if limits.velocity else ""
-    kind = "" if joint.kind == "revolute" else f" {joint.kind}"
-    return f"{named(joint.name)}{kind} {now}{span} {joint.unit}{speed}"
+    span = (limits.lower, limits.upper) if limits.lower is not None and limits.upper is not None else None
+    return JointNow(joint.name, joint.kind, "" if at is None else _tidy(at), span, limits.velocity or 0.0, joint.unit)
 
 
-def _inwards(limit: float, rounded: Callable[[float], int]) -> str:
-    """To a thousandth; one that is beyond anything that moves as it is."""
-    return f"{rounded(limit * 1000) / 1000:g}" if abs(limit) < _FAR else f"{limit:.3g}"
+def _spans_in_words(spans: Sequence[tuple[float, float]], decimals: int) -> str:
+    said = [_span_in_words(*span, decimals) for span in spans]
+    if len(spans) == 2 and said[0] != said[1] == _span_in_words(-spans[0][1], -spans[0][0], decimals):
+        return f"{said[0]}, mirrored"  # as of the two sides of a body
+    return same_or_each(said)
 
 
-def _at_most(speed: float) -> str:
-    """Three digits of it, rounded down: who moves so fast is within the limit."""
-    digits = 2 - math.floor(math.log10(speed)) if 0 < speed < _FAR else 0
-    return f"{math.floor(speed * 10**digits) / 10**digits:g}" if digits else f"{speed:.3g}"
+def _span_in_words(lower: float, upper: float, decimals: int) -> str:
+    """Rounded inwards: who goes there stays within."""
+    least, most = _inwards(lower, math.ceil, decimals), _inwards(upper, math.floor, decimals)
+    return f"±{most}" if least == f"-{most}" else f"{least}..{most}"
+
+
+def _inwards(limit: float, rounded: Callable[[float], int], decimals: int) -> str:
+    """To so many decimals; one that is beyond anything that moves as it is."""
+    return f"{rounded(limit * 10**decimals) / 10**decimals:g}" if abs(limit) < _FAR else f"{limit:.3g}"
+
+
+def _at_most(speed: float, digits: int) -> str:
+    """So many digits of it, rounded down: who moves so fast is within the limit."""
+    if not 0 < speed < _FAR:
+        return f"{speed:.3g}"
+    unit = 10.0 ** (digits - 1 - math.floor(math.log10(speed)))
+    return f"{math.floor(speed * unit) / unit:g}"
 
 
 def _tidy(number: float) -> str:

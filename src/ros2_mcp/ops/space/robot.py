@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import math
-import re
-from collections import Counter
 from collections.abc import Awaitable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any
 
@@ -27,22 +24,22 @@ from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.description import described
 from ros2_mcp.ops.measure.diagnostics import LEVELS
 from ros2_mcp.ops.pictures.next_message import next_message
-from ros2_mcp.ops.results import as_json, silent
+from ros2_mcp.ops.results import silent
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
-from ros2_mcp.ops.space.body import NO_MOUNT, footprint_in_words, mounted
-from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_in_words, in_groups, listed_controllers
+from ros2_mcp.ops.space.body import NO_MOUNT, MountInWords, footprint_in_words, mounted
+from ros2_mcp.ops.space.brief import MOST_BYTES, Parts, RobotInBrief, within
+from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_of, listed_controllers
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.frames import WORLDS, frames_of, separate_roots
 from ros2_mcp.ops.space.heads import Head, heads_of
-from ros2_mcp.ops.space.inputs import command_inputs, drive_types, other_inputs, unnamed
-from ros2_mcp.ops.space.joints import joints_in_words, placed, with_chains, with_turning_together, without_speeds
-from ros2_mcp.ops.space.sensors import of_own_types, ranked, sensors_in_words
+from ros2_mcp.ops.space.inputs import command_inputs, drive_types, orders_by_service, other_actions, waited_for
+from ros2_mcp.ops.space.joints import joints_now, placed
+from ros2_mcp.ops.space.sensors import Sensor, also_told, ranked, sensors_of
 from ros2_mcp.ops.space.standing_time import standing_time
+from ros2_mcp.ops.space.style import Style
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import LISTENS
 
-MOST_BYTES = 2_000
-"""Of the answer: it is read at the beginning of most sessions."""
 _ANSWERED_S, _GIVEN_UP_S = 1.4, 1.7
 """After the call: so long messages are waited for, all at the same time, and so long any part of it at most. The
 answer is there within two seconds, with some for the machine that has much to do."""
@@ -55,18 +52,8 @@ _LEAST_S = 0.4
 _TF = "tf2_msgs/msg/TFMessage"
 _BATTERY = "sensor_msgs/msg/BatteryState"
 _WITH_RANGE = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range")
-_SHORTENED = {"command_inputs": 0.8, "sensors": 0.6, "joints": 1.0, "unhealthy": 0.5, "controllers": 1.2}
-"""Which list loses its last line where the whole is too long: that with the most characters times this."""
-_MOST_SENSORS = 13
+_MOST_SENSORS = 20
 """Of which rate and frame are looked for, where not all are told: more lines than two kilobytes have room for."""
-_NAMES, _ALL_NAMES = 4, 100
-"""In a line that tells several things by their names alone; where all is told."""
-_FIRST_PART, _SHARED = re.compile(r"(?<!\S)(/\w+)/"), 4
-"""Of a name in a line; so many names have it at least, and half of all, where it is told once."""
-_MOST_LINE = 220
-"""Characters: more are of names that somebody has made to be long."""
-_COUNTS_BYTES = 70
-"""For how many lines are left out, and how to have them."""
 _MOST_HEARD = 40
 """Sensors of which rate and frame are looked for, where all are told."""
 _OLD_S = 2.0
@@ -74,44 +61,6 @@ _OLD_S = 2.0
 _MOST_CORNERS = 200
 """Of an outline: more are a mistake."""
 _logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RobotInBrief:
-    """The robot: `kind` of base or arm, `command_inputs` (topic, type, who listens), `sensors` (topic, type, rate,
-    mount in the base's frame in m, range), `joints` (position now, limits; rad or m), and where it is (`place`: in
-    which frame, how that is known, how old). `stacks` are Nav2, MoveIt, ros2_control, MAVROS and others, as far as
-    they run. `not_read` are the parts that were not there within the time of this answer, or whose type is not known
-    here, which says nothing of the robot; `left_out` counts the lines and names that did not fit into 2 kB: the speeds
-    of the joints go before them. The whole of it leaves nothing out. Topics and nodes that do not begin with / are
-    below `namespace`, which is told where it would stand in most of them.
-    """
-
-    name: str
-    kind: str
-    base_frame: str
-    footprint: str
-    place: str
-    command_inputs: Sequence[str]
-    sensors: Sequence[str]
-    joints: Sequence[str]
-    controllers: Sequence[str]
-    stacks: Sequence[str]
-    frames: str
-    unhealthy: Sequence[str]
-    namespace: str = ""
-    not_read: Sequence[str] = ()
-    left_out: int = 0
-    read_from: str = field(default="live")
-
-    def summary(self) -> str:
-        """A line: the rest stands in the values."""
-        health = f"unhealthy: {len(self.unhealthy)} finding(s)" if self.unhealthy else "nothing unhealthy seen"
-        stacks = f", with {', '.join(self.stacks)}" if self.stacks else ""
-        not_read = f" Not read: {', '.join(self.not_read)}." if self.not_read else ""
-        left_out = f" {self.left_out} line(s) or name(s) left out: whole=true tells all." if self.left_out else ""
-        below = f" Topics and nodes without / are below {self.namespace}." if self.namespace else ""
-        return f"{quoted(self.name)}: {self.kind}{stacks}. {self.place} {health}.{below}{not_read}{left_out}"
 
 
 @dataclass(slots=True)
@@ -171,8 +120,8 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
         ("controllers", _managed(robot, source, seen)),
     )
     await asyncio.gather(*(_safely(seen, what, work, given_up_at) for what, work in parts))
-    brief = _brief(source, seen, _ALL_NAMES if whole else _NAMES)
-    return brief if whole else _within(brief, MOST_BYTES)
+    parts = _parts(source, seen)
+    return parts.in_words(Style()) if whole else within(parts, MOST_BYTES)
 
 
 # ── gathering ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -292,7 +241,7 @@ async def _batteries(source: Source, seen: _Seen) -> None:
 async def _reports(source: Source, seen: _Seen) -> None:
     """What components report of themselves that is not OK."""
     kind = "diagnostic_msgs/msg/DiagnosticArray"
-    worst: dict[str, str] = {}
+    worst: dict[str, tuple[str, str]] = {}
     for one in _topics(seen.graph, kind)[:1]:
         with suppress(RobotError):
             async with source.lasting(seen.listen_s).follow(one.topic, limit=20) as stream:
@@ -301,12 +250,12 @@ async def _reports(source: Source, seen: _Seen) -> None:
                         message: Any = stream.codec.decode(stream.type, sample.data)
                         for status in message.status:
                             level = LEVELS[int(status.level)] if int(status.level) < len(LEVELS) else str(status.level)
-                            worst[status.name] = "" if level == "OK" else f"{level} {quoted(status.message)}"
-    told = {name: said for name, said in worst.items() if said}
-    summed_up = {name for name, said in told.items() if said.split()[1:] == [quoted(said.split()[0])]}
+                            worst[status.name] = level, " ".join(status.message.split())
+    told = {name: (level, said) for name, (level, said) in worst.items() if level != "OK"}
+    summed_up = {name for name, (level, said) in told.items() if said == level}
     if len(summed_up) < len(told):  # a state that only sums up the others says nothing more
         told = {name: said for name, said in told.items() if name not in summed_up}
-    seen.reports = [f"{quoted(name)} reports {said}." for name, said in told.items()]
+    seen.reports = [f"{level} {quoted(name)}: {quoted(said)}" for name, (level, said) in told.items()]
 
 
 async def _odometry(source: Source, seen: _Seen) -> None:
@@ -342,21 +291,26 @@ async def _managed(robot: Robot, source: Source, seen: _Seen) -> None:
 # ── composing ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _brief(source: Source, seen: _Seen, names: int) -> RobotInBrief:
+def _parts(source: Source, seen: _Seen) -> Parts:
     base = _base_of(seen)
     inputs = command_inputs(seen.graph, seen.managed)
+    waited = waited_for(seen.graph, inputs)
     stacks = _stacks(seen.graph)
     place, trouble = _place(source, seen, base)
-    return RobotInBrief(
+    return Parts(
         name=(seen.urdf.name if seen.urdf else "") or "robot",
         kind=kind_of(seen.urdf, drive_types(inputs), stacks, _controller_types(seen)),
         base_frame=base,
         footprint=footprint_in_words(seen.urdf, seen.tree, base, seen.footprint, seen.footprint_frame),
         place=place,
-        command_inputs=[*map(str, inputs), *other_inputs(seen.graph, inputs, names)],
-        sensors=_sensors(seen, base, names),
-        joints=joints_in_words(seen.urdf, seen.positions, " ".join(seen.reports)),
-        controllers=controllers_in_words(seen.graph, seen.managed, is_controlled="ros2_control" in stacks),
+        inputs=inputs,
+        actions=other_actions(seen.graph, inputs),
+        waited=waited,
+        services=orders_by_service(seen.graph),
+        sensors=_sensors(seen, base),
+        told=also_told(seen.graph, but={*(one.topic for one in inputs), *(name for name, _ in waited.found)}),
+        joints=joints_now(seen.urdf, seen.positions, " ".join(seen.reports)),
+        controllers=controllers_of(seen.graph, seen.managed, is_controlled="ros2_control" in stacks),
         stacks=stacks,
         frames=_frames_in_words(seen, base),
         unhealthy=[*trouble, *_unhealthy(source, seen)],
@@ -399,14 +353,13 @@ def _stacks(graph: GraphSnapshot) -> list[str]:
     ]
 
 
-def _sensors(seen: _Seen, base: str, names: int) -> list[str]:
+def _sensors(seen: _Seen, base: str) -> list[Sensor]:
     frames = {head.frame for head in seen.heads.values() if head.frame}
     mounts = {frame: _mounted(seen, base, frame) for frame in frames}
-    own = of_own_types(seen.graph, names)
-    return [*sensors_in_words(seen.graph, seen.heads, mounts, seen.ranges, seen.batteries), *([own] if own else [])]
+    return sensors_of(seen.graph, seen.heads, mounts, seen.ranges, seen.batteries)
 
 
-def _mounted(seen: _Seen, base: str, frame: str) -> str:
+def _mounted(seen: _Seen, base: str, frame: str) -> MountInWords:
     return mounted(seen.urdf, seen.tree, base, frame, seen.positions)
 
 
@@ -468,9 +421,10 @@ def _fixed_in_world(urdf: Urdf, base: str) -> Mount | None:
 
 def _pose_in_words(frame: str, at: Sequence[float], yaw_rad: float, how: str, age_s: float | None) -> str:
     yaw_deg = round(math.degrees(yaw_rad))  # an int has no -0
-    height = f" z {at[2]:.2f}" if abs(at[2]) >= 0.05 else ""
+    x, y, z = (round(part, 2) + 0.0 for part in at)  # nor has a zero, so
+    height = f" z {z:.2f}" if abs(z) >= 0.05 else ""
     age = "" if age_s is None else f", {age_s:.1f} s old" if age_s < _OLD_S else f" {age_s:.0f} s ago"
-    return f"In {named(frame)} at x {at[0]:.2f} y {at[1]:.2f}{height} m, yaw {yaw_deg}° ({how}{age})."
+    return f"In {named(frame)} at x {x:.2f} y {y:.2f}{height} m, yaw {yaw_deg}° ({how}{age})."
 
 
 def _age_s(source: Source, tree: FrameTree, found: Located) -> float | None:
@@ -525,44 +479,3 @@ def _not_localised(seen: _Seen) -> str:
 
 def _maps_of(seen: _Seen) -> list[str]:
     return [name for name in seen.tree.frames if name.rpartition("/")[2] == "map"]
-
-
-def _within(brief: RobotInBrief, most: int) -> RobotInBrief:
-    """The same, shortened until it fits: what is least needed goes first, then the ends of the lists."""
-    left_out = 0
-    if _size(brief) > most:
-        brief = replace(brief, joints=without_speeds(brief.joints))
-    if _size(brief) > most:
-        brief = replace(brief, joints=with_turning_together(brief.joints), controllers=in_groups(brief.controllers))
-    if _size(brief) > most:
-        brief = replace(brief, joints=with_chains(brief.joints))
-    if _size(brief) > most:
-        brief = _below_namespace(brief)
-    if _size(brief) > most:
-        brief = replace(brief, command_inputs=[line.partition(" (from ")[0] for line in brief.command_inputs])
-    brief = replace(brief, name=brief.name[:60], frames=brief.frames[:200])
-    for name in _SHORTENED:
-        brief = replace(brief, **{name: [line[:_MOST_LINE] for line in getattr(brief, name)]})
-    while _size(brief) > most:
-        name = max(_SHORTENED, key=lambda name: len("".join(getattr(brief, name))) * _SHORTENED[name])
-        rest: Sequence[str] = getattr(brief, name)[:-1]
-        brief, left_out = replace(brief, **{name: rest}), left_out + 1
-    return replace(brief, left_out=left_out + sum(map(unnamed, (*brief.command_inputs, *brief.sensors))))
-
-
-def _below_namespace(brief: RobotInBrief) -> RobotInBrief:
-    """The same with the first part that most names share told once."""
-    lists = {name: getattr(brief, name) for name in ("command_inputs", "sensors", "controllers")}
-    firsts = Counter(_FIRST_PART.findall(" ".join(line for lines in lists.values() for line in lines)))
-    namespace, count = firsts.most_common(1)[0] if firsts else ("", 0)
-    if count < _SHARED or count * 2 < firsts.total():
-        return brief
-    at = re.compile(rf"(?<!\S){re.escape(namespace)}/")
-    return replace(brief, namespace=namespace, **{name: [at.sub("", one) for one in of] for name, of in lists.items()})
-
-
-def _size(brief: RobotInBrief) -> int:
-    """Bytes of its JSON, or of its text: the line of the summary, and what that has not told."""
-    told = {name: value for name, value in as_json(brief).items() if name != "place"}
-    text = f"{brief.summary()}\n{json.dumps(told, ensure_ascii=False, separators=(',', ':'))}"
-    return max(len(text.encode()), len(json.dumps(as_json(brief), ensure_ascii=False).encode())) + _COUNTS_BYTES

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
+from ros2_mcp.ops.space.body import MountInWords
 from ros2_mcp.ops.space.heads import Head
-from ros2_mcp.ops.space.inputs import LOW_LEVEL, in_short
+from ros2_mcp.ops.space.inputs import LOW_LEVEL, REPORT
+from ros2_mcp.ops.space.style import Names, Style, braced, same_or_each
 
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 SENSORS = (
@@ -35,6 +38,24 @@ _OF_ROS = (
     "unique_identifier_msgs", "visualization_msgs",
 )  # fmt: skip
 """Packages of messages that are of no robot's own: what of them is a sensor's stands above."""
+_TOLD = ("nav_msgs/msg/Odometry",)
+_DESCRIPTIONS = ("robot_description", "robot_description_semantic")
+_WHOLE_HZ = 9.95
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """A topic of a sensor: its `state` is a rate, silence or what is left of a battery; it sits `at` x y z of the base
+    in m and turned, as `note` says more of; `sees` is how far and wide.
+    """
+
+    topic: str
+    type: str
+    state: str = ""
+    frame: str = ""
+    at: str = ""
+    note: str = ""
+    sees: str = ""
 
 
 def ranked(graph: GraphSnapshot) -> Sequence[tuple[TopicEndpoints, str]]:
@@ -57,37 +78,84 @@ def ranked(graph: GraphSnapshot) -> Sequence[tuple[TopicEndpoints, str]]:
     return [(one, kind) for _, _, one, kind in sorted(found, key=lambda each: each[:2])]
 
 
-def sensors_in_words(
+def sensors_of(
     graph: GraphSnapshot,
     heads: Mapping[str, Head],
-    mounts: Mapping[str, str],
+    mounts: Mapping[str, MountInWords],
     ranges: Mapping[str, str],
     batteries: Mapping[str, float | None],
-) -> list[str]:
-    """A line each: topic, type, rate, frame with its place in `mounts`, and what it sees; batteries after the first."""
-    found: list[str] = []
-    told = set[str]()
+) -> list[Sensor]:
+    """The sensors in the order of `ranked`, batteries after the first; `mounts` by frame, the others by topic."""
+    found: list[Sensor] = []
     for one, type_name in ranked(graph):
         head = heads.get(one.topic)
-        said = f"{named(one.topic)} {type_name.rpartition('/')[2]}"
-        if head and not head.count:
-            said += " silent"
-        elif head and head.rate_hz:
-            said += f" {head.rate_hz:.3g} Hz"
-        if head and head.frame:  # of several sensors in one frame the first tells where it sits
-            said += f" in {named(head.frame)}{'' if head.frame in told else mounts.get(head.frame, '')}"
-            told.add(head.frame)
-        found.append(f"{said}, {ranges[one.topic]}" if one.topic in ranges else said)
-    full = {topic: "" if share is None else f" {share:.0%}" for topic, share in batteries.items()}
-    return [*found[:1], *(f"{named(topic)} BatteryState{said}" for topic, said in full.items()), *found[1:]]
+        state = "" if head is None else "silent" if not head.count else _rate_in_words(head.rate_hz)
+        frame = head.frame if head else ""
+        mount = mounts.get(frame, MountInWords())
+        found.append(
+            Sensor(
+                one.topic, type_name.rpartition("/")[2], state, frame, mount.at, mount.note, ranges.get(one.topic, "")
+            )
+        )
+    full = {topic: "" if share is None else f"{share:.0%}" for topic, share in batteries.items()}
+    return [*found[:1], *(Sensor(topic, "BatteryState", said) for topic, said in full.items()), *found[1:]]
 
 
-def of_own_types(graph: GraphSnapshot, most: int) -> str:
-    """What else the robot publishes in types of its makers: such as bumpers, motors, sound; empty where nothing is."""
-    found = [
-        f"{named(one.topic)} {named(one.types[0].rpartition('/')[2])}"
-        for one in sorted(graph.topics.values(), key=lambda one: (one.topic.count("/"), one.topic))
-        if one.publishers and "/_" not in one.topic and one.types[0].partition("/")[0] not in _OF_ROS
-        if not LOW_LEVEL.search(one.topic)
-    ]
-    return f"of its own types: {in_short(found, most)}" if found else ""
+def _rate_in_words(rate_hz: float | None) -> str:
+    """Two digits of it: the others are chance."""
+    if rate_hz is None:
+        return ""
+    return f"{rate_hz:.0f} Hz" if rate_hz >= _WHOLE_HZ else f"{rate_hz:.2g} Hz"
+
+
+def sensors_in_words(sensors: Iterable[Sensor], style: Style) -> list[str]:
+    """A line each: topic, type, rate, frame with its place, what it sees; or for those that are alike together."""
+
+    def all_but_frame(one: Sensor) -> tuple[str, ...]:
+        return one.type, one.state.lstrip("0123456789."), one.note, one.sees
+
+    told = set[str]()
+    by_frame = style.groups(sensors, key=lambda one: (*all_but_frame(one), one.frame))
+    alike = style.groups(  # of several frames each has one topic, else it would not be clear which
+        by_frame, key=lambda all_of: (*all_but_frame(all_of[0]), *((all_of[0].topic,) if len(all_of) > 1 else ()))
+    )
+    return [_together([one for all_of in groups for one in all_of], told, style) for groups in alike]
+
+
+def _together(sensors: Sequence[Sensor], told: set[str], style: Style) -> str:
+    """One line. Of several sensors in one frame the first tells where it sits: `told` has the frames of those."""
+    first = sensors[0]
+    frames = list(dict.fromkeys(one.frame for one in sensors))
+    unit = " Hz" if first.state.endswith(" Hz") else ""
+    state = f"{same_or_each([one.state.removesuffix(unit) for one in sensors])}{unit}"
+    said = f"{style.names(one.topic for one in sensors)} {named(first.type)}{f' {state}' if state else ''}"
+    if first.frame:
+        new = [one for one in sensors if one.frame not in told]
+        places = list({one.frame: one.at for one in (sensors if new and len(frames) > 1 else new)}.values())
+        said += f" in {braced(list(map(named, frames)))}"
+        said += f" at {same_or_each(places, '; ')}" if any(places) else ""
+        said += first.note if new else ""
+        told.update(frames)
+    return f"{said}, {first.sees}" if first.sees else said
+
+
+def also_told(graph: GraphSnapshot, but: Container[str]) -> Names:
+    """What else the robot publishes of itself by its name: types of its makers, such as bumpers and motors, plain
+    numbers and states, odometry; `but` the topics that are told elsewhere.
+    """
+    return Names(
+        "also told",
+        [
+            (one.topic, one.types[0].rpartition("/")[2])
+            for one in sorted(graph.topics.values(), key=lambda one: (one.topic.count("/"), one.topic))
+            if one.publishers and "/_" not in one.topic and one.topic not in but and _is_of_itself(one)
+            if REPORT.search(one.topic) or not LOW_LEVEL.search(one.topic)
+        ],
+    )
+
+
+def _is_of_itself(topic: TopicEndpoints) -> bool:
+    package, _, rest = topic.types[0].partition("/")
+    if package == "std_msgs":
+        return not topic.topic.endswith(_DESCRIPTIONS)
+    return package not in _OF_ROS or f"{package}/{rest}" in _TOLD

@@ -5,7 +5,15 @@ from __future__ import annotations
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.sources.source import GraphSnapshot
-from ros2_mcp.ops.space.inputs import command_inputs, drive_types, other_inputs
+from ros2_mcp.ops.space.inputs import (
+    command_inputs,
+    drive_types,
+    inputs_in_words,
+    orders_by_service,
+    other_actions,
+    waited_for,
+)
+from ros2_mcp.ops.space.style import Style
 
 FLOATS, TRAJECTORY = "std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"
 
@@ -18,7 +26,7 @@ def heard(topic: str, kind: str, node: str, *senders: str) -> TopicEndpoints:
 
 
 def graph(*topics: TopicEndpoints) -> GraphSnapshot:
-    return GraphSnapshot({one.topic: one for one in topics}, [], [])
+    return GraphSnapshot({one.topic: one for one in topics}, [], {})
 
 
 def test_types_that_are_for_anything_command_by_the_name_of_their_topic() -> None:
@@ -32,7 +40,7 @@ def test_types_that_are_for_anything_command_by_the_name_of_their_topic() -> Non
         ),
         {},
     )
-    assert list(map(str, found)) == [
+    assert inputs_in_words(found, Style()) == [
         "/cmd_vel Twist → /base (from /smoother)",
         "/goal_pose PoseStamped (goal) → /bt_navigator",
         "/commands/motor/speed Float64 (low level) → /vesc",
@@ -43,7 +51,7 @@ def test_the_input_of_a_controller_that_is_not_active_says_so_and_comes_last() -
     arm, other = "/arm_controller", "/forward_controller"
     present = graph(heard(f"{arm}/joint_trajectory", TRAJECTORY, arm), heard(f"{other}/commands", FLOATS, other))
     states = [{"name": "arm_controller", "state": "inactive"}, {"name": "forward_controller", "state": "active"}]
-    assert list(map(str, command_inputs(present, {"/controller_manager": states}))) == [
+    assert inputs_in_words(command_inputs(present, {"/controller_manager": states}), Style()) == [
         "/forward_controller/commands Float64MultiArray (low level) → /forward_controller",
         "/arm_controller/joint_trajectory JointTrajectory → /arm_controller, not active",
     ]
@@ -64,7 +72,7 @@ def test_movements_come_before_goals_and_goals_before_lower_inputs() -> None:
         ),
         {},
     )
-    assert list(map(str, found)) == [
+    assert inputs_in_words(found, Style()) == [
         "/base/reference TwistStamped → /base",
         "/arm/servo_node/delta_twist_cmds TwistStamped → /servo_node",
         "/nav/navigate_to_pose (action) → /bt_navigator",
@@ -91,7 +99,7 @@ def test_what_a_driver_tells_is_no_input_and_turning_alone_and_joysticks_are_tol
         ),
         {},
     )
-    assert list(map(str, found)) == [
+    assert inputs_in_words(found, Style()) == [
         "/uav/setpoint_velocity/cmd_vel TwistStamped → /uav",
         "/uav/setpoint_attitude/cmd_vel TwistStamped (body rates) → /uav",
         "/joint_command JointState (joints) → /simulator",
@@ -109,12 +117,12 @@ def test_actions_that_move_it_are_inputs_and_others_are_named() -> None:
         *(action(f"/{name}", f"nav2_msgs/action/{name}", "/behaviors") for name in ("Spin", "BackUp", "Wait")),
     )
     found = command_inputs(present, {"/controller_manager": [{"name": "gripper", "state": "inactive"}]})
-    assert list(map(str, found)) == [
+    assert inputs_in_words(found, Style()) == [
         "/move_action MoveGroup (action) → /move_group",
-        f"{arm} (action) → /arm_controller",
+        f"{arm} (action, or topic joint_trajectory) → /arm_controller",
         "/gripper/cmd GripperCommand (action) → /gripper, not active",
     ]
-    assert list(other_inputs(present, found, 2)) == ["other actions: /Spin, /BackUp and 1 more"]
+    assert other_actions(present, found).in_words(Style()) == ["other actions: /Spin, /BackUp, /Wait"]
 
 
 def test_topics_on_which_somebody_waits_for_orders_are_named_and_sensors_that_are_missing_are_not() -> None:
@@ -127,7 +135,34 @@ def test_topics_on_which_somebody_waits_for_orders_are_named_and_sensors_that_ar
         heard("/speech", "std_msgs/msg/String", "/driver"),
         heard("/chatter", "std_msgs/msg/String", "/listener", "/talker"),
     )
-    waited = (
-        "/setpoint_raw/local PositionTarget, /joint_angles JointAnglesWithSpeed, /initialpose PoseWithCovarianceStamped"
+    waited = "/joint_angles JointAnglesWithSpeed, /initialpose PoseWithCovarianceStamped, /speech String"
+    assert waited_for(present, command_inputs(present, {})).in_words(Style()) == [
+        f"also waited for: /setpoint_raw/local PositionTarget, {waited}"
+    ]
+
+
+def test_what_goes_the_same_way_stands_together_where_it_must_be_brief() -> None:
+    present = graph(
+        heard("/r1/cmd_vel", "geometry_msgs/msg/Twist", "/r1/mux", "/r1/nav"),
+        heard("/r1/joy/cmd_vel", "geometry_msgs/msg/Twist", "/r1/mux"),
+        heard("/r1/motor/left/cmd", "std_msgs/msg/Float64", "/r1/vesc"),
+        heard("/r1/motor/right/cmd", "std_msgs/msg/Float64", "/r1/vesc"),
     )
-    assert list(other_inputs(present, command_inputs(present, {}), 3)) == [f"also waited for: {waited} and 1 more"]
+    style = Style(is_brief=True, namespace="/r1", has_senders=False)
+    assert inputs_in_words(command_inputs(present, {}), style) == [
+        "cmd_vel, joy/cmd_vel Twist → mux",
+        "motor/{left,right}/cmd Float64 (low level) → vesc",
+    ]
+
+
+def test_services_by_which_a_robot_is_told_to_do_something_are_named_and_those_of_programs_are_not() -> None:
+    services = {
+        "/spot/stand": ["std_srvs/srv/Trigger"],
+        "/spot/sit": ["std_srvs/srv/Trigger"],
+        "/spot/get_parameters": ["rcl_interfaces/srv/GetParameters"],
+        "/spot/list_graphs": ["spot_msgs/srv/ListGraph"],
+        "/manager/list_controllers": ["controller_manager_msgs/srv/ListControllers"],
+        "/mavros/set_mode": ["mavros_msgs/srv/SetMode"],
+    }
+    found = orders_by_service(GraphSnapshot({}, [], services))
+    assert found.in_words(Style(is_brief=True)) == ["services: /mavros/set_mode; /spot/{sit,stand} Trigger"]

@@ -14,9 +14,11 @@ from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.qos import Endpoint, QoS
 from ros2_mcp.ops.results import as_json
 from ros2_mcp.ops.sources.source import GraphSnapshot
-from ros2_mcp.ops.space.body import mounted
-from ros2_mcp.ops.space.controllers import controllers_in_words
-from ros2_mcp.ops.space.robot import MOST_BYTES, RobotInBrief, in_brief
+from ros2_mcp.ops.space.body import MountInWords, mounted
+from ros2_mcp.ops.space.brief import MOST_BYTES, RobotInBrief
+from ros2_mcp.ops.space.controllers import Controller, controllers_in_words, controllers_of
+from ros2_mcp.ops.space.robot import in_brief
+from ros2_mcp.ops.space.style import Style
 from ros2_mcp.robot import Robot
 from support.made_windows import START_NS, Make, Recorded, Window
 
@@ -69,21 +71,21 @@ def source(made: list[Window], *nodes: str, driven: bool = True) -> Recorded:
     if driven:
         listens = Endpoint("/base", "geometry_msgs/msg/Twist", "", "", QoS())
         topics["/cmd_vel"] = TopicEndpoints("/cmd_vel", [], [listens])
-    return Recorded(made, GraphSnapshot(topics, [node.node, "/base", *nodes], []))
+    return Recorded(made, GraphSnapshot(topics, [node.node, "/base", *nodes], {}))
 
 
 def size_of(found: RobotInBrief) -> int:
-    return len(json.dumps(as_json(found), ensure_ascii=False).encode())
+    return len(json.dumps(as_json(found), ensure_ascii=False, separators=(",", ":")).encode())
 
 
 async def test_everything_is_told_of_a_cart_with_a_laser(window: Make, robot: Robot) -> None:
     found = await in_brief(robot, source(windows(window, CART)))
     assert (found.name, found.kind, found.base_frame) == ("cart", "differential drive base, 2 wheels", "base_link")
-    assert found.footprint.startswith("0.60 × 0.44 m: front 0.30, rear 0.30, left 0.22, right 0.22")
+    assert found.footprint.startswith("0.60 × 0.44 m, centred")
     assert found.command_inputs == ["/cmd_vel Twist → /base"]
-    mount = "in laser at 0.20 0.00 0.30 yaw 180° (by URDF, not TF)"
+    mount = "in laser at 0.2 0 0.3 yaw 180° (by URDF, not TF)"
     assert found.sensors == [f"/scan LaserScan 10 Hz {mount}, 0.1 to 12 m over 360°"]
-    assert found.joints[0] == "left_wheel_joint continuous now 1.5 rad"
+    assert found.joints[0] == "left_wheel_joint continuous 1.5 rad"
     assert found.place == "In map at x 6.00 y 0.00 m, yaw 0° (TF, localised)."
     assert found.frames == "map → odom → base_link; 3 in all"
     assert found.unhealthy == []
@@ -129,7 +131,7 @@ async def test_what_a_joint_carries_sits_where_that_joint_is_or_nowhere(window: 
         "/joint_states", "sensor_msgs/msg/JointState", [(4.9, {"name": ["mount"], "position": [-math.pi / 2]})]
     )
     found = await in_brief(robot, source([*made[:-1], told]))
-    mount = "in laser at 0.20 0.00 0.30 yaw 90° moving with mount (by URDF, not TF)"
+    mount = "in laser at 0.2 0 0.3 yaw 90° moving with mount (by URDF, not TF)"
     assert found.sensors == [f"/scan LaserScan 10 Hz {mount}, 0.1 to 12 m over 360°"]
 
 
@@ -139,8 +141,8 @@ async def test_joints_that_are_told_in_turns_are_all_told(window: Make, robot: R
     turns = [(4.5 + turn / 30, {"name": [names[turn % 2]], "position": [float(turn % 2)]}) for turn in range(8)]
     found = await in_brief(robot, source([*made, window("/joint_states", "sensor_msgs/msg/JointState", turns)]))
     assert [line.partition(" rad")[0] for line in found.joints] == [
-        "left_wheel_joint continuous now 0",
-        "right_wheel_joint continuous now 1",
+        "left_wheel_joint continuous 0",
+        "right_wheel_joint continuous 1",
     ]
     assert found.unhealthy == []
 
@@ -155,8 +157,8 @@ def test_a_camera_s_tilt_is_told_and_a_steep_one_has_no_direction() -> None:
     )
     told = [mounted(urdf, FrameTree(), "base_link", name, {}) for name in ("a_optical", "b_optical")]
     assert told == [
-        " at 0.00 0.00 1.00 20° down (by URDF, not TF)",
-        " at 0.00 0.00 0.00 looking down (by URDF, not TF)",
+        MountInWords("0 0 1 20° down", " (by URDF, not TF)"),
+        MountInWords("0 0 0 looking down", " (by URDF, not TF)"),
     ]
 
 
@@ -171,7 +173,7 @@ async def test_a_sensor_in_a_frame_that_nobody_tells_is_unhealthy(window: Make, 
 async def test_a_sensor_that_is_mounted_upside_down_says_so(window: Make, robot: Robot) -> None:
     found = await in_brief(robot, source(windows(window, CART.replace("0 0 3.14159265", "3.14159265 0 0"))))
     assert found.sensors[0].startswith(
-        "/scan LaserScan 10 Hz in laser at 0.20 0.00 0.30 roll 180° (by URDF, not TF), 0.1 to 12 m over 360°"
+        "/scan LaserScan 10 Hz in laser at 0.2 0 0.3 roll 180° (by URDF, not TF), 0.1 to 12 m over 360°"
     ), found.sensors
 
 
@@ -240,19 +242,22 @@ def test_controllers_are_told_movers_first_and_the_inactive_as_such() -> None:
             [],
         )
     }
-    graph = GraphSnapshot(topics, ["/arm_controller", "/diff_drive_controller"], [])
+    graph = GraphSnapshot(topics, ["/arm_controller", "/diff_drive_controller"], {})
     rows = [
         {"name": "joint_state_broadcaster", "type": "x/JointStateBroadcaster", "state": "active"},
         {"name": "forward", "type": "velocity_controllers/JointGroupVelocityController", "state": "inactive"},
         {"name": "arm_controller", "type": "x/JointTrajectoryController", "state": "active"},
     ]
-    told = controllers_in_words(graph, {"/controller_manager": rows}, is_controlled=True)
+    told = controllers_in_words(controllers_of(graph, {"/controller_manager": rows}, is_controlled=True), Style())
     assert told == [
-        f"{action} JointTrajectoryController",
+        "/arm_controller JointTrajectoryController",
         "/forward JointGroupVelocityController is inactive",
         "/joint_state_broadcaster",
     ]
-    assert controllers_in_words(graph, {}, is_controlled=False) == [action], "a node's name makes it no controller"
+    seen = controllers_of(graph, {}, is_controlled=False)
+    assert seen == [Controller("/arm_controller")], "a node's name makes it no controller"
+    same = [Controller(f"/{side}_arm", "JointTrajectoryController") for side in ("left", "right")]
+    assert controllers_in_words(same, Style(is_brief=True)) == ["/{left,right}_arm JointTrajectoryController"]
 
 
 async def test_of_a_mobile_manipulator_the_joints_of_the_arm_are_told_before_its_wheels(
@@ -293,12 +298,17 @@ async def test_of_a_mobile_manipulator_the_joints_of_the_arm_are_told_before_its
     assert size_of(found) <= MOST_BYTES
 
 
+def words(number: int) -> str:
+    """A name of its own for each, which has nothing in common with the others'."""
+    return "".join(chr(ord("q") + int(digit)) * 3 for digit in str(number))
+
+
 @pytest.mark.parametrize("count", [3, 200])
 async def test_it_is_never_more_than_two_kilobytes(window: Make, robot: Robot, count: int) -> None:
     chain = "".join(
-        f'<link name="a_long_name_of_a_link_{n}"/><joint name="a_long_name_of_a_joint_{n}" type="revolute">'
-        f'<parent link="{f"a_long_name_of_a_link_{n - 1}" if n else "base_link"}"/>'
-        f'<child link="a_long_name_of_a_link_{n}"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        f'<link name="link_{n}"/><joint name="a_long_name_of_the_joint_{words(n)}" type="revolute">'
+        f'<parent link="{f"link_{n - 1}" if n else "base_link"}"/>'
+        f'<child link="link_{n}"/><limit lower="-1" upper="{1 + n / 10}" velocity="1" effort="1"/></joint>'
         for n in range(count)
     )
     made = source(windows(window, f'<robot name="{"x" * 500}">{BASE}{chain}</robot>'))
@@ -307,22 +317,40 @@ async def test_it_is_never_more_than_two_kilobytes(window: Make, robot: Robot, c
     assert (found.left_out > 0) == (count > 12) == ("whole=true tells all" in found.summary())
     whole = await in_brief(robot, made, whole=True)
     assert (len(whole.joints), whole.left_out) == (count + len(("the left wheel", "the right wheel")), 0)
-    assert whole.joints[count - 1] == f"a_long_name_of_a_joint_{count - 1} position unknown of -1..1 rad, ≤ 1 rad/s"
+    last = f"a_long_name_of_the_joint_{words(count - 1)}"
+    assert whole.joints[count - 1] == f"{last} position unknown of -1..{1 + (count - 1) / 10:g} rad, ≤ 1 rad/s"
 
 
-async def test_a_namespace_of_most_names_is_told_once_where_all_would_be_too_long(window: Make, robot: Robot) -> None:
+async def test_a_hundred_joints_of_one_chain_stand_in_one_line(window: Make, robot: Robot) -> None:
+    links = "".join(f'<link name="link_{n}"/>' for n in range(100))
+    joints = "".join(
+        f'<joint name="joint_{n}" type="revolute"><parent link="{f"link_{n - 1}" if n else "base_link"}"/>'
+        f'<child link="link_{n}"/><limit lower="-1" upper="1" velocity="2" effort="1"/></joint>'
+        for n in range(100)
+    )
+    found = await in_brief(robot, source(windows(window, f'<robot name="snake">{BASE}{links}{joints}</robot>')))
+    names = ",".join(map(str, range(100)))
+    assert found.joints[0] == f"joint_{{{names}}} unknown of ±1, 2/s"
+    assert (found.left_out, size_of(found) <= MOST_BYTES) == (0, True)
+
+
+@pytest.mark.parametrize("count", [2, 30])
+async def test_a_namespace_of_most_names_is_told_once_where_all_would_be_too_long(
+    window: Make, robot: Robot, count: int
+) -> None:
     header = {"frame_id": "laser", "stamp": stamp(4.9)}
+    namespace = f"/a_robot_{'with_a_long_name_' * 6}0140"
+    kinds = [f"sensor_msgs/msg/{kind}" for kind in ("Imu", "Range", "NavSatFix", "FluidPressure", "Temperature")]
+    kinds += [f"sensor_msgs/msg/{kind}" for kind in ("MagneticField", "Illuminance", "PointCloud2", "Image")]
     sensors = [
-        window(
-            f"/robot_with_a_long_name_0140/sensors/imu_{number}/data",
-            "sensor_msgs/msg/Imu",
-            [(4.9, {"header": header})],
-        )
-        for number in range(30)
+        window(f"{namespace}/{words(n)}/{words(n)}/data", kind, [(4.9, {"header": header})])
+        for n, kind in enumerate(kinds * count)
     ]
     made = source([*windows(window, CART), *sensors])
     found = await in_brief(robot, made)
-    assert found.namespace == "/robot_with_a_long_name_0140"
-    assert "sensors/imu_10/data Imu in laser" in found.sensors and found.command_inputs == ["/cmd_vel Twist → /base"]
+    assert found.namespace == namespace
+    assert f"{words(0)}/{words(0)}" in " ".join(found.sensors) and namespace not in " ".join(found.sensors)
+    assert found.command_inputs == ["/cmd_vel Twist → /base"]
     assert size_of(found) <= MOST_BYTES
-    assert (await in_brief(robot, made, whole=True)).namespace == ""
+    assert (found.left_out > 0) == (count > 2)
+    assert (await in_brief(robot, made, whole=True)).namespace is None
