@@ -71,17 +71,17 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             r"/cmd_vel_nav Twist → /base_controller \(from .*\)",
             r"/navigate_to \(action\) → /navigator",
             r"/navigate_to_pose \(action\) → /bt_navigator",
-            r"other actions: /compute_path_to_pose",
-            r"services: /enable_motors SetBool, /reset_odometry Trigger, /self_test Trigger, /set_mode SetMode, "
-            r"/slow_echo SlowEcho, /spawn_obstacle SpawnObstacle",
+            r"other actions: /compute_path_to_pose → /planner_server",
+            r"services: /enable_motors SetBool; /reset_odometry Trigger; /self_test Trigger; /set_mode SetMode; "
+            r"/slow_echo SlowEcho; /spawn_obstacle SpawnObstacle",
         ],
         "sensors": [
             rf"/scan LaserScan{RATE} in laser at 0 0 0.22, 0.12 to 5 m over 359°",
-            r"/battery_state BatteryState \d+%",
+            r"/battery_state BatteryState \d+%.*",
             rf"/camera/depth/image_raw Image{RATE} in camera_optical at 0.15 0 0.35",
             rf"/imu Imu{RATE} in imu_link at 0 0 0.1",
             rf"/camera/image_raw Image{RATE} in camera_optical",
-            r"also told: /heartbeat String, /mode String, /odom Odometry",
+            rf"also told: /heartbeat String «.*»; /mode String «manual»; /odom Odometry{RATE}",
         ],
         "joints": [rf"{side}_wheel_joint continuous -?[\d.]+ rad" for side in ("left", "right")],
         "controllers": [],
@@ -100,7 +100,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             for name in ("arm", "gripper")
         ]
         + [r"services: /self_test Trigger"],
-        "sensors": [r"also told: /heartbeat String"],
+        "sensors": [r"also told: /heartbeat String «.*»"],
         "joints": [
             *(
                 rf"{name}_joint -?[\d.]+ of ±{limit} rad, ≤ {speed} rad/s"
@@ -134,16 +134,16 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             r"/mavros/setpoint_velocity/cmd_vel TwistStamped → /mavros/mavros",
             r"/mavros/setpoint_velocity/cmd_vel_unstamped Twist → /mavros/mavros",
             r"/mavros/setpoint_position/local PoseStamped \(goal\) → /mavros/mavros",
-            r"services: /mavros/set_mode SetMode, /mavros/cmd/arming CommandBool, /mavros/cmd/command CommandLong, "
-            r"/mavros/cmd/land CommandTOL, /mavros/cmd/takeoff CommandTOL, /mavros/mission/push WaypointPush",
+            r"services: /mavros/set_mode SetMode; /mavros/cmd/arming CommandBool; /mavros/cmd/command CommandLong; "
+            r"/mavros/cmd/land CommandTOL; /mavros/cmd/takeoff CommandTOL; /mavros/mission/push WaypointPush",
         ],
         "sensors": [
             rf"/mavros/global_position/global NavSatFix{RATE} in gps_link at 0 0 0.08",
-            r"/mavros/battery BatteryState \d+%",
-            r"also told: /odom Odometry, /mavros/extended_state ExtendedState, /mavros/state State, "
-            r"/mavros/global_position/compass_hdg Float64, /mavros/global_position/rel_alt Float64, "
-            r"/mavros/home_position/home HomePosition, /mavros/mission/waypoints WaypointList, "
-            r"/mavros/statustext/recv StatusText",
+            r"/mavros/battery BatteryState \d+%.*",
+            rf"also told: /odom Odometry{RATE}; /mavros/extended_state ExtendedState{RATE}; "
+            rf"/mavros/state State{RATE}; /mavros/global_position/compass_hdg Float64 [\d.]+; "
+            rf"/mavros/global_position/rel_alt Float64 [\d.]+; /mavros/home_position/home HomePosition; "
+            rf"/mavros/mission/waypoints WaypointList; /mavros/statustext/recv StatusText",
         ],
         "joints": [],
         "controllers": [],

@@ -32,6 +32,7 @@ class MountInWords:
     note: str = ""
 
 
+MOVING = " moving with"
 NO_MOUNT = MountInWords(note=" (mount unknown)")
 
 
@@ -49,7 +50,7 @@ def footprint_in_words(
     if size is None:
         return f"unknown: of {_first(meshes)} there is a mesh alone" if meshes else "unknown"
     long_m, wide_m = size.front_m + size.rear_m, size.left_m + size.right_m
-    least = f" without the mesh{'es' if len(meshes) > 1 else ''} of {_first(meshes)}" if meshes else ""
+    least = f", without the mesh{'es' if len(meshes) > 1 else ''} of {_first(meshes)}" if meshes else ""
     stands = " with what it stands on" if urdf and _stands_on(urdf, root) else ""
     stands += _made_of(urdf) if urdf else ""
     reaches = _reaches_in_words(size.front_m, size.rear_m, size.left_m, size.right_m)
@@ -82,10 +83,10 @@ def _of_costmap(tree: FrameTree, base: str, published: Sequence[tuple[float, flo
     points = [(found.pose.applied(at) if found else at)[:2] for at in published]
     far = [math.hypot(x, y) for x, y in points]
     if min(far) > _ROUND * max(far) and len(points) >= _LEAST_ROUND:
-        return f"radius {max(far):.2f} m about {named(base)} (that of the costmap)"
+        return f"radius {max(far):.2f} m (the costmap's)"
     x, y = [at[0] for at in points], [at[1] for at in points]
     reaches = _reaches_in_words(max(x), -min(x), max(y), -min(y))
-    return f"{max(x) - min(x):.2f} × {max(y) - min(y):.2f} m{reaches} (that of the costmap)"
+    return f"{max(x) - min(x):.2f} × {max(y) - min(y):.2f} m{reaches} (the costmap's)"
 
 
 def _reaches_in_words(front_m: float, rear_m: float, left_m: float, right_m: float) -> str:
@@ -105,7 +106,7 @@ def mounted(urdf: Urdf | None, tree: FrameTree, base: str, frame: str, positions
     if frame == base:
         return MountInWords()
     movers = urdf.moved_by(frame, base) if urdf and base in urdf.links else ()
-    moving = f" moving with {named(movers[0].name)}" if movers else ""
+    moving = f"{MOVING} {named(movers[0].name)}" if movers else ""
     if base and (found := tree.newest(base, frame)):
         return MountInWords(_at(found.pose, frame), moving)
     if urdf is None or base not in urdf.links or (mount := urdf.mount(frame, base, positions)) is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,11 +19,13 @@ from ros2_mcp.ops.space.style import Names, Style
 
 MOST_BYTES = 2_000
 """Of the answer: it is read at the beginning of most sessions."""
-_DROPPED = {
+_WEIGHTS = {
     "inputs": 0.8, "actions": 1.2, "waited": 1.2, "services": 1.6, "sensors": 0.6, "told": 1.2, "joints": 1.0,
-    "controllers": 1.2, "unhealthy": 0.5,
+    "controllers": 0.9, "unhealthy": 0.5,
 }  # fmt: skip
 """Which part loses its last where the whole is too long: that with the most characters times this."""
+_BESIDES, _LEAST_BESIDES = ("actions", "waited", "told"), 4
+"""What is told by its name alone, and how much of it stays before what is described loses anything."""
 _FIRST_PART, _SHARED = re.compile(r"(/\w+)/"), 4
 """Of a name; so many names have it at least, and half of all, where it is told once."""
 _MOST_NAME, _MOST_TEXT = 60, 200
@@ -37,11 +39,14 @@ class RobotInBrief:
     greatest speed; rad or m), and where it is (`place`: in which frame, how that is known, how old). `stacks` are Nav2,
     MoveIt, ros2_control, MAVROS and others, as far as they run.
 
-    Where it would be long, a name has braces: `/sonar/{left,right}` are two, and one value is of both, several are of
-    each in their order (± is the first one's + and the second's -); joints without a unit are in rad; topics and nodes
-    that do not begin with / are below `namespace`; a type that is called as its topic is not told. `left_out` counts
-    what did not fit into 2 kB even so; the whole of it leaves nothing out. `not_read` are the parts that were not there
-    within the time of this answer, or whose type is not known here, which says nothing of the robot.
+    What does not fit into 2 kB is told more shortly. A name has braces: `/sonar/{left,right}` are two, and one value is
+    of both, several are of each in their order (± is the first one's + and the second's -; `mirrored` the same limits
+    for the other side). An input without → is taken by the node that its name begins with; topics and nodes that do not
+    begin with / are below `namespace`; joints without a unit are in rad; types may be missing, and the frames of
+    sensors, whose places are told. `left_out` counts what did not fit even so; the whole of it leaves nothing out.
+
+    `not_read` are the parts that were not there within the time of this answer, or whose type is not known here, which
+    says nothing of the robot. `read_from` is the recording, where it is not of the live robot.
     """
 
     name: str = field(metadata=SAID)
@@ -59,16 +64,14 @@ class RobotInBrief:
     namespace: str | None = field(default=None, metadata=ON_REQUEST)
     not_read: Sequence[str] | None = field(default=None, metadata=ON_REQUEST)
     left_out: int = field(default=0, metadata=SAID)
-    read_from: str = field(default="live")
+    read_from: str | None = field(default=None, metadata=ON_REQUEST)
 
     def summary(self) -> str:
         """A line: the rest stands in the values."""
-        health = f"unhealthy: {len(self.unhealthy)} finding(s)" if self.unhealthy else "nothing unhealthy seen"
+        health = "" if self.unhealthy else " Nothing unhealthy seen."
         not_read = f" Not read: {', '.join(self.not_read)}." if self.not_read else ""
-        left_out = (
-            f" {self.left_out} name(s), line(s) or speed(s) left out: whole=true tells all." if self.left_out else ""
-        )
-        return f"{quoted(self.name)}: {self.kind}. {self.place} {health}.{not_read}{left_out}"
+        left_out = f" {self.left_out} left out: whole=true tells all." if self.left_out else ""
+        return f"{quoted(self.name)}: {self.kind}. {self.place}{health}{not_read}{left_out}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +95,7 @@ class Parts:
     frames: str
     unhealthy: Sequence[str] = ()
     not_read: Sequence[str] = ()
-    read_from: str = "live"
+    read_from: str = ""
 
     def in_words(self, style: Style, left_out: int = 0) -> RobotInBrief:
         """All of it, told in one style."""
@@ -113,37 +116,45 @@ class Parts:
             namespace=style.namespace or None,
             not_read=self.not_read or None,
             left_out=left_out,
-            read_from=self.read_from,
+            read_from=self.read_from or None,
         )
 
 
 def within(parts: Parts, most_bytes: int) -> RobotInBrief:
-    """All of it, told as shortly as it must be; where even that is too long, without speeds, then without the ends of
-    its lists.
-    """
-    styles = list(_styles(parts))
-    for style in styles:
-        if _size(brief := parts.in_words(style)) <= most_bytes:
-            return brief
-    style, left_out = styles[-1], 0
-    while any(joint.speed for joint in parts.joints):
-        joints, count = without_last_speeds(parts.joints)
-        parts, left_out = replace(parts, joints=joints), left_out + count
-        if _size(brief := parts.in_words(style, left_out)) <= most_bytes:
-            return brief
-    parts, style = _with_short_texts(parts), replace(style, most_name=_MOST_NAME)
-    while _size(brief := parts.in_words(style, left_out)) > most_bytes and (longest := _longest(parts, style)):
-        parts, left_out = _without_last(parts, longest), left_out + 1
+    """All of it, told as shortly as it must be; where even that is too long, without what is needed least."""
+    brief, left_out = parts.in_words(Style()), 0
+    for style, shorter, count in _shorter(parts):
+        left_out += count
+        brief = shorter.in_words(style, left_out)
+        if _size(brief) <= most_bytes:
+            break
     return brief
 
 
-def _styles(parts: Parts) -> Iterator[Style]:
-    """One shorter than the other."""
-    yield Style()
-    yield (brief := Style(is_brief=True))
-    yield (below := replace(brief, namespace=_namespace(parts)))
-    yield (coarse := replace(below, decimals=2))
-    yield replace(coarse, has_senders=False)
+def _shorter(parts: Parts) -> Iterator[tuple[Style, Parts, int]]:
+    """The same in ever fewer words, each with how many names, lines or speeds it lacks that the one before had."""
+    yield (style := Style()), parts, 0
+    yield (style := replace(style, is_brief=True)), parts, 0
+    yield (style := replace(style, namespace=_namespace(parts))), parts, 0
+    yield (style := replace(style, decimals=2)), parts, 0
+    yield (style := replace(style, has_senders=False)), parts, 0
+    yield (style := replace(style, has_types=False)), parts, 0
+    while parts.services.found:
+        yield style, (parts := _without_last(parts, "services")), 1
+    yield style, (parts := replace(parts, actions=parts.actions.with_known())), 0
+    yield (style := replace(style, has_listeners=False)), parts, 0
+    inputs = [one for one in parts.inputs if one.use != "joystick"]
+    count = len(parts.inputs) - len(inputs)
+    yield style, (parts := replace(parts, inputs=inputs)), count
+    yield (style := replace(style, has_frames=False)), parts, 0
+    while name := _longest(parts, style, _BESIDES, least=_LEAST_BESIDES):
+        yield style, (parts := _without_last(parts, name)), 1
+    while any(joint.speed for joint in parts.joints):
+        joints, count = without_last_speeds(parts.joints)
+        yield style, (parts := replace(parts, joints=joints)), count
+    yield (style := replace(style, most_name=_MOST_NAME)), (parts := _with_short_texts(parts)), 0
+    while name := _longest(parts, style, _WEIGHTS):
+        yield style, (parts := _without_last(parts, name)), 1
 
 
 def _with_short_texts(parts: Parts) -> Parts:
@@ -159,20 +170,23 @@ def _namespace(parts: Parts) -> str:
     names = [*(one.topic for one in parts.inputs), *(one.topic for one in parts.sensors)]
     names += [name for one in parts.inputs for name in one.listeners]
     names += [one.name for one in parts.controllers]
-    names += [name for line in (parts.actions, parts.waited, parts.services, parts.told) for name, _ in line.found]
+    names += [
+        name
+        for line in (parts.actions, parts.waited, parts.services, parts.told)
+        for name in (one.name for one in line.found)
+    ]
     firsts = Counter(match[1] for name in names if (match := _FIRST_PART.match(name)))
     namespace, count = firsts.most_common(1)[0] if firsts else ("", 0)
     return namespace if count >= _SHARED and count * 2 >= len(names) else ""
 
 
-def _longest(parts: Parts, style: Style) -> str:
-    """The list that has to lose its last; empty where none has anything."""
+def _longest(parts: Parts, style: Style, names: Iterable[str], least: int = 0) -> str:
+    """The list that has to lose its last, of those that have more than the `least`; empty where none has."""
 
     def weight(name: str) -> float:
-        return sum(map(len, _lines(parts, name, style))) * _DROPPED[name] if _length(parts, name) else 0.0
+        return sum(map(len, _lines(parts, name, style))) * _WEIGHTS[name]
 
-    longest = max(_DROPPED, key=weight)
-    return longest if _length(parts, longest) else ""
+    return max((name for name in names if _length(parts, name) > least), key=weight, default="")
 
 
 def _lines(parts: Parts, name: str, style: Style) -> Sequence[str]:

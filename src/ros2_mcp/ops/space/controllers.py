@@ -58,11 +58,7 @@ def controllers_of(
     graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]], *, is_controlled: bool
 ) -> list[Controller]:
     """Those that move something first; without a manager's answer what the graph tells."""
-    moved = {
-        one.topic.rpartition("/_action/")[0].rpartition("/")[0]
-        for one in graph.topics.values()
-        if any(kind.startswith("control_msgs/action/") for kind in one.types)
-    } - {""}
+    moved = {name for name in _movers(graph) if graph.nodes is None or name in graph.nodes}
     if not managed:
         own = {name for name in graph.nodes or () if is_controlled and name.endswith(("_controller", "_broadcaster"))}
         return [Controller(name) for name in sorted(moved | own)]
@@ -79,10 +75,34 @@ def controllers_of(
     return [controller for _, controller in sorted(found, key=lambda one: one[0])]
 
 
+def idle_movers(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[str]:
+    """That no controller that takes goals is active, as after a protective stop; empty where one is, or none exists."""
+    states = {
+        f"{listed_by.rpartition('/')[0]}/{one['name']}": one["state"]
+        for listed_by, controllers in managed.items()
+        for one in controllers
+    }
+    movers = _movers(graph)
+    are_idle = bool(movers) and all(states.get(name, "active") != "active" for name in movers)
+    return ["No controller that moves joints is active."] if are_idle else []
+
+
+def _movers(graph: GraphSnapshot) -> set[str]:
+    """Controllers that have an action."""
+    return {
+        one.topic.rpartition("/_action/")[0].rpartition("/")[0]
+        for one in graph.topics.values()
+        if any(kind.startswith("control_msgs/action/") for kind in one.types)
+    } - {""}
+
+
 def controllers_in_words(controllers: Iterable[Controller], style: Style) -> list[str]:
     """A line each, or for those of one type and state together."""
+
+    def about(one: Controller) -> str:
+        kind = f" {named(one.type)}" if one.type and style.has_types else ""
+        return f"{kind}{f' is {named(one.state)}' if one.state else ''}"
+
     return [
-        f"{style.names(one.name for one in group)}{f' {named(group[0].type)}' if group[0].type else ''}"
-        f"{f' is {named(group[0].state)}' if group[0].state else ''}"
-        for group in style.groups(controllers, key=lambda one: (one.type, one.state))
+        f"{style.names(one.name for one in group)}{about(group[0])}" for group in style.groups(controllers, key=about)
     ]

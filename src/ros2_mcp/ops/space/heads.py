@@ -66,9 +66,18 @@ async def _samples(robot: Robot, source: Source, topic: str, listen_s: float) ->
 def _head(samples: Sequence[Sample]) -> Head:
     if not samples:
         return Head(0, None, "")
-    span_ns = samples[-1].received_ns - samples[0].received_ns
-    rate_hz = (len(samples) - 1) / span_ns * 1e9 if len(samples) > 1 and span_ns > 0 else None
-    return Head(len(samples), rate_hz, _frame_of(samples[-1].data))
+    return Head(len(samples), rate_of(samples), _frame_of(samples[-1].data))
+
+
+def rate_of(samples: Sequence[Sample]) -> float | None:
+    """In Hz, by when they were sent; None of too few."""
+    span_ns = _sent_ns(samples[-1]) - _sent_ns(samples[0])
+    return (len(samples) - 1) / span_ns * 1e9 if len(samples) > 1 and span_ns > 0 else None
+
+
+def _sent_ns(sample: Sample) -> int:
+    """A kept message is received at once, however long ago it was sent."""
+    return sample.source_ns or sample.received_ns
 
 
 def _frame_of(data: bytes) -> str:

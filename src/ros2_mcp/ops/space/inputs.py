@@ -10,7 +10,7 @@ from typing import Any
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
-from ros2_mcp.ops.space.style import Names, Style, is_called_as
+from ros2_mcp.ops.space.style import Named, Names, Style, is_called_as
 from ros2_mcp.robot.resolution import is_infrastructure
 
 _COMMANDS = ("Twist", "TwistStamped", "AckermannDrive", "AckermannDriveStamped", "JointTrajectory", "Joy")
@@ -50,6 +50,7 @@ _NO_INPUTS = (
 _PLAIN = ("geometry_msgs", "std_msgs")
 _OF_A_HAND = re.compile(r"(servo|delta_twist)", re.IGNORECASE)
 """In the topic of a velocity that moves the tip of an arm, and no base (MoveIt Servo)."""
+_STACKS = {"moveit_msgs": "MoveIt", "nav2_msgs": "Nav2"}
 _TRAJECTORIES = "joint_trajectory"
 _MOST_NAMED = 3
 _OF_PROGRAMS = (
@@ -58,7 +59,7 @@ _OF_PROGRAMS = (
     "slam_toolbox", "tf2_msgs", "topic_tools_interfaces", "type_description_interfaces",
 )  # fmt: skip
 """Packages of services that ask or set up programs; whoever would move the robot uses their actions and topics."""
-_ASKS = re.compile(r"^(get|list|query|is|has|read|check|dump|save|load)(_|$)|(/|_)(get|list|query)_|_status$")
+_ASKS = re.compile(r"^(get|list|query|is|has|read|check|dump|save|load)(_|$)|_(get|list|query)(_|$)|_status$")
 """In the last part of a service's name: it changes nothing of the robot."""
 
 
@@ -79,17 +80,22 @@ class CommandInput:
 
     def about(self, style: Style) -> str:
         """All but its name, with who else may send there, which whoever would drive there wants to know."""
-        by = f" (from {', '.join(map(style.name, self.senders[:2]))})" if self.senders and style.has_senders else ""
+        by = f" (from {_some(self.senders, style)})" if self.senders and style.has_senders else ""
         use = self.use if self.use != "trajectory" else ""  # its type says that
         use += f", or topic {named(self.or_topic)}" if self.or_topic else ""
         state = "" if self.is_active else ", not active"
-        who = " and ".join(map(style.name, self.listeners[:_MOST_NAMED]))
-        return f"{self._type_in_words()}{f' ({use})' if use else ''} → {who}{state}{by}"
+        who = style.whom(self.topic, self.listeners)
+        return f"{self._type_in_words()}{f' ({use})' if use else ''}{who}{state}{by}"
 
     def _type_in_words(self) -> str:
         """With a blank before it; nothing where an action is called as its type is."""
         kind = self.type.rpartition("/")[2]
         return "" if self.use == "action" and is_called_as(kind, self.topic) else f" {named(kind)}"
+
+
+def _some(nodes: Sequence[str], style: Style) -> str:
+    more = f" and {len(nodes) - _MOST_NAMED} more" if len(nodes) > _MOST_NAMED else ""
+    return f"{', '.join(map(style.name, nodes[:_MOST_NAMED]))}{more}"
 
 
 def inputs_in_words(inputs: Iterable[CommandInput], style: Style) -> list[str]:
@@ -124,21 +130,29 @@ def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[
 def other_actions(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> Names:
     """The actions that are no command inputs."""
     told = {one.topic for one in inputs}
-    found = [(name, "") for name, kind, _ in _actions(graph) if name not in told and not _GOALS.fullmatch(kind)]
-    return Names("other actions", found)
+    found = [one for one in _actions(graph) if one[0] not in told and not _GOALS.fullmatch(one[1])]
+    named_ones = [
+        Named(name, listeners=servers, stack=_STACKS.get(kind.partition("/")[0], "")) for name, kind, servers in found
+    ]
+    return Names("other actions", sorted(named_ones, key=lambda one: bool(one.stack)))
 
 
 def waited_for(graph: GraphSnapshot, inputs: Sequence[CommandInput]) -> Names:
     """Topics of which somebody waits for messages that nobody sends, whatever their types are for."""
     told = {one.topic for one in inputs}
     waiting = sorted((one for one in graph.topics.values() if _waits(one, told)), key=_rank)
-    return Names("also waited for", [(one.topic, one.types[0].rpartition("/")[2]) for one in waiting])
+    return Names("waited for", [_waiting(one) for one in waiting])
+
+
+def _waiting(topic: TopicEndpoints) -> Named:
+    listeners = sorted({subscriber.node for subscriber in topic.subscribers})
+    return Named(topic.topic, topic.types[0].rpartition("/")[2], listeners=listeners)
 
 
 def orders_by_service(graph: GraphSnapshot) -> Names:
     """Services by which a robot is told to do something, such as to stand up, to arm, to reset."""
     found = [
-        (name, types[0].rpartition("/")[2])
+        Named(name, types[0].rpartition("/")[2])
         for name, types in sorted((graph.services or {}).items(), key=lambda one: (one[0].count("/"), one[0]))
         if not is_infrastructure(name, types) and types[0].partition("/")[0] not in _OF_PROGRAMS
         if not _ASKS.search(name.rpartition("/")[2])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ros2_mcp.codec.robot_kind import arms_of, is_passive, rotors_of, wheels_of
@@ -13,6 +13,8 @@ from ros2_mcp.ops.space.style import Style, same_or_each
 
 _FAR = 1e6
 """Of a limit in rad or m: more means that there is none."""
+_LEAST_EQUAL = 3
+"""Lines with one speed: then it is told once."""
 _SIDE = r"left|right|front|rear|back|hind|middle|[FRHL][LR]|[LR][FHRB]|[LRlrFfHhBb]"
 _NUMBER_OR_SIDE = re.compile(rf"\d+|(?<![A-Za-z0-9])(?:{_SIDE})(?:_?(?:left|right))?(?=[_.A-Z]|$)")
 """In the name of a joint: in what those of an arm, of two sides or of four corners differ."""
@@ -59,14 +61,22 @@ def without_last_speeds(joints: Sequence[JointNow]) -> tuple[list[JointNow], int
     return found, sum(joint.row == last for joint in joints)
 
 
-def joints_in_words(joints: Iterable[JointNow], style: Style) -> list[str]:
-    """A line each, or for those together that differ in a number or side alone: `{L,R}Hip 0.1, 0.2 of -1..1`."""
-    return [_together(group, style) for group in style.groups(joints, key=lambda one: one.row)]
+def joints_in_words(joints: Sequence[JointNow], style: Style) -> list[str]:
+    """A line each, or for those together that differ in a number or side alone: `{L,R}Hip 0.1, 0.2 of -1..1`. In brief
+    a speed that all have is told once.
+    """
+    speeds = {_at_most(one.speed, style.decimals) for one in joints if one.speed}
+    groups = style.groups(joints, key=lambda one: one.row)
+    if not style.is_brief or len(speeds) != 1 or sum(bool(group[0].speed) for group in groups) < _LEAST_EQUAL:
+        return [_together(group, style) for group in groups]
+    alone = [[replace(one, speed=0.0) for one in group] for group in groups]
+    return [*(_together(group, style) for group in alone), f"speeds {speeds.pop()}/s"]
 
 
 def _together(joints: Sequence[JointNow], style: Style) -> str:
     first = joints[0]
-    kind = "" if first.kind == "revolute" else f" {first.kind}"
+    is_clear = first.kind == "revolute" or (style.is_brief and first.kind == "prismatic")  # it is told in m
+    kind = "" if is_clear else f" {first.kind}"
     places = [one.at or ("position unknown" if len(joints) == 1 else "unknown") for one in joints]
     span = f" of {_spans_in_words([one.span for one in joints if one.span], style.decimals)}" if first.span else ""
     is_told = first.unit and not (style.is_brief and first.unit == "rad")

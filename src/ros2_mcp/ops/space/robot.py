@@ -13,7 +13,7 @@ from typing import Any
 
 import anyio
 
-from ros2_mcp.codec.robot_kind import arms_of, kind_of
+from ros2_mcp.codec.robot_kind import arms_of, kind_of, wheels_of
 from ros2_mcp.codec.transforms import FrameTree, Located
 from ros2_mcp.codec.urdf import Mount, Urdf, parse
 from ros2_mcp.model.aside import load
@@ -28,15 +28,16 @@ from ros2_mcp.ops.results import silent
 from ros2_mcp.ops.sources.source import GraphSnapshot, Source
 from ros2_mcp.ops.space.body import NO_MOUNT, MountInWords, footprint_in_words, mounted
 from ros2_mcp.ops.space.brief import MOST_BYTES, Parts, RobotInBrief, within
-from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_of, listed_controllers
+from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_of, idle_movers, listed_controllers
 from ros2_mcp.ops.space.edges import edge_row, in_words
 from ros2_mcp.ops.space.frames import WORLDS, frames_of, separate_roots
 from ros2_mcp.ops.space.heads import Head, heads_of
 from ros2_mcp.ops.space.inputs import command_inputs, drive_types, orders_by_service, other_actions, waited_for
 from ros2_mcp.ops.space.joints import joints_now, placed
-from ros2_mcp.ops.space.sensors import Sensor, also_told, ranked, sensors_of
+from ros2_mcp.ops.space.sensors import MISSED, Sensor, also_told, ranked, rate_in_words, sensors_of
 from ros2_mcp.ops.space.standing_time import standing_time
-from ros2_mcp.ops.space.style import Style
+from ros2_mcp.ops.space.states import states_of
+from ros2_mcp.ops.space.style import Named, Names, Style, braced
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.transforms import LISTENS
 
@@ -50,10 +51,11 @@ _JOINTS_NS = 1_000_000_000
 _LEAST_S = 0.4
 """For messages, however long the graph took: what comes twice a second is mostly heard, too."""
 _TF = "tf2_msgs/msg/TFMessage"
-_BATTERY = "sensor_msgs/msg/BatteryState"
+_BATTERY, _ODOMETRY = "sensor_msgs/msg/BatteryState", "nav_msgs/msg/Odometry"
 _WITH_RANGE = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range")
-_MOST_SENSORS = 20
-"""Of which rate and frame are looked for, where not all are told: more lines than two kilobytes have room for."""
+_MOST_SENSORS, _MOST_STATES = 30, 20
+"""Of which rate and frame, or the value, are looked for, where not all are told: two kilobytes have hardly room for
+more."""
 _MOST_HEARD = 40
 """Sensors of which rate and frame are looked for, where all are told."""
 _OLD_S = 2.0
@@ -79,6 +81,9 @@ class _Seen:
     footprint_frame: str = ""
     managed: Mapping[str, Sequence[Mapping[str, Any]]] = field(default_factory=dict[str, Sequence[Mapping[str, Any]]])
     reports: list[str] = field(default_factory=list[str])
+    rates: Mapping[str, str] = field(default_factory=dict[str, str])
+    states: Mapping[str, str] = field(default_factory=dict[str, str])
+    faults: Sequence[str] = ()
     odometry: Any = None
     odometry_topic: str = ""
     problems: list[str] = field(default_factory=list[str])
@@ -115,6 +120,7 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
         ("positions of the joints", _joint_states(source, seen)),
         ("batteries", _batteries(source, seen)),
         ("diagnostics", _reports(source, seen)),
+        ("states", _states(source, seen)),
         ("odometry", _odometry(source, seen)),
         ("footprint", _published_footprint(source, seen)),
         ("controllers", _managed(robot, source, seen)),
@@ -181,8 +187,12 @@ async def _frames(source: Source, seen: _Seen) -> None:
 
 
 async def _heads(robot: Robot, source: Source, seen: _Seen) -> None:
-    topics = [one.topic for one, _ in ranked(seen.graph)]
-    seen.heads = await heads_of(robot, source, topics[: seen.most_sensors], seen.listen_s)
+    sensors = [one.topic for one, _ in ranked(seen.graph)][: seen.most_sensors]
+    others = [topic for topic, _ in also_told(seen.graph)][:_MOST_STATES]
+    others += [one.topic for one in _topics(seen.graph, _BATTERY)[:2]]
+    heads = await heads_of(robot, source, [*sensors, *others], seen.listen_s)
+    seen.heads = {topic: head for topic, head in heads.items() if topic in sensors}
+    seen.rates = {topic: rate_in_words(heads[topic].rate_hz) for topic in others if topic in heads}
 
 
 async def _ranges(source: Source, seen: _Seen) -> None:
@@ -204,9 +214,12 @@ async def _ranges(source: Source, seen: _Seen) -> None:
 
 
 async def _joint_states(source: Source, seen: _Seen) -> None:
-    """Where joints are: some drivers tell those of the base and those of the arm in turns, on one topic."""
-    kind = "sensor_msgs/msg/JointState"
-    await asyncio.gather(*(_positions(source, seen, one.topic) for one in _topics(seen.graph, kind)[:3]))
+    """Where joints are: some drivers tell those of the base and those of the arm in turns, on one topic; and some tell
+    of joints what are no positions, such as limits, on topics with other names.
+    """
+    topics = [one.topic for one in _topics(seen.graph, "sensor_msgs/msg/JointState")]
+    usual = [topic for topic in topics if topic.rpartition("/")[2] == "joint_states"]
+    await asyncio.gather(*(_positions(source, seen, topic) for topic in (usual or topics)[:3]))
 
 
 async def _positions(source: Source, seen: _Seen, topic: str) -> None:
@@ -258,12 +271,17 @@ async def _reports(source: Source, seen: _Seen) -> None:
     seen.reports = [f"{level} {quoted(name)}: {quoted(said)}" for name, (level, said) in told.items()]
 
 
+async def _states(source: Source, seen: _Seen) -> None:
+    """The modes, flags and figures that it tells in topics of one value each."""
+    topics = [one for one in also_told(seen.graph) if one[1] != _ODOMETRY][:_MOST_STATES]
+    seen.states, seen.faults = await states_of(source.lasting(seen.listen_s), dict(topics))
+
+
 async def _odometry(source: Source, seen: _Seen) -> None:
-    kind = "nav_msgs/msg/Odometry"
-    found = [one.topic for one in _topics(seen.graph, kind)]
+    found = [one.topic for one in _topics(seen.graph, _ODOMETRY)]
     found.sort(key=lambda name: ("filtered" not in name, name.rpartition("/")[2] != "odom", name))  # the better first
     for topic in found[:1]:
-        seen.odometry, seen.odometry_topic = await _message(source, seen, topic, kind), topic
+        seen.odometry, seen.odometry_topic = await _message(source, seen, topic, _ODOMETRY), topic
 
 
 async def _published_footprint(source: Source, seen: _Seen) -> None:
@@ -295,6 +313,12 @@ def _parts(source: Source, seen: _Seen) -> Parts:
     base = _base_of(seen)
     inputs = command_inputs(seen.graph, seen.managed)
     waited = waited_for(seen.graph, inputs)
+    asked = {*(one.topic for one in inputs), *(one.name for one in waited.found)}
+    told = [
+        Named(name, kind.rpartition("/")[2], seen.states.get(name) or seen.rates.get(name, ""))
+        for name, kind in also_told(seen.graph)
+        if name not in asked
+    ]
     stacks = _stacks(seen.graph)
     place, trouble = _place(source, seen, base)
     return Parts(
@@ -308,14 +332,14 @@ def _parts(source: Source, seen: _Seen) -> Parts:
         waited=waited,
         services=orders_by_service(seen.graph),
         sensors=_sensors(seen, base),
-        told=also_told(seen.graph, but={*(one.topic for one in inputs), *(name for name, _ in waited.found)}),
+        told=Names("also told", told),
         joints=joints_now(seen.urdf, seen.positions, " ".join(seen.reports)),
         controllers=controllers_of(seen.graph, seen.managed, is_controlled="ros2_control" in stacks),
         stacks=stacks,
         frames=_frames_in_words(seen, base),
         unhealthy=[*trouble, *_unhealthy(source, seen)],
         not_read=seen.not_read,
-        read_from="live" if source.is_live else source.words,
+        read_from="" if source.is_live else source.words,
     )
 
 
@@ -356,7 +380,11 @@ def _stacks(graph: GraphSnapshot) -> list[str]:
 def _sensors(seen: _Seen, base: str) -> list[Sensor]:
     frames = {head.frame for head in seen.heads.values() if head.frame}
     mounts = {frame: _mounted(seen, base, frame) for frame in frames}
-    return sensors_of(seen.graph, seen.heads, mounts, seen.ranges, seen.batteries)
+    batteries = {
+        topic: ", ".join(filter(None, ("" if share is None else f"{share:.0%}", seen.rates.get(topic))))
+        for topic, share in seen.batteries.items()
+    }
+    return sensors_of(seen.graph, seen.heads, mounts, seen.ranges, batteries)
 
 
 def _mounted(seen: _Seen, base: str, frame: str) -> MountInWords:
@@ -448,10 +476,17 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
         row = edge_row(seen.tree, edge, now_ns or edge.last_received_ns, time_stands=bool(seen.stands))
         if row.problem:
             found.append(in_words(row))
-    found += [f"{named(topic)} is published, but silent." for topic, head in seen.heads.items() if not head.count]
+    missed = {one.topic for one, kind in ranked(seen.graph) if kind in MISSED}
+    if silent_ones := [topic for topic, head in seen.heads.items() if not head.count and topic in missed]:
+        found.append(f"{_are(silent_ones)} published, but silent.")
     if seen.urdf:
         found += seen.urdf.problems[:2]
-        unknown = [one.name for one in placed(seen.urdf, seen.positions) if one.name not in seen.positions]
+        wheels = {joint.name for joint in wheels_of(seen.urdf)}
+        unknown = [
+            one.name
+            for one in placed(seen.urdf, seen.positions)
+            if one.name not in seen.positions and (one.kind != "continuous" or one.name in wheels)
+        ]
         if unknown and "positions of the joints" not in seen.not_read:
             more = f" and {len(unknown) - 3} more" if len(unknown) > 3 else ""
             found.append(f"Nobody tells the position of {', '.join(map(named, unknown[:3]))}{more}.")
@@ -460,12 +495,18 @@ def _unhealthy(source: Source, seen: _Seen) -> list[str]:
     low = [share for share in seen.batteries.values() if share is not None and share < 0.2]
     if low:
         found.append(f"The battery is at {min(low):.0%}.")
-    for topic, head in seen.heads.items():
-        if head.frame and seen.tree.frames and _mounted(seen, _base_of(seen), head.frame) == NO_MOUNT:
-            found.append(f"Nobody tells where {named(head.frame)} of {named(topic)} sits.")
+    base = _base_of(seen)
+    frames = dict.fromkeys(head.frame for head in seen.heads.values() if head.frame and seen.tree.frames)
+    if astray := [named(frame) for frame in frames if _mounted(seen, base, frame) == NO_MOUNT]:
+        found.append(f"Not in TF: {', '.join(astray)}.")
+    found += [*seen.faults, *idle_movers(seen.graph, seen.managed)]
     if lost := _not_localised(seen):
         found.append(lost)
     return [*found, *seen.reports]
+
+
+def _are(topics: Sequence[str]) -> str:
+    return f"{braced(list(map(named, topics)))} {'is' if len(topics) == 1 else 'are'}"
 
 
 def _not_localised(seen: _Seen) -> str:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
-from ros2_mcp.ops.space.body import MountInWords
+from ros2_mcp.ops.space.body import MOVING, MountInWords
 from ros2_mcp.ops.space.heads import Head
 from ros2_mcp.ops.space.inputs import LOW_LEVEL, REPORT
-from ros2_mcp.ops.space.style import Names, Style, braced, same_or_each
+from ros2_mcp.ops.space.style import Style, braced, factors, same_or_each
 
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 SENSORS = (
@@ -30,6 +31,8 @@ SENSORS = (
     "sensor_msgs/msg/Illuminance",
 )
 """In the order in which they are told."""
+MISSED = frozenset(SENSORS[:7])
+"""Of these silence is a fault; drivers announce the others also where the device has none."""
 _OF_ROS = (
     "ackermann_msgs", "action_msgs", "actionlib_msgs", "bond", "builtin_interfaces", "control_msgs",
     "controller_manager_msgs", "diagnostic_msgs", "geometry_msgs", "lifecycle_msgs", "map_msgs", "moveit_msgs",
@@ -40,7 +43,8 @@ _OF_ROS = (
 """Packages of messages that are of no robot's own: what of them is a sensor's stands above."""
 _TOLD = ("nav_msgs/msg/Odometry",)
 _DESCRIPTIONS = ("robot_description", "robot_description_semantic")
-_WHOLE_HZ = 9.95
+_WHOLE_HZ, _EQUAL_HZ = 9.95, 1.1
+_RATE = re.compile(r"[\d.]+ Hz")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,13 +87,13 @@ def sensors_of(
     heads: Mapping[str, Head],
     mounts: Mapping[str, MountInWords],
     ranges: Mapping[str, str],
-    batteries: Mapping[str, float | None],
+    batteries: Mapping[str, str],
 ) -> list[Sensor]:
     """The sensors in the order of `ranked`, batteries after the first; `mounts` by frame, the others by topic."""
     found: list[Sensor] = []
     for one, type_name in ranked(graph):
         head = heads.get(one.topic)
-        state = "" if head is None else "silent" if not head.count else _rate_in_words(head.rate_hz)
+        state = "" if head is None else "silent" if not head.count else rate_in_words(head.rate_hz)
         frame = head.frame if head else ""
         mount = mounts.get(frame, MountInWords())
         found.append(
@@ -97,12 +101,11 @@ def sensors_of(
                 one.topic, type_name.rpartition("/")[2], state, frame, mount.at, mount.note, ranges.get(one.topic, "")
             )
         )
-    full = {topic: "" if share is None else f"{share:.0%}" for topic, share in batteries.items()}
-    return [*found[:1], *(Sensor(topic, "BatteryState", said) for topic, said in full.items()), *found[1:]]
+    return [*found[:1], *(Sensor(topic, "BatteryState", said) for topic, said in batteries.items()), *found[1:]]
 
 
-def _rate_in_words(rate_hz: float | None) -> str:
-    """Two digits of it: the others are chance."""
+def rate_in_words(rate_hz: float | None) -> str:
+    """Empty if it is not known; two digits of it: the others are chance."""
     if rate_hz is None:
         return ""
     return f"{rate_hz:.0f} Hz" if rate_hz >= _WHOLE_HZ else f"{rate_hz:.2g} Hz"
@@ -116,42 +119,69 @@ def sensors_in_words(sensors: Iterable[Sensor], style: Style) -> list[str]:
 
     told = set[str]()
     by_frame = style.groups(sensors, key=lambda one: (*all_but_frame(one), one.frame))
-    alike = style.groups(  # of several frames each has one topic, else it would not be clear which
-        by_frame, key=lambda all_of: (*all_but_frame(all_of[0]), *((all_of[0].topic,) if len(all_of) > 1 else ()))
-    )
-    return [_together([one for all_of in groups for one in all_of], told, style) for groups in alike]
+    alike = style.groups(by_frame, key=lambda all_of: (*all_but_frame(all_of[0]), len(all_of)))
+    lines = [_together(group, told, style) for groups in alike for group in _merged(groups)]
+    if style.has_frames:
+        return [f"{said}{where and f' {where}'}{sees and f', {sees}'}" for said, where, sees in lines]
+    return [
+        f"{where and f'{where}: '}{'; '.join(said + (sees and f', {sees}') for said, _, sees in all_of)}"
+        for all_of in style.groups(lines, key=lambda line: line[1])
+        for where in [all_of[0][1]]
+    ]
 
 
-def _together(sensors: Sequence[Sensor], told: set[str], style: Style) -> str:
-    """One line. Of several sensors in one frame the first tells where it sits: `told` has the frames of those."""
-    first = sensors[0]
-    frames = list(dict.fromkeys(one.frame for one in sensors))
-    unit = " Hz" if first.state.endswith(" Hz") else ""
-    state = f"{same_or_each([one.state.removesuffix(unit) for one in sensors])}{unit}"
-    said = f"{style.names(one.topic for one in sensors)} {named(first.type)}{f' {state}' if state else ''}"
-    if first.frame:
-        new = [one for one in sensors if one.frame not in told]
-        places = list({one.frame: one.at for one in (sensors if new and len(frames) > 1 else new)}.values())
-        said += f" in {braced(list(map(named, frames)))}"
-        said += f" at {same_or_each(places, '; ')}" if any(places) else ""
-        said += first.note if new else ""
-        told.update(frames)
-    return f"{said}, {first.sees}" if first.sees else said
-
-
-def also_told(graph: GraphSnapshot, but: Container[str]) -> Names:
-    """What else the robot publishes of itself by its name: types of its makers, such as bumpers and motors, plain
-    numbers and states, odometry; `but` the topics that are told elsewhere.
+def _merged(groups: Sequence[Sequence[Sensor]]) -> Iterator[Sequence[Sequence[Sensor]]]:
+    """Groups of sensors, each in one frame, that can stand in one line: a topic in each, or all combinations of some
+    and of what the frames differ in, so that it is clear which sits where.
     """
-    return Names(
-        "also told",
-        [
-            (one.topic, one.types[0].rpartition("/")[2])
-            for one in sorted(graph.topics.values(), key=lambda one: (one.topic.count("/"), one.topic))
-            if one.publishers and "/_" not in one.topic and one.topic not in but and _is_of_itself(one)
-            if REPORT.search(one.topic) or not LOW_LEVEL.search(one.topic)
-        ],
-    )
+    rows = list(zip(*groups, strict=True))
+    if len(rows) == 1 or (len(groups) > 1 and factors([one.topic for row in rows for one in row])):
+        yield groups
+    else:
+        yield from ([group] for group in groups)
+
+
+def _together(groups: Sequence[Sequence[Sensor]], told: set[str], style: Style) -> tuple[str, str, str]:
+    """What they are, where they are, what they see. Of several sensors in one frame the first tells where it sits:
+    `told` has the frames of those.
+    """
+    sensors = [one for row in zip(*groups, strict=True) for one in row]
+    first, frames = sensors[0], [group[0].frame for group in groups]
+    state = _states_in_words([one.state for one in sensors])
+    said = f"{style.names(one.topic for one in sensors)} {named(first.type)}{f' {state}' if state else ''}"
+    if not first.frame:
+        return said, "", first.sees
+    places = [group[0].at for group in groups]
+    at = f"at {same_or_each(places, '; ')}" if any(places) else ""
+    inside = f"in {braced(list(map(named, frames)))}"
+    if not style.has_frames:
+        note = " (moves)" if first.note.startswith(MOVING) else first.note if at else ""  # unhealthy tells the others
+        return said, f"{at or inside}{note}", first.sees
+    is_new = not told.issuperset(frames)
+    told.update(frames)
+    return said, " ".join(filter(None, (inside, at if is_new else ""))) + (first.note if is_new else ""), first.sees
+
+
+def _states_in_words(states: Sequence[str]) -> str:
+    """Rates that are nearly equal are told as one."""
+    if not all(map(_RATE.fullmatch, states)):
+        return same_or_each(states)
+    rates_hz = [float(state.removesuffix(" Hz")) for state in states]
+    if max(rates_hz) <= _EQUAL_HZ * min(rates_hz):
+        return rate_in_words(sum(rates_hz) / len(rates_hz))
+    return f"{same_or_each([state.removesuffix(' Hz') for state in states])} Hz"
+
+
+def also_told(graph: GraphSnapshot) -> list[tuple[str, str]]:
+    """What else the robot publishes of itself, topic and type: types of its makers, such as bumpers and motors, plain
+    numbers and states, odometry.
+    """
+    return [
+        (one.topic, one.types[0])
+        for one in sorted(graph.topics.values(), key=lambda one: (one.topic.count("/"), one.topic))
+        if one.publishers and "/_" not in one.topic and _is_of_itself(one)
+        if REPORT.search(one.topic) or not LOW_LEVEL.search(one.topic)
+    ]
 
 
 def _is_of_itself(topic: TopicEndpoints) -> bool:

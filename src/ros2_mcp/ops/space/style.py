@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import TypeVar
 
 from ros2_mcp.model.text import named
@@ -12,6 +14,7 @@ from ros2_mcp.model.text import named
 Item = TypeVar("Item")
 _BRACES = re.compile(r"[{},«»\s]")
 """In a name: then it stands in no braces."""
+_MOST_NODES = 3
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
@@ -20,13 +23,18 @@ class Style:
     """What is told of each part of a robot. `is_brief`: what is alike stands together, in braces where names are, as
     a shell expands them (`/sonar/{left,right}`), and a type that is called as its topic is not told. `namespace`,
     which begins most names, is left out of them. `decimals` of limits, and digits of speeds. `has_senders`: who else
-    sends to an input. `most_name`: characters of a name, longer ones are cut.
+    sends to an input. `has_types`: of controllers, and of what is told by its name; `has_listeners` of the latter.
+    `has_frames`: the frames of sensors; without them those at one place stand together. `most_name`: characters of a
+    name, longer ones are cut.
     """
 
     is_brief: bool = False
     namespace: str = ""
     decimals: int = 3
     has_senders: bool = True
+    has_types: bool = True
+    has_listeners: bool = True
+    has_frames: bool = True
     most_name: int = 255
 
     def name(self, name: str) -> str:
@@ -37,6 +45,15 @@ class Style:
     def names(self, names: Iterable[str]) -> str:
         """Several of them."""
         return braced([self.name(name) for name in names])
+
+    def whom(self, name: str, nodes: Sequence[str]) -> str:
+        """That these nodes take what is sent to a topic or an action, with a blank before it; in brief not of one that
+        the name begins with.
+        """
+        if not nodes or (self.is_brief and len(nodes) == 1 and name.startswith(f"{nodes[0]}/")):
+            return ""
+        more = f" and {len(nodes) - _MOST_NODES} more" if len(nodes) > _MOST_NODES else ""
+        return f" → {' and '.join(map(self.name, nodes[:_MOST_NODES]))}{more}"
 
     def groups(self, items: Iterable[Item], key: Callable[[Item], Hashable]) -> list[list[Item]]:
         """Each by itself; in brief those with equal keys together, where the first of them stood."""
@@ -49,24 +66,56 @@ class Style:
 
 
 @dataclass(frozen=True, slots=True)
+class Named:
+    """What is told by its name, with its type, how often it comes or what it tells, the nodes that listen there, and
+    the stack to which it belongs, such as Nav2; empty where it needs none.
+    """
+
+    name: str
+    type: str = ""
+    value: str = ""
+    listeners: Sequence[str] = ()
+    stack: str = ""
+
+    def about(self, style: Style) -> str:
+        """All but its name, with a blank before each."""
+        is_told = self.type and style.has_types and not (style.is_brief and is_called_as(self.type, self.name))
+        kind = f" {named(self.type)}" if is_told else ""
+        whom = style.whom(self.name, self.listeners) if style.has_listeners else ""
+        return f"{kind}{f' {self.value}' if self.value else ''}{whom}"
+
+
+@dataclass(frozen=True, slots=True)
 class Names:
-    """What is told by name and type alone (`type` is empty where it needs none): a line that begins with `lead`."""
+    """A line that begins with `lead`, of what is told by name; there are `more` besides, and some that are `known` to
+    whoever knows a stack, such as Nav2: how many of which.
+    """
 
     lead: str
-    found: Sequence[tuple[str, str]] = field(default=())
+    found: Sequence[Named] = ()
     more: int = 0
-    """How many there are besides."""
+    known: Sequence[str] = ()
+
+    def with_known(self) -> Names:
+        """The same, shorter: those of a stack without their names."""
+        counts = Counter(one.stack for one in self.found if one.stack)
+        known = [f"{count} of {stack}" for stack, count in counts.items()]
+        return replace(self, found=[one for one in self.found if not one.stack], known=known)
 
     def in_words(self, style: Style) -> list[str]:
         """A line, or none where there is nothing."""
-        found = [(name, "" if style.is_brief and is_called_as(kind, name) else kind) for name, kind in self.found]
-        told = [
-            f"{style.names(name for name, _ in group)}{f' {named(kind)}' if (kind := group[0][1]) else ''}"
-            for group in style.groups(found, key=lambda one: one[1])
-        ]
-        more = [f"{self.more} more"] if self.more else []
-        between = "; " if style.is_brief else ", "  # where several have one type
-        return [f"{self.lead}: {between.join([*told, *more])}"] if told or more else []
+        alike = style.groups(self.found, key=lambda one: one.about(style))
+        told = [f"{_by_place([style.name(one.name) for one in all_of])}{all_of[0].about(style)}" for all_of in alike]
+        rest = [*self.known, *([f"{self.more} more"] if self.more else [])]
+        return [f"{self.lead}: {'; '.join([*told, *rest])}"] if told or rest else []
+
+
+def _by_place(names: Sequence[str]) -> str:
+    """Those below one name, as /status, together."""
+    places: dict[str, list[str]] = {}
+    for name in names:
+        places.setdefault(name.rpartition("/")[0], []).append(name)
+    return ", ".join(map(braced, places.values()))
 
 
 def is_called_as(kind: str, name: str) -> bool:
@@ -79,15 +128,32 @@ def braced(names: Sequence[str]) -> str:
     apart = ", ".join(names)
     if len(set(names)) < max(len(names), 2) or any(map(_BRACES.search, names)):
         return apart
+    if several := factors(names):
+        return "/".join(part[0] if len(part) == 1 else f"{{{','.join(part)}}}" for part in several)
+    is_apart = _is_apart if len({name.count("/") for name in names}) == 1 else _begins_part
     before = _common_beginning(names)
-    after = _common_beginning([name[len(before) :][::-1] for name in names])[::-1]
-    while before and not all(_is_apart(name, len(before)) for name in names):
+    while before and not all(is_apart(name, len(before)) for name in names):
         before = before[:-1]
-    while after and not all(_is_apart(name, len(name) - len(after)) for name in names):
+    after = _common_beginning([name[len(before) :][::-1] for name in names])[::-1]
+    while after and not all(
+        len(name) > len(before + after) and is_apart(name, len(name) - len(after)) for name in names
+    ):
         after = after[1:]
     inner = [name[len(before) : len(name) - len(after)] for name in names]
     together = f"{before}{{{','.join(inner)}}}{after}"
     return together if len(before + after) > 1 and all(inner) and len(together) < len(apart) else apart
+
+
+def factors(names: Sequence[str]) -> list[list[str]]:
+    """What stands in each place of names that are all combinations of it, in their order, with a choice in more than
+    one place: `/{color,depth}/{left,right}`; empty for others.
+    """
+    parts = [name.split("/") for name in names]
+    if len({len(one) for one in parts}) != 1:
+        return []
+    choices = [list(dict.fromkeys(place)) for place in zip(*parts, strict=True)]
+    are_several = sum(len(choice) > 1 for choice in choices) > 1
+    return choices if are_several and [list(one) for one in product(*choices)] == parts else []
 
 
 def _common_beginning(names: Sequence[str]) -> str:
@@ -104,6 +170,11 @@ def _is_apart(name: str, place: int) -> bool:
     left, right = name[place - 1], name[place]
     is_inside = (left.isalpha() and right.isalpha() and not right.isupper()) or (left.isdigit() and right.isdigit())
     return not is_inside and (left != "_" or right != "_")
+
+
+def _begins_part(name: str, place: int) -> bool:
+    """Whether a part of a name begins or ends there."""
+    return "/" in name[place - 1 : place + 1]
 
 
 def same_or_each(values: Sequence[str], between: str = ", ") -> str:

@@ -122,7 +122,17 @@ def test_actions_that_move_it_are_inputs_and_others_are_named() -> None:
         f"{arm} (action, or topic joint_trajectory) → /arm_controller",
         "/gripper/cmd GripperCommand (action) → /gripper, not active",
     ]
-    assert other_actions(present, found).in_words(Style()) == ["other actions: /Spin, /BackUp, /Wait"]
+    assert other_actions(present, found).in_words(Style()) == [
+        "other actions: /Spin → /behaviors; /BackUp → /behaviors; /Wait → /behaviors"
+    ]
+    brief = Style(is_brief=True)
+    others = other_actions(present, found)
+    assert others.in_words(brief) == ["other actions: /Spin, /BackUp, /Wait → /behaviors"]
+    assert others.with_known().in_words(brief) == ["other actions: 3 of Nav2"]
+    assert inputs_in_words(found, brief)[1:] == [
+        f"{arm} (action, or topic joint_trajectory)",
+        "/gripper/cmd GripperCommand (action), not active",
+    ], "whoever listens there has the name that the input begins with"
 
 
 def test_topics_on_which_somebody_waits_for_orders_are_named_and_sensors_that_are_missing_are_not() -> None:
@@ -135,9 +145,13 @@ def test_topics_on_which_somebody_waits_for_orders_are_named_and_sensors_that_ar
         heard("/speech", "std_msgs/msg/String", "/driver"),
         heard("/chatter", "std_msgs/msg/String", "/listener", "/talker"),
     )
-    waited = "/joint_angles JointAnglesWithSpeed, /initialpose PoseWithCovarianceStamped, /speech String"
-    assert waited_for(present, command_inputs(present, {})).in_words(Style()) == [
-        f"also waited for: /setpoint_raw/local PositionTarget, {waited}"
+    waited = waited_for(present, command_inputs(present, {}))
+    assert waited.in_words(Style()) == [
+        "waited for: /setpoint_raw/local PositionTarget → /mavros; /joint_angles JointAnglesWithSpeed → /driver; "
+        "/initialpose PoseWithCovarianceStamped → /amcl; /speech String → /driver"
+    ]
+    assert waited.in_words(Style(is_brief=True, has_types=False)) == [
+        "waited for: /setpoint_raw/local → /mavros; /joint_angles, /speech → /driver; /initialpose → /amcl"
     ]
 
 
@@ -153,6 +167,12 @@ def test_what_goes_the_same_way_stands_together_where_it_must_be_brief() -> None
         "cmd_vel, joy/cmd_vel Twist → mux",
         "motor/{left,right}/cmd Float64 (low level) → vesc",
     ]
+
+
+def test_of_many_senders_the_first_three_are_named() -> None:
+    present = graph(heard("/cmd_vel", "geometry_msgs/msg/Twist", "/base", "/a", "/b", "/c", "/d"))
+    told = inputs_in_words(command_inputs(present, {}), Style())
+    assert told == ["/cmd_vel Twist → /base (from /a, /b, /c and 1 more)"]
 
 
 def test_services_by_which_a_robot_is_told_to_do_something_are_named_and_those_of_programs_are_not() -> None:

@@ -16,7 +16,7 @@ from ros2_mcp.ops.results import as_json
 from ros2_mcp.ops.sources.source import GraphSnapshot
 from ros2_mcp.ops.space.body import MountInWords, mounted
 from ros2_mcp.ops.space.brief import MOST_BYTES, RobotInBrief
-from ros2_mcp.ops.space.controllers import Controller, controllers_in_words, controllers_of
+from ros2_mcp.ops.space.controllers import Controller, controllers_in_words, controllers_of, idle_movers
 from ros2_mcp.ops.space.robot import in_brief
 from ros2_mcp.ops.space.style import Style
 from ros2_mcp.robot import Robot
@@ -89,7 +89,7 @@ async def test_everything_is_told_of_a_cart_with_a_laser(window: Make, robot: Ro
     assert found.place == "In map at x 6.00 y 0.00 m, yaw 0° (TF, localised)."
     assert found.frames == "map → odom → base_link; 3 in all"
     assert found.unhealthy == []
-    assert "differential drive" in found.summary() and "nothing unhealthy" in found.summary()
+    assert "differential drive" in found.summary() and "Nothing unhealthy" in found.summary()
 
 
 async def test_what_is_missing_is_said(window: Make, robot: Robot) -> None:
@@ -167,7 +167,34 @@ async def test_a_sensor_in_a_frame_that_nobody_tells_is_unhealthy(window: Make, 
     cloud = window("/points", "sensor_msgs/msg/PointCloud2", [(at / 10, {"header": header}) for at in range(49)])
     found = await in_brief(robot, source([*windows(window, CART), cloud]))
     assert "/points PointCloud2 10 Hz in velodyne (mount unknown)" in found.sensors
-    assert found.unhealthy == ["Nobody tells where velodyne of /points sits."]
+    assert found.unhealthy == ["Not in TF: velodyne."]
+
+
+async def test_what_a_robot_tells_of_itself_has_its_value_and_one_that_is_a_fault_is_unhealthy(
+    window: Make, robot: Robot
+) -> None:
+    made = [
+        *windows(window, CART),
+        window("/mode", "std_msgs/msg/String", [(1.0, {"data": "parking"}), (4.0, {"data": "navigation"})]),
+        window("/is_homed", "std_msgs/msg/Bool", [(4.0, {"data": True})]),
+        window("/left_motor", "std_msgs/msg/Float32", []),
+    ]
+    found = await in_brief(robot, source(made))
+    told = "/is_homed Bool true; /left_motor Float32; /mode String «navigation»"
+    assert found.sensors[-1] == f"also told: {told}" and found.unhealthy == []
+
+
+async def test_of_joints_only_what_is_told_as_their_states_is_where_they_are(window: Make, robot: Robot) -> None:
+    """Stretch tells limits of its joints as a JointState, too."""
+    limits = {"name": ["left_wheel_joint", "right_wheel_joint"], "position": [-9.0, -9.0]}
+    made = windows(window, CART)
+    found = await in_brief(
+        robot, source([*made, window("/joint_limits", "sensor_msgs/msg/JointState", [(4.95, limits)])])
+    )
+    assert found.joints == ["left_wheel_joint continuous 1.5 rad", "right_wheel_joint continuous -0.25 rad"]
+    alone = [one for one in made if one.topic != "/joint_states"]
+    told = window("/arm/measured", "sensor_msgs/msg/JointState", [(4.9, limits)])
+    assert (await in_brief(robot, source([*alone, told]))).joints[0] == "left_wheel_joint continuous -9 rad"
 
 
 async def test_a_sensor_that_is_mounted_upside_down_says_so(window: Make, robot: Robot) -> None:
@@ -188,7 +215,7 @@ async def test_an_outline_that_only_the_costmap_tells_is_told_in_the_frame_of_th
     footprint = window("/local_costmap/published_footprint", "geometry_msgs/msg/PolygonStamped", [(4.9, outline)])
     bare = '<robot name="bare"><link name="base_link"/></robot>'
     found = await in_brief(robot, source([*windows(window, bare), footprint]))
-    assert found.footprint == "radius 0.30 m about base_link (that of the costmap)"
+    assert found.footprint == "radius 0.30 m (the costmap's)"
 
 
 async def test_an_arm_that_its_description_fixes_in_the_world_is_there(window: Make, robot: Robot) -> None:
@@ -233,31 +260,52 @@ async def test_a_localiser_that_tells_no_place_is_told(window: Make, robot: Robo
     assert any("Not localised: /amcl is there" in line for line in found.unhealthy), found.unhealthy
 
 
+ARM = "/arm_controller/follow_joint_trajectory"
+
+
+def controlled(*nodes: str) -> GraphSnapshot:
+    kind = "control_msgs/action/FollowJointTrajectory_FeedbackMessage"
+    status = TopicEndpoints(f"{ARM}/_action/status", [Endpoint("/arm_controller", kind, "", "", QoS())], [])
+    return GraphSnapshot({status.topic: status}, list(nodes), {})
+
+
 def test_controllers_are_told_movers_first_and_the_inactive_as_such() -> None:
-    action = "/arm_controller/follow_joint_trajectory"
-    topics = {
-        f"{action}/_action/status": TopicEndpoints(
-            f"{action}/_action/status",
-            [Endpoint("/arm_controller", "control_msgs/action/FollowJointTrajectory_FeedbackMessage", "", "", QoS())],
-            [],
-        )
-    }
-    graph = GraphSnapshot(topics, ["/arm_controller", "/diff_drive_controller"], {})
+    graph = controlled("/arm_controller", "/diff_drive_controller")
     rows = [
         {"name": "joint_state_broadcaster", "type": "x/JointStateBroadcaster", "state": "active"},
         {"name": "forward", "type": "velocity_controllers/JointGroupVelocityController", "state": "inactive"},
         {"name": "arm_controller", "type": "x/JointTrajectoryController", "state": "active"},
     ]
-    told = controllers_in_words(controllers_of(graph, {"/controller_manager": rows}, is_controlled=True), Style())
-    assert told == [
+    told = controllers_of(graph, {"/controller_manager": rows}, is_controlled=True)
+    assert controllers_in_words(told, Style()) == [
         "/arm_controller JointTrajectoryController",
         "/forward JointGroupVelocityController is inactive",
         "/joint_state_broadcaster",
     ]
-    seen = controllers_of(graph, {}, is_controlled=False)
-    assert seen == [Controller("/arm_controller")], "a node's name makes it no controller"
+    assert controllers_in_words(told, Style(is_brief=True, has_types=False)) == [
+        "/arm_controller, /joint_state_broadcaster",
+        "/forward is inactive",
+    ]
+
+
+def test_without_a_manager_s_answer_a_name_alone_makes_no_controller() -> None:
+    assert controllers_of(controlled("/arm_controller", "/diff_drive_controller"), {}, is_controlled=False) == [
+        Controller("/arm_controller")
+    ]
+    assert controllers_of(controlled("/driver"), {}, is_controlled=False) == []  # an action in the driver's namespace
     same = [Controller(f"/{side}_arm", "JointTrajectoryController") for side in ("left", "right")]
     assert controllers_in_words(same, Style(is_brief=True)) == ["/{left,right}_arm JointTrajectoryController"]
+
+
+def test_that_all_controllers_that_move_joints_are_idle_is_told() -> None:
+    graph = controlled("/arm_controller")
+
+    def states(arm: str, other: str) -> list[str]:
+        rows = [{"name": "arm_controller", "state": arm}, {"name": "joint_state_broadcaster", "state": other}]
+        return idle_movers(graph, {"/controller_manager": rows})
+
+    assert states("inactive", "active") == ["No controller that moves joints is active."]
+    assert states("active", "inactive") == [] == idle_movers(graph, {}) == idle_movers(GraphSnapshot({}, [], {}), {})
 
 
 async def test_of_a_mobile_manipulator_the_joints_of_the_arm_are_told_before_its_wheels(
@@ -354,3 +402,15 @@ async def test_a_namespace_of_most_names_is_told_once_where_all_would_be_too_lon
     assert size_of(found) <= MOST_BYTES
     assert (found.left_out > 0) == (count > 2)
     assert (await in_brief(robot, made, whole=True)).namespace is None
+
+
+async def test_what_is_only_named_is_left_out_before_what_is_described(window: Make, robot: Robot) -> None:
+    """Services first: a robot's driver has dozens."""
+    made = windows(window, CART)
+    live = source([*made, *(window(f"/said_{words(n)}", "std_msgs/msg/Bool", []) for n in range(30))])
+    services = {f"/driver/order_{words(n)}": ["std_srvs/srv/Trigger"] for n in range(300)}
+    graph = await live.graph()
+    found = await in_brief(robot, Recorded([*made], GraphSnapshot(graph.topics, graph.nodes, services)))
+    assert found.joints == ["{left,right}_wheel_joint continuous 1.5, -0.25"]
+    assert "/scan LaserScan" in found.sensors[0] and not found.sensors[-1].endswith("more")
+    assert "more" in found.command_inputs[-1] and found.left_out > 0 and size_of(found) <= MOST_BYTES

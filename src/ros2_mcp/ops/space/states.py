@@ -1,0 +1,62 @@
+"""What a robot says of itself in topics of one value each: modes, flags, figures."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+
+from ros2_mcp.codec.definitions import Definitions
+from ros2_mcp.codec.store import attribute
+from ros2_mcp.model.errors import RobotError
+from ros2_mcp.model.interfaces import Field
+from ros2_mcp.model.text import named, quoted
+from ros2_mcp.ops.sources.source import Source
+
+_HEADER = "std_msgs/msg/Header"
+_MOST_TEXT = 30
+_FAULT = re.compile(r"(^|_)(STOP(PED)?|EMERGENCY|E?STOP|FAULT|ERROR|FAIL(ED|URE)?|VIOLATION|CRITICAL|LOST)($|_)")
+"""In the name that a type's maker has given to a value: it is a state that somebody must end."""
+
+
+async def states_of(source: Source, topics: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
+    """The value of each topic (name: type) that tells one and was heard, in words: by the name that its type has for
+    it, where it has one. And sentences for those whose name is that of a fault.
+    """
+    found = await asyncio.gather(*(_state(source, topic, kind) for topic, kind in topics.items()))
+    values = {topic: said for topic, said in zip(topics, found, strict=True) if said}
+    return values, [f"{named(topic)} is {said}." for topic, said in values.items() if _FAULT.search(said)]
+
+
+async def _state(source: Source, topic: str, kind: str) -> str:
+    said = ""
+    with suppress(RobotError):
+        async with source.follow(topic, limit=1) as stream:
+            field = _only_field(stream.codec.definitions, kind) if stream.type == kind else None
+            if field is None:
+                return ""
+            async for batch in stream.batches:
+                for sample in batch:
+                    value: Any = getattr(stream.codec.decode(kind, sample.data), attribute(field.name))
+                    said = _in_words(value, stream.codec.definitions, kind)
+    return said
+
+
+def _only_field(definitions: Definitions, kind: str) -> Field | None:
+    """The field of a type that has one besides its header; None for others, and for lists and messages."""
+    fields = [field for field in definitions.structure(kind).fields if field.type.base != _HEADER]
+    is_value = len(fields) == 1 and fields[0].type.arity == "single" and not fields[0].type.is_message
+    return fields[0] if is_value else None
+
+
+def _in_words(value: Any, definitions: Definitions, kind: str) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return quoted(value if len(value) <= _MOST_TEXT else f"{value[: _MOST_TEXT - 1]}…")
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    names = [constant.name for constant in definitions.structure(kind).constants if constant.value == value]
+    return named(names[0]) if len(names) == 1 else str(value)
