@@ -80,8 +80,9 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             r"/battery_state BatteryState \d+%.*",
             rf"/camera/depth/image_raw Image{RATE} in camera_optical at 0.15 0 0.35",
             rf"/imu Imu{RATE} in imu_link at 0 0 0.1",
-            rf"/camera/image_raw Image{RATE} in camera_optical",
-            rf"also told: /heartbeat String «.*»; /mode String «manual»; /odom Odometry{RATE}",
+            rf"/camera/image_raw Image{RATE} 70° wide in camera_optical",
+            rf"also told: /joint_states JointState{RATE}; /odom Odometry{RATE}; /heartbeat String «.*»; "
+            r"/mode String «manual»",
         ],
         "joints": [rf"{side}_wheel_joint continuous -?[\d.]+ rad" for side in ("left", "right")],
         "controllers": [],
@@ -100,7 +101,7 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             for name in ("arm", "gripper")
         ]
         + [r"services: /self_test Trigger"],
-        "sensors": [r"also told: /heartbeat String «.*»"],
+        "sensors": [rf"also told: /joint_states JointState{RATE}; /heartbeat String «.*»"],
         "joints": [
             *(
                 rf"{name}_joint -?[\d.]+ of ±{limit} rad, ≤ {speed} rad/s"
@@ -142,8 +143,8 @@ FACTS: dict[str, dict[str, str | list[str]]] = {
             r"/mavros/battery BatteryState \d+%.*",
             rf"also told: /odom Odometry{RATE}; /mavros/extended_state ExtendedState{RATE}; "
             rf"/mavros/state State{RATE}; /mavros/global_position/compass_hdg Float64 [\d.]+; "
-            rf"/mavros/global_position/rel_alt Float64 [\d.]+; /mavros/home_position/home HomePosition; "
-            rf"/mavros/mission/waypoints WaypointList; /mavros/statustext/recv StatusText",
+            rf"/mavros/global_position/rel_alt Float64 [\d.]+; /mavros/home_position/home HomePosition.*; "
+            rf"/mavros/mission/waypoints WaypointList.*; /mavros/statustext/recv StatusText",
         ],
         "joints": [],
         "controllers": [],

@@ -36,14 +36,15 @@ _MOST_NAME, _MOST_TEXT = 60, 200
 class RobotInBrief:
     """The robot: `kind` of base or arm, `footprint` about the origin of `base_frame`, `command_inputs` (topic, type,
     who listens), `sensors` (topic, type, rate, mount in the base's frame in m, range), `joints` (position now, limits,
-    greatest speed; rad or m), and where it is (`place`: in which frame, how that is known, how old). `stacks` are Nav2,
-    MoveIt, ros2_control, MAVROS and others, as far as they run.
+    greatest speed; rad or m), `controllers` (active, where nothing else is said), and where it is (`place`: in which
+    frame, how that is known, how old). `stacks` are Nav2, MoveIt, ros2_control, MAVROS and others, as far as they run.
 
     What does not fit into 2 kB is told more shortly. A name has braces: `/sonar/{left,right}` are two, and one value is
     of both, several are of each in their order (± is the first one's + and the second's -; `mirrored` the same limits
-    for the other side). An input without → is taken by the node that its name begins with; topics and nodes that do not
-    begin with / are below `namespace`; joints without a unit are in rad; types may be missing, and the frames of
-    sensors, whose places are told. `left_out` counts what did not fit even so; the whole of it leaves nothing out.
+    for the other side; `all these 1/s` the speed of each joint above). An input without → is taken by the node that its
+    name begins with; topics and nodes that do not begin with / are below `namespace`; joints without a unit are in rad;
+    types may be missing, and the frames of sensors, whose places are told. `left_out` counts what did not fit even so;
+    the whole of it leaves nothing out.
 
     `not_read` are the parts that were not there within the time of this answer, or whose type is not known here, which
     says nothing of the robot. `read_from` is the recording, where it is not of the live robot.
@@ -142,11 +143,13 @@ def _shorter(parts: Parts) -> Iterator[tuple[Style, Parts, int]]:
     while parts.services.found:
         yield style, (parts := _without_last(parts, "services")), 1
     yield style, (parts := replace(parts, actions=parts.actions.with_known())), 0
-    yield (style := replace(style, has_listeners=False)), parts, 0
     inputs = [one for one in parts.inputs if one.use != "joystick"]
     count = len(parts.inputs) - len(inputs)
     yield style, (parts := replace(parts, inputs=inputs)), count
+    yield (style := replace(style, has_listeners=False)), parts, 0
     yield (style := replace(style, has_frames=False)), parts, 0
+    count = sum(bool(one.view) for one in parts.sensors)
+    yield style, (parts := replace(parts, sensors=[replace(one, view="") for one in parts.sensors])), count
     while name := _longest(parts, style, _BESIDES, least=_LEAST_BESIDES):
         yield style, (parts := _without_last(parts, name)), 1
     while any(joint.speed for joint in parts.joints):

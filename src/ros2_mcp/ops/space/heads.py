@@ -26,11 +26,14 @@ _RECENT_NS = 5_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """Of one topic: how many messages came, how often (None: too few), and the frame of their headers."""
+    """Of one topic: how many messages came, how often (None: too few), the frame of their headers, and for how many
+    seconds nothing has come after the last one.
+    """
 
     count: int
     rate_hz: float | None
     frame: str
+    silent_s: float = 0.0
 
 
 async def heads_of(robot: Robot, source: Source, topics: Sequence[str], listen_s: float) -> Mapping[str, Head]:
@@ -38,35 +41,40 @@ async def heads_of(robot: Robot, source: Source, topics: Sequence[str], listen_s
 
     Those that could not be listened to within that time are left out.
     """
-    found = await asyncio.gather(*(_samples(robot, source, topic, listen_s) for topic in topics))
-    return {topic: _head(samples) for topic, samples in zip(topics, found, strict=True) if samples is not None}
+    look = _live_head if source.is_live else _recorded_head
+    found = await asyncio.gather(*(look(robot, source, topic, listen_s) for topic in topics))
+    return {topic: head for topic, head in zip(topics, found, strict=True) if head is not None}
 
 
-async def _samples(robot: Robot, source: Source, topic: str, listen_s: float) -> Sequence[Sample] | None:
+async def _live_head(robot: Robot, _: Source, topic: str, listen_s: float) -> Head | None:
     found: list[Sample] = []
-    if source.is_live:
-        ends_at, is_listening = monotonic() + listen_s, False
-        with suppress(RobotError), anyio.move_on_after(listen_s):
-            async with robot.listen(topic, head_bytes=_HEAD_BYTES) as listening:
-                is_listening = True
-                async for sample in listening.samples(ends_at - monotonic()):
-                    found.append(sample)
-                    if len(found) >= _ENOUGH and sample.received_ns - found[0].received_ns >= _ENOUGH_NS:
-                        break
-        return found if is_listening else None
+    ends_at, last_at, is_listening = monotonic() + listen_s, 0.0, False
+    with suppress(RobotError), anyio.move_on_after(listen_s):
+        async with robot.listen(topic, head_bytes=_HEAD_BYTES) as listening:
+            is_listening = True
+            async for sample in listening.samples(ends_at - monotonic()):
+                found.append(sample)
+                last_at = monotonic()
+                if len(found) >= _ENOUGH and sample.received_ns - found[0].received_ns >= _ENOUGH_NS:
+                    break
+    return _head(found, monotonic() - last_at) if is_listening else None
+
+
+async def _recorded_head(_: Robot, source: Source, topic: str, __: float) -> Head:
+    found: list[Sample] = []
+    end_ns = source.covers_ns[1] if source.covers_ns else 0
     with suppress(RobotError):
-        end_ns = source.covers_ns[1] if source.covers_ns else 0
         part = source.part(end_ns - _RECENT_NS, end_ns) if end_ns else source
         async with part.follow(topic, latched=False) as stream:
             async for batch in stream.batches:
                 found += [Sample(one.received_ns, one.source_ns, one.sequence, one.data[:_HEAD_BYTES]) for one in batch]
-    return found
+    return _head(found, (end_ns - found[-1].received_ns) / 1e9 if found else 0.0)
 
 
-def _head(samples: Sequence[Sample]) -> Head:
+def _head(samples: Sequence[Sample], silent_s: float) -> Head:
     if not samples:
         return Head(0, None, "")
-    return Head(len(samples), rate_of(samples), _frame_of(samples[-1].data))
+    return Head(len(samples), rate_of(samples), _frame_of(samples[-1].data), silent_s)
 
 
 def rate_of(samples: Sequence[Sample]) -> float | None:

@@ -23,7 +23,7 @@ _NUMBER_OR_SIDE = re.compile(rf"\d+|(?<![A-Za-z0-9])(?:{_SIDE})(?:_?(?:left|righ
 @dataclass(frozen=True, slots=True)
 class JointNow:
     """A joint where it is now, and how far and how fast it may move; empty where that is not known. `unit` is rad or
-    m, and empty of one that the description does not have.
+    m, and empty of one that the description does not have; `mimics` is the joint that it follows.
     """
 
     name: str
@@ -32,6 +32,7 @@ class JointNow:
     span: tuple[float, float] | None = None
     speed: float = 0.0
     unit: str = ""
+    mimics: str = ""
 
     @property
     def row(self) -> tuple[str, ...]:
@@ -46,11 +47,11 @@ def joints_now(urdf: Urdf | None, positions: Mapping[str, float], reports: str =
     """
     joints: Sequence[Joint] = placed(urdf, positions) if urdf else ()
     joints = sorted(joints, key=lambda joint: joint.name not in reports)
-    told = {joint.name for joint in joints}
-    others = [name for name in positions if name not in told and (urdf is None or name not in urdf.joints)]
+    joints += [joint for joint in urdf.joints.values() if joint.mimic and joint.name in positions] if urdf else []
+    others = [name for name in positions if urdf is None or name not in urdf.joints]
     return [
         *(_joint(joint, positions.get(joint.name)) for joint in joints),
-        *(JointNow(name, at=_tidy(positions[name])) for name in others),
+        *(JointNow(name, kind="" if urdf else "revolute", at=_tidy(positions[name])) for name in others),
     ]
 
 
@@ -69,21 +70,24 @@ def joints_in_words(joints: Sequence[JointNow], style: Style) -> list[str]:
     groups = style.groups(joints, key=lambda one: one.row)
     if not style.is_brief or len(speeds) != 1 or sum(bool(group[0].speed) for group in groups) < _LEAST_EQUAL:
         return [_together(group, style) for group in groups]
-    alone = [[replace(one, speed=0.0) for one in group] for group in groups]
-    return [*(_together(group, style) for group in alone), f"speeds {speeds.pop()}/s"]
+    alone = [_together([replace(one, speed=0.0) for one in group], style) for group in groups if group[0].speed]
+    others = [_together(group, style) for group in groups if not group[0].speed]
+    return [*alone, f"all these {speeds.pop()}/s", *others]
 
 
 def _together(joints: Sequence[JointNow], style: Style) -> str:
     first = joints[0]
     is_clear = first.kind == "revolute" or (style.is_brief and first.kind == "prismatic")  # it is told in m
-    kind = "" if is_clear else f" {first.kind}"
+    kind = "" if is_clear or not first.kind else f" {first.kind}"
     places = [one.at or ("position unknown" if len(joints) == 1 else "unknown") for one in joints]
     span = f" of {_spans_in_words([one.span for one in joints if one.span], style.decimals)}" if first.span else ""
     is_told = first.unit and not (style.is_brief and first.unit == "rad")
     unit = f" {first.unit}" if is_told else ""
     speeds = [_at_most(one.speed, style.decimals) for one in joints if one.speed]
     speed = f", {'' if style.is_brief else '≤ '}{same_or_each(speeds)}{unit}/s" if speeds else ""
-    return f"{style.names(one.name for one in joints)}{kind} {same_or_each(places)}{span}{unit}{speed}"
+    more = "" if first.kind else " (not in the URDF)"
+    more += f", mimics {style.name(first.mimics)}" if first.mimics and not style.is_brief else ""
+    return f"{style.names(one.name for one in joints)}{kind} {same_or_each(places)}{span}{unit}{speed}{more}"
 
 
 def placed(urdf: Urdf, positions: Mapping[str, float]) -> Sequence[Joint]:
@@ -107,7 +111,8 @@ def placed(urdf: Urdf, positions: Mapping[str, float]) -> Sequence[Joint]:
 def _joint(joint: Joint, at: float | None) -> JointNow:
     limits = joint.limits
     span = (limits.lower, limits.upper) if limits.lower is not None and limits.upper is not None else None
-    return JointNow(joint.name, joint.kind, "" if at is None else _tidy(at), span, limits.velocity or 0.0, joint.unit)
+    here, speed = "" if at is None else _tidy(at), limits.velocity or 0.0
+    return JointNow(joint.name, joint.kind, here, span, speed, joint.unit, joint.mimic.joint if joint.mimic else "")
 
 
 def _spans_in_words(spans: Sequence[tuple[float, float]], decimals: int) -> str:

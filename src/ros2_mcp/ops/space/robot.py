@@ -34,7 +34,16 @@ from ros2_mcp.ops.space.frames import WORLDS, frames_of, separate_roots
 from ros2_mcp.ops.space.heads import Head, heads_of
 from ros2_mcp.ops.space.inputs import command_inputs, drive_types, orders_by_service, other_actions, waited_for
 from ros2_mcp.ops.space.joints import joints_now, placed
-from ros2_mcp.ops.space.sensors import MISSED, Sensor, also_told, ranked, rate_in_words, sensors_of
+from ros2_mcp.ops.space.sensors import (
+    JOINT_STATE,
+    MISSED,
+    ODOMETRY,
+    Sensor,
+    also_told,
+    ranked,
+    rate_in_words,
+    sensors_of,
+)
 from ros2_mcp.ops.space.standing_time import standing_time
 from ros2_mcp.ops.space.states import states_of
 from ros2_mcp.ops.space.style import Named, Names, Style, braced
@@ -51,7 +60,9 @@ _JOINTS_NS = 1_000_000_000
 _LEAST_S = 0.4
 """For messages, however long the graph took: what comes twice a second is mostly heard, too."""
 _TF = "tf2_msgs/msg/TFMessage"
-_BATTERY, _ODOMETRY = "sensor_msgs/msg/BatteryState", "nav_msgs/msg/Odometry"
+_BATTERY = "sensor_msgs/msg/BatteryState"
+_IMAGE, _CAMERA = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
+_MOST_RANGES, _MOST_CAMERAS = 8, 16
 _WITH_RANGE = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/Range")
 _MOST_SENSORS, _MOST_STATES = 30, 20
 """Of which rate and frame, or the value, are looked for, where not all are told: two kilobytes have hardly room for
@@ -75,6 +86,7 @@ class _Seen:
     tree: FrameTree = field(default_factory=FrameTree)
     heads: Mapping[str, Head] = field(default_factory=dict[str, Head])
     ranges: dict[str, str] = field(default_factory=dict[str, str])
+    views: dict[str, str] = field(default_factory=dict[str, str])
     positions: dict[str, float] = field(default_factory=dict[str, float])
     batteries: dict[str, float | None] = field(default_factory=dict[str, "float | None"])
     footprint: Sequence[tuple[float, float, float]] = ()
@@ -117,6 +129,7 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
         ("frames", _frames(source, seen)),
         ("rates of the sensors", _heads(robot, source, seen)),
         ("ranges of the sensors", _ranges(source, seen)),
+        ("views of the cameras", _views(source, seen)),
         ("positions of the joints", _joint_states(source, seen)),
         ("batteries", _batteries(source, seen)),
         ("diagnostics", _reports(source, seen)),
@@ -192,12 +205,12 @@ async def _heads(robot: Robot, source: Source, seen: _Seen) -> None:
     others += [one.topic for one in _topics(seen.graph, _BATTERY)[:2]]
     heads = await heads_of(robot, source, [*sensors, *others], seen.listen_s)
     seen.heads = {topic: head for topic, head in heads.items() if topic in sensors}
-    seen.rates = {topic: rate_in_words(heads[topic].rate_hz) for topic in others if topic in heads}
+    seen.rates = {topic: rate_in_words(heads[topic]) for topic in others if topic in heads}
 
 
 async def _ranges(source: Source, seen: _Seen) -> None:
     """How far sensors see, and a scanner over which angle."""
-    topics = _topics(seen.graph, *_WITH_RANGE)[:4]
+    topics = _topics(seen.graph, *_WITH_RANGE)[:_MOST_RANGES]
     kinds = [next(kind for kind in one.types if kind in _WITH_RANGE) for one in topics]
     found = await asyncio.gather(
         *(_message(source, seen, one.topic, kind) for one, kind in zip(topics, kinds, strict=True))
@@ -206,18 +219,33 @@ async def _ranges(source: Source, seen: _Seen) -> None:
         if message is None:
             continue
         if kind.endswith("Range"):
-            seen.ranges[one.topic] = f"{message.min_range:.3g} to {message.max_range:.3g} m"
-            continue
-        wide_deg = math.degrees(abs(float(message.angle_max) - float(message.angle_min)))
-        wide = f" over {wide_deg:.0f}°" if wide_deg else ""
-        seen.ranges[one.topic] = f"{message.range_min:.3g} to {message.range_max:.3g} m{wide}"
+            nearest, farthest, wide_rad = message.min_range, message.max_range, message.field_of_view
+        else:
+            nearest, farthest = message.range_min, message.range_max
+            wide_rad = abs(float(message.angle_max) - float(message.angle_min))
+        wide = f" over {math.degrees(wide_rad):.0f}°" if wide_rad > 0 else ""
+        seen.ranges[one.topic] = f"{nearest:.3g} to {farthest:.3g} m{wide}"
+
+
+async def _views(source: Source, seen: _Seen) -> None:
+    """How wide cameras see, by what is told beside their pictures."""
+    cameras: dict[str, str] = {}
+    for one, kind in ranked(seen.graph)[: seen.most_sensors]:
+        told = f"{one.topic.rpartition('/')[0]}/camera_info"
+        if kind == _IMAGE and told in seen.graph.topics and len(cameras) < _MOST_CAMERAS:
+            cameras[one.topic] = told
+    found = await asyncio.gather(*(_message(source, seen, told, _CAMERA) for told in cameras.values()))
+    for topic, message in zip(cameras, found, strict=True):
+        if message is not None and float(message.k[0]) > 0:
+            wide_deg = math.degrees(2 * math.atan(message.width / 2 / float(message.k[0])))
+            seen.views[topic] = f"{wide_deg:.0f}"
 
 
 async def _joint_states(source: Source, seen: _Seen) -> None:
     """Where joints are: some drivers tell those of the base and those of the arm in turns, on one topic; and some tell
     of joints what are no positions, such as limits, on topics with other names.
     """
-    topics = [one.topic for one in _topics(seen.graph, "sensor_msgs/msg/JointState")]
+    topics = [one.topic for one in _topics(seen.graph, JOINT_STATE)]
     usual = [topic for topic in topics if topic.rpartition("/")[2] == "joint_states"]
     await asyncio.gather(*(_positions(source, seen, topic) for topic in (usual or topics)[:3]))
 
@@ -273,15 +301,15 @@ async def _reports(source: Source, seen: _Seen) -> None:
 
 async def _states(source: Source, seen: _Seen) -> None:
     """The modes, flags and figures that it tells in topics of one value each."""
-    topics = [one for one in also_told(seen.graph) if one[1] != _ODOMETRY][:_MOST_STATES]
+    topics = [one for one in also_told(seen.graph) if one[1] not in (ODOMETRY, JOINT_STATE)][:_MOST_STATES]
     seen.states, seen.faults = await states_of(source.lasting(seen.listen_s), dict(topics))
 
 
 async def _odometry(source: Source, seen: _Seen) -> None:
-    found = [one.topic for one in _topics(seen.graph, _ODOMETRY)]
+    found = [one.topic for one in _topics(seen.graph, ODOMETRY)]
     found.sort(key=lambda name: ("filtered" not in name, name.rpartition("/")[2] != "odom", name))  # the better first
     for topic in found[:1]:
-        seen.odometry, seen.odometry_topic = await _message(source, seen, topic, _ODOMETRY), topic
+        seen.odometry, seen.odometry_topic = await _message(source, seen, topic, ODOMETRY), topic
 
 
 async def _published_footprint(source: Source, seen: _Seen) -> None:
@@ -384,7 +412,7 @@ def _sensors(seen: _Seen, base: str) -> list[Sensor]:
         topic: ", ".join(filter(None, ("" if share is None else f"{share:.0%}", seen.rates.get(topic))))
         for topic, share in seen.batteries.items()
     }
-    return sensors_of(seen.graph, seen.heads, mounts, seen.ranges, batteries)
+    return sensors_of(seen.graph, seen.heads, mounts, seen.ranges, batteries, seen.views)
 
 
 def _mounted(seen: _Seen, base: str, frame: str) -> MountInWords:

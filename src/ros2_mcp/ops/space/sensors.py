@@ -41,16 +41,17 @@ _OF_ROS = (
     "unique_identifier_msgs", "visualization_msgs",
 )  # fmt: skip
 """Packages of messages that are of no robot's own: what of them is a sensor's stands above."""
-_TOLD = ("nav_msgs/msg/Odometry",)
+ODOMETRY, JOINT_STATE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
 _DESCRIPTIONS = ("robot_description", "robot_description_semantic")
 _WHOLE_HZ, _EQUAL_HZ = 9.95, 1.1
+_SELDOM, _SELDOM_S = "under 2 Hz", 0.5
 _RATE = re.compile(r"[\d.]+ Hz")
 
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
     """A topic of a sensor: its `state` is a rate, silence or what is left of a battery; it sits `at` x y z of the base
-    in m and turned, as `note` says more of; `sees` is how far and wide.
+    in m and turned, as `note` says more of; `sees` is how far and wide, `view` how wide a camera sees, in degrees.
     """
 
     topic: str
@@ -60,6 +61,7 @@ class Sensor:
     at: str = ""
     note: str = ""
     sees: str = ""
+    view: str = ""
 
 
 def ranked(graph: GraphSnapshot) -> Sequence[tuple[TopicEndpoints, str]]:
@@ -88,23 +90,39 @@ def sensors_of(
     mounts: Mapping[str, MountInWords],
     ranges: Mapping[str, str],
     batteries: Mapping[str, str],
+    views: Mapping[str, str],
 ) -> list[Sensor]:
     """The sensors in the order of `ranked`, batteries after the first; `mounts` by frame, the others by topic."""
     found: list[Sensor] = []
     for one, type_name in ranked(graph):
         head = heads.get(one.topic)
-        state = "" if head is None else "silent" if not head.count else rate_in_words(head.rate_hz)
         frame = head.frame if head else ""
         mount = mounts.get(frame, MountInWords())
         found.append(
             Sensor(
-                one.topic, type_name.rpartition("/")[2], state, frame, mount.at, mount.note, ranges.get(one.topic, "")
+                one.topic,
+                type_name.rpartition("/")[2],
+                _state_in_words(heads.get(one.topic)),
+                frame,
+                mount.at,
+                mount.note,
+                ranges.get(one.topic, ""),
+                views.get(one.topic, ""),
             )
         )
     return [*found[:1], *(Sensor(topic, "BatteryState", said) for topic, said in batteries.items()), *found[1:]]
 
 
-def rate_in_words(rate_hz: float | None) -> str:
+def _state_in_words(head: Head | None) -> str:
+    return "" if head is None else "silent" if not head.count else rate_in_words(head)
+
+
+def rate_in_words(head: Head) -> str:
+    """How often it comes, as far as that is known: after a single message, that it has been silent for a while."""
+    return _SELDOM if head.count == 1 and head.silent_s >= _SELDOM_S else _rate_in_words(head.rate_hz)
+
+
+def _rate_in_words(rate_hz: float | None) -> str:
     """Empty if it is not known; two digits of it: the others are chance."""
     if rate_hz is None:
         return ""
@@ -115,7 +133,7 @@ def sensors_in_words(sensors: Iterable[Sensor], style: Style) -> list[str]:
     """A line each: topic, type, rate, frame with its place, what it sees; or for those that are alike together."""
 
     def all_but_frame(one: Sensor) -> tuple[str, ...]:
-        return one.type, one.state.lstrip("0123456789."), one.note, one.sees
+        return one.type, one.state.lstrip("0123456789."), one.note, one.sees, "wide" if one.view else ""
 
     told = set[str]()
     by_frame = style.groups(sensors, key=lambda one: (*all_but_frame(one), one.frame))
@@ -149,6 +167,7 @@ def _together(groups: Sequence[Sequence[Sensor]], told: set[str], style: Style) 
     first, frames = sensors[0], [group[0].frame for group in groups]
     state = _states_in_words([one.state for one in sensors])
     said = f"{style.names(one.topic for one in sensors)} {named(first.type)}{f' {state}' if state else ''}"
+    said += f" {same_or_each([one.view for one in sensors])}° wide" if first.view else ""
     if not first.frame:
         return said, "", first.sees
     places = [group[0].at for group in groups]
@@ -168,24 +187,28 @@ def _states_in_words(states: Sequence[str]) -> str:
         return same_or_each(states)
     rates_hz = [float(state.removesuffix(" Hz")) for state in states]
     if max(rates_hz) <= _EQUAL_HZ * min(rates_hz):
-        return rate_in_words(sum(rates_hz) / len(rates_hz))
+        return _rate_in_words(sum(rates_hz) / len(rates_hz))
     return f"{same_or_each([state.removesuffix(' Hz') for state in states])} Hz"
 
 
 def also_told(graph: GraphSnapshot) -> list[tuple[str, str]]:
-    """What else the robot publishes of itself, topic and type: types of its makers, such as bumpers and motors, plain
-    numbers and states, odometry.
+    """What else the robot publishes of itself, topic and type: odometry and states of joints first, then types of its
+    makers, such as bumpers and motors, plain numbers and states.
     """
     return [
         (one.topic, one.types[0])
-        for one in sorted(graph.topics.values(), key=lambda one: (one.topic.count("/"), one.topic))
-        if one.publishers and "/_" not in one.topic and _is_of_itself(one)
+        for one in sorted(graph.topics.values(), key=lambda one: (not _is_usual(one), one.topic.count("/"), one.topic))
+        if one.publishers and "/_" not in one.topic and (_is_usual(one) or _is_own(one))
         if REPORT.search(one.topic) or not LOW_LEVEL.search(one.topic)
     ]
 
 
-def _is_of_itself(topic: TopicEndpoints) -> bool:
-    package, _, rest = topic.types[0].partition("/")
-    if package == "std_msgs":
-        return not topic.topic.endswith(_DESCRIPTIONS)
-    return package not in _OF_ROS or f"{package}/{rest}" in _TOLD
+def _is_usual(topic: TopicEndpoints) -> bool:
+    kind = topic.types[0]
+    return kind == ODOMETRY or (kind == JOINT_STATE and topic.topic.endswith("joint_states"))
+
+
+def _is_own(topic: TopicEndpoints) -> bool:
+    package = topic.types[0].partition("/")[0]
+    is_plain = package == "std_msgs" and not topic.topic.endswith(_DESCRIPTIONS)
+    return is_plain or package not in _OF_ROS

@@ -36,7 +36,7 @@ def test_casters_that_nobody_tells_are_nobody_s_concern_and_limits_are_rounded_i
         "arm_2 -1 of ±2.897 rad, ≤ 2 rad/s",
         "left_wheel continuous 1 rad",
         "right_wheel continuous 2 rad",
-        "lamp 3",
+        "lamp 3 (not in the URDF)",
     ]
 
 
@@ -44,8 +44,24 @@ def test_where_it_must_be_brief_wheels_and_chains_stand_in_one_line_each() -> No
     assert joints_in_words(joints_now(CART, TOLD), BRIEF) == [
         "arm_{1,2} 0.5, -1 of ±2.89, 2/s",
         "{left,right}_wheel continuous 1, 2",
-        "lamp 3",
+        "lamp 3 (not in the URDF)",
     ]
+
+
+def test_a_joint_that_follows_another_is_told_where_somebody_tells_it() -> None:
+    follows = joint("RHip", "revolute", limit=LIMIT + '<mimic joint="LHip" multiplier="-1"/>')
+    urdf = parse(f'<robot name="r"><link name="base_link"/>{joint("LHip", "revolute", limit=LIMIT)}{follows}</robot>')
+    rows = joints_now(urdf, {"LHip": 0.1, "RHip": -0.1})
+    assert joints_in_words(rows, Style())[1] == "RHip -0.1 of ±2.897 rad, ≤ 2 rad/s, mimics LHip"
+    assert joints_in_words(rows, BRIEF) == ["{L,R}Hip 0.1, -0.1 of ±2.89, 2/s"]
+    assert joints_in_words(joints_now(urdf, {"LHip": 0.1}), BRIEF) == ["LHip 0.1 of ±2.89, 2/s"]
+
+
+def test_a_speed_that_all_have_is_told_once_after_those_that_have_it() -> None:
+    rows = [JointNow(name, at="0", speed=speed, unit="rad") for name, speed in (("pan", 1.5), ("wheel", 0.0))]
+    rows += [JointNow(name, at="0", speed=1.5, unit="rad") for name in ("tilt", "elbow")]
+    assert joints_in_words(rows, BRIEF) == ["pan 0", "tilt 0", "elbow 0", "all these 1.5/s", "wheel 0"]
+    assert joints_in_words(rows[:3], BRIEF) == ["pan 0, 1.5/s", "wheel 0", "tilt 0, 1.5/s"]
 
 
 def test_speeds_are_left_out_row_by_row_from_the_last_one() -> None:

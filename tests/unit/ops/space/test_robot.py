@@ -37,6 +37,9 @@ BASE = (
 CART = f"""<robot name="cart">{BASE}{"".join(WHEEL.format(name) for name in ("left_wheel", "right_wheel"))}
 {TURN.format("left_wheel", 0.2)}{TURN.format("right_wheel", -0.2)}</robot>"""
 
+JOINTS = "also told: /joint_states JointState"
+"""Whose rate is not known of one message."""
+
 
 def stamp(at_s: float) -> dict[str, int]:
     sec, nanosec = divmod(START_NS + round(at_s * SECOND), SECOND)
@@ -84,7 +87,7 @@ async def test_everything_is_told_of_a_cart_with_a_laser(window: Make, robot: Ro
     assert found.footprint.startswith("0.60 × 0.44 m, centred")
     assert found.command_inputs == ["/cmd_vel Twist → /base"]
     mount = "in laser at 0.2 0 0.3 yaw 180° (by URDF, not TF)"
-    assert found.sensors == [f"/scan LaserScan 10 Hz {mount}, 0.1 to 12 m over 360°"]
+    assert found.sensors == [f"/scan LaserScan 10 Hz {mount}, 0.1 to 12 m over 360°", JOINTS]
     assert found.joints[0] == "left_wheel_joint continuous 1.5 rad"
     assert found.place == "In map at x 6.00 y 0.00 m, yaw 0° (TF, localised)."
     assert found.frames == "map → odom → base_link; 3 in all"
@@ -126,13 +129,14 @@ async def test_what_a_joint_carries_sits_where_that_joint_is_or_nowhere(window: 
     pan = BASE.replace('type="fixed"', 'type="revolute"').replace("</joint>", '<axis xyz="0 0 1"/></joint>')
     made = windows(window, f'<robot name="cart">{pan}</robot>')
     found = await in_brief(robot, source(made))
-    assert found.sensors == ["/scan LaserScan 10 Hz in laser (mount unknown: mount moves it), 0.1 to 12 m over 360°"]
+    unknown = "in laser (mount unknown: mount moves it)"
+    assert found.sensors == [f"/scan LaserScan 10 Hz {unknown}, 0.1 to 12 m over 360°", JOINTS]
     told = window(
         "/joint_states", "sensor_msgs/msg/JointState", [(4.9, {"name": ["mount"], "position": [-math.pi / 2]})]
     )
     found = await in_brief(robot, source([*made[:-1], told]))
     mount = "in laser at 0.2 0 0.3 yaw 90° moving with mount (by URDF, not TF)"
-    assert found.sensors == [f"/scan LaserScan 10 Hz {mount}, 0.1 to 12 m over 360°"]
+    assert found.sensors == [f"/scan LaserScan 10 Hz {mount}, 0.1 to 12 m over 360°", JOINTS]
 
 
 async def test_joints_that_are_told_in_turns_are_all_told(window: Make, robot: Robot) -> None:
@@ -181,7 +185,22 @@ async def test_what_a_robot_tells_of_itself_has_its_value_and_one_that_is_a_faul
     ]
     found = await in_brief(robot, source(made))
     told = "/is_homed Bool true; /left_motor Float32; /mode String «navigation»"
-    assert found.sensors[-1] == f"also told: {told}" and found.unhealthy == []
+    assert found.sensors[-1] == f"{JOINTS}; {told}" and found.unhealthy == []
+
+
+async def test_how_wide_a_camera_and_an_ultrasound_see_is_told(window: Make, robot: Robot) -> None:
+    header = {"frame_id": "laser", "stamp": stamp(4.9)}
+    camera = {"header": header, "width": 640, "height": 480, "k": [320.0, 0, 0, 0, 320.0, 0, 0, 0, 1.0]}
+    sonar = {"header": header, "min_range": 0.25, "max_range": 2.55, "field_of_view": math.radians(30), "range": 1.0}
+    made = [
+        *windows(window, CART),
+        window("/camera/image_raw", "sensor_msgs/msg/Image", [(at / 10, {"header": header}) for at in range(49)]),
+        window("/camera/camera_info", "sensor_msgs/msg/CameraInfo", [(4.9, camera)]),
+        window("/sonar", "sensor_msgs/msg/Range", [(at / 10, sonar) for at in range(49)]),
+    ]
+    lines = (await in_brief(robot, source(made))).sensors
+    assert "/camera/image_raw Image 10 Hz 90° wide in laser" in lines
+    assert "/sonar Range 10 Hz in laser, 0.25 to 2.55 m over 30°" in lines
 
 
 async def test_of_joints_only_what_is_told_as_their_states_is_where_they_are(window: Make, robot: Robot) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.space.heads import rate_of
+from ros2_mcp.ops.space.heads import Head, rate_of
 from ros2_mcp.ops.space.sensors import Sensor, rate_in_words, sensors_in_words
 from ros2_mcp.ops.space.style import Style
 
@@ -76,9 +78,26 @@ def test_rates_that_differ_are_told_each_and_nearly_equal_ones_as_one() -> None:
     assert told("50 Hz", "10 Hz") == "50, 10 Hz"
 
 
-@pytest.mark.parametrize(("rate_hz", "told"), [(40.13, "40 Hz"), (9.96, "10 Hz"), (7.63, "7.6 Hz"), (None, "")])
-def test_a_rate_has_two_digits(rate_hz: float | None, told: str) -> None:
-    assert rate_in_words(rate_hz) == told
+@pytest.mark.parametrize(
+    ("head", "told"),
+    [
+        (Head(9, 40.13, ""), "40 Hz"),
+        (Head(9, 9.96, ""), "10 Hz"),
+        (Head(9, 7.63, ""), "7.6 Hz"),
+        (Head(1, None, "", silent_s=0.6), "under 2 Hz"),
+        (Head(1, None, "", silent_s=0.3), ""),
+        (Head(0, None, ""), ""),
+    ],
+)
+def test_a_rate_has_two_digits_and_of_one_message_only_how_seldom_it_comes(head: Head, told: str) -> None:
+    assert rate_in_words(head) == told
+
+
+def test_how_wide_cameras_see_is_told_of_each() -> None:
+    views = {"color": "69", "depth": "87"}
+    found = [replace(image(f"/{name}/image", "o", "1 0 0"), view=view) for name, view in views.items()]
+    assert sensors_in_words(found, Style())[0] == "/color/image Image 15 Hz 69° wide in o at 1 0 0"
+    assert sensors_in_words(found, BRIEF) == ["/{color,depth}/image Image 15 Hz 69, 87° wide in o at 1 0 0"]
 
 
 def test_a_kept_message_that_is_received_at_once_makes_no_rate_higher() -> None:
