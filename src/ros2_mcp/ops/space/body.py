@@ -16,6 +16,8 @@ from ros2_mcp.ops.space.frames import WORLDS
 
 _STEEP_DEG = 75.0
 """A camera that looks up or down more steeply has no direction seen from above."""
+_UPRIGHT = 0.5
+"""Of an axis' part along z."""
 _TILTED_DEG = 2.0
 """Less is how exactly anybody mounts a sensor."""
 _LEAST_ROUND, _ROUND = 8, 0.95
@@ -98,9 +100,17 @@ def _reaches_in_words(front_m: float, rear_m: float, left_m: float, right_m: flo
     return f": front {front}, rear {rear}, {sides}"
 
 
-def mounted(urdf: Urdf | None, tree: FrameTree, base: str, frame: str, positions: Mapping[str, float]) -> MountInWords:
+def mounted(
+    urdf: Urdf | None,
+    tree: FrameTree,
+    base: str,
+    frame: str,
+    positions: Mapping[str, float],
+    *,
+    is_camera: bool = False,
+) -> MountInWords:
     """Where a sensor sits: from the transforms; else from the description and the joints' positions, and then it says
-    so, for nobody has told it as a transform.
+    so, for nobody has told it as a transform. Of a camera it tells where that looks.
     """
     frame = frame.lstrip("/")
     if frame == base:
@@ -108,18 +118,26 @@ def mounted(urdf: Urdf | None, tree: FrameTree, base: str, frame: str, positions
     movers = urdf.moved_by(frame, base) if urdf and base in urdf.links else ()
     moving = f"{MOVING} {named(movers[0].name)}" if movers else ""
     if base and (found := tree.newest(base, frame)):
-        return MountInWords(_at(found.pose, frame), moving)
+        return MountInWords(_at(found.pose, frame, is_camera=is_camera), moving)
     if urdf is None or base not in urdf.links or (mount := urdf.mount(frame, base, positions)) is None:
         return NO_MOUNT
     unknown = next((joint.name for joint in movers if urdf.position(joint, positions) is None), None)
     if unknown is not None:
         return MountInWords(note=f" (mount unknown: {named(unknown)} moves it)")
-    return MountInWords(_at(Pose(mount.xyz, from_roll_pitch_yaw(*mount.rpy)), frame), f"{moving} (by URDF, not TF)")
+    pose = Pose(mount.xyz, from_roll_pitch_yaw(*mount.rpy))
+    return MountInWords(_at(pose, frame, is_camera=is_camera), f"{moving} (by URDF, not TF)")
 
 
-def _at(pose: Pose, frame: str) -> str:
+def _at(pose: Pose, frame: str, *, is_camera: bool) -> str:
+    """Of a camera in a frame that is not called optical where its z points, into the picture as sensor_msgs/Image has
+    it; but where that is up, some simulator has given its pictures the frame of the camera's body.
+    """
     x, y, z = (f"{round(part, 2) + 0.0:g}" for part in pose.translation)
-    return f"{x} {y} {z}{_looking(pose) if 'optical' in frame else _turned(pose)}"
+    if "optical" in frame:
+        return f"{x} {y} {z}{_looking(pose)}"
+    if is_camera and rotated(pose.rotation, (0.0, 0.0, 1.0))[2] < _UPRIGHT:
+        return f"{x} {y} {z} z{_looking(pose) or ' forward'}"
+    return f"{x} {y} {z}{_turned(pose)}"
 
 
 def _turned(pose: Pose) -> str:
@@ -128,7 +146,7 @@ def _turned(pose: Pose) -> str:
     if max(map(abs, angles_deg[:2])) < _TILTED_DEG:
         angles_deg[:2] = [0.0, 0.0]
     names = zip(("roll", "pitch", "yaw"), angles_deg, strict=True)
-    return "".join(f" {name} {angle:.0f}°" for name, angle in names if abs(angle) >= 0.5)
+    return "".join(f" {name} {_whole(angle)}°" for name, angle in names if abs(angle) >= 0.5)
 
 
 def _looking(pose: Pose) -> str:
@@ -139,6 +157,11 @@ def _looking(pose: Pose) -> str:
     up_deg, yaw_deg = math.degrees(math.asin(min(max(z, -1.0), 1.0))), math.degrees(math.atan2(y, x))
     where = "down" if up_deg < 0 else "up"
     if abs(up_deg) > _STEEP_DEG:
-        return f" looking {where}"
-    turned = f" yaw {yaw_deg:.0f}°" if abs(yaw_deg) >= 0.5 else ""
+        return f" straight {where}"
+    turned = f" yaw {_whole(yaw_deg)}°" if abs(yaw_deg) >= 0.5 else ""
     return f"{turned}{f' {abs(up_deg):.0f}° {where}' if abs(up_deg) >= _TILTED_DEG else ''}"
+
+
+def _whole(angle_deg: float) -> int:
+    """Rounded; half a turn has one name."""
+    return 180 if round(angle_deg) == -180 else round(angle_deg)

@@ -24,8 +24,8 @@ _WEIGHTS = {
     "controllers": 0.9, "unhealthy": 0.5,
 }  # fmt: skip
 """Which part loses its last where the whole is too long: that with the most characters times this."""
-_BESIDES, _LEAST_BESIDES = ("actions", "waited", "told"), 4
-"""What is told by its name alone, and how much of it stays before what is described loses anything."""
+_BESIDES, _LEAST_BESIDES, _MOST_BESIDES = ("actions", "waited", "told"), 4, 100
+"""What is told by its name alone; how much of it stays before what is described loses anything; how much at most."""
 _FIRST_PART, _SHARED = re.compile(r"(/\w+)/"), 4
 """Of a name; so many names have it at least, and half of all, where it is told once."""
 _MOST_NAME, _MOST_TEXT = 60, 200
@@ -42,9 +42,9 @@ class RobotInBrief:
     What does not fit into 2 kB is told more shortly. A name has braces: `/sonar/{left,right}` are two, and one value is
     of both, several are of each in their order (± is the first one's + and the second's -; `mirrored` the same limits
     for the other side; `all these 1/s` the speed of each joint above). An input without → is taken by the node that its
-    name begins with; topics and nodes that do not begin with / are below `namespace`; joints without a unit are in rad;
-    types may be missing, and the frames of sensors, whose places are told. `left_out` counts what did not fit even so;
-    the whole of it leaves nothing out.
+    name begins with, if any; topics and nodes that do not begin with / are below `namespace`; joints without a unit are
+    in rad; types may be missing, and the frames of sensors, whose places are told; `9 of Nav2` are actions that every
+    Nav2 has. `left_out` counts what did not fit even so; the whole of it leaves nothing out.
 
     `not_read` are the parts that were not there within the time of this answer, or whose type is not known here, which
     says nothing of the robot. `read_from` is the recording, where it is not of the live robot.
@@ -139,13 +139,17 @@ def _shorter(parts: Parts) -> Iterator[tuple[Style, Parts, int]]:
     yield (style := replace(style, namespace=_namespace(parts))), parts, 0
     yield (style := replace(style, decimals=2)), parts, 0
     yield (style := replace(style, has_senders=False)), parts, 0
-    yield (style := replace(style, has_types=False)), parts, 0
-    while parts.services.found:
-        yield style, (parts := _without_last(parts, "services")), 1
-    yield style, (parts := replace(parts, actions=parts.actions.with_known())), 0
     inputs = [one for one in parts.inputs if one.use != "joystick"]
     count = len(parts.inputs) - len(inputs)
     yield style, (parts := replace(parts, inputs=inputs)), count
+    yield (style := replace(style, has_types=False)), parts, 0
+    for name in (*_BESIDES, "services"):  # a graph of a thousand topics is not told one shorter a thousand times
+        if (count := _length(parts, name) - _MOST_BESIDES) > 0:
+            yield style, (parts := _without_last(parts, name, count)), count
+    while parts.services.found:
+        yield style, (parts := _without_last(parts, "services")), 1
+    yield style, (parts := replace(parts, actions=parts.actions.with_known())), 0
+    yield (style := replace(style, has_controller_types=False)), parts, 0
     yield (style := replace(style, has_listeners=False)), parts, 0
     yield (style := replace(style, has_frames=False)), parts, 0
     count = sum(bool(one.view) for one in parts.sensors)
@@ -173,11 +177,8 @@ def _namespace(parts: Parts) -> str:
     names = [*(one.topic for one in parts.inputs), *(one.topic for one in parts.sensors)]
     names += [name for one in parts.inputs for name in one.listeners]
     names += [one.name for one in parts.controllers]
-    names += [
-        name
-        for line in (parts.actions, parts.waited, parts.services, parts.told)
-        for name in (one.name for one in line.found)
-    ]
+    besides = (parts.actions, parts.waited, parts.services, parts.told)
+    names += [one.name for line in besides for one in line.found]
     firsts = Counter(match[1] for name in names if (match := _FIRST_PART.match(name)))
     namespace, count = firsts.most_common(1)[0] if firsts else ("", 0)
     return namespace if count >= _SHARED and count * 2 >= len(names) else ""
@@ -210,11 +211,12 @@ def _length(parts: Parts, name: str) -> int:
     return len(part.found) if isinstance(part, Names) else len(part)
 
 
-def _without_last(parts: Parts, name: str) -> Parts:
+def _without_last(parts: Parts, name: str, count: int = 1) -> Parts:
+    """The same without the last of a list."""
     part: Any = getattr(parts, name)
     if isinstance(part, Names):
-        return replace(parts, **{name: replace(part, found=part.found[:-1], more=part.more + 1)})
-    return replace(parts, **{name: part[:-1]})
+        return replace(parts, **{name: replace(part, found=part.found[:-count], more=part.more + count)})
+    return replace(parts, **{name: part[:-count]})
 
 
 def _size(brief: RobotInBrief) -> int:

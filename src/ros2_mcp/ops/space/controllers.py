@@ -100,7 +100,7 @@ def controllers_in_words(controllers: Iterable[Controller], style: Style) -> lis
     """A line each, or for those of one type and state together."""
 
     def about(one: Controller) -> str:
-        kind = f" {named(one.type)}" if one.type and style.has_types else ""
+        kind = f" {named(one.type)}" if one.type and style.has_controller_types else ""
         return f"{kind}{f' is {named(one.state)}' if one.state else ''}"
 
     return [

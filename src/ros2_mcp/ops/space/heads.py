@@ -20,20 +20,22 @@ _HEAD_BYTES = 256
 """Up to the end of a frame's name: a camera's picture stays on the robot."""
 _ENOUGH, _ENOUGH_NS = 5, 600_000_000
 """So many messages over so long tell a rate."""
+_RARE_S = 0.5
+"""So long after the only message, or twice as long in all, without another: it comes less than twice a second."""
 _RECENT_NS = 5_000_000_000
 """Of a recording, its end: enough for what comes once a second."""
 
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """Of one topic: how many messages came, how often (None: too few), the frame of their headers, and for how many
-    seconds nothing has come after the last one.
+    """Of one topic: how many messages came, how often (None: too few), the frame of their headers, and whether the only
+    one that came must come less than twice a second.
     """
 
     count: int
     rate_hz: float | None
     frame: str
-    silent_s: float = 0.0
+    is_rare: bool = False
 
 
 async def heads_of(robot: Robot, source: Source, topics: Sequence[str], listen_s: float) -> Mapping[str, Head]:
@@ -48,16 +50,18 @@ async def heads_of(robot: Robot, source: Source, topics: Sequence[str], listen_s
 
 async def _live_head(robot: Robot, _: Source, topic: str, listen_s: float) -> Head | None:
     found: list[Sample] = []
-    ends_at, last_at, is_listening = monotonic() + listen_s, 0.0, False
+    ends_at, began_at, last_at = monotonic() + listen_s, 0.0, 0.0
     with suppress(RobotError), anyio.move_on_after(listen_s):
         async with robot.listen(topic, head_bytes=_HEAD_BYTES) as listening:
-            is_listening = True
+            began_at = monotonic()
             async for sample in listening.samples(ends_at - monotonic()):
                 found.append(sample)
                 last_at = monotonic()
                 if len(found) >= _ENOUGH and sample.received_ns - found[0].received_ns >= _ENOUGH_NS:
                     break
-    return _head(found, monotonic() - last_at) if is_listening else None
+    now = monotonic()
+    is_rare = len(found) == 1 and (now - last_at > _RARE_S or now - began_at > 2 * _RARE_S)
+    return _head(found, is_rare=is_rare) if began_at else None
 
 
 async def _recorded_head(_: Robot, source: Source, topic: str, __: float) -> Head:
@@ -68,13 +72,13 @@ async def _recorded_head(_: Robot, source: Source, topic: str, __: float) -> Hea
         async with part.follow(topic, latched=False) as stream:
             async for batch in stream.batches:
                 found += [Sample(one.received_ns, one.source_ns, one.sequence, one.data[:_HEAD_BYTES]) for one in batch]
-    return _head(found, (end_ns - found[-1].received_ns) / 1e9 if found else 0.0)
+    return _head(found, is_rare=len(found) == 1 and end_ns - found[0].received_ns > _RARE_S * 1e9)
 
 
-def _head(samples: Sequence[Sample], silent_s: float) -> Head:
+def _head(samples: Sequence[Sample], *, is_rare: bool) -> Head:
     if not samples:
         return Head(0, None, "")
-    return Head(len(samples), rate_of(samples), _frame_of(samples[-1].data), silent_s)
+    return Head(len(samples), rate_of(samples), _frame_of(samples[-1].data), is_rare)
 
 
 def rate_of(samples: Sequence[Sample]) -> float | None:

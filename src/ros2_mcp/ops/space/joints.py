@@ -13,6 +13,8 @@ from ros2_mcp.ops.space.style import Style, same_or_each
 
 _FAR = 1e6
 """Of a limit in rad or m: more means that there is none."""
+_DECIMALS = 3
+"""As exact as anybody looks at a joint."""
 _LEAST_EQUAL = 3
 """Lines with one speed: then it is told once."""
 _SIDE = r"left|right|front|rear|back|hind|middle|[FRHL][LR]|[LR][FHRB]|[LRlrFfHhBb]"
@@ -22,13 +24,13 @@ _NUMBER_OR_SIDE = re.compile(rf"\d+|(?<![A-Za-z0-9])(?:{_SIDE})(?:_?(?:left|righ
 
 @dataclass(frozen=True, slots=True)
 class JointNow:
-    """A joint where it is now, and how far and how fast it may move; empty where that is not known. `unit` is rad or
-    m, and empty of one that the description does not have; `mimics` is the joint that it follows.
+    """A joint where it is now, and how far and how fast it may move; None, or 0, where that is not known. `unit` is rad
+    or m, and empty of one that the description does not have, as is its `kind`; `mimics` is the joint that it follows.
     """
 
     name: str
     kind: str = "revolute"
-    at: str = ""
+    at: float | None = None
     span: tuple[float, float] | None = None
     speed: float = 0.0
     unit: str = ""
@@ -51,7 +53,7 @@ def joints_now(urdf: Urdf | None, positions: Mapping[str, float], reports: str =
     others = [name for name in positions if urdf is None or name not in urdf.joints]
     return [
         *(_joint(joint, positions.get(joint.name)) for joint in joints),
-        *(JointNow(name, kind="" if urdf else "revolute", at=_tidy(positions[name])) for name in others),
+        *(JointNow(name, kind="", at=positions[name]) for name in others),
     ]
 
 
@@ -79,13 +81,15 @@ def _together(joints: Sequence[JointNow], style: Style) -> str:
     first = joints[0]
     is_clear = first.kind == "revolute" or (style.is_brief and first.kind == "prismatic")  # it is told in m
     kind = "" if is_clear or not first.kind else f" {first.kind}"
-    places = [one.at or ("position unknown" if len(joints) == 1 else "unknown") for one in joints]
+    decimals = style.decimals if first.unit == "rad" else _DECIMALS
+    unknown = "position unknown" if len(joints) == 1 else "unknown"
+    places = [unknown if one.at is None else f"{round(one.at, decimals) + 0.0:g}" for one in joints]
     span = f" of {_spans_in_words([one.span for one in joints if one.span], style.decimals)}" if first.span else ""
     is_told = first.unit and not (style.is_brief and first.unit == "rad")
     unit = f" {first.unit}" if is_told else ""
     speeds = [_at_most(one.speed, style.decimals) for one in joints if one.speed]
     speed = f", {'' if style.is_brief else '≤ '}{same_or_each(speeds)}{unit}/s" if speeds else ""
-    more = "" if first.kind else " (not in the URDF)"
+    more = "" if first.kind else " (unit unknown)"
     more += f", mimics {style.name(first.mimics)}" if first.mimics and not style.is_brief else ""
     return f"{style.names(one.name for one in joints)}{kind} {same_or_each(places)}{span}{unit}{speed}{more}"
 
@@ -111,8 +115,8 @@ def placed(urdf: Urdf, positions: Mapping[str, float]) -> Sequence[Joint]:
 def _joint(joint: Joint, at: float | None) -> JointNow:
     limits = joint.limits
     span = (limits.lower, limits.upper) if limits.lower is not None and limits.upper is not None else None
-    here, speed = "" if at is None else _tidy(at), limits.velocity or 0.0
-    return JointNow(joint.name, joint.kind, here, span, speed, joint.unit, joint.mimic.joint if joint.mimic else "")
+    mimics = joint.mimic.joint if joint.mimic else ""
+    return JointNow(joint.name, joint.kind, at, span, limits.velocity or 0.0, joint.unit, mimics)
 
 
 def _spans_in_words(spans: Sequence[tuple[float, float]], decimals: int) -> str:
@@ -139,8 +143,3 @@ def _at_most(speed: float, digits: int) -> str:
         return f"{speed:.3g}"
     unit = 10.0 ** (digits - 1 - math.floor(math.log10(speed)))
     return f"{math.floor(speed * unit) / unit:g}"
-
-
-def _tidy(number: float) -> str:
-    """To a thousandth, which is as exact as anybody looks at a joint."""
-    return f"{round(number, 3) + 0.0:g}"

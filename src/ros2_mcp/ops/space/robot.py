@@ -140,7 +140,7 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
     )
     await asyncio.gather(*(_safely(seen, what, work, given_up_at) for what, work in parts))
     parts = _parts(source, seen)
-    return parts.in_words(Style()) if whole else within(parts, MOST_BYTES)
+    return parts.in_words(Style()) if whole else await asyncio.to_thread(within, parts, MOST_BYTES)
 
 
 # ── gathering ────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -416,7 +416,9 @@ def _sensors(seen: _Seen, base: str) -> list[Sensor]:
 
 
 def _mounted(seen: _Seen, base: str, frame: str) -> MountInWords:
-    return mounted(seen.urdf, seen.tree, base, frame, seen.positions)
+    cameras = (one.topic for one, kind in ranked(seen.graph) if kind == _IMAGE)
+    is_camera = any(seen.heads[topic].frame == frame for topic in cameras if topic in seen.heads)
+    return mounted(seen.urdf, seen.tree, base, frame, seen.positions, is_camera=is_camera)
 
 
 def _frames_in_words(seen: _Seen, base: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
@@ -44,7 +44,7 @@ _OF_ROS = (
 ODOMETRY, JOINT_STATE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
 _DESCRIPTIONS = ("robot_description", "robot_description_semantic")
 _WHOLE_HZ, _EQUAL_HZ = 9.95, 1.1
-_SELDOM, _SELDOM_S = "under 2 Hz", 0.5
+_MOVES = re.compile(rf"{MOVING} \S+")
 _RATE = re.compile(r"[\d.]+ Hz")
 
 
@@ -98,18 +98,8 @@ def sensors_of(
         head = heads.get(one.topic)
         frame = head.frame if head else ""
         mount = mounts.get(frame, MountInWords())
-        found.append(
-            Sensor(
-                one.topic,
-                type_name.rpartition("/")[2],
-                _state_in_words(heads.get(one.topic)),
-                frame,
-                mount.at,
-                mount.note,
-                ranges.get(one.topic, ""),
-                views.get(one.topic, ""),
-            )
-        )
+        sensor = Sensor(one.topic, type_name.rpartition("/")[2], _state_in_words(head), frame, mount.at, mount.note)
+        found.append(replace(sensor, sees=ranges.get(one.topic, ""), view=views.get(one.topic, "")))
     return [*found[:1], *(Sensor(topic, "BatteryState", said) for topic, said in batteries.items()), *found[1:]]
 
 
@@ -118,8 +108,8 @@ def _state_in_words(head: Head | None) -> str:
 
 
 def rate_in_words(head: Head) -> str:
-    """How often it comes, as far as that is known: after a single message, that it has been silent for a while."""
-    return _SELDOM if head.count == 1 and head.silent_s >= _SELDOM_S else _rate_in_words(head.rate_hz)
+    """How often it comes, as far as that is known."""
+    return "under 2 Hz" if head.is_rare else _rate_in_words(head.rate_hz)
 
 
 def _rate_in_words(rate_hz: float | None) -> str:
@@ -174,7 +164,7 @@ def _together(groups: Sequence[Sequence[Sensor]], told: set[str], style: Style) 
     at = f"at {same_or_each(places, '; ')}" if any(places) else ""
     inside = f"in {braced(list(map(named, frames)))}"
     if not style.has_frames:
-        note = " (moves)" if first.note.startswith(MOVING) else first.note if at else ""  # unhealthy tells the others
+        note = _MOVES.sub(" (moves)", first.note) if at else ""  # what is not in TF stands in unhealthy
         return said, f"{at or inside}{note}", first.sees
     is_new = not told.issuperset(frames)
     told.update(frames)

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import product, takewhile
 from typing import TypeVar
 
 from ros2_mcp.model.text import named
@@ -14,7 +14,7 @@ from ros2_mcp.model.text import named
 Item = TypeVar("Item")
 _BRACES = re.compile(r"[{},«»\s]")
 """In a name: then it stands in no braces."""
-_MOST_NODES = 3
+_MOST_NODES, _LEAST_KNOWN = 3, 3
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 
 
@@ -23,7 +23,7 @@ class Style:
     """What is told of each part of a robot. `is_brief`: what is alike stands together, in braces where names are, as
     a shell expands them (`/sonar/{left,right}`), and a type that is called as its topic is not told. `namespace`,
     which begins most names, is left out of them. `decimals` of limits, and digits of speeds. `has_senders`: who else
-    sends to an input. `has_types`: of controllers, and of what is told by its name; `has_listeners` of the latter.
+    sends to an input. `has_types`, `has_listeners`: of what is told by its name; `has_controller_types` of controllers.
     `has_frames`: the frames of sensors; without them those at one place stand together. `most_name`: characters of a
     name, longer ones are cut.
     """
@@ -33,6 +33,7 @@ class Style:
     decimals: int = 3
     has_senders: bool = True
     has_types: bool = True
+    has_controller_types: bool = True
     has_listeners: bool = True
     has_frames: bool = True
     most_name: int = 255
@@ -99,8 +100,9 @@ class Names:
     def with_known(self) -> Names:
         """The same, shorter: those of a stack without their names."""
         counts = Counter(one.stack for one in self.found if one.stack)
-        known = [f"{count} of {stack}" for stack, count in counts.items()]
-        return replace(self, found=[one for one in self.found if not one.stack], known=known)
+        known = {stack: count for stack, count in counts.items() if count >= _LEAST_KNOWN}
+        found = [one for one in self.found if one.stack not in known]
+        return replace(self, found=found, known=[f"{count} of {stack}" for stack, count in known.items()])
 
     def in_words(self, style: Style) -> list[str]:
         """A line, or none where there is nothing."""
@@ -158,9 +160,8 @@ def factors(names: Sequence[str]) -> list[list[str]]:
 
 def _common_beginning(names: Sequence[str]) -> str:
     first, last = min(names), max(names)  # what these two begin with, all between them do
-    return first[
-        : next((place for place, pair in enumerate(zip(first, last, strict=False)) if pair[0] != pair[1]), None)
-    ]
+    same = takewhile(lambda pair: pair[0] == pair[1], zip(first, last, strict=False))
+    return "".join(letter for letter, _ in same)
 
 
 def _is_apart(name: str, place: int) -> bool:

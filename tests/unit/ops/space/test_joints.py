@@ -36,7 +36,7 @@ def test_casters_that_nobody_tells_are_nobody_s_concern_and_limits_are_rounded_i
         "arm_2 -1 of ±2.897 rad, ≤ 2 rad/s",
         "left_wheel continuous 1 rad",
         "right_wheel continuous 2 rad",
-        "lamp 3 (not in the URDF)",
+        "lamp 3 (unit unknown)",
     ]
 
 
@@ -44,7 +44,7 @@ def test_where_it_must_be_brief_wheels_and_chains_stand_in_one_line_each() -> No
     assert joints_in_words(joints_now(CART, TOLD), BRIEF) == [
         "arm_{1,2} 0.5, -1 of ±2.89, 2/s",
         "{left,right}_wheel continuous 1, 2",
-        "lamp 3 (not in the URDF)",
+        "lamp 3 (unit unknown)",
     ]
 
 
@@ -58,16 +58,14 @@ def test_a_joint_that_follows_another_is_told_where_somebody_tells_it() -> None:
 
 
 def test_a_speed_that_all_have_is_told_once_after_those_that_have_it() -> None:
-    rows = [JointNow(name, at="0", speed=speed, unit="rad") for name, speed in (("pan", 1.5), ("wheel", 0.0))]
-    rows += [JointNow(name, at="0", speed=1.5, unit="rad") for name in ("tilt", "elbow")]
+    rows = [JointNow(name, at=0, speed=speed, unit="rad") for name, speed in (("pan", 1.5), ("wheel", 0.0))]
+    rows += [JointNow(name, at=0, speed=1.5, unit="rad") for name in ("tilt", "elbow")]
     assert joints_in_words(rows, BRIEF) == ["pan 0", "tilt 0", "elbow 0", "all these 1.5/s", "wheel 0"]
     assert joints_in_words(rows[:3], BRIEF) == ["pan 0, 1.5/s", "wheel 0", "tilt 0, 1.5/s"]
 
 
 def test_speeds_are_left_out_row_by_row_from_the_last_one() -> None:
-    rows = [
-        JointNow(name, at="0", speed=speed, unit="rad") for name, speed in (("pan", 1.0), ("a_1", 2.0), ("a_2", 3.0))
-    ]
+    rows = [JointNow(name, at=0, speed=speed, unit="rad") for name, speed in (("pan", 1.0), ("a_1", 2.0), ("a_2", 3.0))]
     found, count = without_last_speeds(rows)
     assert (joints_in_words(found, BRIEF), count) == (["pan 0, 1/s", "a_{1,2} 0"], 2)
     found, count = without_last_speeds(found)
@@ -83,17 +81,17 @@ def test_limits_that_are_none_break_nothing() -> None:
 
 def test_joints_of_two_sides_or_four_corners_are_told_together() -> None:
     rows = [
-        JointNow("LHipPitch", at="0.1", span=(-1.5, 0.4)),
-        JointNow("RHipPitch", at="0.2", span=(-1.5, 0.4)),
-        JointNow("LHipRoll", at="0.1", span=(-0.379, 0.79)),
-        JointNow("RHipRoll", at="0.1", span=(-0.79, 0.379)),
-        JointNow("FL_hip_joint", at="0", span=(-1.0, 1.0)),
-        JointNow("RR_hip_joint", at="0.5", span=(-1.0, 1.0)),
-        JointNow("front_left_hip_x", at="1", span=(0.0, 2.0)),
-        JointNow("rear_right_hip_x", at="2", span=(0.0, 2.0)),
-        JointNow("wheel_left", at="3", span=(-4.0, 4.0)),
+        JointNow("LHipPitch", at=0.1, span=(-1.5, 0.4)),
+        JointNow("RHipPitch", at=0.2, span=(-1.5, 0.4)),
+        JointNow("LHipRoll", at=0.1, span=(-0.379, 0.79)),
+        JointNow("RHipRoll", at=0.1, span=(-0.79, 0.379)),
+        JointNow("FL_hip_joint", at=0, span=(-1.0, 1.0)),
+        JointNow("RR_hip_joint", at=0.5, span=(-1.0, 1.0)),
+        JointNow("front_left_hip_x", at=1, span=(0.0, 2.0)),
+        JointNow("rear_right_hip_x", at=2, span=(0.0, 2.0)),
+        JointNow("wheel_left", at=3, span=(-4.0, 4.0)),
         JointNow("wheel_right", span=(-4.0, 3.0)),
-        JointNow("Lift", at="1", span=(0.0, 2.0)),
+        JointNow("Lift", at=1, span=(0.0, 2.0)),
     ]
     assert joints_in_words(rows, BRIEF) == [
         "{L,R}HipPitch 0.1, 0.2 of -1.5..0.4",

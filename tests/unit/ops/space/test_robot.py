@@ -162,8 +162,22 @@ def test_a_camera_s_tilt_is_told_and_a_steep_one_has_no_direction() -> None:
     told = [mounted(urdf, FrameTree(), "base_link", name, {}) for name in ("a_optical", "b_optical")]
     assert told == [
         MountInWords("0 0 1 20° down", " (by URDF, not TF)"),
-        MountInWords("0 0 0 looking down", " (by URDF, not TF)"),
+        MountInWords("0 0 0 straight down", " (by URDF, not TF)"),
     ]
+
+
+def test_of_a_camera_in_a_frame_that_is_not_called_optical_it_is_told_where_its_z_points() -> None:
+    def at(rpy: str) -> str:
+        urdf = parse(
+            f"""<robot name="r"><link name="base_link"/><link name="eye"/><joint name="a" type="fixed">
+            <parent link="base_link"/><child link="eye"/><origin xyz="0 0 1" rpy="{rpy}"/></joint></robot>"""
+        )
+        return mounted(urdf, FrameTree(), "base_link", "eye", {}, is_camera=True).at
+
+    assert at("-1.5707963 0 -1.5707963") == "0 0 1 z forward"
+    assert at("-1.9198622 0 0") == "0 0 1 z yaw 90° 20° down"
+    assert at("3.1415927 0 0") == "0 0 1 z straight down"
+    assert at("0 0.2 0.5235988") == "0 0 1 pitch 11° yaw 30°", "a frame with z up is that of the camera's body"
 
 
 async def test_a_sensor_in_a_frame_that_nobody_tells_is_unhealthy(window: Make, robot: Robot) -> None:
@@ -301,7 +315,7 @@ def test_controllers_are_told_movers_first_and_the_inactive_as_such() -> None:
         "/forward JointGroupVelocityController is inactive",
         "/joint_state_broadcaster",
     ]
-    assert controllers_in_words(told, Style(is_brief=True, has_types=False)) == [
+    assert controllers_in_words(told, Style(is_brief=True, has_controller_types=False)) == [
         "/arm_controller, /joint_state_broadcaster",
         "/forward is inactive",
     ]

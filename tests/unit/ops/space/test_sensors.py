@@ -84,8 +84,8 @@ def test_rates_that_differ_are_told_each_and_nearly_equal_ones_as_one() -> None:
         (Head(9, 40.13, ""), "40 Hz"),
         (Head(9, 9.96, ""), "10 Hz"),
         (Head(9, 7.63, ""), "7.6 Hz"),
-        (Head(1, None, "", silent_s=0.6), "under 2 Hz"),
-        (Head(1, None, "", silent_s=0.3), ""),
+        (Head(1, None, "", is_rare=True), "under 2 Hz"),
+        (Head(1, None, ""), ""),
         (Head(0, None, ""), ""),
     ],
 )
