@@ -227,12 +227,12 @@ def begin() -> Iterator[Callable[[RawServer, str], None]]:
     """
     begun: list[int] = []
 
-    def move(server: RawServer, way: str) -> None:
-        goal: dict[str, Any] = {"action_name": ACTION, "goal_fields": {"trajectory": trajectory(far(), 4.0)}}
+    def move(server: RawServer, way: str, takes_s: float = 4.0) -> None:
+        goal: dict[str, Any] = {"action_name": ACTION, "goal_fields": {"trajectory": trajectory(far(), takes_s)}}
         if way == "goal":
             answer = server.call("ros2_send_action_goal", **goal)
         else:
-            answer = server.call("ros2_topic_publish", topic_name=TOPIC, data=trajectory(far(), 4.0))
+            answer = server.call("ros2_topic_publish", topic_name=TOPIC, data=trajectory(far(), takes_s))
         assert not answer["isError"], answer
         begun.extend([server.process.pid, *children(server.process.pid)])
 
@@ -269,16 +269,16 @@ def test_a_bridge_that_is_killed_in_the_middle_leaves_joints_that_are_held(
 @pytest.mark.promise("stopping", "the stopper cancels the goals")
 @pytest.mark.parametrize("_", range(20 if FULL else 1))
 def test_a_goal_whose_bridge_and_server_are_killed_together_is_cancelled(
-    begin: Callable[[RawServer, str], None], start_server, witness, _: int
+    begin: Callable[..., None], start_server, witness, _: int
 ) -> None:
     server = start_server()
-    begin(server, "goal")
+    begin(server, "goal", takes_s=12.0)  # its stopper has just begun, which takes seconds on a busy machine
     before = witness.until_moving()
     for pid in [children(server.process.pid)[0], server.process.pid]:
         os.kill(pid, signal.SIGKILL)
     after = witness.until_still()
-    print(f"{after[PAN] - before[PAN]:.3f} rad further, at 0.6 rad/s")
-    assert before[PAN] - 0.05 < after[PAN] < far()[PAN] - 0.3  # its stopper may have begun just now
+    print(f"{after[PAN] - before[PAN]:.3f} rad further, at 0.2 rad/s")
+    assert before[PAN] - 0.05 < after[PAN] < far()[PAN] - 0.3
 
 
 @pytest.mark.full

@@ -85,10 +85,10 @@ def _of_costmap(tree: FrameTree, base: str, published: Sequence[tuple[float, flo
     points = [(found.pose.applied(at) if found else at)[:2] for at in published]
     far = [math.hypot(x, y) for x, y in points]
     if min(far) > _ROUND * max(far) and len(points) >= _LEAST_ROUND:
-        return f"radius {max(far):.2f} m (the costmap's)"
+        return f"radius {max(far):.2f} m (costmap)"
     x, y = [at[0] for at in points], [at[1] for at in points]
     reaches = _reaches_in_words(max(x), -min(x), max(y), -min(y))
-    return f"{max(x) - min(x):.2f} × {max(y) - min(y):.2f} m{reaches} (the costmap's)"
+    return f"{max(x) - min(x):.2f} × {max(y) - min(y):.2f} m{reaches} (costmap)"
 
 
 def _reaches_in_words(front_m: float, rear_m: float, left_m: float, right_m: float) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from ros2_mcp.model.text import quoted, visible, visible_json
+from ros2_mcp.model.text import quoted
 from ros2_mcp.ops.results import ON_REQUEST, SAID, as_json
 from ros2_mcp.ops.results import in_brief as in_text
 from ros2_mcp.ops.space.controllers import Controller, controllers_in_words
@@ -152,10 +153,10 @@ def _shorter(parts: Parts) -> Iterator[tuple[Style, Parts, int]]:
     yield (style := replace(style, has_controller_types=False)), parts, 0
     yield (style := replace(style, has_listeners=False)), parts, 0
     yield (style := replace(style, has_frames=False)), parts, 0
-    count = sum(bool(one.view) for one in parts.sensors)
-    yield style, (parts := replace(parts, sensors=[replace(one, view="") for one in parts.sensors])), count
     while name := _longest(parts, style, _BESIDES, least=_LEAST_BESIDES):
         yield style, (parts := _without_last(parts, name)), 1
+    count = sum(bool(one.view) for one in parts.sensors)
+    yield style, (parts := replace(parts, sensors=[replace(one, view="") for one in parts.sensors])), count
     while any(joint.speed for joint in parts.joints):
         joints, count = without_last_speeds(parts.joints)
         yield style, (parts := replace(parts, joints=joints)), count
@@ -222,6 +223,9 @@ def _without_last(parts: Parts, name: str, count: int = 1) -> Parts:
 def _size(brief: RobotInBrief) -> int:
     """Bytes of its JSON, or of its text, whichever is more."""
     value, summary = as_json(brief), brief.summary()
-    _, structured = visible_json(value)
-    _, text = visible_json(in_text(brief, value, summary)[0])
-    return max(len(structured.encode()), len(f"{visible(summary)}\n{text}".encode()))
+    text, _ = in_text(brief, value, summary)
+    return max(_bytes(value), len(f"{summary}\n".encode()) + _bytes(text))
+
+
+def _bytes(value: Any) -> int:
+    return len(json.dumps(value, ensure_ascii=False, separators=(",", ":")).encode())

@@ -89,7 +89,7 @@ def _together(joints: Sequence[JointNow], style: Style) -> str:
     unit = f" {first.unit}" if is_told else ""
     speeds = [_at_most(one.speed, style.decimals) for one in joints if one.speed]
     speed = f", {'' if style.is_brief else '≤ '}{same_or_each(speeds)}{unit}/s" if speeds else ""
-    more = "" if first.kind else " (unit unknown)"
+    more = "" if first.kind else " (no unit)"
     more += f", mimics {style.name(first.mimics)}" if first.mimics and not style.is_brief else ""
     return f"{style.names(one.name for one in joints)}{kind} {same_or_each(places)}{span}{unit}{speed}{more}"
 

@@ -124,7 +124,7 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
         raise NotFound(graph.absence, "ros2_status tells domain and middleware.")
     seen = _Seen(graph, most_sensors=_MOST_HEARD if whole else _MOST_SENSORS, asked_at=asked_at)
     given_up_at = max(asked_at + _GIVEN_UP_S, monotonic() + _LEAST_S) if source.is_live else math.inf
-    parts = (
+    gathering = (
         ("description", _description(robot, source, seen)),
         ("frames", _frames(source, seen)),
         ("rates of the sensors", _heads(robot, source, seen)),
@@ -138,7 +138,7 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
         ("footprint", _published_footprint(source, seen)),
         ("controllers", _managed(robot, source, seen)),
     )
-    await asyncio.gather(*(_safely(seen, what, work, given_up_at) for what, work in parts))
+    await asyncio.gather(*(_safely(seen, what, work, given_up_at) for what, work in gathering))
     parts = _parts(source, seen)
     return parts.in_words(Style()) if whole else await asyncio.to_thread(within, parts, MOST_BYTES)
 

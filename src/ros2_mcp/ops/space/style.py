@@ -108,7 +108,8 @@ class Names:
         """A line, or none where there is nothing."""
         alike = style.groups(self.found, key=lambda one: one.about(style))
         told = [f"{_by_place([style.name(one.name) for one in all_of])}{all_of[0].about(style)}" for all_of in alike]
-        rest = [*self.known, *([f"{self.more} more"] if self.more else [])]
+        more = f"{self.more} more" if told or self.known else f"{self.more}"
+        rest = [*self.known, *([more] if self.more else [])]
         return [f"{self.lead}: {'; '.join([*told, *rest])}"] if told or rest else []
 
 

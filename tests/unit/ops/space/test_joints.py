@@ -36,7 +36,7 @@ def test_casters_that_nobody_tells_are_nobody_s_concern_and_limits_are_rounded_i
         "arm_2 -1 of ±2.897 rad, ≤ 2 rad/s",
         "left_wheel continuous 1 rad",
         "right_wheel continuous 2 rad",
-        "lamp 3 (unit unknown)",
+        "lamp 3 (no unit)",
     ]
 
 
@@ -44,7 +44,7 @@ def test_where_it_must_be_brief_wheels_and_chains_stand_in_one_line_each() -> No
     assert joints_in_words(joints_now(CART, TOLD), BRIEF) == [
         "arm_{1,2} 0.5, -1 of ±2.89, 2/s",
         "{left,right}_wheel continuous 1, 2",
-        "lamp 3 (unit unknown)",
+        "lamp 3 (no unit)",
     ]
 
 

@@ -248,7 +248,7 @@ async def test_an_outline_that_only_the_costmap_tells_is_told_in_the_frame_of_th
     footprint = window("/local_costmap/published_footprint", "geometry_msgs/msg/PolygonStamped", [(4.9, outline)])
     bare = '<robot name="bare"><link name="base_link"/></robot>'
     found = await in_brief(robot, source([*windows(window, bare), footprint]))
-    assert found.footprint == "radius 0.30 m (the costmap's)"
+    assert found.footprint == "radius 0.30 m (costmap)"
 
 
 async def test_an_arm_that_its_description_fixes_in_the_world_is_there(window: Make, robot: Robot) -> None:

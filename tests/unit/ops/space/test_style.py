@@ -54,6 +54,7 @@ def test_names_of_one_type_stand_together_and_how_many_more_there_are_is_told() 
     brief = Style(is_brief=True, namespace="/r")
     assert found.in_words(brief) == ["told: battery_state; a, b Bool; x Odd; 3 more"]
     assert found.in_words(Style(is_brief=True, has_types=False)) == ["told: /r/{battery_state,a,x,b}; 3 more"]
+    assert Names("services", more=12).in_words(brief) == ["services: 12"]
     assert Names("told").in_words(brief) == []
 
 
