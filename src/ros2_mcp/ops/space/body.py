@@ -136,7 +136,7 @@ def _at(pose: Pose, frame: str, *, is_camera: bool) -> str:
     if "optical" in frame:
         return f"{x} {y} {z}{_looking(pose)}"
     if is_camera and rotated(pose.rotation, (0.0, 0.0, 1.0))[2] < _UPRIGHT:
-        return f"{x} {y} {z} z{_looking(pose) or ' forward'}"
+        return f"{x} {y} {z} z to{_looking(pose) or ' the front'}"
     return f"{x} {y} {z}{_turned(pose)}"
 
 

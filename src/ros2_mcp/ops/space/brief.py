@@ -40,12 +40,13 @@ class RobotInBrief:
     greatest speed; rad or m), `controllers` (active, where nothing else is said), and where it is (`place`: in which
     frame, how that is known, how old). `stacks` are Nav2, MoveIt, ros2_control, MAVROS and others, as far as they run.
 
-    What does not fit into 2 kB is told more shortly. A name has braces: `/sonar/{left,right}` are two, and one value is
-    of both, several are of each in their order (± is the first one's + and the second's -; `mirrored` the same limits
-    for the other side; `all these 1/s` the speed of each joint above). An input without → is taken by the node that its
-    name begins with, if any; topics and nodes that do not begin with / are below `namespace`; joints without a unit are
-    in rad; types may be missing, and the frames of sensors, whose places are told; `9 of Nav2` are actions that every
-    Nav2 has. `left_out` counts what did not fit even so; the whole of it leaves nothing out.
+    What does not fit into 2 kB is told more shortly. A name has braces: `/sonar/{left,right}` are two, and what follows
+    names is of all of them up to the last semicolon or line: one value of all, several of each in their order, in the
+    last braces if there are two (± is the first one's + and the second's -; `mirrored` limits are negated and swapped;
+    `all these 1/s` is the speed of each joint above). An input without → is taken by the node that its name begins
+    with, if any; topics and nodes that do not begin with / are below `namespace`; joints without a unit are in rad;
+    types may be missing, and the frames of sensors, whose places are told; `z to` is where a camera looks; `9 of Nav2`
+    are actions that every Nav2 has. `left_out` counts what did not fit even so; the whole of it leaves nothing out.
 
     `not_read` are the parts that were not there within the time of this answer, or whose type is not known here, which
     says nothing of the robot. `read_from` is the recording, where it is not of the live robot.

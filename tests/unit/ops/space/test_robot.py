@@ -174,9 +174,9 @@ def test_of_a_camera_in_a_frame_that_is_not_called_optical_it_is_told_where_its_
         )
         return mounted(urdf, FrameTree(), "base_link", "eye", {}, is_camera=True).at
 
-    assert at("-1.5707963 0 -1.5707963") == "0 0 1 z forward"
-    assert at("-1.9198622 0 0") == "0 0 1 z yaw 90° 20° down"
-    assert at("3.1415927 0 0") == "0 0 1 z straight down"
+    assert at("-1.5707963 0 -1.5707963") == "0 0 1 z to the front"
+    assert at("-1.9198622 0 0") == "0 0 1 z to yaw 90° 20° down"
+    assert at("3.1415927 0 0") == "0 0 1 z to straight down"
     assert at("0 0.2 0.5235988") == "0 0 1 pitch 11° yaw 30°", "a frame with z up is that of the camera's body"
 
 
