@@ -67,7 +67,21 @@ def separate_roots(tree: FrameTree) -> Sequence[str]:
         if (held := [frame for frame in tree.frames if frame != root and tree.root_of(frame) == root])
         and all(frame in (f"{root}_ned", f"{root}_frd") for frame in held)
     }
-    return [root for root in (largest, *others) if root and root not in of_copies]
+    held_too = disputed_roots(tree)
+    return [root for root in (largest, *others) if root and root not in of_copies and root not in held_too]
+
+
+def disputed_roots(tree: FrameTree) -> set[str]:
+    """The roots of trees to which a frame with two parents would belong as well: what lies between them is told by
+    somebody, and is in dispute. Of those of one frame all but the largest's.
+    """
+    order = tree.roots
+    found = set[str]()
+    for edge in tree.edges.values():
+        if edge.two_parents:
+            roots = {tree.root_of(parent) for parent in edge.parents if parent in tree.frames}
+            found |= set(sorted(roots, key=order.index)[1:])
+    return found
 
 
 async def frames_of(

@@ -30,7 +30,7 @@ from ros2_mcp.ops.space.body import NO_MOUNT, MountInWords, footprint_in_words, 
 from ros2_mcp.ops.space.brief import MOST_BYTES, Parts, RobotInBrief, within
 from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_of, idle_movers, listed_controllers
 from ros2_mcp.ops.space.edges import edge_row, in_words
-from ros2_mcp.ops.space.frames import WORLDS, frames_of, separate_roots
+from ros2_mcp.ops.space.frames import WORLDS, disputed_roots, frames_of, separate_roots
 from ros2_mcp.ops.space.heads import Head, heads_of
 from ros2_mcp.ops.space.inputs import command_inputs, drive_types, orders_by_service, other_actions, waited_for
 from ros2_mcp.ops.space.joints import joints_now, placed
@@ -429,7 +429,7 @@ def _frames_in_words(seen: _Seen, base: str) -> str:
     way = f"{' → '.join(map(named, reversed(chain)))}; " if len(chain) > 1 else ""
     roots = separate_roots(tree)
     trees = f", {len(roots)} trees" if len(roots) > 1 else ""
-    apart = [root for root in tree.roots if root not in roots]
+    apart = [root for root in tree.roots if root not in roots and root not in disputed_roots(tree)]
     copies = f" ({', '.join(map(named, apart))} with its copies apart)" if apart else ""
     return f"{way}{len(tree.frames)} in all{trees}{copies}"
 

@@ -18,7 +18,7 @@ from ros2_mcp.ops.results import HIDDEN, Report, WithPictures, facts, reporting,
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
-from ros2_mcp.ops.space.frames import frames_of, separate_roots
+from ros2_mcp.ops.space.frames import disputed_roots, frames_of, separate_roots
 from ros2_mcp.ops.space.standing_time import look_for_clock, other_clock, standing_time
 from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
@@ -53,10 +53,13 @@ class Tree(WithPictures):
     read_from: str
     note: str = ""
     lines: Sequence[str] = field(default=(), metadata=HIDDEN)
+    disputed: int = field(default=0, metadata=HIDDEN)
+    """How many of the roots stand apart because a frame has two parents."""
 
     def summary(self) -> list[str]:
         """What is wrong, then the tree."""
-        trees = f"{len(self.roots)} trees" if len(self.roots) != 1 else "one tree"
+        count = len(self.roots) - self.disputed
+        trees = f"{count} trees" if count != 1 else "one tree"
         health = f"{len(self.problems)} problem(s)" if self.problems else "healthy"
         more = len(self.lines) - _MOST_LINES
         left_out = [f"… and {more} frames more: name one with frame to see what is below it."] if more > 0 else []
@@ -105,6 +108,7 @@ async def tf_tree(
         read_from="live" if source.is_live else source.words,
         note=" ".join(said),
         lines=lines,
+        disputed=0 if top else len(disputed_roots(tree)),
         pictures=facts(images),
         images=images,
     )

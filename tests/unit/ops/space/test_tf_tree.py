@@ -205,6 +205,17 @@ async def test_two_parents_are_said_of_the_frame_and_a_stamp_ahead_is_no_age(win
     assert "(10 Hz, stamped 1 s ahead)" in "\n".join(tree.lines)
 
 
+async def test_trees_that_hang_on_a_frame_with_two_parents_are_not_called_apart(window: Make) -> None:
+    both = [(n / 10, tf(one, "base_link", n / 10 + 0.001 * len(one))) for n in range(21) for one in ("a", "bc")]
+    messages = [(at_s, {"transforms": [one]}) for at_s, one in both]
+    tree = await tf_tree(Recorded([window("/tf", TF, messages)]), picture=False)
+    assert tree.summary()[0] == "3 frames in one tree, 1 problem(s)."
+    messages += [(n / 10 + 0.05, {"transforms": [tf("house", "door", n / 10 + 0.05)]}) for n in range(20)]
+    tree = await tf_tree(Recorded([window("/tf", TF, sorted(messages, key=lambda one: one[0]))]), picture=False)
+    assert tree.summary()[0] == "5 frames in 2 trees, 2 problem(s)."
+    assert tree.problems[-1].startswith("2 trees, with no transform between them; their roots are ")
+
+
 async def test_the_picture_wraps_what_is_said_of_a_frame(window: Make) -> None:
     told = [(n / 10, tf("/map", f"/{'long' * 15}", n / 10 - 20)) for n in range(11)]
     messages = [(at_s, {"transforms": [one]}) for at_s, one in told]
