@@ -77,14 +77,19 @@ def controllers_of(
 
 def idle_movers(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[str]:
     """That no controller that takes goals is active, as after a protective stop; empty where one is, or none exists."""
-    states = {
-        f"{listed_by.rpartition('/')[0]}/{one['name']}": one["state"]
+    movers = _movers(graph)
+    are_idle = bool(movers) and movers <= idle_nodes(managed)
+    return ["No controller that moves joints is active."] if are_idle else []
+
+
+def idle_nodes(managed: Mapping[str, Sequence[Mapping[str, Any]]]) -> set[str]:
+    """The nodes of the controllers that are not active."""
+    return {
+        f"{listed_by.rpartition('/')[0]}/{one['name']}"
         for listed_by, controllers in managed.items()
         for one in controllers
+        if one["state"] != "active"
     }
-    movers = _movers(graph)
-    are_idle = bool(movers) and all(states.get(name, "active") != "active" for name in movers)
-    return ["No controller that moves joints is active."] if are_idle else []
 
 
 def _movers(graph: GraphSnapshot) -> set[str]:

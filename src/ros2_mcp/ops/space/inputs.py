@@ -10,6 +10,7 @@ from typing import Any
 from ros2_mcp.model.graph import TopicEndpoints
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.sources.source import GraphSnapshot
+from ros2_mcp.ops.space.controllers import idle_nodes
 from ros2_mcp.ops.space.style import Named, Names, Style, is_called_as
 from ros2_mcp.robot.resolution import is_infrastructure
 
@@ -111,12 +112,7 @@ def command_inputs(graph: GraphSnapshot, managed: Mapping[str, Sequence[Mapping[
     The topic of a controller that takes trajectories as an action, too, is told with that.
     `managed`: what controller managers say of their controllers, by their node.
     """
-    idle = {
-        f"{listed_by.rpartition('/')[0]}/{one['name']}"
-        for listed_by, controllers in managed.items()
-        for one in controllers
-        if one["state"] != "active"
-    }
+    idle = idle_nodes(managed)
     found = [one for topic in graph.topics.values() for one in _inputs_of(topic, idle) if not _has_action(graph, one)]
     found += [
         CommandInput(action, kind, servers, use="action", is_active=not set(servers) <= idle, or_topic=topic)

@@ -17,8 +17,14 @@ from ros2_mcp.ops.sources.source import Source
 
 _HEADER = "std_msgs/msg/Header"
 _MOST_TEXT = 30
-_FAULT = re.compile(r"(^|_)(STOP(PED)?|EMERGENCY|E?STOP|FAULT|ERROR|FAIL(ED|URE)?|VIOLATION|CRITICAL|LOST)($|_)")
-"""In the name that a type's maker has given to a value: it is a state that somebody must end."""
+_FAULT = re.compile(
+    r"(^|_)((PROTECTIVE|SAFEGUARD|SAFETY|EMERGENCY|ENABLING)_STOP(PED)?|E_?STOP(PED)?|FAULT|ERROR|FAIL(ED|URE)?|VIOLATION"
+    r"|CRITICAL)($|_)"
+)
+"""In the name that a type's maker has given to a value: it is a state that somebody must end. A robot that has only
+stopped stands."""
+_NO_FAULT = re.compile(r"(^|_)(NO|NOT|NON|NONE|OK|CLEAR(ED)?|RELEASED|RESET|RECOVERED)($|_)")
+"""In such a name: there is none."""
 
 
 async def states_of(source: Source, topics: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
@@ -27,7 +33,11 @@ async def states_of(source: Source, topics: Mapping[str, str]) -> tuple[dict[str
     """
     found = await asyncio.gather(*(_state(source, topic, kind) for topic, kind in topics.items()))
     values = {topic: said for topic, said in zip(topics, found, strict=True) if said}
-    return values, [f"{named(topic)} is {said}." for topic, said in values.items() if _FAULT.search(said)]
+    return values, [f"{named(topic)} is {said}." for topic, said in values.items() if _is_fault(said)]
+
+
+def _is_fault(name: str) -> bool:
+    return bool(_FAULT.search(name)) and not _NO_FAULT.search(name)
 
 
 async def _state(source: Source, topic: str, kind: str) -> str:

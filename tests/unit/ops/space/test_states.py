@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from ros2_mcp.codec.definitions import DefinitionText
 from ros2_mcp.ops.space.states import states_of
 from support.made_windows import CODEC, Make, Recorded
@@ -36,3 +38,25 @@ async def test_a_number_is_told_by_the_name_of_its_constant_and_that_of_a_stop_i
         "/said": "«ERROR ERROR ERROR ERROR ERROR…»",
     }
     assert faults == ["/safety_mode is PROTECTIVE_STOP."], "what a robot says in words is no name of its makers"
+
+
+@pytest.mark.parametrize(
+    ("constant", "is_fault"),
+    [
+        ("PROTECTIVE_STOP", True),
+        ("ROBOT_EMERGENCY_STOP", True),
+        ("STATE_ESTOPPED", True),
+        ("MOTOR_FAULT", True),
+        ("NO_ERROR", False),
+        ("FAULT_NONE", False),
+        ("STATE_NOT_ESTOPPED", False),
+        ("ESTOP_RELEASED", False),
+        ("STOPPED", False),
+        ("TERROR", False),
+    ],
+)
+async def test_a_robot_that_stands_or_has_no_fault_has_none(window: Make, constant: str, is_fault: bool) -> None:
+    kind = f"robot_msgs/msg/Of{constant.title().replace('_', '')}"
+    CODEC.definitions.add({kind: DefinitionText("msg", f"uint8 {constant}=1\nuint8 state\n")})
+    values, faults = await states_of(Recorded([window("/state", kind, [(1.0, {"state": 1})])]), {"/state": kind})
+    assert (values, bool(faults)) == ({"/state": constant}, is_fault)
