@@ -19,6 +19,7 @@ from support.tasks import running_tasks
 from support.turns import turn
 
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
+pytest_plugins = ("support.running_tests",)
 ROS = Path(__file__).with_name("ros")
 os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="ros2_mcp_state_")
 """Nothing that a test latches outlives it, nor is anything of this machine's robots found by one."""
