@@ -15,7 +15,10 @@ from pathlib import Path
 from select import select
 from typing import Any
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+from support.rounds import QUICK
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome")
+CHROMIUM = None if QUICK else next(filter(None, map(shutil.which, _NAMES)), None)
 PATIENCE_S = 30.0
 _OPTIONS = (
     *("--headless=new", "--no-sandbox", "--remote-debugging-pipe", "--hide-scrollbars", "--mute-audio"),

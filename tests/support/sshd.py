@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from support.ports import free_port
+from support.rounds import QUICK
 
 _SSHD = shutil.which("sshd", path=os.pathsep.join(["/usr/sbin", "/usr/local/sbin", os.environ.get("PATH", "")]))
 # It listens within a tenth of a second; the machine may be busy.
@@ -87,7 +88,7 @@ def sshd(folder: Path, env: Mapping[str, str], lines: Sequence[str] = ()) -> Gen
 
     Skips the test where there is none.
     """
-    if not _SSHD:
+    if QUICK or not _SSHD:
         pytest.skip("needs sshd (apt-get install openssh-server)")
     (folder / "home").mkdir(parents=True, exist_ok=True)
     for name in ("host_key", "key"):
