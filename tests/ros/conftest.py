@@ -6,7 +6,6 @@ import contextlib
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -41,7 +40,6 @@ def ros_environment(domain_id: int, tmp_path_factory: pytest.TempPathFactory) ->
         **os.environ,
         "ROS_DOMAIN_ID": str(domain_id),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_LOG_DIR": tempfile.gettempdir(),
         "XDG_STATE_HOME": str(state_home),
         "PYTHONPATH": python_path(),
         "PYTHONUNBUFFERED": "1",

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from support.own_processes import marks
 from support.ports import free_port
 
 _SSHD = shutil.which("sshd", path=os.pathsep.join(["/usr/sbin", "/usr/local/sbin", os.environ.get("PATH", "")]))
@@ -94,7 +95,7 @@ def sshd(folder: Path, env: Mapping[str, str], lines: Sequence[str] = ()) -> Gen
         _make_key(folder / name)
     shutil.copy(folder / "key.pub", folder / "authorized_keys")
     port = free_port()
-    variables = " ".join(f'"{name}={value}"' for name, value in {"HOME": folder / "home", **env}.items())
+    variables = " ".join(f'"{name}={value}"' for name, value in {"HOME": folder / "home", **marks(), **env}.items())
     (folder / "config").write_text(
         "\n".join(
             [
