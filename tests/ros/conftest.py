@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from ros2_mcp_bridge import latch
 from support.agent import Agent, agent_for
 from support.demo_robot import build_interfaces, with_interfaces
 from support.domains import reserved_domains
@@ -96,6 +97,22 @@ def _who_joined_leaves(request: pytest.FixtureRequest) -> Iterator[None]:
     for by in observer.joined():
         if by not in before:
             observer.leave(by=by)
+
+
+@pytest.fixture(autouse=True)
+def _no_latch_stays(request: pytest.FixtureRequest) -> Iterator[None]:
+    """A latch that a test sets in the state which its module shares, it resets: nothing would move in the next."""
+    if "ros_environment" not in request.fixturenames:
+        yield
+        return
+    state_home = Path(request.getfixturevalue("ros_environment")["XDG_STATE_HOME"])
+    before = _set_latches(state_home)
+    yield
+    assert not _set_latches(state_home) - before, "the test has left a latch set"
+
+
+def _set_latches(state_home: Path) -> set[Path]:
+    return {path for path in state_home.glob(f"ros2-mcp/*/{latch.FILE}") if latch.Latch(path).look().is_set}
 
 
 @pytest.fixture

@@ -8,14 +8,16 @@ from __future__ import annotations
 import bisect
 import os
 import tempfile
+import time
 from collections.abc import Generator, Iterable
 from pathlib import Path
 
 import pytest
 
-from support import own_processes
+from support import own_processes, shared_memory
 from support.own_processes import Process
 
+BEGAN_AT = time.time()
 WAITED_S = 0.2
 """A wait that is longer is told in the test's report."""
 
@@ -24,6 +26,14 @@ def pytest_configure() -> None:
     """From here on whatever is started is found again."""
     own_processes.mark()
     own_processes.note_kills()
+
+
+def pytest_unconfigure() -> None:
+    """When all workers have ended, what anybody has left in shared memory during this run is removed."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        for segment in shared_memory.dead_segments():
+            if segment.at >= BEGAN_AT:
+                shared_memory.remove_segment(segment)
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
