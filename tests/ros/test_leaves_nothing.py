@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from support import own_processes
+from support import own_processes, shared_memory
+from support.domains import reserved_domains
 from support.processes import python_path
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
@@ -18,7 +19,8 @@ pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2"
 CONFTEST = """
 import subprocess, sys
 import pytest
-from support import own_processes
+from support import own_processes, shared_memory
+from support.domains import reserved_domains
 from support.domains import reserved_domains
 
 own_processes.END_S = 3.0
@@ -129,10 +131,9 @@ def test_is_fine(node):
 
 HEARD = "heard = lambda: node.count_publishers('/rosout') == 2; [time.sleep(0.05) for _ in iter(heard, True)]"
 
-def test_leaves_no_ros(node):
-    other, process = node("node.destroy_node(); rclpy.shutdown(); os._exit(0)"), node(f"{HEARD}; os._exit(0)")
-    process.communicate()
-    other.communicate()
+def test_leaves_no_ros(node, request):
+    for end in ("node.destroy_node(); rclpy.shutdown(); os._exit(0)", f"{HEARD}; os._exit(0)"):
+        request.addfinalizer(node(end).communicate)
 
 def test_is_fine_again(node):
     pass
@@ -195,9 +196,22 @@ def test_who_has_a_port_open_in_the_domain_is_named(said: str) -> None:
 def test_who_ends_without_leaving_ros_is_named_unless_a_test_killed_it(said: str) -> None:
     assert said.count("did not leave ROS") == 1, said
     at = r"began in the time of test_a_careless_node\.py::test_leaves_no_ros"
-    assert re.search(rf"\d+ did not leave ROS at its end, though no test killed it: it {at}", said), said
+    assert re.search(rf"\d+ \(.*\) did not leave ROS at its end, though no test killed it: it {at}", said), said
 
 
-def test_nothing_of_the_killed_and_the_careless_stays_in_shared_memory(said: str) -> None:
-    names = re.findall(r"has left (\w+) and (\w+) in /dev/shm", said)
-    assert names and not [name for pair in names for name in pair if Path("/dev/shm", name).exists()]
+def test_the_segment_of_who_did_not_leave_is_removed(said: str) -> None:
+    names = re.findall(r"has left \w+ and (\w+) in /dev/shm", said)
+    assert names and not [name for name in names if Path("/dev/shm", name).exists()]
+
+
+def test_ports_that_the_killed_have_left_are_gone_after_the_block_and_those_of_other_domains_stay() -> None:
+    with reserved_domains() as mine, reserved_domains() as other:
+        left, kept = (7400 + 250 * domain + 249 for domain in (mine + 2, other))
+        files = [Path(f"/dev/shm/{name}") for name in (f"fastrtps_port{left}", f"sem.fastrtps_port{left}_mutex")]
+        stays = Path(f"/dev/shm/fastrtps_port{kept}")
+        for file in (*files, stays):
+            file.touch()
+        shared_memory.remove_ports([mine, mine + 1, mine + 2])
+        assert not [file for file in files if file.exists()]
+        assert stays.exists()
+    assert not stays.exists()

@@ -12,6 +12,7 @@ from pathlib import Path
 from support import leaves_nothing, own_processes, shared_memory
 from support.own_processes import Process
 from support.processes import SHARED
+from support.shared_memory import Reader, Segment
 
 DOMAINS_OF_A_BLOCK = 3
 LAST_DOMAIN = 101
@@ -35,11 +36,10 @@ def reserved_domains() -> Iterator[int]:
                 continue
             domains = range(locks[path], locks[path] + DOMAINS_OF_A_BLOCK)
             shared_memory.remove_ports(domains)
-            killed = own_processes.killed_ids()
             try:
                 yield domains[0]
             finally:
-                _leave(domains, has_killed=own_processes.killed_ids() != killed)
+                _leave(domains)
                 os.utime(path)
             return
     raise RuntimeError(f"All {len(locks)} domains for tests are taken: see the locks in {SHARED}.")
@@ -49,10 +49,11 @@ def _last_used(path: Path) -> float:
     return path.stat().st_mtime if path.exists() else 0.0
 
 
-def _leave(domains: range, *, has_killed: bool) -> None:
+def _leave(domains: range) -> None:
     """Nobody of ours is in the domains any more, and nothing of those who were: else it is told, ended and removed.
 
-    What a test has killed leaves something. Of whom a thing is, is not known if that process had never said anything.
+    What a test has killed leaves something. Whose a thing is, is not known if that process never said anything, or was
+    not there when a test began or ended.
     """
     left = own_processes.wait_for_end(lambda: _in(domains))
     wrong = [f"{one.pid} ({one.command}) is left" for one in left]
@@ -64,15 +65,19 @@ def _leave(domains: range, *, has_killed: bool) -> None:
     for reader in shared_memory.dead_readers(domains):
         if segment := shared_memory.of(reader, dead):
             shared_memory.remove_segment(segment)
-            is_killed = segment.process in own_processes.killed_ids() if segment.process else has_killed
-            if not is_killed:
-                when = leaves_nothing.test_at(reader.at - time.time() + own_processes.boot_s())
-                wrong.append(
-                    f"{segment.process or 'a process'} did not leave ROS at its end, though no test killed it:"
-                    f" it began in the time of {when}, and has left {reader.port} and {segment.name} in /dev/shm"
-                )
+            command = own_processes.seen(segment.process)
+            if command and segment.process not in own_processes.killed_ids():
+                wrong.append(_told(reader, segment, command))
     shared_memory.remove_ports(domains)
     assert not wrong, "\n".join([f"in the domains {[*domains]}:", *wrong])
+
+
+def _told(reader: Reader, segment: Segment, command: str) -> str:
+    when = leaves_nothing.test_at(reader.at - time.time() + own_processes.boot_s())
+    return (
+        f"{segment.process} ({command}) did not leave ROS at its end, though no test killed it: it began in the time of"
+        f" {when}, and has left {reader.port} and {segment.name} in {shared_memory.FOLDER}"
+    )
 
 
 def _in(domains: range) -> list[Process]:

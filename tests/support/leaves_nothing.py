@@ -145,6 +145,7 @@ def pytest_fixture_setup(
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, None, None]:
     """Wait for what the test has started, and after the last of a module for all; fail for what stays."""
     is_last = nextitem is None or nextitem.path != item.path
+    _watch.left_by_test()  # so that they can be named when they have ended
     try:
         yield
     except BaseException:

@@ -18,6 +18,8 @@ from typing import NamedTuple
 END_S = 10.0
 """A node leaves within a second, a stopper 4 s after its bridge; a busy machine stretches that."""
 POLL_S = 0.02
+HALF = 0xFFFF
+"""What Fast DDS keeps of a process id."""
 MOST_CHARS = 300
 """Of a command line: a bridge's is a whole program."""
 _PREFIX = "TESTS_OF_"
@@ -60,6 +62,7 @@ def boot_s() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
+_commands: dict[int, str] = {}
 _outliving: set[int] = set()
 _killed: set[int] = set()
 """Whom this process has killed (SIGKILL)."""
@@ -82,7 +85,12 @@ def outliving() -> set[int]:
 
 def killed_ids() -> set[int]:
     """The lower halves of the ids of those whom it has killed since."""
-    return {pid & 0xFFFF for pid in _killed}
+    return {pid & HALF for pid in _killed}
+
+
+def seen(lower_half: int | None) -> str:
+    """The command of one of our processes that was there when somebody asked for them, by the half of its id."""
+    return _commands.get(lower_half, "") if lower_half else ""
 
 
 def _note_kill(event: str, arguments: tuple[object, ...]) -> None:
@@ -122,6 +130,7 @@ def own(among: Iterable[int] | None = None) -> list[Process]:
     found: list[Process] = []
     for pid in listed() if among is None else among:
         if pid != os.getpid() and (one := process(pid)) and _is_own(one):
+            _commands[one.pid & HALF] = one.command
             found.append(one)
     return sorted(found, key=lambda one: one.started_s)
 
