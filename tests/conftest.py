@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import atexit
 import inspect
 import os
-import shutil
-import tempfile
 from collections.abc import AsyncIterator, Generator, Iterator
 from pathlib import Path
 from typing import TypeVar
@@ -18,12 +15,10 @@ from support.rounds import FULL
 from support.tasks import running_tasks
 from support.turns import turn
 
+pytest_plugins = ["support.leaves_nothing"]
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
 pytest_plugins = ("support.running_tests",)
 ROS = Path(__file__).with_name("ros")
-os.environ["XDG_STATE_HOME"] = tempfile.mkdtemp(prefix="ros2_mcp_state_")
-"""Nothing that a test latches outlives it, nor is anything of this machine's robots found by one."""
-atexit.register(shutil.rmtree, os.environ["XDG_STATE_HOME"], ignore_errors=True)
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 """As on users' machines: each of the thousand servers and bridges would be compiled anew, which takes 0.6 s."""
 TASKS_END_S = 1.0

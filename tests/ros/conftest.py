@@ -6,12 +6,12 @@ import contextlib
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from ros2_mcp_bridge import latch
 from support.agent import Agent, agent_for
 from support.demo_robot import build_interfaces, with_interfaces
 from support.domains import reserved_domains
@@ -41,7 +41,6 @@ def ros_environment(domain_id: int, tmp_path_factory: pytest.TempPathFactory) ->
         **os.environ,
         "ROS_DOMAIN_ID": str(domain_id),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_LOG_DIR": tempfile.gettempdir(),
         "XDG_STATE_HOME": str(state_home),
         "PYTHONPATH": python_path(),
         "PYTHONUNBUFFERED": "1",
@@ -98,6 +97,22 @@ def _who_joined_leaves(request: pytest.FixtureRequest) -> Iterator[None]:
     for by in observer.joined():
         if by not in before:
             observer.leave(by=by)
+
+
+@pytest.fixture(autouse=True)
+def _no_latch_stays(request: pytest.FixtureRequest) -> Iterator[None]:
+    """A latch that a test sets in the state which its module shares, it resets: nothing would move in the next."""
+    if "ros_environment" not in request.fixturenames:
+        yield
+        return
+    state_home = Path(request.getfixturevalue("ros_environment")["XDG_STATE_HOME"])
+    before = _set_latches(state_home)
+    yield
+    assert not _set_latches(state_home) - before, "the test has left a latch set"
+
+
+def _set_latches(state_home: Path) -> set[Path]:
+    return {path for path in state_home.glob(f"ros2-mcp/*/{latch.FILE}") if latch.Latch(path).look().is_set}
 
 
 @pytest.fixture

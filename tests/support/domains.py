@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import fcntl
 import os
-import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from support import leaves_nothing, own_processes, shared_memory
+from support.own_processes import Process
+from support.processes import SHARED
+from support.shared_memory import Reader, Segment
 
 DOMAINS_OF_A_BLOCK = 3
 LAST_DOMAIN = 101
@@ -16,27 +21,65 @@ LAST_DOMAIN = 101
 
 @contextmanager
 def reserved_domains() -> Iterator[int]:
-    """The first of three neighbouring domain ids that are the block's alone.
+    """The first of three neighbouring domain ids that are the block's alone, and in which nobody has left anything.
 
-    They are those that have been free for longest: what was killed in a domain leaves shared memory behind, in which a
-    newcomer may be deaf.
+    They are those that have been free for longest. At the block's end all of our processes in these domains have to
+    end within 10 s; then what the killed ones have left there in shared memory is removed.
     """
-    folder = Path(tempfile.gettempdir())
     firsts = range(1, LAST_DOMAIN - DOMAINS_OF_A_BLOCK + 2, DOMAINS_OF_A_BLOCK)
-    locks = {folder / f"ros2-mcp-test-domain-{first}.lock": first for first in firsts}
+    locks = {SHARED / f"ros2-mcp-test-domain-{first}.lock": first for first in firsts}
     for path in sorted(locks, key=_last_used):
         with path.open("a") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 continue
+            domains = range(locks[path], locks[path] + DOMAINS_OF_A_BLOCK)
+            shared_memory.remove_ports(domains)
             try:
-                yield locks[path]
+                yield domains[0]
             finally:
+                _leave(domains)
                 os.utime(path)
             return
-    raise RuntimeError(f"All {len(locks)} domains for tests are taken: see the locks in {folder}.")
+    raise RuntimeError(f"All {len(locks)} domains for tests are taken: see the locks in {SHARED}.")
 
 
 def _last_used(path: Path) -> float:
     return path.stat().st_mtime if path.exists() else 0.0
+
+
+def _leave(domains: range) -> None:
+    """Nobody of ours is in the domains any more, and nothing of those who were: else it is told, ended and removed.
+
+    What a test has killed leaves something. Whose a thing is, is not known if that process never said anything, or was
+    not there when a test began or ended.
+    """
+    left = own_processes.wait_for_end(lambda: _in(domains))
+    wrong = [f"{one.pid} ({one.command}) is left" for one in left]
+    own_processes.kill(left)
+    for pid, ports in shared_memory.holders(domains).items():
+        holder = own_processes.process(pid)
+        wrong.append(f"{pid} ({holder.command if holder else 'has ended'}) still has open {', '.join(ports)}")
+    dead = shared_memory.dead_segments()
+    for reader in shared_memory.dead_readers(domains):
+        if segment := shared_memory.of(reader, dead):
+            shared_memory.remove_segment(segment)
+            command = own_processes.seen(segment.process)
+            if command and segment.process not in own_processes.killed_ids():
+                wrong.append(_told(reader, segment, command))
+    shared_memory.remove_ports(domains)
+    assert not wrong, "\n".join([f"in the domains {[*domains]}:", *wrong])
+
+
+def _told(reader: Reader, segment: Segment, command: str) -> str:
+    when = leaves_nothing.test_at(reader.at - time.time() + own_processes.boot_s())
+    return (
+        f"{segment.process} ({command}) did not leave ROS at its end, though no test killed it: it began in the time of"
+        f" {when}, and has left {reader.port} and {segment.name} in {shared_memory.FOLDER}"
+    )
+
+
+def _in(domains: range) -> list[Process]:
+    names = {str(domain) for domain in domains}
+    return [one for one in own_processes.own() if own_processes.environment(one.pid).get("ROS_DOMAIN_ID") in names]

@@ -2,22 +2,45 @@
 
 from __future__ import annotations
 
+import fcntl
+import itertools
+import os
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
+from typing import IO
+
+from support.processes import SHARED
 
 END_S = 10.0
 LISTENS_S = 30.0
+PORTS = range(61000, 65000)
+"""Above those that Linux gives to whoever asks for any (net.ipv4.ip_local_port_range), DDS in high domains included."""
 
 
 def free_port(host: str = "127.0.0.1") -> int:
-    """One that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind((host, 0))
-        return probe.getsockname()[1]
+    """A port that nobody listens on, and that is given to no other test on this machine as long as this process runs.
+
+    Each is a byte of one file, which this process locks: the kernel unlocks it when the process ends, however it does.
+    """
+    locks, tried = _locks()
+    for port in itertools.islice(tried, len(PORTS)):
+        with suppress(OSError), socket.socket() as probe:  # locked or bound by somebody else
+            fcntl.lockf(locks, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, port)
+            probe.bind((host, port))
+            return port
+    raise RuntimeError(f"All of the {len(PORTS)} ports for tests are taken.")
+
+
+@cache
+def _locks() -> tuple[IO[bytes], Iterator[int]]:
+    """The file, which stays open (closing it would unlock all), and all ports again and again, each process's turn."""
+    first = os.getpid() % len(PORTS)
+    return (SHARED / "ros2-mcp-test-ports.lock").open("ab"), itertools.cycle([*PORTS[first:], *PORTS[:first]])
 
 
 def until_listening(host: str, port: int) -> None:

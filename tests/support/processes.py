@@ -12,6 +12,8 @@ from pathlib import Path
 TESTS = Path(__file__).parents[1]
 ROOT = TESTS.parent
 SOURCES = ROOT / "src"
+SHARED = Path("/tmp")
+"""For locks and builds that all runs on this machine share, wherever each keeps its own temporary files."""
 END_S = 10.0
 """A node leaves within a second; a busy machine stretches that."""
 _PEERS = Path(__file__).with_name("peers")

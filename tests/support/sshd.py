@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from support.own_processes import marks
 from support.ports import free_port
 from support.rounds import QUICK
 
@@ -95,7 +96,7 @@ def sshd(folder: Path, env: Mapping[str, str], lines: Sequence[str] = ()) -> Gen
         _make_key(folder / name)
     shutil.copy(folder / "key.pub", folder / "authorized_keys")
     port = free_port()
-    variables = " ".join(f'"{name}={value}"' for name, value in {"HOME": folder / "home", **env}.items())
+    variables = " ".join(f'"{name}={value}"' for name, value in {"HOME": folder / "home", **marks(), **env}.items())
     (folder / "config").write_text(
         "\n".join(
             [

@@ -8,13 +8,12 @@ import random
 import struct
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from support.processes import python_path
+from support.processes import SHARED, python_path
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 ACKERMANN, ACKERMANN_STAMPED = "ackermann_msgs/msg/AckermannDrive", "ackermann_msgs/msg/AckermannDriveStamped"
@@ -118,7 +117,7 @@ def hostile_fields(kind: str, seed: int) -> Iterator[dict[str, Any]]:
 @cache
 def ackermann_prefix() -> Path:
     """Where ackermann_msgs is built: once on a machine, since it takes ten seconds."""
-    folder = Path(tempfile.gettempdir()) / f"ros2-mcp-test-interfaces-{os.getuid()}"
+    folder = SHARED / f"ros2-mcp-test-interfaces-{os.getuid()}"
     for name, text in PACKAGE.items():
         file = folder / "ackermann_msgs" / name
         file.parent.mkdir(parents=True, exist_ok=True)

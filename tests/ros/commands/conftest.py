@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
 from support.agent import Agent, agent_for
+from support.own_processes import outlives_test
 from support.peer_process import Nursery, PeerProcess, reachable
 from support.raw_server import RawServer
 
@@ -48,6 +49,7 @@ def start_raw(waiting_servers: deque[RawServer], ros_environment: dict[str, str]
 
     def begin() -> RawServer:
         waiting_servers.append(RawServer(ros_environment, "--tools", "all"))
+        outlives_test(waiting_servers[-1].process.pid)
         servers.append(waiting_servers.popleft())
         return servers[-1]
 

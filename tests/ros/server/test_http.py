@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import http.client
-import socket
-import time
-from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -13,34 +10,21 @@ import anyio
 import pytest
 from mcp import Client
 
+from support.ports import free_port, until_listening
 from support.tokens import HEADERS, client_at
 
 PATIENCE_S = 30.0
 WATCHED = "ros2://topic/parameter_events"
 
 
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 @pytest.fixture
-def port(start: Any, request: pytest.FixtureRequest) -> Iterator[int]:
+def port(start: Any, request: pytest.FixtureRequest) -> int:
     """The port of a running server; the parameter is its transport."""
     port = free_port()
     transport = getattr(request, "param", "streamable-http")
     start("ros2_mcp", "--transport", transport, "--port", str(port), "--tools", "all")
-    deadline = time.monotonic() + PATIENCE_S
-    while True:
-        try:
-            socket.create_connection(("127.0.0.1", port), 1.0).close()
-        except OSError:
-            assert time.monotonic() < deadline
-            time.sleep(0.1)
-        else:
-            break
-    yield port
+    until_listening("127.0.0.1", port)
+    return port
 
 
 async def status(client: Client) -> Any:
