@@ -110,7 +110,7 @@ def motion_and_zero(server: Driver, observer: Observer, topic: str, kind: str, s
 @pytest.mark.promise("stopping", "with the frame of the last command and the robot's time as its stamp")
 @pytest.mark.parametrize(("kind", "stamp"), zip(STAMPED, (FUTURE, ZERO), strict=True), ids=["future", "zero"])
 def test_motions_and_their_zeros_have_the_time_of_now_and_one_frame(server, observer, kind: str, stamp: dict) -> None:
-    """Of now: no earlier than when the message before was written, no later than when they were themselves."""
+    """Of now: no earlier than when the motion before was written, no later than when they were themselves."""
     topic = fresh("stamped")
     observer.join(by=topic, topic=topic, kind=kind)
     server.knows(topic, 1)
