@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from support.agent import until
 from support.commanded import CommandedProcess
 from support.velocities import TWIST
+
+STOPS_S = 60.0
+"""This only ends a hang: how soon a zero comes is measured in full."""
 
 
 class Observer(CommandedProcess):
@@ -34,6 +37,14 @@ class Observer(CommandedProcess):
     def until_driven(self, topic: str, number: int = 1, of: int = 1) -> None:
         """Wait until so many subscribers have got at least so many messages that move the robot."""
         until(lambda: sum(count >= number for count in self.driven(topic=topic).values()) >= of)
+
+    def until_stopped(self, topic: str, since_ns: int) -> None:
+        """Wait until each subscriber that was moved has a zero that was written since then (wall clock), and nothing
+        that moves it and was written after that zero.
+        """
+        with suppress(AssertionError):
+            until(lambda: not self.unstopped(topic=topic, since=since_ns), STOPS_S)
+        assert self.unstopped(topic=topic, since=since_ns) == []
 
     def comes_to_rest(self, topic: str, within_s: float) -> list[str]:
         """The subscribers that a last message still moves when that time is over; returns as soon as there are none."""

@@ -22,6 +22,7 @@ from ros2_mcp.model.errors import Stopped
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
 from support.noting_bridge import CHOICE, GOAL_ID, TWIST, Noting, call, goal, on
+from support.rounds import FULL
 from support.tasks import soon
 
 pytestmark = pytest.mark.anyio
@@ -210,7 +211,10 @@ async def test_a_call_that_waits_is_ended_when_its_client_has_vanished(
     waiting = asyncio.ensure_future(calling())
     began = monotonic()
     await soon(ended.is_set)
-    assert CLIENT_LEASE_S - 0.1 < monotonic() - began < CLIENT_LEASE_S + 1.0
+    took_s = monotonic() - began
+    assert took_s > CLIENT_LEASE_S - 0.1
+    if FULL:
+        assert took_s < CLIENT_LEASE_S + 1.0
     await waiting
 
 

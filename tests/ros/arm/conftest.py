@@ -17,6 +17,7 @@ from support.demo_robot import Peer, build_interfaces, with_interfaces
 from support.processes import running
 from support.raw_server import MODERN, RawServer
 
+STATES_HZ = 50
 STANDS = 0.004
 """Of a joint between two looks: encoders tell steps of 0.0001 rad."""
 
@@ -46,14 +47,13 @@ class Witness:
         return self.joints()
 
     def until_still(self) -> dict[str, float]:
-        """Where the joints are as soon as all stand, and have for half a second."""
-        still_since = time.monotonic()
-        deadline = still_since + 30.0
-        while time.monotonic() - still_since < 0.5:
-            if self.speed() > STANDS:
-                still_since = time.monotonic()
-            assert time.monotonic() < deadline, "the arm did not come to rest"
-        return self.joints()
+        """Where the joints are as soon as all stand, and have for half a second of their own messages."""
+        still = 0
+        for _ in range(60 * STATES_HZ):
+            still = still + 1 if self.speed() <= STANDS else 0
+            if still == STATES_HZ // 2:
+                return self.joints()
+        raise AssertionError("the arm did not come to rest")
 
 
 @pytest.fixture(scope="module")

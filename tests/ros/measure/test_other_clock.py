@@ -15,6 +15,7 @@ from support.agent import CALL_S, Agent, agent_for, until
 from support.processes import peer_command, running
 from support.standstill import undisturbed
 
+BEGUN_S = time.time()
 HOUR_S = 3600.0
 EXACT_S = 1.0
 """Beside an hour. The way to a bridge on this machine takes milliseconds, and on a busy one tenths of a second."""
@@ -37,23 +38,40 @@ def abroad(
 def test_the_status_tells_how_far_the_clocks_are_apart(abroad: tuple[Agent, float]) -> None:
     agent, ahead_s = abroad
     status = agent.call("ros2_status")
-    assert status["clock_offset_s"] == pytest.approx(ahead_s, abs=EXACT_S)
-    assert 0 < status["link_rtt_s"] < EXACT_S
+    offset_s = status["clock_offset_s"]
+    assert offset_s == pytest.approx(ahead_s, abs=status["link_rtt_s"])  # it is not known better than that
     words = "ahead of" if ahead_s > 0 else "behind"
-    assert any(f"The robot's clock is 3600.0 s {words} this machine's" in line for line in status["limitations"])
+    said = f"The robot's clock is {abs(offset_s):.1f} s {words} this machine's"
+    assert any(said in line for line in status["limitations"]), status["limitations"]
 
 
-def test_a_healthy_robot_is_healthy_and_its_rates_are_right(abroad: tuple[Agent, float]) -> None:
+def measured(agent: Agent) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A health check, and the statistics of topics by their names."""
+    checking = agent.begin("ros2_health_check", rate_check_duration_sec=2)
+    stats = agent.begin("ros2_topic_stats", topic_names=["/scan", "/map"], duration=2)
+    return checking.result(CALL_S), {topic["topic_name"]: topic for topic in stats.result(CALL_S)["topics"]}
+
+
+def test_a_healthy_robot_is_healthy_and_its_messages_are_new(abroad: tuple[Agent, float]) -> None:
+    """With a wrong clock nothing came, or all was sent before. A busy machine may be late for a while."""
     agent, _ = abroad
 
-    def measured() -> tuple[dict[str, Any], dict[str, Any]]:
-        checking = agent.begin("ros2_health_check", rate_check_duration_sec=2)
-        stats = agent.begin("ros2_topic_stats", topic_names=["/scan", "/map"], duration=2)
-        return checking.result(CALL_S), stats.result(CALL_S)
+    def healthy() -> dict[str, Any] | None:
+        health, by_name = measured(agent)
+        return by_name if (health["verdict"], health["findings"]) == ("HEALTHY", []) else None
 
-    health, stats = undisturbed(measured)
+    by_name = until(healthy, CALL_S)
+    scan = by_name["/scan"]
+    assert scan["count"] and (scan["replayed"], "stopped" in scan["note"]) == (0, False)
+    assert abs(scan["age_mean_s"]) < HOUR_S / 2
+    assert by_name["/map"]["replayed"] == 1
+
+
+@pytest.mark.full
+def test_a_healthy_robot_is_healthy_and_its_rates_are_right(abroad: tuple[Agent, float]) -> None:
+    agent, _ = abroad
+    health, by_name = undisturbed(lambda: measured(agent))
     assert (health["verdict"], health["findings"]) == ("HEALTHY", [])
-    by_name = {topic["topic_name"]: topic for topic in stats["topics"]}
     scan, the_map = by_name["/scan"], by_name["/map"]
     # Wide, as a busy machine publishes late: with a wrong clock nothing came, or all was sent before.
     assert scan["rate_hz"] == pytest.approx(10.0, rel=0.3)
@@ -68,7 +86,7 @@ def test_the_log_is_read_by_seconds_ago(abroad: tuple[Agent, float], ros_environ
         until(lambda: agent.call("ros2_log_read", since=HOUR_S / 2, pattern="the arm is stuck")["matched"])
         assert agent.call("ros2_log_read", since="1 min ago", pattern="the arm is stuck")["matched"]
     listening_since = datetime.fromisoformat(agent.call("ros2_log_read")["listening_since"].replace("Z", "+00:00"))
-    assert abs(time.time() - listening_since.timestamp()) < HOUR_S / 2
+    assert BEGUN_S - HOUR_S / 2 < listening_since.timestamp() < time.time() + HOUR_S / 2
 
 
 def test_the_end_of_a_recording_that_goes_on_is_the_robots_now(abroad: tuple[Agent, float]) -> None:
@@ -76,7 +94,7 @@ def test_the_end_of_a_recording_that_goes_on_is_the_robots_now(abroad: tuple[Age
     begun = agent.call("ros2_record_start", topics=["/odom"])
     try:
         started = datetime.fromisoformat(begun["started_at"].replace("Z", "+00:00"))
-        assert abs(time.time() - started.timestamp()) < HOUR_S / 2
+        assert BEGUN_S - HOUR_S / 2 < started.timestamp() < time.time() + HOUR_S / 2
         bag = Path(begun["path"]).name
 
         def last() -> list[Any]:

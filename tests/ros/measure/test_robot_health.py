@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import pytest
 
-from support.agent import CALL_S, DISCOVERY_S, Agent
+from support.agent import CALL_S, Agent, until
 from support.standstill import undisturbed
 
 
@@ -37,31 +36,46 @@ LISTEN = {"rate_check_duration_sec": 2}
 """Components speak of themselves every second."""
 
 
-def checked(agent: Agent, **arguments: Any) -> dict[str, Any]:
-    """A check in a time in which the robot could do its work."""
-    return undisturbed(lambda: agent.call("ros2_health_check", **arguments))
+HEALTHY = {
+    "expected_topics": ["/scan", "/odom", "/map"],
+    "expected_nodes": ["/lidar"],
+    "expected_services": ["/self_test"],
+    **LISTEN,
+}
+
+
+def as_soon_as(agent: Agent, verdict: str, subject: str = "", **arguments: Any) -> dict[str, Any]:
+    """The first check with that verdict, and that one finding: a robot on a busy machine is late for a while."""
+
+    def found() -> dict[str, Any] | None:
+        last.append(agent.call("ros2_health_check", **arguments))
+        is_found = (last[-1]["verdict"], subjects(last[-1])) == (verdict, [subject] if subject else [])
+        return last[-1] if is_found else None
+
+    last: list[dict[str, Any]] = []
+    with suppress(AssertionError):
+        return until(found, CALL_S)
+    raise AssertionError(last[-1])
 
 
 @pytest.mark.promise("ros2_health_check", "The verdict is HEALTHY, DEGRADED or CRITICAL")
 def test_a_healthy_robot_is_healthy(agent: Agent, robot: subprocess.Popen[str]) -> None:
-    expected = {
-        "expected_topics": ["/scan", "/odom", "/map"],
-        "expected_nodes": ["/lidar"],
-        "expected_services": ["/self_test"],
-        **LISTEN,
-    }
-    found = checked(agent, **expected)
-    assert (found["verdict"], found["findings"]) == ("HEALTHY", [])
+    found = as_soon_as(agent, "HEALTHY", **HEALTHY)
     assert state(found, "/scan") == "OK"
     assert found["diagnostics"]
+
+
+@pytest.mark.full
+def test_a_healthy_robot_is_healthy_at_the_first_look(agent: Agent, robot: subprocess.Popen[str]) -> None:
+    found = undisturbed(lambda: agent.call("ros2_health_check", **HEALTHY))
+    assert (found["verdict"], found["findings"]) == ("HEALTHY", [])
 
 
 @pytest.mark.promise("ros2_health_check", "silent or slow sensors")
 def test_a_dead_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> None:
     with setting(agent, "lidar.enabled", False, True):
-        found = checked(agent, **LISTEN)
-    assert found["verdict"] == "CRITICAL"
-    assert subjects(found) == ["/lidar"]  # what it says of itself, and its topic: one fault
+        # what it says of itself, and its topic: one fault
+        found = as_soon_as(agent, "CRITICAL", "/lidar", **LISTEN)
     assert "lidar: status" in found["findings"][0]["problem"] and "/scan" in found["findings"][0]["problem"]
     assert state(found, "/scan") == "SILENT"
 
@@ -69,8 +83,24 @@ def test_a_dead_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> N
 @pytest.mark.promise("ros2_health_check", "silent or slow sensors")
 def test_a_slow_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> None:
     with setting(agent, "lidar.rate", 0.5, 10.0):
-        found = checked(agent)
-    assert (found["verdict"], subjects(found), state(found, "/scan")) == ("DEGRADED", ["/scan"], "SLOW")
+        found = as_soon_as(agent, "DEGRADED", "/scan")
+    assert state(found, "/scan") == "SLOW"
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("name", "value", "usual", "said"),
+    [
+        ("lidar.enabled", False, True, ("CRITICAL", ["/lidar"], "SILENT")),
+        ("lidar.rate", 0.5, 10.0, ("DEGRADED", ["/scan"], "SLOW")),
+    ],
+)
+def test_a_sensor_that_is_dead_or_slow_is_found_at_the_first_look(
+    agent: Agent, robot: subprocess.Popen[str], name: str, value: object, usual: object, said: tuple[Any, ...]
+) -> None:
+    with setting(agent, name, value, usual):
+        found = undisturbed(lambda: agent.call("ros2_health_check", **LISTEN))
+    assert (found["verdict"], subjects(found), state(found, "/scan")) == said
 
 
 @pytest.mark.promise("ros2_health_check", "QoS mismatches")
@@ -78,9 +108,7 @@ def test_a_slow_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> N
 def test_a_mismatch_of_qos_is_found(
     agent: Agent, robot: subprocess.Popen[str], stranger: subprocess.Popen[str]
 ) -> None:
-    deadline = time.monotonic() + DISCOVERY_S
-    while "/stranger" not in str(agent.call("ros2_topic_info", topic_name="/scan")["subscribers"]):
-        assert time.monotonic() < deadline, "the stranger was never seen"
+    until(lambda: "/stranger" in str(agent.call("ros2_topic_info", topic_name="/scan")["subscribers"]))
     found = agent.call("ros2_health_check", check_rates=False, **LISTEN)
     assert (found["verdict"], subjects(found)) == ("DEGRADED", ["/scan"])
     assert "/lidar → /stranger: the publisher offers best_effort" in found["findings"][0]["problem"]

@@ -45,8 +45,7 @@ def test_the_numbers_are_those_of_the_published_messages(agent: Agent, signals: 
     assert topic["gaps"] == []
 
 
-@pytest.fixture(scope="module")
-def results(agent: Agent, signals: subprocess.Popen[str]) -> dict[str, dict[str, Any]]:
+def measured(agent: Agent) -> dict[str, dict[str, Any]]:
     """What several calls at the same time give, each as if it were alone."""
     calls = {
         "together": ("statistics", {"topic_names": ["/signal_steady", "/signal_copy", "/pulse"], "duration": 2}),
@@ -58,19 +57,40 @@ def results(agent: Agent, signals: subprocess.Popen[str]) -> dict[str, dict[str,
         "late": ("compare", {"topic1_name": "/signal_wave", "topic2_name": "/signal_late", "duration_sec": 4}),
         "copy": ("compare", {"topic1_name": "/signal_steady", "topic2_name": "/signal_copy", "duration_sec": 2}),
     }
+    begun = {name: agent.begin(f"ros2_topic_{tool}", **arguments) for name, (tool, arguments) in calls.items()}
+    return {name: call.result(CALL_S) for name, call in begun.items()}
 
-    def measured() -> dict[str, dict[str, Any]]:
-        begun = {name: agent.begin(f"ros2_topic_{tool}", **arguments) for name, (tool, arguments) in calls.items()}
-        return {name: call.result(CALL_S) for name, call in begun.items()}
 
-    return undisturbed(measured)
+@pytest.fixture(scope="module")
+def results(agent: Agent, signals: subprocess.Popen[str]) -> dict[str, dict[str, Any]]:
+    return measured(agent)
+
+
+@pytest.mark.full
+def test_rates_gaps_and_delays_are_right(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    """What is measured in time; the other tests judge by the counters that messages have."""
+    results = undisturbed(lambda: measured(agent))
+    twice = [topic["count"] for topic in results["twice"]["topics"]]
+    assert twice[0] == pytest.approx(twice[1], abs=2)
+    steady, _, pulse = results["together"]["topics"]
+    assert pulse["count"] == pytest.approx(4 * steady["count"], rel=0.05)
+    periods, injected, inner = gaps(results, signals)
+    assert inner == pytest.approx(list(injected), abs=0.06)
+    (topic,) = results["gaps"]["topics"]
+    assert topic["period_median_s"] == pytest.approx(np.median(periods), rel=0.1)
+    (flow,) = results["replay"]["topics"]
+    assert 1 < flow["count"] <= 12
+    assert flow["rate_hz"] <= 6 and flow["bytes_per_second"] <= 12 * 6
+    (values,) = results["replay, values"]["topics"]
+    assert values["rate_hz"] <= 6
+    assert results["late"]["delay_s"] == pytest.approx(0.2, abs=0.02)
+    assert results["late"]["fields"][0]["mean_difference"] == pytest.approx(1.0, abs=0.3)
 
 
 def test_a_topic_that_is_named_twice_is_counted_once_each_time(results: dict[str, dict[str, Any]]) -> None:
     topics = results["twice"]["topics"]
     counters = [next(field for field in topic["fields"] if field["field"] == "point.z") for topic in topics]
     assert [topic["count"] for topic in topics] == [field["last"] - field["first"] + 1 for field in counters]
-    assert topics[0]["count"] == pytest.approx(topics[1]["count"], abs=2)
 
 
 @pytest.mark.promise("ros2_topic_statistics", "at the same time")
@@ -81,12 +101,13 @@ def test_several_topics_are_measured_over_the_same_time(results: dict[str, dict[
         [(f["first"], f["last"]) for f in topic["fields"] if f["field"] == "point.z"] for topic in (steady, copy)
     ]
     assert np.abs(np.subtract(*counters)).max() <= 1
-    assert pulse["count"] == pytest.approx(4 * steady["count"], rel=0.05)
+    assert pulse["count"] > 0
 
 
-@pytest.mark.promise("ros2_topic_statistics", "gaps")
-def test_injected_gaps_are_found(results: dict[str, dict[str, Any]], signals: subprocess.Popen[str]) -> None:
-    """Those between two messages; the window may begin or end in another one."""
+def gaps(results: dict[str, dict[str, Any]], signals: subprocess.Popen[str]) -> tuple[Any, Any, list[float]]:
+    """The periods in which it was published, those of them that are gaps, and the gaps that were found, in s: those
+    between two messages; the window may begin or end in another one.
+    """
     (topic,) = results["gaps"]["topics"]
     number = next(field for field in topic["fields"] if field["field"] == "point.z")
     at = published(signals)["signal"][int(number["first"]) : int(number["last"]) + 1, 0] / 0.4
@@ -96,8 +117,14 @@ def test_injected_gaps_are_found(results: dict[str, dict[str, Any]], signals: su
     found = [(float(begin), float(duration)) for duration, begin in GAP.findall("\n".join(topic["gaps"]))]
     is_inner = [begin > 0.0 and begin + duration < topic["duration"] - 0.001 for begin, duration in found]
     inner = [duration for (_, duration), inside in zip(found, is_inner, strict=True) if inside and duration > 0.3]
-    assert inner == pytest.approx(list(injected), abs=0.06)
-    assert topic["period_median_s"] == pytest.approx(np.median(periods), rel=0.1)
+    return periods, injected, inner
+
+
+@pytest.mark.promise("ros2_topic_statistics", "gaps")
+def test_injected_gaps_are_found(results: dict[str, dict[str, Any]], signals: subprocess.Popen[str]) -> None:
+    """All of them; a busy machine may make more."""
+    _, injected, inner = gaps(results, signals)
+    assert len(inner) >= len(injected)
 
 
 @pytest.mark.promise("ros2_topic_statistics", "stuck values, NaN")
@@ -110,11 +137,11 @@ def test_a_stuck_and_faulty_sensor_is_told(results: dict[str, dict[str, Any]]) -
 
 def test_replayed_history_is_in_no_rate(results: dict[str, dict[str, Any]]) -> None:
     (flow,) = results["replay"]["topics"]
-    assert flow["replayed"] >= 50 and 1 < flow["count"] <= 12  # on a machine that is held up it comes more slowly
-    assert flow["rate_hz"] <= 6 and flow["bytes_per_second"] <= 12 * 6
+    assert flow["replayed"] >= 50 and 0 < flow["count"] < 50
+    assert flow["rate_hz"] < flow["replayed"] / 2.0  # in the 2 s of the measurement
     assert flow["publisher_nodes"] == ["/signals"]
     (values,) = results["replay, values"]["topics"]
-    assert values["count"] > 50 and values["rate_hz"] <= 6
+    assert values["count"] > 50 and values["rate_hz"] < 50 / 2.0
 
 
 @pytest.mark.promise(
@@ -122,8 +149,7 @@ def test_replayed_history_is_in_no_rate(results: dict[str, dict[str, Any]]) -> N
 )
 def test_a_known_delay_and_offset_are_found(results: dict[str, dict[str, Any]]) -> None:
     found = results["late"]
-    assert found["delay_s"] == pytest.approx(0.2, abs=0.02)
-    assert found["fields"][0]["mean_difference"] == pytest.approx(1.0, abs=0.3)
+    assert found["delay_s"] > 0 and found["fields"][0]["mean_difference"] > 0
     assert found["verdict"] in ("DIFFERENT", "VERY DIFFERENT")
     assert found["paired_by"] == "nearest time of receipt: not both have a header"
 
@@ -138,18 +164,28 @@ def test_a_copy_is_identical(results: dict[str, dict[str, Any]]) -> None:
 @pytest.mark.promise("ros2_wait_until", "Every message is looked at")
 def test_a_short_pulse_is_not_missed(agent: Agent, signals: subprocess.Popen[str]) -> None:
     """One message in 100 is one."""
-    asked = {"topic_name": "/pulse", "condition": "data > 5", "timeout": 20}
     for _ in range(3):
-        found = undisturbed(lambda: agent.call("ros2_wait_until", **asked))
+        found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data > 5", timeout=50)
         assert found["met"] and found["message"] == {"data": 7.0}
         assert found["looked_at"] <= 100 and not found["dropped"]
-        assert found["waited"] < 1.5
 
 
 def test_what_never_comes_ends_with_the_last_seen(agent: Agent, signals: subprocess.Popen[str]) -> None:
+    found = agent.call("ros2_wait_until", topic_name="/pulse", condition="data < 0", timeout=1)
+    assert not found["met"] and found["message"] is not None
+    assert found["looked_at"] > 0 and found["waited"] >= 1.0
+
+
+@pytest.mark.full
+def test_a_pulse_is_told_at_once_and_what_never_comes_when_its_time_is_over(
+    agent: Agent, signals: subprocess.Popen[str]
+) -> None:
+    asked = {"topic_name": "/pulse", "condition": "data > 5", "timeout": 20}
+    for _ in range(3):
+        found = undisturbed(lambda: agent.call("ros2_wait_until", **asked))
+        assert found["waited"] < 1.5
     asked = {"topic_name": "/pulse", "condition": "data < 0", "timeout": 1}
     found = undisturbed(lambda: agent.call("ros2_wait_until", **asked))
-    assert not found["met"] and found["message"] is not None
     assert found["looked_at"] == pytest.approx(200, abs=60)
     assert found["waited"] == pytest.approx(1.0, abs=0.3)
 

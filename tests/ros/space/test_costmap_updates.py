@@ -68,22 +68,24 @@ def shown(agent: Agent, x: int, y: int, topic: str = COSTMAP) -> tuple[tuple[int
     return colours[0], " ".join(said)
 
 
-@pytest.mark.parametrize(("topic", "index"), [(COSTMAP, 0), (f"{COSTMAP}_raw", 1)])
 def test_what_changes_is_shown_from_the_first_question_on_and_what_is_not_known_is_told(
-    known: dict[str, str], peer: subprocess.Popen[str], topic: str, index: int
+    known: dict[str, str], peer: subprocess.Popen[str]
 ) -> None:
+    """Of the grid, and of the raw costmap, which nobody has listened to until then."""
     with agent_for(known, "--tools", "all") as agent:
-        agent.knows(topic, f"{topic}_updates")
-        assert change(peer, 5, 5) == [False, False], "nobody listens yet"
-        colour, said = shown(agent, 5, 5, topic)
-        assert colour != MAGENTA, "Nav2 tells it to nobody"
-        assert "no change of it came since. What changed before it was first listened to" in said
+        for index, topic in enumerate((COSTMAP, f"{COSTMAP}_raw")):
+            agent.knows(topic, f"{topic}_updates")
+            x, y = 12 + 4 * index, 20
+            assert not change(peer, 5, 5)[index], "nobody listens yet"
+            colour, said = shown(agent, 5, 5, topic)
+            assert colour != MAGENTA, "Nav2 tells it to nobody"
+            assert "no change of it came since. What changed before it was first listened to" in said
 
-        until(lambda: change(peer, 12, 20)[index])
-        until(lambda: shown(agent, 12, 20, topic)[0] == MAGENTA)
-        change(peer, 12, 20, INSCRIBED)
-        until(lambda: shown(agent, 12, 20, topic)[0] == CYAN)
-        assert "; changes of it since: " in shown(agent, 12, 20, topic)[1]
+            until(lambda index=index, x=x, y=y: change(peer, x, y)[index])
+            until(lambda topic=topic, x=x, y=y: shown(agent, x, y, topic)[0] == MAGENTA)
+            change(peer, x, y, INSCRIBED)
+            until(lambda topic=topic, x=x, y=y: shown(agent, x, y, topic)[0] == CYAN)
+            assert "; changes of it since: " in shown(agent, x, y, topic)[1]
 
 
 def occupied(agent: Agent) -> tuple[int, str]:

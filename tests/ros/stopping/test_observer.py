@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 import struct
+import time
 
 from support.agent import until
 from support.velocities import TWIST, TWIST_STAMPED
 
 CDR = b"\0\1\0\0"
+ROUNDED_NS = 10
+"""DDS has the time at which something was written in steps of 2**-32 s."""
 
 
 def test_it_tells_for_each_subscriber_what_came_and_when(observer) -> None:
@@ -18,13 +21,22 @@ def test_it_tells_for_each_subscriber_what_came_and_when(observer) -> None:
     observer.join(by="late", topic="/seen", kind=TWIST, after_s=0.2, apart=True)
     observer.until_driven("/seen", 3, of=5)
     observer.hush(topic="/seen")
+    before_ns = time.time_ns()
+    assert any("no zero" in line for line in observer.unstopped(topic="/seen", since=before_ns))
     observer.say(topic="/seen", kind=TWIST, bodies=[(CDR + bytes(48)).hex()])
-    assert observer.comes_to_rest("/seen", 5.0) == []
+    after_ns = time.time_ns()
+    observer.until_stopped("/seen", before_ns)
     assert set(observer.last(topic="/seen")) == {*names, "late"}
     last = observer.last(topic="/seen")["late"]
-    assert last["values"] == [0.0] * 6 and 0 <= last["at"] - last["sent"] < 1e9
+    assert last["values"] == [0.0] * 6 and last["sent"] <= last["at"]
+    assert before_ns - ROUNDED_NS <= last["written"] <= after_ns
     observer.leave(by="late")
     assert observer.moved(topic="/seen", sent_after=last["sent"]) == []
+    observer.say(topic="/seen", kind=TWIST, bodies=[(CDR + struct.pack("<6d", 0.5, 0, 0, 0, 0, 0)).hex()])
+    after_its_zero = [f"{name}: after its zero" for name in names]
+    until(lambda: len(observer.unstopped(topic="/seen", since=before_ns)) == len(names))
+    told = sorted(observer.unstopped(topic="/seen", since=before_ns))
+    assert all(line.startswith(said) for line, said in zip(told, sorted(after_its_zero), strict=True)), told
 
 
 def test_it_tells_what_is_not_finite_or_cannot_be_decoded(observer) -> None:
@@ -51,4 +63,6 @@ def test_it_compares_stamps_with_the_clock_of_the_subscriber(observer) -> None:
 
     until(lambda: age_s() > 1.0)  # until then it has not heard the clock, and is at 0
     assert observer.misstamped(most_s=1.0, topic="/stamped")
+    assert observer.untold(topic="/stamped"), "a stamp that /clock has not told"
+    assert observer.stamped_wrong(topic="/stamped", since=0), "a stamp of another time than that of writing"
     observer.clock(factor=0)

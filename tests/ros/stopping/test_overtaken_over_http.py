@@ -28,8 +28,6 @@ SEVERAL = 32
 """So many of them are read for longer than a stop takes to come: what is posted after them waits."""
 PADDING = " " * 25_000
 """What is larger than 20 kB is not read at once."""
-SETTLED_S = 0.3
-"""What left late is heard within this time."""
 
 
 class Session:
@@ -92,8 +90,15 @@ def watched(session: Session, observer: Observer) -> str:
     return topic
 
 
-def publish(session: Session, topic: str, **more: Any) -> tuple[int, HTTPConnection]:
-    return session.call("ros2_topic_publish", topic_name=topic, message_type=TWIST, data=speed(TWIST, MOVING), **more)
+def publish(session: Session, topic: str, value: float = MOVING, **more: Any) -> tuple[int, HTTPConnection]:
+    return session.call("ros2_topic_publish", topic_name=topic, message_type=TWIST, data=speed(TWIST, value), **more)
+
+
+def has_come(session: Session, observer: Observer, topic: str) -> None:
+    """Waits until what the server sent before has come: a zero has, which it publishes now."""
+    since_ns = time.time_ns()
+    assert '"status":"published"' in said(publish(session, topic, 0.0))
+    until(lambda: not observer.behind(topic=topic, since=since_ns))
 
 
 def session_stop(session: Session) -> int:
@@ -116,7 +121,7 @@ def test_a_stop_drops_what_was_posted_before_it_and_is_still_being_read(session,
     refused = said(late)
     assert "Stopped: " in refused, refused
     assert all('"result":{}' in said(one) for one in slow)
-    time.sleep(SETTLED_S)
+    has_come(session, observer, watched)
     assert observer.moved(sent_after=answered_ns, topic=watched) == []
     assert '"status":"published"' in said(publish(session, watched, padding=PADDING))
     session_stop(session)
@@ -129,5 +134,5 @@ def test_what_is_cancelled_while_it_is_still_being_read_is_not_done(session, obs
     session.tell("notifications/cancelled", {"requestId": late[0]})
     assert "Request cancelled" in said(late)
     assert all('"result":{}' in said(one) for one in slow)
-    time.sleep(SETTLED_S)
+    has_come(session, observer, watched)
     assert observer.moved(sent_after=0, topic=watched) == []

@@ -42,6 +42,8 @@ STEP_S = 0.02
 MOST_APART = 20
 """Where only this machine is searched, rmw_fastrtps asks the first 32 participants of a domain who they are; of two
 later ones, neither ever discovers the other. A dozen are left for the servers of a test."""
+ROUNDED_NS = 10
+"""DDS has the time at which something was written in steps of 2**-32 s."""
 NUMBERS = ("float", "double", "int", "uint", "byte", "octet")
 
 
@@ -55,6 +57,8 @@ class Heard:
     """When it arrived."""
     sent: int
     """When its publisher wrote it, as DDS stamped it."""
+    written: int
+    """The same by the wall clock (ns since 1970), as DDS has it: it orders messages of several publishers."""
     values: list[float]
     """Every number of the message but those of its header."""
     stamp: int | None
@@ -147,6 +151,8 @@ class Subscriber:
     handle: Any
     place: Place
     apart: bool
+    topic: str
+    best_effort: bool
 
 
 @dataclass
@@ -234,6 +240,56 @@ class Observer:
         """Messages that move the robot and were written after a time, at most the first hundred."""
         return [asdict(one) for one in self._found("", topic) if one.moves and one.sent > sent_after][:100]
 
+    def unstopped(self, topic: str, since: int) -> list[str]:
+        """What is wrong with the end of a motion: of each subscriber that was moved, the zero that it has not got, or
+        what moves it and was written after that zero. `since` is a wall clock's (ns); the zero was written later.
+        """
+        wrong: list[str] = []
+        for by in self._of(topic):
+            mine = sorted(self._found(by, topic), key=lambda one: one.written)
+            zero = next((one for one in mine if one.written > since and not one.moves), None)
+            if zero is None:
+                wrong += [f"{by}: no zero"] if any(one.moves for one in mine) else []
+            else:
+                wrong += [f"{by}: after its zero {one!r}" for one in mine if one.moves and one.written > zero.written]
+        return wrong
+
+    def behind(self, topic: str, since: int) -> list[str]:
+        """The reliable subscribers that have no message yet that was written after that time (wall clock, ns)."""
+        reliable = [by for by in self._of(topic) if not self.subscribers[by].best_effort]
+        return [by for by in reliable if not any(one.written > since for one in self._found(by, topic))]
+
+    def stamped_wrong(self, topic: str, since: int) -> list[str]:
+        """Messages whose stamp is not of the moment in which they were written: after `since` (wall clock, ns), after
+        the last motion before them was written, and before they were written themselves. A zero is written several
+        times.
+        """
+        wrong: list[str] = []
+        for by in self._of(topic):
+            before = since
+            for one in sorted(self._found(by, topic), key=lambda one: one.written):
+                if one.stamp is None or not before - ROUNDED_NS <= one.stamp <= one.written + ROUNDED_NS:
+                    wrong.append(repr(one))
+                before = one.written if one.moves else before
+        return wrong[:100]
+
+    def untold(self, topic: str) -> list[str]:
+        """Messages whose stamp is not what `/clock` had told when they were written, or is before that of the message
+        before them.
+        """
+        wrong: list[str] = []
+        for by in self._of(topic):
+            before = 0
+            for one in self._found(by, topic):
+                is_told = any(told == one.stamp and at <= one.sent for at, told in self.ticks)
+                wrong += [] if is_told and (one.stamp or 0) >= before else [repr(one)]
+                before = one.stamp or 0
+        return wrong[:100]
+
+    def told(self) -> int:
+        """What `/clock` has told last, in ns."""
+        return self.ticks[-1][1]
+
     def unsound(self, topic: str = "") -> list[str]:
         """Messages that are not finite or cannot be decoded, as texts (JSON has no infinity), at most a hundred."""
         return [repr(one) for one in self._found("", topic) if not one.is_finite][:100]
@@ -245,6 +301,9 @@ class Observer:
 
     def _found(self, by: str, topic: str) -> list[Heard]:
         return [one for one in list(self.heard) if by in ("", one.by) and topic in ("", one.topic)]
+
+    def _of(self, topic: str) -> list[str]:
+        return [by for by, one in list(self.subscribers.items()) if one.topic == topic]
 
     def _join(self, by: str, topic: str, kind: str, **how: bool) -> None:
         sim_time, apart = how.get("sim_time", False), how.get("apart", False)
@@ -258,7 +317,7 @@ class Observer:
             self._hear(by, topic, node, cls, data, info)
 
         handle = node.create_subscription(cls, topic, hear, _profile(how.get("best_effort", False)), raw=True)
-        self.subscribers[by] = Subscriber(handle, place, apart)
+        self.subscribers[by] = Subscriber(handle, place, apart, topic, how.get("best_effort", False))
 
     def _place_apart(self, sim_time: bool) -> Place:
         for place in self.vacant:
@@ -273,7 +332,7 @@ class Observer:
     def _hear(self, by: str, topic: str, node: Node, cls: type, data: bytes, info: dict[str, int]) -> None:
         at, unix_ns, robot_ns = time.monotonic_ns(), time.time_ns(), node.get_clock().now().nanoseconds
         sent = at - (unix_ns - info["source_timestamp"]) if info["source_timestamp"] else at
-        one = Heard(by, topic, at, sent, [], None, None, None, len(data))
+        one = Heard(by, topic, at, sent, info["source_timestamp"], [], None, None, None, len(data))
         try:
             message = deserialize_message(data, cls)
         except Exception as error:  # noqa: BLE001 - rclpy raises what it likes

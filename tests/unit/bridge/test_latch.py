@@ -27,11 +27,13 @@ def path(tmp_path: Path) -> Path:
 def test_what_one_sets_all_see_and_those_who_come_later(path: Path) -> None:
     first, second = Latch(path), Latch(path)
     assert not first.look().is_set and not second.look().is_set
+    before_s = time.time()
     assert first.set(by="ros2_stop", reason="the agent asked") == ""
+    after_s = time.time()
     for latch in (first, second, Latch(path)):
         state = latch.look()
         assert state.is_set and (state.by, state.reason) == ("ros2_stop", "the agent asked")
-        assert abs(time.time() - state.since) < 10
+        assert before_s <= state.since <= after_s
 
 
 def test_only_a_reset_resets_it_and_says_who_did(path: Path) -> None:

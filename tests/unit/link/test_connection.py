@@ -11,6 +11,7 @@ from ros2_mcp.link.connection import Connection
 from ros2_mcp.link.subscription import Subscription
 from ros2_mcp.model.errors import BridgeLost, BridgeRefused, LinkError
 from ros2_mcp.model.samples import Counts
+from support.rounds import FULL
 from support.stream_peer import Peer, connected
 
 Play = Callable[[Coroutine[Any, Any, None]], None]
@@ -149,9 +150,12 @@ async def test_a_peer_that_falls_silent_is_given_up_after_four_seconds() -> None
     ask = asyncio.ensure_future(connection.request("call", b"", 30, {}))
     begun, late = asyncio.get_running_loop().time(), [0.0]
     clock = asyncio.ensure_future(lateness(late))
-    with pytest.raises(BridgeLost, match=r"stopped answering for 4\.0 s"):
+    with pytest.raises(BridgeLost, match="stopped answering for " + (r"4\.0 s" if FULL else r"\d+\.\d s")):
         await ask
-    assert 3.9 < asyncio.get_running_loop().time() - begun < 4.5 + late[0]
+    took_s = asyncio.get_running_loop().time() - begun
+    assert took_s > 3.9
+    if FULL:
+        assert took_s < 4.5 + late[0]
     clock.cancel()
     await life
 

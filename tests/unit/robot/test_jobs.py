@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from time import monotonic
 
 import anyio
 import pytest
@@ -203,26 +202,22 @@ async def test_a_call_may_await_its_job() -> None:
 
 async def test_a_call_that_is_cancelled_ends_what_it_awaits_at_once_and_not_after_its_patience() -> None:
     class Patient(Polite):
-        patience_s = 20.0
+        patience_s = 3600.0
         is_stubborn = True
 
     async with a_server() as jobs:
-        begun = monotonic()
         with anyio.move_on_after(0.02):
-            await jobs.run(Patient())
-        assert monotonic() - begun < 5.0
+            await jobs.run(Patient())  # which would hang
 
 
 async def test_a_job_ends_in_good_order_if_it_can_and_else_after_its_patience() -> None:
     async with a_server() as jobs:
         polite, stubborn = Polite(), Polite()
         stubborn.is_stubborn = True
-        polite.patience_s = 20.0  # much more than the machine may stand still: ending earlier was its own doing
+        polite.patience_s = 3600.0  # this would hang if it did not end by itself
         for job in (polite, stubborn):
             await jobs.start(job)
-        begun = monotonic()
         await jobs.stop(Polite, polite.id)
-        assert monotonic() - begun < polite.patience_s / 2
         async with anyio.create_task_group() as group:  # two who stop it at the same time ask once
             group.start_soon(stubborn.stop)
             group.start_soon(stubborn.stop)

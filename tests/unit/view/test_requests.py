@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import select
 import socket
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 
@@ -233,6 +233,5 @@ def test_connections_that_never_finish_their_request_hold_nobody_up(view: tuple[
         for at in range(3):
             for number, connection in enumerate(slow):
                 connection.sendall(whole[at : at + 1] if number % 2 or at else whole[:-5])
-            began = time.monotonic()
             assert b'"panels"' in asked(port, whole)
-            assert time.monotonic() - began < ANSWERED_S / 2
+            assert not select.select(slow, [], [], 0)[0], "it was answered when those had been given up"
