@@ -20,7 +20,7 @@ from ros2_mcp.model.text import named, quoted
 from ros2_mcp.programs.findings import require_sound
 from ros2_mcp.programs.kept import KeptProgram, KeptPrograms
 from ros2_mcp.programs.program import Programs
-from ros2_mcp.programs.sandbox import Sandbox, is_installed
+from ros2_mcp.programs.sandbox import Failure, Sandbox, is_installed
 from ros2_mcp.programs.stub import stub
 from ros2_mcp.robot import Robot
 
@@ -150,7 +150,11 @@ async def _require_sound(programs: Programs, program: KeptProgram) -> None:
     sandbox = Sandbox(names, stub(programs.functions), _no_message)
     given = dict.fromkeys(each.name for each in program.inputs)
     async with sandbox.open():
-        require_sound(await sandbox.check(program.code, given), program.code, names, "kept")
+        try:
+            found = await sandbox.check(program.code, given)
+        except Failure as failure:
+            raise BadInput(f"Nothing was kept: {failure.message}.", "Try it again, or a shorter program.") from failure
+        require_sound(found, program.code, names, "kept")
 
 
 async def _no_message(_number: int) -> None:

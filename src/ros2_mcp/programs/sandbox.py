@@ -17,13 +17,18 @@ from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequen
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import anyio
 
 from ros2_mcp.model.errors import RobotError
+from ros2_mcp.programs.processor import ProcessorLimit
 from ros2_mcp.programs.rewrite import PRELUDE, Rewritten, without_async
 
 if TYPE_CHECKING:
     from pydantic_monty import AsyncMontySession, AsyncSnapshot, ExternalModule, MontyClassProxy, ResourceLimits
+
+T = TypeVar("T")
 
 MODULE = "robot"
 """What programs import."""
@@ -32,9 +37,13 @@ LONGEST_S = 600.0
 MEMORY_BYTES = 64_000_000
 """Of the program's values: a hundred thousand messages of a scan's size; the process itself takes 11 MB."""
 CPU_S = 60.0
-"""Of computing in one program, waiting not counted: six hours of reacting to 100 Hz take less."""
+"""Processor time of one program, waiting not counted: six hours of reacting to 100 Hz take less."""
 TURN_S = 5.0
-"""Of computing between two calls: what computes longer reacts to nothing, and holds a processor of the robot."""
+"""Processor time between two calls: what computes longer reacts to nothing, and holds a processor of the robot."""
+CHECK_S = 5.0
+"""Processor time of the check of types: that of the longest program takes 0.2 s."""
+CHECK_WITHIN_S = 40.0
+"""On the clock: below the 50 s of a call. Only a machine with far more work than processors needs so long."""
 DEEPEST_CALLS = 200
 """Functions that have called each other."""
 STREAMS = 16
@@ -43,8 +52,6 @@ _MOST_SUSPENSIONS = 10_000_000
 """The sandbox's own count of calls is not used: `Limits` of the program counts what each call is."""
 _NICE = 5
 """How far a program stands back behind the server, which the bridge waits for, where both want the processor."""
-_CHECK_S = 1.0
-"""Of computing before the first import in a program that is checked and not run; none of it matters."""
 _SHORTEST_SLEEP_S = 0.001
 """A program that sleeps for no time in a circle would take as much of the server's processor as of its own."""
 _SLEEPS = ("system.sleep", "asyncio.sleep", "time.sleep", "sleep")
@@ -96,6 +103,8 @@ class Sandbox:
         self._stubs = stubs
         self._next_message = next_message
         self._pid: int | None = None
+        self._limit: ProcessorLimit | None = None
+        self._last_call = 0
         self._streams: Sequence[MontyClassProxy] = ()
 
     @asynccontextmanager
@@ -103,7 +112,13 @@ class Sandbox:
         """While it is entered there is the process; at the end it is killed, whatever it does then."""
         from pydantic_monty import AsyncMonty
 
-        async with AsyncMonty(min_processes=1, max_processes=1, max_checkouts_per_worker=1000) as self._pool:
+        async with AsyncMonty(
+            min_processes=1,
+            max_processes=1,
+            max_checkouts_per_worker=1000,
+            feed_duration_limit_grace=None,  # these two end the process by the clock, however little it has computed
+            turn_duration_limit_grace=None,
+        ) as self._pool:
             try:
                 yield self
             finally:
@@ -116,29 +131,46 @@ class Sandbox:
                 os.kill(self._pid, signal.SIGKILL if sys.platform != "win32" else signal.SIGTERM)
 
     async def check(self, text: str, inputs: Mapping[str, Any]) -> list[Finding]:
-        """What the check of types says of a program, which does not run: it is let go at its first line."""
-        from pydantic_monty import AsyncFunctionSnapshot, ExternalModule, MontyRuntimeError, MontyTypingError
+        """What the check of types says of a program, which does not run: it is let go at its first line.
+
+        Raises:
+            Failure: if it does not come to its end.
+        """
+        from pydantic_monty import (
+            AsyncFunctionSnapshot,
+            ExternalModule,
+            MontyCrashedError,
+            MontyRuntimeError,
+            MontyTypingError,
+        )
 
         modules = {MODULE: self._module(), _GATE: ExternalModule({}, stubs="")}
-        limits = self._limits(_CHECK_S)
         given = "\n".join(["from typing import Any", *(f"{name}: Any" for name in inputs)])
         async with self._pool.checkout(
-            limits=limits,
+            limits=self._limits(),
             type_check=True,
             type_check_stubs=given,
             type_check_format="concise",
             external_modules=modules,
         ) as session:
-            self._note_process(session)
+            self._note_process(session, CHECK_S, CHECK_S)
             gated = f"import {_GATE}\n{without_async(text)}"
             try:
-                snapshot = await session.feed_start(gated, inputs=dict(inputs), print_callback=_dropped)
-                while isinstance(snapshot, AsyncFunctionSnapshot) and snapshot.function_name == "import_stubs":
-                    snapshot = await snapshot.resume_auto()
+                with anyio.fail_after(CHECK_WITHIN_S):
+                    snapshot = await self._turn(session.feed_start(gated, inputs=dict(inputs), print_callback=_dropped))
+                    while isinstance(snapshot, AsyncFunctionSnapshot) and snapshot.function_name == "import_stubs":
+                        snapshot = await self._turn(snapshot.resume_auto())
             except MontyTypingError as error:
                 return _findings(error.display())
             except MontyRuntimeError:
                 return []  # what is wrong at run time is said there
+            except MontyCrashedError as error:
+                if self._limit and self._limit.exceeded is not None:
+                    raise Failure("limit", 0, f"its check took more than {CHECK_S:g} s of computing") from None
+                raise _crash(error) from None
+            except TimeoutError:
+                why = f"its check did not end within {CHECK_WITHIN_S:g} s: this machine has too much to do"
+                raise Failure("limit", 0, why) from None
             return []
 
     async def run(
@@ -153,22 +185,22 @@ class Sandbox:
 
         ask = ExternalModule({"next": _never})
         modules = {MODULE: self._module(), "_robot": ask}
-        async with self._pool.checkout(limits=self._limits(CPU_S), external_modules=modules) as session:
-            self._note_process(session)
+        async with self._pool.checkout(limits=self._limits(), external_modules=modules) as session:
+            self._note_process(session, TURN_S, CPU_S)
             try:
                 self._streams = cast(
-                    "Sequence[MontyClassProxy]", await session.feed_run(PRELUDE.format(streams=STREAMS))
+                    "Sequence[MontyClassProxy]", await self._turn(session.feed_run(PRELUDE.format(streams=STREAMS)))
                 )
-                snapshot = await session.feed_start(
-                    program.text, inputs=dict(inputs), print_callback=partial(_pass_on, printed)
+                snapshot = await self._turn(
+                    session.feed_start(program.text, inputs=dict(inputs), print_callback=partial(_pass_on, printed))
                 )
                 return await self._drive(snapshot, program, answer)
             except (MontyRuntimeError, MontySyntaxError) as error:
                 raise _failure(error, program) from None
             except MontyCrashedError as error:
-                if getattr(error, "timed_out", False) or "time" in str(error):
-                    raise Failure("limit", 0, f"more than {TURN_S:g} s of computing without a call") from None
-                raise Failure("crash", 0, f"its process has died: {_first_line(str(error))}") from None
+                if self._limit and self._limit.exceeded is not None:
+                    raise self._computed_too_long(self._limit.exceeded) from None
+                raise _crash(error) from None
             except MontyError as error:
                 raise Failure("error", 0, _first_line(str(error))) from None
 
@@ -184,7 +216,7 @@ class Sandbox:
         source = program.text.encode()
         while not isinstance(snapshot, MontyComplete):
             if not isinstance(snapshot, AsyncFunctionSnapshot):
-                snapshot = await snapshot.resume_auto()
+                snapshot = await self._turn(snapshot.resume_auto())
                 continue
             name = str(snapshot.function_name)
             if snapshot.is_os_function:
@@ -195,40 +227,56 @@ class Sandbox:
                     value = await self._next_message(int(snapshot.args[0]))
                 else:
                     line = program.line(source.count(b"\n", 0, snapshot.position.start) + 1)
+                    self._last_call = line
                     value = await answer(name.removeprefix(f"{MODULE}."), snapshot.args, snapshot.kwargs, line)
             except RobotError as error:
-                snapshot = await snapshot.resume({"exception": in_program(error)})
+                snapshot = await self._turn(snapshot.resume({"exception": in_program(error)}))
                 continue
-            snapshot = await snapshot.resume({"return_value": value})
+            snapshot = await self._turn(snapshot.resume({"return_value": value}))
         return snapshot.output
 
     async def _system(self, snapshot: Any, name: str) -> AsyncSnapshot:
         """What the sandbox asks its host for: imports and waiting; all else it has not."""
         if name.startswith("import"):
-            return await snapshot.resume_auto()
+            return await self._turn(snapshot.resume_auto())
         if name in _SLEEPS:
             seconds = snapshot.args[0] if snapshot.args else 0.0
             with suppress(TypeError, ValueError, OverflowError):  # it says itself what is no time
                 await asyncio.sleep(max(_SHORTEST_SLEEP_S, min(float(seconds), LONGEST_S)))
-            return await snapshot.resume({"return_value": snapshot.args[1] if len(snapshot.args) > 1 else None})
-        return await snapshot.resume_not_handled()
+            given = snapshot.args[1] if len(snapshot.args) > 1 else None
+            return await self._turn(snapshot.resume({"return_value": given}))
+        return await self._turn(snapshot.resume_not_handled())
+
+    async def _turn(self, step: Awaitable[T]) -> T:
+        """The result of a step in which the sandbox computes, within the limits of its processor time."""
+        try:
+            return await (self._limit.turn(step) if self._limit else step)
+        except asyncio.CancelledError:
+            self.kill()  # else the end of its session waits for an answer, which one that is not run never gives
+            raise
+
+    def _computed_too_long(self, limit_s: float) -> Failure:
+        if limit_s != TURN_S:
+            return Failure("limit", 0, f"more than {limit_s:g} s of computing")
+        since = f"after line {self._last_call}" if self._last_call else "before its first one"
+        return Failure("limit", 0, f"more than {limit_s:g} s of computing without a call, {since}")
 
     def _module(self) -> ExternalModule:
         from pydantic_monty import ExternalModule
 
         return ExternalModule(dict.fromkeys(self._names, _never), stubs=self._stubs)
 
-    def _limits(self, cpu_s: float) -> ResourceLimits:
+    def _limits(self) -> ResourceLimits:
+        """Without limits of time: those of the sandbox go by the clock, also while the machine does not run it."""
         return {
-            "max_feed_duration_secs": cpu_s,
-            "max_turn_duration_secs": min(cpu_s, TURN_S),
             "max_memory": MEMORY_BYTES,
             "max_recursion_depth": DEEPEST_CALLS,
             "max_suspensions": _MOST_SUSPENSIONS,
         }
 
-    def _note_process(self, session: AsyncMontySession) -> None:
+    def _note_process(self, session: AsyncMontySession, turn_s: float, all_s: float) -> None:
         self._pid = session.worker_pid
+        self._limit = None if self._pid is None else ProcessorLimit(self._pid, turn_s, all_s, self.kill)
         if self._pid is not None and sys.platform != "win32":
             with suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, self._pid, _NICE)
@@ -264,6 +312,10 @@ def _pass_on(printed: Callable[[str], None], _stream: str, text: str) -> None:
 
 def _first_line(text: str) -> str:
     return text.strip().partition("\n")[0][:300]
+
+
+def _crash(error: Exception) -> Failure:
+    return Failure("crash", 0, f"its process has died: {_first_line(str(error))}")
 
 
 def _failure(error: Any, program: Rewritten) -> Failure:
