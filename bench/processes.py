@@ -54,7 +54,9 @@ class Peer:
         self._process = subprocess.Popen(
             command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
-        assert self.line() == "ready"
+        while (line := self.line()) != "ready":  # what Fast DDS complains about stands on stdout, too
+            assert self._process.poll() is None, line
+            print(line, file=sys.stderr)
 
     def __enter__(self) -> Peer:
         return self

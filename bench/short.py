@@ -1,10 +1,11 @@
 """A short form for every change: `python -m bench.short` fails when the ratio of a row to its floor has grown by half.
 
 It compares the processor time of the server and its bridge with that of the floor: a busy machine makes both wait, and
-waiting is not counted. Work that only waits longer is seen by `python -m bench`, which measures the time until the answer
-and wants a quiet machine. `ratios.json` has the ratios to compare with; `python -m bench.short --record` rewrites them.
-Both sides of a ratio are measured in turns; what still looks grown is measured again, and the best of three counts: noise
-adds to a time and takes nothing from it.
+waiting is not counted. Work that only waits longer is seen by `python -m bench`, which measures the time until the
+answer and wants a quiet machine. `ratios.json` has the ratios to compare with; with `--record` this rewrites them.
+
+Both sides of a ratio are measured in turns. What still looks grown is measured again, and the best of three counts:
+noise adds to a time and takes nothing from it.
 """
 
 from __future__ import annotations

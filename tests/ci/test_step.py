@@ -20,6 +20,7 @@ import pytest
 from support.browser import CHROMIUM
 from support.processes import ROOT
 
+pytestmark = pytest.mark.timeout(300)  # on a busy machine several bounds are tried
 STEP = [sys.executable, str(ROOT / ".ci/step.py")]
 MARK = "ROS2_MCP_CI"
 BOUNDS_S = (3, 10, 30)
@@ -126,10 +127,12 @@ def run_step(command: Sequence[str], bound_s: float, **environment: str) -> Ende
     return Ended(ended.returncode, ended.stdout, time.monotonic() - began, bound_s, mark)
 
 
-def run_until_it_hangs(command: Sequence[str], is_reached: Callable[[], bool], **environment: str) -> Ended:
+def run_until_it_hangs(command: Sequence[str], reached_at: Callable[[], float], **environment: str) -> Ended:
+    """Runs a command until it comes to its hang before the bound; `reached_at` is when it did, in Unix time."""
     for bound_s in BOUNDS_S:
+        began = time.time()
         ended = run_step(command, bound_s, **environment)
-        if is_reached():
+        if began <= reached_at() < began + bound_s:  # the bound counts from a little later
             return ended
     raise AssertionError(f"it did not come to the hang within {BOUNDS_S[-1]} s:\n{ended.output}")
 
@@ -144,23 +147,31 @@ def pytest_of(folder: Path, text: str, *options: str) -> tuple[list[str], Path]:
 
 def hang_in_pytest(folder: Path, text: str, *options: str) -> Ended:
     command, ready = pytest_of(folder, text, *options)
-    return run_until_it_hangs(command, ready.exists)
+    return run_until_it_hangs(command, lambda: ready.stat().st_mtime if ready.exists() else 0.0)
 
 
 def hang_at_a_server(command: Callable[[str], list[str]], **environment: str) -> Ended:
     """Runs a client of an HTTP server on loopback that takes connections and never answers."""
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        silent.setblocking(False)
+    connected_at = [0.0]
+    connections: list[socket.socket] = []
 
-        def is_reached() -> bool:
+    def accept() -> None:
+        while True:
             try:
-                silent.accept()[0].close()
-                return True
-            except BlockingIOError:
-                return False
+                connections.append(silent.accept()[0])
+            except OSError:
+                return  # it was shut down
+            connected_at.append(time.time())
 
+    with socket.create_server(("127.0.0.1", 0)) as silent, ThreadPoolExecutor(1) as accepting:
+        accepting.submit(accept)
         address = f"http://127.0.0.1:{silent.getsockname()[1]}/"
-        return run_until_it_hangs(command(address), is_reached, NO_PROXY="127.0.0.1", **environment)
+        try:
+            return run_until_it_hangs(command(address), lambda: connected_at[-1], NO_PROXY="127.0.0.1", **environment)
+        finally:
+            silent.shutdown(socket.SHUT_RDWR)
+            for connection in connections:
+                connection.close()
 
 
 def hang_in_uv(folder: Path) -> Ended:
@@ -183,7 +194,7 @@ def hang_in_chromium(folder: Path) -> Ended:
 def ends(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mapping[str, Future[Ended]]]:
     """How each planted hang ended; they mostly wait, so some wait side by side."""
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        options = {"thread": ["-n0"], "fixture": ["-n0"], "c": ["-n2"], "stopped": ["-n2"]}
+        options = {"thread": ["-n0"], "fixture": ["-n0"], "c": ["-n1"], "stopped": ["-n1"]}
         futures = {
             name: pool.submit(hang_in_pytest, tmp_path_factory.mktemp(name), text, *options[name])
             for name, text in HANGS.items()
