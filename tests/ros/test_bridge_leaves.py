@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 
 from ros2_mcp_bridge.rules import Rules, RuleSet
-from support import shared_memory
+from support import own_processes, shared_memory
 from support.bridge_client import PATIENCE_S, Client
 from support.observer import Observer
 from support.velocities import TWIST_STAMPED
 
 
-def test_a_bridge_whose_watchdog_hears_the_robot_leaves_nothing(
-    start, observer: Observer, domain_id: int, tmp_path
-) -> None:
+def test_a_bridge_whose_watchdog_hears_the_robot_leaves_nothing(start, observer: Observer, tmp_path) -> None:
     bridge = Client(start("ros2_mcp_bridge", "--state", str(tmp_path)))
     rules = Rules("digest", (RuleSet("test", allows_all=True),)).as_json()
     world = {"frame_id": "map", "polygon": [[-1e6, -1e6], [1e6, -1e6], [0, 1e6]], "margin_m": 0.0}
@@ -24,4 +22,5 @@ def test_a_bridge_whose_watchdog_hears_the_robot_leaves_nothing(
     bridge.ok("wait_endpoints", topic="/place", publishers=1, subscribers=1, timeout_s=PATIENCE_S)
     bridge.process.terminate()
     assert bridge.process.wait(PATIENCE_S) == 0
-    assert shared_memory.dead_readers([domain_id]) == []  # at once: the others remove what is dead
+    left = [segment.process for segment in shared_memory.dead_segments()]
+    assert bridge.process.pid & own_processes.HALF not in left
