@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
+from weakref import WeakSet
 
 from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -56,16 +57,30 @@ class RawSubscription(Protocol):
         ...
 
 
+# Each holds its node: as long as there is one, the node does not leave ROS, though it has been destroyed.
+_endpoints: WeakSet[RawPublisher | RawSubscription] = WeakSet()
+
+
 def publisher(node: Node, interface: Any, topic: str, profile: QoSProfile) -> RawPublisher:
     """A new publisher of a node."""
     with node.handle:
-        return rclpy_implementation.Publisher(node.handle, interface, topic, profile.get_c_qos_profile())
+        raw = rclpy_implementation.Publisher(node.handle, interface, topic, profile.get_c_qos_profile())
+    _endpoints.add(raw)
+    return raw
 
 
 def subscription(node: Node, interface: Any, topic: str, profile: QoSProfile) -> RawSubscription:
     """A new subscription of a node."""
     with node.handle:
-        return rclpy_implementation.Subscription(node.handle, interface, topic, profile.get_c_qos_profile())
+        raw = rclpy_implementation.Subscription(node.handle, interface, topic, profile.get_c_qos_profile())
+    _endpoints.add(raw)
+    return raw
+
+
+def destroy_endpoints() -> None:
+    """End all publishers and subscriptions that are left: those of work that was under way to the end."""
+    for raw in list(_endpoints):
+        raw.destroy_when_not_in_use()
 
 
 def client(node: Node, interface: Any, service: str, profile: QoSProfile) -> Client:

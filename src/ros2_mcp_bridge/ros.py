@@ -15,7 +15,7 @@ from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from . import participants
+from . import participants, rcl
 from .protocol import PROTOCOL, Hello
 
 if TYPE_CHECKING:
@@ -65,9 +65,10 @@ def join(node_name: str) -> Node:
 
 
 def leave(node: Node, executor: Executor) -> None:
-    """Undo `enter`."""
+    """Undo `enter`. Whoever lists the node does not any more, and nothing of it stays in shared memory."""
     executor.remove_node(node)
     executor.shutdown()
+    rcl.destroy_endpoints()
     destroy(node)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from support import leaves_nothing, own_processes, shared_memory
 from support.own_processes import Process
 from support.processes import SHARED
-from support.shared_memory import Reader, Segment
+from support.shared_memory import Segment
 
 DOMAINS_OF_A_BLOCK = 3
 LAST_DOMAIN = 101
@@ -35,11 +35,14 @@ def reserved_domains() -> Iterator[int]:
             except BlockingIOError:
                 continue
             domains = range(locks[path], locks[path] + DOMAINS_OF_A_BLOCK)
+            if shared_memory.holders(domains):  # of somebody who knows nothing of these locks
+                continue
             shared_memory.remove_ports(domains)
+            began = time.time()
             try:
                 yield domains[0]
             finally:
-                _leave(domains)
+                _leave(domains, began)
                 os.utime(path)
             return
     raise RuntimeError(f"All {len(locks)} domains for tests are taken: see the locks in {SHARED}.")
@@ -49,34 +52,34 @@ def _last_used(path: Path) -> float:
     return path.stat().st_mtime if path.exists() else 0.0
 
 
-def _leave(domains: range) -> None:
+def _leave(domains: range, since: float) -> None:
     """Nobody of ours is in the domains any more, and nothing of those who were: else it is told, ended and removed.
 
-    What a test has killed leaves something. Whose a thing is, is not known if that process never said anything, or was
+    What a test has killed leaves its segment. Whose one is, is not known if that process never said anything, or was
     not there when a test began or ended.
     """
     left = own_processes.wait_for_end(lambda: _in(domains))
     wrong = [f"{one.pid} ({one.command}) is left" for one in left]
     own_processes.kill(left)
-    for pid, ports in shared_memory.holders(domains).items():
+    held = shared_memory.holders(domains)
+    for pid, ports in held.items():
         holder = own_processes.process(pid)
         wrong.append(f"{pid} ({holder.command if holder else 'has ended'}) still has open {', '.join(ports)}")
-    dead = shared_memory.dead_segments()
-    for reader in shared_memory.dead_readers(domains):
-        if segment := shared_memory.of(reader, dead):
+    for segment in shared_memory.dead_segments():
+        if segment.at >= since and (command := own_processes.seen(segment.process)):
             shared_memory.remove_segment(segment)
-            command = own_processes.seen(segment.process)
-            if command and segment.process not in own_processes.killed_ids():
-                wrong.append(_told(reader, segment, command))
-    shared_memory.remove_ports(domains)
+            if segment.process not in own_processes.killed_ids():
+                wrong.append(_told(segment, command))
+    if not held:
+        shared_memory.remove_ports(domains)
     assert not wrong, "\n".join([f"in the domains {[*domains]}:", *wrong])
 
 
-def _told(reader: Reader, segment: Segment, command: str) -> str:
-    when = leaves_nothing.test_at(reader.at - time.time() + own_processes.boot_s())
+def _told(segment: Segment, command: str) -> str:
+    when = leaves_nothing.test_at(segment.at - time.time() + own_processes.boot_s())
     return (
         f"{segment.process} ({command}) did not leave ROS at its end, though no test killed it: it began in the time of"
-        f" {when}, and has left {reader.port} and {segment.name} in {shared_memory.FOLDER}"
+        f" {when}, and has left {shared_memory.FOLDER / segment.name}"
     )
 
 

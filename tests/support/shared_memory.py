@@ -25,19 +25,12 @@ _SEGMENT = re.compile(r"fast(?:rtps|dds)_[0-9a-f]{16}")
 _OF_A_PORT = re.compile(r"(?:sem\.)?(fast(?:rtps|dds)_port(\d+))(?:_el|_sl|_mutex)?")
 _GUID = re.compile(rb"RTPS\x02.\x01\x0f\x01\x0f..(..)", re.DOTALL)
 """Begins a message of Fast DDS (vendor 1.15): its GUID has the host's id, then the lower half of the process id."""
-_SOON_S = 0.5
-"""A participant takes its port so soon after its segment; a busy machine stretches that."""
-
-
-class Reader(NamedTuple):
-    """Of a port, whose process has ended without leaving ROS. `at` is when it had come, in s since 1970."""
-
-    port: str
-    at: float
 
 
 class Segment(NamedTuple):
-    """A participant's, of a process that has ended: `process` is the lower half of its id, if it ever said anything."""
+    """A participant's, of a process that has ended: since when (s since 1970) it was there, and the lower half of the
+    process id, if it ever said anything.
+    """
 
     name: str
     at: float
@@ -72,24 +65,6 @@ def holders(domains: Collection[int]) -> dict[int, list[str]]:
             if opened := [name for name in sorted(names) if f"{FOLDER / name}\n" in maps]:
                 found[pid] = opened
     return found
-
-
-def dead_readers(domains: Collection[int]) -> list[Reader]:
-    """Of the ports of these domains: those whose process has ended without leaving ROS."""
-    locked, dead = _locked(), list[Reader]()
-    for path, match in _of_ports(domains):
-        if path.name.endswith("_el"):
-            with suppress(FileNotFoundError):
-                lock = path.stat()
-                if lock.st_ino not in locked:
-                    dead.append(Reader(match[1], lock.st_mtime))
-    return dead
-
-
-def of(reader: Reader, segments: list[Segment]) -> Segment | None:
-    """The segment of the same participant, which it had made just before."""
-    near = [segment for segment in segments if abs(segment.at - reader.at) < _SOON_S]
-    return min(near, key=lambda segment: abs(segment.at - reader.at), default=None)
 
 
 def remove_ports(domains: Collection[int]) -> None:

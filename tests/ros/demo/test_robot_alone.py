@@ -74,7 +74,7 @@ def test_a_second_robot_on_this_machine_does_not_meet_the_first(start_alone):
     assert graph_of(start_alone())["ROS_DOMAIN_ID"] != graph_of(start_alone())["ROS_DOMAIN_ID"]
 
 
-def test_the_domain_and_the_range_that_were_asked_for_are_kept(start_alone, domain_id):
+def test_the_domain_and_the_range_that_were_asked_for_are_kept(domain_id, start_alone):
     asked = {"ROS_DOMAIN_ID": str(domain_id), "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"}
     robot = start_alone(**asked)
     assert graph_of(robot) == asked

@@ -497,6 +497,10 @@ def _become_peer(lines: TextIO, spare: Node, namespace: str, *roles: str) -> Non
     executor.shutdown(timeout_sec=0.5)
     spinning.join(1.0)
     for node in (*peer.nodes, *peer.unspun):
+        for of_an_action in list(node.waitables):  # rclpy does not destroy these with the node, though they keep it
+            of_an_action.destroy()
+        if isinstance(node, LifecycleNode):
+            node._state_machine.destroy_when_not_in_use()
         node.destroy_node()
 
 
