@@ -50,8 +50,9 @@ def test_names_are_found_by_type_and_a_misspelt_one_is_told_at_once(
         agent.knows("/signal_late", "/signal_wave")
         listed = agent.call("ros2_topic_list", pattern="msg/PointStamped")["topics"]
         assert {row["topic_name"] for row in listed} == {"/signal", "/signal_copy", "/signal_steady"}
-        waiting = agent.begin("ros2_wait_until", topic_name="/not/there", msg_type="Float64", condition="data > 0")
-        told = agent.refusal("ros2_topic_subscribe", topic_name="/signal_waev", msg_type="Float64", message_limit=9)
+        asked = {"msg_type": "Float64", "message_limit": 9}
+        waiting = agent.begin("ros2_topic_subscribe", topic_name="/not/there", **asked)
+        told = agent.refusal("ros2_topic_subscribe", topic_name="/signal_waev", **asked)
         assert "Did you mean /signal_wave?" in told
         assert not waiting.done(), "what waits for a name that resembles no other was begun before"
         lines: list[str] = []
