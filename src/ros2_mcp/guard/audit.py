@@ -108,6 +108,7 @@ class Audit:
         self._syncing: Future[None] | None = None
         self._queue_lock = Lock()
         self._queue_of_lines: list[_Queued] = []
+        self._is_closed = False
         self._copied, self._copied_at = 0, monotonic()
 
     @property
@@ -151,7 +152,7 @@ class Audit:
 
     async def written(self) -> None:
         """Waits until what is queued now is written, or was given up."""
-        with suppress(RuntimeError):  # the audit is closed
+        with suppress(RuntimeError):  # it is closed, and all is written
             await asyncio.wrap_future(self._writer.submit(lambda: None))
 
     @contextmanager
@@ -164,7 +165,9 @@ class Audit:
             self._listeners.remove(listener)
 
     def close(self) -> None:
-        """Writes what is queued, and has the disk keep it."""
+        """Writes what is queued, and has the disk keep it. What comes later is not written."""
+        with self._queue_lock:
+            self._is_closed = True
         self._writer.shutdown()
         self._syncer.shutdown()
         if self._file:
@@ -193,17 +196,14 @@ class Audit:
         line = Line()
         line.add_done_callback(self._note_outcome)
         with self._queue_lock:
+            if self._is_closed:
+                return None
             if len(self._queue_of_lines) >= MOST_QUEUED and not self.required:
                 self._unwritten += 1
                 return None
-            is_first = not self._queue_of_lines
-            self._queue_of_lines.append((line, entry, room_bytes, of))
-        if is_first:
-            try:
+            if not self._queue_of_lines:
                 self._writer.submit(self._write_queued)
-            except RuntimeError:  # the audit is closed: the server ends
-                self._queue_of_lines.clear()
-                return None
+            self._queue_of_lines.append((line, entry, room_bytes, of))
         return line
 
     def _note_outcome(self, line: Line) -> None:

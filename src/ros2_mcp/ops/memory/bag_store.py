@@ -111,10 +111,18 @@ class BagStore:
         self.own[folder.name] = OwnBag(folder, is_growing, now_ns)
 
     async def close(self) -> None:
-        """Closes the bags that are open; what is being recorded goes on."""
+        """Closes the bags that are open; what is being recorded goes on.
+
+        A bag that a thread reads, whose call may be long over, is left to the end of the process: a descriptor that is
+        closed meanwhile may be that of another file when it is read.
+        """
         for opened in self._opened.values():
-            if opened.bag:
-                opened.bag.close()
+            if opened.lock.acquire(blocking=False):
+                try:
+                    if opened.bag:
+                        opened.bag.close()
+                finally:
+                    opened.lock.release()
         self._opened.clear()
 
     @contextmanager

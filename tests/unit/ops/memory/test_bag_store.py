@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from ros2_mcp.bags.stored import StoredTopic
+from ros2_mcp.bags.stored import Span, StoredTopic
 from ros2_mcp.bags.writer import BagWriter
 from ros2_mcp.model.errors import BadData, NotFound
 from ros2_mcp.model.samples import Sample
@@ -138,3 +138,19 @@ def test_a_bag_that_opens_slowly_keeps_nobody_else_waiting(tmp_path: Path, remem
         finally:
             os.close(writer)
         assert [each.result(5) for each in slow] == [{"/count"}] * 2
+
+
+async def test_a_bag_that_a_thread_reads_is_not_closed_under_it(
+    remember: Callable[..., BagStore], tmp_path: Path
+) -> None:
+    """The call may be over, cancelled, and the server at its end: its thread reads on."""
+    make_bag(tmp_path / "read")
+    make_bag(tmp_path / "idle")
+    store = remember(tmp_path)
+    with store.reading("idle") as idle:
+        pass
+    with store.reading("read") as bag:
+        await store.close()
+        assert [int.from_bytes(sample.data[-4:], "little") for _, sample in bag.messages(Span())] == [1]
+    with pytest.raises(ValueError, match="closed file"):
+        next(iter(idle.messages(Span())))
