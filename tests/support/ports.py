@@ -1,4 +1,4 @@
-"""Servers over HTTP: a port that nobody uses, and a process that listens on it."""
+"""Servers over HTTP and at a Unix socket: a port that nobody uses, and a process that listens."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+
+from support.agent import until
 
 END_S = 10.0
 LISTENS_S = 30.0
@@ -50,3 +53,16 @@ def listening(
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+@contextmanager
+def serving(environment: dict[str, str], path: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A server at a Unix socket for the time of a block."""
+    command = [sys.executable, "-m", "ros2_mcp", "--socket", str(path), "--tools", "all", *options]
+    process = subprocess.Popen(command, env=environment)
+    try:
+        until(path.exists)
+        yield process
+    finally:
+        process.terminate()
+        process.wait(LISTENS_S)
