@@ -13,7 +13,7 @@ from pathlib import Path
 from support.agent import until
 
 END_S = 10.0
-LISTENS_S = 30.0
+LISTENS_S = 60.0
 
 
 def free_port(host: str = "127.0.0.1") -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -42,12 +42,27 @@ def policy_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-@pytest.fixture
-def server(ros_environment: dict[str, str], policy_file: Path, tmp_path: Path, observer: Observer) -> Iterator[Driver]:
-    """A server under that policy, with state of its own and a bag that drives at 0.5 m/s for two seconds."""
-    write_bag(tmp_path / "bags", [cdr(TWIST, MOVING)] * BAG_MESSAGES)
-    environment = {**ros_environment, "XDG_STATE_HOME": str(tmp_path / "state")}
-    options = ("--tools", "all", "--policy", str(policy_file), "--record-dir", str(tmp_path / "bags"))
-    driver = Driver(environment, *options)
-    yield driver
-    driver.end()
+@pytest.fixture(scope="module")
+def start_server(
+    ros_environment: dict[str, str], policy_file: Path, tmp_path_factory: pytest.TempPathFactory, observer: Observer
+) -> Iterator[Callable[[], Driver]]:
+    """Starts servers under that policy, with state of their own and a bag that drives at 0.5 m/s for two seconds."""
+    drivers: list[Driver] = []
+
+    def begin() -> Driver:
+        folder = tmp_path_factory.mktemp("server")
+        write_bag(folder / "bags", [cdr(TWIST, MOVING)] * BAG_MESSAGES)
+        environment = {**ros_environment, "XDG_STATE_HOME": str(folder / "state")}
+        options = ("--tools", "all", "--policy", str(policy_file), "--record-dir", str(folder / "bags"))
+        drivers.append(Driver(environment, *options))
+        return drivers[-1]
+
+    yield begin
+    for driver in drivers:
+        driver.end()
+
+
+@pytest.fixture(scope="module")
+def server(start_server: Callable[[], Driver]) -> Driver:
+    """One that the tests of a file share."""
+    return start_server()

@@ -20,8 +20,7 @@ def refusal(listener: Listener, uri: str) -> dict[str, Any]:
     return listener.ask("resources/read", uri=uri)["error"]
 
 
-def test_every_resource_is_listed_as_json(listener_of_each_era: Listener) -> None:
-    listener = listener_of_each_era
+def test_every_resource_is_listed_as_json(listener: Listener) -> None:
     listed = listener.ask("resources/list")["result"]["resources"]
     templates = listener.ask("resources/templates/list")["result"]["resourceTemplates"]
     assert {entry["uri"] for entry in listed} >= {f"ros2://{path}" for path in STATIC}

@@ -47,6 +47,7 @@ async def test_clients_of_both_eras_list_call_and_read(port: int, mode: str) -> 
         assert (await status(client))["bridge_node"]
         refused = await client.call_tool("ros2_topic_list", {"patern": "x"})
         assert refused.is_error and "Did you mean pattern?" in refused.content[0].text
+        assert "ros2://topics" in {str(resource.uri) for resource in (await client.list_resources()).resources}
         assert "/rosout" in (await client.read_resource("ros2://topics")).contents[0].text
 
 

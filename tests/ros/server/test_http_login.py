@@ -24,7 +24,7 @@ from support.certificates import self_signed
 from support.ports import listening
 from support.tokens import TOKEN, client_at
 
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 HANDSHAKE, MODERN = "2025-11-25", "2026-07-28"
 CLIENT = {"name": "logs in by hand", "version": "1"}
 PREFIX = "io.modelcontextprotocol/"
@@ -330,7 +330,8 @@ def test_of_forty_calls_at_once_eight_are_refused_and_a_stop_is_not(served: Serv
     with served.open() as connection:
         assert "the most at once" not in call(connection, token, STOP).read().decode()
     for connection in open_ones:
-        connection.sock.shutdown(socket.SHUT_RDWR)
+        if connection.sock:  # it was not refused
+            connection.sock.shutdown(socket.SHUT_RDWR)
     for thread in threads:
         thread.join()
     assert sum("the most at once" in answer for answer in answers) == 8
@@ -392,12 +393,14 @@ def test_connections_of_one_login_keep_no_other_out(served: Served) -> None:
     token, other = served.tokens["observe"], served.tokens["observe,stop"]
     with ExitStack() as held, served.open() as known:
         assert call(known, other, READ).read()
-        for _ in range(260):
+        known.auto_open = 0  # it has to be the same connection
+        for number in range(260):
             connection = held.enter_context(served.open())
             assert call(connection, token, "no_tool").status == 200
+            if number % 20 == 0:  # else it would be given up where all of this takes 15 s
+                assert call(known, other, "no_tool").read()
         with served.open() as comes:
             assert call(comes, other, READ).status == 200
-        known.auto_open = 0  # it has to be the same connection
         assert call(known, other, READ).status == 200
 
 

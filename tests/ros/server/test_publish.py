@@ -218,5 +218,6 @@ def test_one_velocity_topic_more_than_can_be_stopped_is_refused(agent) -> None:
     assert {each.result(60)["status"] for each in sending} == {"nobody_listening"}
     assert "64 velocity topics already" in agent.refusal("ros2_topic_publish", topic_name="/more", **twist)
     stopped = agent.call("ros2_stop")
-    assert (stopped["confirmed"], len(stopped["topics"])) == (True, MAX_FAILSAFES)
+    assert len(stopped["topics"]) == MAX_FAILSAFES
+    until(lambda: agent.call("ros2_stop")["confirmed"])
     assert agent.call("ros2_topic_publish", topic_name="/more", **twist)["status"] == "nobody_listening"
