@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from support.standstill import undisturbed
 
 HOW_TO = Path(__file__).parents[3] / "docs/how-to/prompts.md"
 RELAY, HEALTH = "base.ros2-topic-relay", "base.ros2-node-health-check"
+MODULE = "print('hello from user code')\ndef patrol(area: str): return f'Patrol {area}.'\nALL_PROMPTS = [patrol]\n"
 HELLO = "---\nname: hello\n---\nHello.\n"
 
 
@@ -38,42 +40,52 @@ def test_the_example_of_the_how_to_works_as_written(
     until(lambda: agent.complete("battery-check", "topic", "batt") == ["/battery_state"])
 
 
-@pytest.mark.parametrize("version", [MODERN, "2025-06-18"])
-def test_a_changed_folder_is_read_again_and_the_client_is_told(
-    start_raw: Callable[..., RawServer], tmp_path: Path, version: str
-) -> None:
-    (tmp_path / "hello.md").write_text(HELLO)
-    (tmp_path / "bad.md").write_text("---\nname: x\nargs: []\n---\nHi.\n")
-    server = start_raw("--prompts", str(tmp_path))
-    capabilities = server.begin(version)["capabilities"]
-    assert capabilities["prompts"]["listChanged"] is True
-    if version == MODERN:
+@dataclass
+class Own:
+    """A server with a folder of prompts, and a user's module, which only the option --custom-prompts lets in."""
+
+    server: RawServer
+    folder: Path
+    capabilities: dict[str, Any]
+    is_custom: bool
+
+
+@pytest.fixture(scope="module", params=[MODERN, "2025-06-18"])
+def own(
+    request: pytest.FixtureRequest, demo_environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Own]:
+    folder, modules = tmp_path_factory.mktemp("prompts"), tmp_path_factory.mktemp("modules")
+    (folder / "hello.md").write_text(HELLO)
+    (folder / "bad.md").write_text("---\nname: x\nargs: []\n---\nHi.\n")
+    (modules / "extension_prompts.py").write_text(MODULE)
+    is_custom = request.param == MODERN
+    options = ("--prompts", str(folder), "--prompts-local", "--prompts-path", str(modules))
+    server = RawServer(demo_environment, *options, *(("--custom-prompts",) if is_custom else ()))
+    yield Own(server, folder, server.begin(request.param)["capabilities"], is_custom)
+    server.end()
+
+
+def test_a_changed_folder_is_read_again_and_the_client_is_told(own: Own) -> None:
+    server = own.server
+    assert own.capabilities["prompts"]["listChanged"] is True
+    if server.version == MODERN:
         server.send("subscriptions/listen", notifications={"promptsListChanged": True})
         _wait_for(server, "notifications/subscriptions/acknowledged")
     assert "hello" in _names(server)
-    (tmp_path / "bye.md").write_text(HELLO.replace("hello", "bye"))
+    (own.folder / "bye.md").write_text(HELLO.replace("hello", "bye"))
     assert server.ask("prompts/get", name="bye")["result"]["messages"][0]["content"]["text"] == "Hello."
     _wait_for(server, "notifications/prompts/list_changed")
     assert {"hello", "bye"} <= set(_names(server))
     server.errors.seek(0)
-    assert f"{tmp_path / 'bad.md'}:3: 'args' means nothing here." in server.errors.read().decode()
+    assert f"{own.folder / 'bad.md'}:3: 'args' means nothing here." in server.errors.read().decode()
 
 
-def test_prompts_of_a_users_module_are_offered_and_its_prints_stay_off_the_protocol(
-    start_raw: Callable[..., RawServer], tmp_path: Path
-) -> None:
-    module = "print('hello from user code')\ndef patrol(area: str): return f'Patrol {area}.'\nALL_PROMPTS = [patrol]\n"
-    (tmp_path / "extension_prompts.py").write_text(module)
-    options = ("--prompts-local", "--prompts-path", str(tmp_path))
-    server = start_raw("--custom-prompts", *options)
-    server.begin(MODERN)
-    assert _names(server)[-1] == "patrol"
-    got = server.ask("prompts/get", name="patrol", arguments={"area": "the yard"})
-    assert got["result"]["messages"][0]["content"]["text"] == "Patrol the yard."
-    assert b"hello from user code" not in server.said
-    off = start_raw(*options)  # without --custom-prompts
-    off.begin(MODERN)
-    assert "patrol" not in _names(off)
+def test_prompts_of_a_users_module_are_offered_where_asked_for_and_its_prints_stay_off_the_protocol(own: Own) -> None:
+    assert ("patrol" in _names(own.server)) == own.is_custom
+    if own.is_custom:
+        got = own.server.ask("prompts/get", name="patrol", arguments={"area": "the yard"})
+        assert got["result"]["messages"][0]["content"]["text"] == "Patrol the yard."
+    assert b"hello from user code" not in own.server.said
 
 
 def test_completions_are_the_live_names(agent: PromptAgent) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import time
+from collections.abc import Iterator
 from functools import partial
 from itertools import count, product
 from typing import Any
@@ -185,39 +186,44 @@ def test_a_call_on_several_topics_of_which_all_fail_is_an_error(agent, peer) -> 
     assert [bool(read["error"]) for read in one_of_two] == [True, False]
 
 
-@pytest.mark.promise("README", "A velocity that is not a finite number is never sent")
-def test_a_velocity_that_is_not_finite_is_refused_and_named(ros_environment) -> None:
-    """However JSON writes it, once and repeatedly."""
+@pytest.fixture(scope="module")
+def driver(ros_environment: dict[str, str]) -> Iterator[RawServer]:
+    """A server that has set nothing in motion but velocities."""
     server = RawServer(ros_environment)
+    server.begin("2025-06-18")
+    yield server
+    server.end()
+
+
+@pytest.mark.promise("README", "A velocity that is not a finite number is never sent")
+def test_a_velocity_that_is_not_finite_is_refused_and_named(driver: RawServer) -> None:
+    """However JSON writes it, once and repeatedly."""
     numbers = ("NaN", "-Infinity", "1e400", '"nan"', '"inf"')
-    try:
-        server.begin("2025-06-18")
-        for asked_as, (number, more) in enumerate(product(numbers, ({}, {"frequency": 10.0, "duration": 0.5})), 1001):
-            data = {"linear": {"x": 0.1}, "angular": {"z": "NUMBER"}}
-            publish = {"topic_name": "/driven", "message_type": TWIST, "data": data, **more}
-            params = {"name": "ros2_topic_publish", "arguments": publish}
-            call = {"jsonrpc": "2.0", "id": asked_as, "method": "tools/call", "params": params}
-            assert server.process.stdin
-            server.process.stdin.write(json.dumps(call).replace('"NUMBER"', number).encode() + b"\n")
-            server.process.stdin.flush()
-            text = server.answer(asked_as)["result"]["content"][0]["text"]
-            assert text.startswith("BadValue: angular.z: "), text
-        assert server.call("ros2_stop")["structuredContent"]["topics"] == []
-    finally:
-        server.end()
+    for asked_as, (number, more) in enumerate(product(numbers, ({}, {"frequency": 10.0, "duration": 0.5})), 1001):
+        data = {"linear": {"x": 0.1}, "angular": {"z": "NUMBER"}}
+        publish = {"topic_name": "/driven", "message_type": TWIST, "data": data, **more}
+        params = {"name": "ros2_topic_publish", "arguments": publish}
+        call = {"jsonrpc": "2.0", "id": asked_as, "method": "tools/call", "params": params}
+        driver.write(json.dumps(call).replace('"NUMBER"', number).encode() + b"\n")
+        text = driver.answer(asked_as)["result"]["content"][0]["text"]
+        assert text.startswith("BadValue: angular.z: "), text
+    assert driver.call("ros2_stop")["structuredContent"]["topics"] == []
 
 
 @pytest.mark.promise("README", "At most 64 velocity topics are driven at a time, each with its fail-safe")
 @pytest.mark.promise("README", "one more is refused")
-def test_one_velocity_topic_more_than_can_be_stopped_is_refused(agent) -> None:
+def test_one_velocity_topic_more_than_can_be_stopped_is_refused(driver: RawServer) -> None:
     twist = {"message_type": TWIST, "data": {"linear": {"x": 0.1}}}
+    more = {"topic_name": "/more", **twist}
     sending = [
-        agent.begin("ros2_topic_publish", topic_name=f"/robot{number}/cmd_vel", **twist)
+        driver.send(
+            "tools/call", name="ros2_topic_publish", arguments={"topic_name": f"/robot{number}/cmd_vel", **twist}
+        )
         for number in range(MAX_FAILSAFES)
     ]
-    assert {each.result(60)["status"] for each in sending} == {"nobody_listening"}
-    assert "64 velocity topics already" in agent.refusal("ros2_topic_publish", topic_name="/more", **twist)
-    stopped = agent.call("ros2_stop")
-    assert len(stopped["topics"]) == MAX_FAILSAFES
-    until(lambda: agent.call("ros2_stop")["confirmed"])
-    assert agent.call("ros2_topic_publish", topic_name="/more", **twist)["status"] == "nobody_listening"
+    sent = [driver.answer(each)["result"]["structuredContent"]["status"] for each in sending]
+    assert set(sent) == {"nobody_listening"}
+    assert "64 velocity topics already" in driver.call("ros2_topic_publish", **more)["content"][0]["text"]
+    stopped = driver.call("ros2_stop")["structuredContent"]
+    assert (stopped["confirmed"], len(stopped["topics"])) == (True, MAX_FAILSAFES)
+    assert driver.call("ros2_topic_publish", **more)["structuredContent"]["status"] == "nobody_listening"
