@@ -50,7 +50,7 @@ def test_calls_leave_no_entities_threads_or_files_behind(agent, peer, small_robo
     use(20)
     before = resources(agent)
     before["server task"] = max(before["server task"], POOLED_THREADS)
-    use(3400 if FULL else 60)
+    use(3400 if FULL else 40)
 
     def left() -> dict[str, int]:
         return {what: many for what, many in resources(agent).items() if many > before[what]}
