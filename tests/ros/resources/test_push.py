@@ -58,18 +58,15 @@ def memory(listener: Listener) -> float:
     return int(re.search(r"VmRSS:\s+(\d+)", status)[1]) / 1024  # type: ignore[index]
 
 
-PUSHED = pytest.mark.promise(
+@pytest.mark.promise(
     "README",
     "Resources such as ros2://topic/odom or ros2://log can be subscribed to: the client is told when something happens",
 )
-
-
-@PUSHED
 def test_a_new_sample_is_told_in_each_era(listener_of_each_era: Listener, events: CommandedProcess) -> None:
     assert_told(listener_of_each_era, events, SAID)
 
 
-@PUSHED
+@pytest.mark.promise("README", "can be subscribed to: the client is told when something happens")
 @pytest.mark.parametrize("uri", list(EVENTS)[1:])
 def test_what_happens_is_told(listener: Listener, events: CommandedProcess, uri: str) -> None:
     assert_told(listener, events, uri)

@@ -280,6 +280,9 @@ def test_what_a_client_moves_stands_within_a_third_of_a_second_of_its_closing(
 @pytest.mark.promise("stopping", "by an open response that the client's kernel acknowledges")
 @pytest.mark.promise("stopping", "a client over HTTP closes or resets its last open response, or ends its session")
 @pytest.mark.promise("stopping", "A client that keeps no response open has to ask for something every 2 s")
+@pytest.mark.promise(
+    "README", "A client that keeps no response open has to ask for something every 2 s while something moves"
+)
 @pytest.mark.promise("README", "relays, playbacks and goals of a program that hangs with its connection open go on")
 @pytest.mark.parametrize("transports", [("handshake", "sse"), ("modern",)], ids="-".join)
 def test_who_closes_stops_at_once_who_has_no_stream_with_its_lease_and_who_waits_at_one_not_at_all(
