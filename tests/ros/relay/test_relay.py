@@ -96,6 +96,7 @@ def test_a_rate_limit_is_kept_within_two_percent(agent, peer, rate_hz) -> None:
     assert [number for _, number in heard] == sorted(number for _, number in heard)
 
 
+@pytest.mark.promise("ros2_relay_start", "Let the messages of one topic appear on another, in the background")
 def test_on_change_passes_exactly_the_changes(agent, peer) -> None:
     listener = peer("listen", "/change_out", "JointState", "RELIABLE")
     talker = peer("talk", "/change_in", "JointState", "RELIABLE", "200", "200")

@@ -227,6 +227,9 @@ def test_big_messages_come_as_bounded_summaries(agent, peer, kind: str) -> None:
     assert whole.structured_content["messages"][0]["data"] == {"$summary": "uint8[]", "length": 2**20}
 
 
+@pytest.mark.promise(
+    "ros2_topic_list", "List the topics of the robot with their types and the number of publishers and subscribers"
+)
 def test_the_first_listing_of_a_new_server_is_whole(peer, start_agent) -> None:
     with listed(peer) as topics:
         assert_whole(first_listing(start_agent)[0], topics)
@@ -262,7 +265,8 @@ def first_listing(start_agent) -> tuple[dict[str, Any], float]:
 def assert_whole(listing: dict[str, Any], topics: set[str]) -> None:
     assert listing["settled"]
     assert {entry["topic_name"] for entry in listing["topics"]} == topics
-    assert all(entry["publishers"] == 1 for entry in listing["topics"])
+    entries = {(entry["topic_type"], entry["publishers"], entry["subscribers"]) for entry in listing["topics"]}
+    assert entries == {(STRING, 1, 0)}
 
 
 @pytest.mark.parametrize(
