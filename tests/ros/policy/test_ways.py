@@ -42,6 +42,7 @@ def test_what_is_too_fast_is_refused_or_scaled_whichever_way_it_takes(server, ob
     calm(observer, topic)
     server.stop()
     assert observer.comes_to_rest(topic, REST_S) == []
+    server.reset()
     assert way in STREAMS or not any(speeds(observer, topic))
 
 
