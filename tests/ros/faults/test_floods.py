@@ -27,7 +27,8 @@ async def test_every_message_of_a_flood_is_received_or_counted(
 
     await agent.knows(topic)
     duration = seconds + spare_s
-    result = await agent.call("ros2_topic_subscribe", topic_name=topic, duration=duration, fields=["data[0:4]"])
+    bounds = {"duration": duration, "message_limit": count}
+    result = await agent.call("ros2_topic_subscribe", topic_name=topic, fields=["data[0:4]"], **bounds)
     assert int(flood.line()) == count
     numbers = [_number(message) for message in result["messages"]]
     assert result["received"] + result["lost"] == count

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import os
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from support.agent import Agent
-from support.standstill import undisturbed
+from support.agent import Agent, until
 
 
 def seen(agent: Agent, tool: str, **arguments: Any) -> tuple[dict[str, Any], np.ndarray]:
@@ -56,13 +56,12 @@ def blue(pixels: np.ndarray) -> np.ndarray:
 def test_the_speed_is_seen_to_rise_while_the_robot_drives(agent: Agent) -> None:
     series = ["/odom:twist.twist.linear.x", "/odom:twist.twist.angular.z"]
 
-    def driven() -> tuple[dict[str, Any], np.ndarray]:
-        driving = drive(agent, 3.0)
-        picture = seen(agent, "ros2_plot", series=series, duration=3)
-        driving.result(30)
-        return picture
-
-    found, pixels = undisturbed(driven)
+    before = agent.call("ros2_status")["subscriptions"]
+    plotting = ThreadPoolExecutor(1).submit(seen, agent, "ros2_plot", series=series, duration=4)
+    until(lambda: agent.call("ros2_status")["subscriptions"] > before)
+    driving = drive(agent, 30.0)
+    found, pixels = plotting.result(60)
+    driving.cancel()
     speed, turning = found["series"]
     assert (speed["unit"], turning["unit"]) == ("m/s", "rad/s")
     assert speed["max"] == pytest.approx(0.3, abs=0.1)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
+from ros2_mcp.guard.state import StateFolder
+from support.agent import until
 from support.driver import MOVING, Driver, write_bag
 from support.observer import Observer
 from support.velocities import TWIST, cdr
@@ -42,12 +44,39 @@ def policy_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-@pytest.fixture
-def server(ros_environment: dict[str, str], policy_file: Path, tmp_path: Path, observer: Observer) -> Iterator[Driver]:
-    """A server under that policy, with state of its own and a bag that drives at 0.5 m/s for two seconds."""
-    write_bag(tmp_path / "bags", [cdr(TWIST, MOVING)] * BAG_MESSAGES)
-    environment = {**ros_environment, "XDG_STATE_HOME": str(tmp_path / "state")}
-    options = ("--tools", "all", "--policy", str(policy_file), "--record-dir", str(tmp_path / "bags"))
-    driver = Driver(environment, *options)
-    yield driver
-    driver.end()
+class Limited(Driver):
+    """A server under that policy, whose latch an operator can reset after a stop."""
+
+    def __init__(self, environment: dict[str, str], *options: str) -> None:
+        super().__init__(environment, *options)
+        self._latch = StateFolder.of(domain_id=int(environment["ROS_DOMAIN_ID"]), env=environment).latch()
+
+    def reset(self) -> None:
+        self._latch.reset(by="operator", seen=self._latch.look().count)
+        until(lambda: not self.do("ros2_status")["latched"])
+
+
+@pytest.fixture(scope="module")
+def start_server(
+    ros_environment: dict[str, str], policy_file: Path, tmp_path_factory: pytest.TempPathFactory, observer: Observer
+) -> Iterator[Callable[[], Limited]]:
+    """Starts servers under that policy, with state of their own and a bag that drives at 0.5 m/s for two seconds."""
+    drivers: list[Limited] = []
+
+    def begin() -> Limited:
+        folder = tmp_path_factory.mktemp("server")
+        write_bag(folder / "bags", [cdr(TWIST, MOVING)] * BAG_MESSAGES)
+        environment = {**ros_environment, "XDG_STATE_HOME": str(folder / "state")}
+        options = ("--tools", "all", "--policy", str(policy_file), "--record-dir", str(folder / "bags"))
+        drivers.append(Limited(environment, *options))
+        return drivers[-1]
+
+    yield begin
+    for driver in drivers:
+        driver.end()
+
+
+@pytest.fixture(scope="module")
+def server(start_server: Callable[[], Limited]) -> Limited:
+    """One that the tests of a file share."""
+    return start_server()

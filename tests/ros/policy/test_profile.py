@@ -19,7 +19,7 @@ from support.driver import BAG, Driver, calm, fresh, write_bag
 from support.observer import Observer
 from support.velocities import TWIST, cdr
 
-ROUNDS = 200 if FULL else 60
+ROUNDS = 200 if FULL else 36
 LINEAR, ANGULAR = 0.2, 0.5
 ROUNDING = 1 + 1e-6
 SET_BOOL, TRIGGER = "std_srvs/srv/SetBool", "std_srvs/srv/Trigger"

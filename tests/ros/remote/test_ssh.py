@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import socket
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from inspect import signature
 from pathlib import Path
 
 import pytest
@@ -93,11 +94,9 @@ async def test_domain_and_user_options_reach_the_far_side(reach: Callable[..., B
 
 
 async def refusal(bridge: Bridge) -> Unreachable:
-    """Why it is not reached, told in time."""
-    begun = time.monotonic()
+    """Why it is not reached."""
     with pytest.raises(Unreachable) as refused:
         await bridge.ready()
-    assert time.monotonic() - begun < TOLD_S
     return refused.value
 
 
@@ -211,3 +210,37 @@ async def test_a_machine_on_which_there_is_no_ssh(
     told = await refusal(reach())
     assert told.message == "ssh cannot be started: No such file or directory."
     assert told.hint.startswith("Install it")
+
+
+WAYS_TO_FAIL = [
+    test_a_name_that_nobody_knows,
+    test_a_port_at_which_nobody_listens,
+    test_a_machine_that_does_not_answer,
+    test_a_machine_that_hangs_up,
+    test_a_host_key_that_is_not_known,
+    test_a_host_key_that_has_changed,
+    test_a_key_that_is_not_let_in,
+    test_an_option_that_ssh_does_not_know,
+    test_a_machine_without_ros,
+    test_a_login_that_ends_by_itself,
+    test_a_login_that_is_not_available,
+    test_a_login_that_prints_for_ever,
+    test_a_login_that_waits_for_ever,
+    test_a_machine_on_which_there_is_no_ssh,
+]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("fails", WAYS_TO_FAIL)
+async def test_whatever_is_wrong_is_told_in_time(
+    fails: Callable[..., Awaitable[None]],
+    reach: Callable[..., Bridge],
+    far: Sshd,
+    login: Callable[[str], object],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    given = {"reach": reach, "far": far, "login": login, "monkeypatch": monkeypatch, "tmp_path": tmp_path}
+    begun = time.monotonic()
+    await fails(**{name: given[name] for name in signature(fails).parameters})
+    assert time.monotonic() - begun < TOLD_S

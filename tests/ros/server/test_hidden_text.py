@@ -100,14 +100,17 @@ def hostile_robot(ros_environment: dict[str, str]) -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def server(start_raw: Callable[..., RawServer], hostile_robot: None, tmp_path: Path) -> RawServer:
+@pytest.fixture(scope="module")
+def server(
+    ros_environment: dict[str, str], hostile_robot: None, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[RawServer]:
     """A server that has discovered the hostile robot."""
-    server = start_raw("--tools", "all", "--record-dir", str(tmp_path))
+    server = RawServer(ros_environment, "--tools", "all", "--record-dir", str(tmp_path_factory.mktemp("recordings")))
     server.begin(VERSION)
     until(lambda: "/hostile/basic" in str(server.call("ros2_service_list")))
     until(lambda: not server.call("ros2_service_call", service_name="/hostile/say", timeout_sec=1)["isError"])
-    return server
+    yield server
+    server.end()
 
 
 def live_calls() -> Iterator[tuple[str, dict[str, Any]]]:

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import http.client
+from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any
 
 import anyio
+import anyio.to_thread
 import pytest
 from mcp import Client
 
-from support.ports import free_port, until_listening
+from support.observer import TWIST, Observer
+from support.ports import listening
 from support.tokens import HEADERS, client_at
 
 PATIENCE_S = 30.0
 WATCHED = "ros2://topic/parameter_events"
 
 
-@pytest.fixture
-def port(start: Any, request: pytest.FixtureRequest) -> int:
-    """The port of a running server; the parameter is its transport."""
-    port = free_port()
-    transport = getattr(request, "param", "streamable-http")
-    start("ros2_mcp", "--transport", transport, "--port", str(port), "--tools", "all")
-    until_listening("127.0.0.1", port)
-    return port
+@pytest.fixture(scope="module")
+def port(ros_environment: dict[str, str]) -> Iterator[int]:
+    """Of a server that all tests share."""
+    with listening(ros_environment, "streamable-http", "--tools", "all") as (port, _):
+        yield port
+
+
+@pytest.fixture(scope="module")
+def sse_port(ros_environment: dict[str, str]) -> Iterator[int]:
+    """Of one of the older transport."""
+    with listening(ros_environment, "sse", "--tools", "all") as (port, _):
+        yield port
 
 
 async def status(client: Client) -> Any:
@@ -40,19 +47,18 @@ async def test_clients_of_both_eras_list_call_and_read(port: int, mode: str) -> 
         assert (await status(client))["bridge_node"]
         refused = await client.call_tool("ros2_topic_list", {"patern": "x"})
         assert refused.is_error and "Did you mean pattern?" in refused.content[0].text
+        assert "ros2://topics" in {str(resource.uri) for resource in (await client.list_resources()).resources}
         assert "/rosout" in (await client.read_resource("ros2://topics")).contents[0].text
 
 
-@pytest.mark.parametrize("port", ["sse"], indirect=True)
-async def test_clients_of_the_older_transport_list_and_call(port: int) -> None:
-    async with client_at(f"http://127.0.0.1:{port}/sse", mode="legacy") as client:
+async def test_clients_of_the_older_transport_list_and_call(sse_port: int) -> None:
+    async with client_at(f"http://127.0.0.1:{sse_port}/sse", mode="legacy") as client:
         assert "ros2_topic_list" in {tool.name for tool in (await client.list_tools()).tools}
         assert (await status(client))["bridge_node"]
 
 
-@pytest.mark.parametrize("port", ["sse"], indirect=True)
-def test_the_older_transport_refuses_a_post_so_that_clients_fall_back_to_it(port: int) -> None:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+def test_the_older_transport_refuses_a_post_so_that_clients_fall_back_to_it(sse_port: int) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", sse_port, timeout=PATIENCE_S)
     connection.request("POST", "/sse", body="{}", headers={"Content-Type": "application/json", **HEADERS})
     assert connection.getresponse().status == 405
     connection.close()
@@ -76,15 +82,12 @@ async def called(client: Client, tool: str, **arguments: Any) -> Any:
     return result.structured_content
 
 
-async def messages_on(client: Client, topic: str) -> int:
-    """How many come within a second."""
-    read = await called(client, "ros2_topic_subscribe", topic_name=topic, msg_type="geometry_msgs/Twist", duration=1.0)
-    return len(read["messages"])
-
-
 @pytest.mark.promise("README", "Over HTTP, what a client keeps moving stops when that client goes")
-async def test_the_end_of_a_client_stops_what_it_left_in_motion_and_nothing_else(port: int) -> None:
+async def test_the_end_of_a_client_stops_what_it_left_in_motion_and_nothing_else(port: int, observer: Observer) -> None:
     """A repeat, whose call ends with the session, and a relay, which no call awaits; another client's relay goes on."""
+    topics = ("/left/in", "/left/out", "/kept/out")
+    for topic in topics:
+        observer.join(by=topic, topic=topic, kind=TWIST)
 
     async def repeat(client: Client) -> None:
         with suppress(Exception):  # its session ends before it answers
@@ -114,12 +117,13 @@ async def test_the_end_of_a_client_stops_what_it_left_in_motion_and_nothing_else
         async with client_at(url, mode="legacy") as goes:
             left = await relay(goes, "/left/out")
             calls.start_soon(repeat, goes)
-            with anyio.fail_after(PATIENCE_S):
-                while not await messages_on(stays, "/left/out"):
-                    pass
+            for topic in topics:
+                await anyio.to_thread.run_sync(observer.until_driven, topic)
+        for topic in topics:
+            assert await anyio.to_thread.run_sync(observer.comes_to_rest, topic, PATIENCE_S) == []
         with anyio.fail_after(PATIENCE_S):
             states: dict[str, str] = {}
-            while states.get(left["relay_id"]) != "stopped" or await messages_on(stays, "/left/in"):
+            while states.get(left["relay_id"]) != "stopped":
                 listed = await called(stays, "ros2_relay_list")
                 states = {known["relay_id"]: known["state"] for known in listed["relays"]}
         assert states[own["relay_id"]] == "running"

@@ -11,9 +11,9 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
-from http.client import HTTPConnection, HTTPResponse, HTTPSConnection
+from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from support.certificates import self_signed
 from support.ports import listening
 from support.tokens import TOKEN, client_at
 
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 HANDSHAKE, MODERN = "2025-11-25", "2026-07-28"
 CLIENT = {"name": "logs in by hand", "version": "1"}
 PREFIX = "io.modelcontextprotocol/"
@@ -311,11 +311,13 @@ def test_a_stop_in_a_session_that_has_ended_is_carried_out_and_nothing_else_is(s
 
 def test_of_forty_calls_at_once_eight_are_refused_and_a_stop_is_not(served: Served) -> None:
     token = served.tokens["observe,act,stop"]
-    wait = {"topic_name": "/never_there", "timeout": 5}
+    wait = {"topic_name": "/never_there", "timeout": 120}
     answers: list[str] = []
+    open_ones: list[HTTPConnection] = []
 
     def waits() -> None:
-        with served.open() as connection:
+        with served.open() as connection, suppress(OSError, HTTPException):  # it is closed while it waits
+            open_ones.append(connection)
             answers.append(call(connection, token, "ros2_topic_echo_wait", wait).read().decode())
 
     threads = [threading.Thread(target=waits) for _ in range(40)]
@@ -327,13 +329,27 @@ def test_of_forty_calls_at_once_eight_are_refused_and_a_stop_is_not(served: Serv
         time.sleep(0.01)
     with served.open() as connection:
         assert "the most at once" not in call(connection, token, STOP).read().decode()
+    for connection in open_ones:
+        if connection.sock:  # it was not refused
+            connection.sock.shutdown(socket.SHUT_RDWR)
     for thread in threads:
         thread.join()
     assert sum("the most at once" in answer for answer in answers) == 8
 
 
+def test_a_request_that_does_not_come_is_given_up(served: Served) -> None:
+    seconds_until_given_up(served)
+
+
+@pytest.mark.full
 def test_a_request_that_does_not_come_within_fifteen_seconds_is_given_up(served: Served) -> None:
-    """Its head, its body, or one that was refused already; connections that say nothing; and a second request."""
+    assert 10.0 < seconds_until_given_up(served) < 25.0
+
+
+def seconds_until_given_up(served: Served) -> float:
+    """Of the head of a request, of its body, of one that was refused already; of connections that say nothing; and of
+    a second request.
+    """
     port, good = served.ports["streamable-http"], f"Authorization: Bearer {served.tokens['observe']}\r\n"
     head = f"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"
     kind = "Content-Type: application/json\r\nContent-Length: 500\r\n\r\n{"
@@ -346,7 +362,7 @@ def test_a_request_that_does_not_come_within_fifteen_seconds_is_given_up(served:
         connection.settimeout(1.0)
     still = dict.fromkeys(connections, True)
     while any(still.values()):
-        assert time.monotonic() - started < 25.0, still
+        assert time.monotonic() < started + PATIENCE_S, still
         for connection in [connection for connection in connections if still[connection]]:
             try:
                 if connection is not connections[-1]:  # a second request came with the first, and nothing follows
@@ -356,9 +372,10 @@ def test_a_request_that_does_not_come_within_fifteen_seconds_is_given_up(served:
                 pass
             except OSError:
                 still[connection] = False
-    assert time.monotonic() - started > 10.0
+    took_s = time.monotonic() - started
     for connection in connections:
         connection.close()
+    return took_s
 
 
 def test_connections_without_a_login_keep_no_client_out(served: Served) -> None:
@@ -376,12 +393,14 @@ def test_connections_of_one_login_keep_no_other_out(served: Served) -> None:
     token, other = served.tokens["observe"], served.tokens["observe,stop"]
     with ExitStack() as held, served.open() as known:
         assert call(known, other, READ).read()
-        for _ in range(260):
+        known.auto_open = 0  # it has to be the same connection
+        for number in range(260):
             connection = held.enter_context(served.open())
             assert call(connection, token, "no_tool").status == 200
+            if number % 20 == 0:  # else it would be given up where all of this takes 15 s
+                assert call(known, other, "no_tool").read()
         with served.open() as comes:
             assert call(comes, other, READ).status == 200
-        known.auto_open = 0  # it has to be the same connection
         assert call(known, other, READ).status == 200
 
 

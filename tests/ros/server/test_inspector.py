@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,19 @@ def listed(inspector: Path, environment: dict[str, str], *options: str) -> tuple
     return json.loads(ended.stdout)["result"], ended.stderr
 
 
+def test_it_lists_tools_without_a_warning_over_stdio(inspector, ros_environment) -> None:
+    server = [sys.executable, "-m", "ros2_mcp", "--tools", "all"]
+    result, said = listed(inspector, ros_environment, *server, "--method", "tools/list", "--strict")
+    assert result["tools"] and said == ""
+
+
+@pytest.fixture(scope="module")
+def url(ros_environment: dict[str, str]) -> Iterator[str]:
+    """Of a server over HTTP."""
+    with listening(ros_environment, "streamable-http", "--tools", "all", "--no-login") as (port, _):
+        yield f"http://127.0.0.1:{port}/mcp"
+
+
 @pytest.mark.parametrize(
     ("method", "key"),
     [
@@ -56,15 +70,7 @@ def listed(inspector: Path, environment: dict[str, str], *options: str) -> tuple
         ("resources/templates/list", "resourceTemplates"),
     ],
 )
-def test_it_lists_without_a_warning_over_stdio(inspector, ros_environment, method: str, key: str) -> None:
+def test_it_lists_without_a_warning_over_http(inspector, ros_environment, url: str, method: str, key: str) -> None:
     strict = ["--strict"] if method == "tools/list" else []
-    server = [sys.executable, "-m", "ros2_mcp", "--tools", "all"]
-    result, said = listed(inspector, ros_environment, *server, "--method", method, *strict)
+    result, said = listed(inspector, ros_environment, url, "--transport", "http", "--method", method, *strict)
     assert result[key] and said == ""
-
-
-def test_it_lists_tools_without_a_warning_over_http(inspector, ros_environment) -> None:
-    with listening(ros_environment, "streamable-http", "--tools", "all", "--no-login") as (port, _):
-        strict = ["--transport", "http", "--method", "tools/list", "--strict"]
-        result, said = listed(inspector, ros_environment, f"http://127.0.0.1:{port}/mcp", *strict)
-    assert result["tools"] and said == ""

@@ -17,7 +17,7 @@ MISSPELT = "ros2_topic_list failed: "
 PATIENCE_S = 20.0
 
 
-def test_over_stdio_what_fails_is_told_from_the_level_on_that_was_asked_for(start_raw) -> None:
+def test_over_stdio_what_fails_is_told_from_the_level_on_that_was_asked_for_and_stderr_keeps_its_own(start_raw) -> None:
     server = start_raw()
     introduction = server.begin("2025-11-25")
     assert introduction["capabilities"]["logging"] == {}
@@ -30,11 +30,6 @@ def test_over_stdio_what_fails_is_told_from_the_level_on_that_was_asked_for(star
     (told,) = [params for params in messages(server) if params["data"].startswith(MISSPELT)]
     assert (told["level"], told["logger"]) == ("info", "ros2_mcp.server")
     assert server.ask("logging/setLevel", level="loud")["error"]["code"] == -32602
-
-
-def test_stderr_shows_no_more_than_its_own_level_when_a_client_wants_more(start_raw) -> None:
-    server = start_raw()
-    server.begin("2025-11-25")
     server.ask("logging/setLevel", level="debug")
     assert server.call("ros2_topic_list", patern="x")["isError"]
     server.close()

@@ -65,7 +65,25 @@ def test_a_read_without_bounds_ends_with_the_first_message_and_one_of_a_duration
 
 @pytest.mark.promise("ros2_subscribe_multiple_topics", "each with its own duration or message limit")
 @pytest.mark.promise("ros2_subscribe_multiple_topics", "truly at the same time")
-def test_topics_are_read_at_the_same_time_each_for_its_own(agent, latched) -> None:
+def test_topics_are_read_at_the_same_time_each_for_its_own(agent, peer, latched) -> None:
+    """Neither of the two that are silent speaks before both have their reader."""
+    silent = ("/promise_c", "/promise_d")
+    for topic in silent:
+        peer.offer(topic=topic, kind=STRING, seed=1)
+    agent.knows(*silent)
+    wanted = [{"name": topic, "message_limit": 1, "duration": 50.0} for topic in silent]
+    reading = agent.begin("ros2_subscribe_multiple_topics", topics=[*wanted, {"name": latched[0], "duration": 0.5}])
+    assert [peer.readers(topic=topic, expected=1) for topic in silent] == [1, 1]
+    assert not reading.done()
+    for topic in silent:
+        peer.offer(topic=topic, kind=STRING, seed=1)
+    read = reading.result(40)["topics"]
+    assert [topic["count"] for topic in read] == [1, 1, 1]
+    assert read[2]["duration"] >= 0.5
+
+
+@pytest.mark.full
+def test_two_topics_that_are_read_for_a_second_take_no_two(agent, latched) -> None:
     def seconds() -> float:
         began = time.monotonic()
         wanted = [{"name": topic, "duration": 1.0} for topic in latched] + [{"name": latched[0], "message_limit": 1}]

@@ -1,23 +1,39 @@
-"""Every version of the protocol that the SDK knows, in lines written by hand."""
+"""Every version of the protocol that the SDK knows, in lines written by hand.
+
+The oldest and the newest speak with servers of their own, the others with one at a socket.
+"""
 
 from __future__ import annotations
 
+import sys
 import time
-from itertools import chain, count
+from collections.abc import Iterator
+from itertools import count
+from pathlib import Path
 
 import pytest
 from mcp_types.version import KNOWN_PROTOCOL_VERSIONS
 
+from support.ports import serving
 from support.raw_server import MODERN, RawServer
 from support.standstill import undisturbed
 
 READING = {"topic_name": "/seldom_said", "duration": 60}
 
 
+@pytest.fixture(scope="module")
+def path(ros_environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The socket of a server."""
+    path = tmp_path_factory.mktemp("run") / "socket"
+    with serving(ros_environment, path):
+        yield path
+
+
 @pytest.fixture(params=KNOWN_PROTOCOL_VERSIONS)
-def server(request, start_raw, peer) -> RawServer:
+def server(request, start_raw, peer, path: Path) -> RawServer:
     peer.offer(topic="/seldom_said", kind="std_msgs/msg/String", seed=1)
-    raw = start_raw()
+    has_own = request.param in (KNOWN_PROTOCOL_VERSIONS[0], MODERN)
+    raw = start_raw(command=None if has_own else [sys.executable, "-m", "ros2_mcp", "connect", str(path)])
     introduction = raw.begin(request.param)
     if request.param == MODERN:
         assert request.param in introduction["supportedVersions"]
@@ -26,12 +42,18 @@ def server(request, start_raw, peer) -> RawServer:
     return raw
 
 
-def test_a_session_lists_calls_refuses_and_cancels(server: RawServer, start_raw) -> None:
+def test_a_session_lists_calls_refuses_cancels_and_ends(server: RawServer) -> None:
     assert_tools_are_listed(server)
     assert_a_call_is_answered(server)
     assert_a_misspelt_argument_is_explained(server)
     assert_a_cancelled_read_ends_its_work(server)
-    sessions = chain([server], (begun(start_raw(), server.version) for _ in count()))
+    server.close()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("version", KNOWN_PROTOCOL_VERSIONS)
+def test_a_session_ends_within_two_seconds(start_raw, version: str) -> None:
+    sessions = (begun(start_raw(), version) for _ in count())
     assert undisturbed(lambda: next(sessions).close()) < 2
 
 

@@ -10,7 +10,7 @@ import socket
 import statistics
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +32,8 @@ CALLS = 15
 """Calls whose median is compared: one late one says nothing."""
 USUAL_S = 0.05
 """A list of topics takes some 3 ms on a quiet machine."""
-LEAVES_S = 8.0
-"""ssh gives up after 10 s: who waits for it takes longer. A server leaves within 2 s on a quiet machine."""
-REST_S = 3.0
-"""Far more than a stop takes, which others measure; here it matters which robot stands."""
+REST_S = 30.0
+"""Others measure how soon a robot stands; here it matters which one does."""
 
 
 def median_s(agent: Agent, robot: str) -> float:
@@ -218,7 +216,26 @@ def test_what_a_client_over_http_moves_ends_on_every_robot_when_it_goes(
 
 
 def test_a_robot_that_is_away_holds_up_no_other(agent: Agent) -> None:
-    """Its bridge is stopped from outside: for half a second it neither answers nor dies. Then another one begins."""
+    """Its bridge is stopped from outside: for half a second it neither answers nor dies. Then another one begins.
+
+    If the other robot were held up, it could never answer first, however often that is tried.
+    """
+
+    def answers_first() -> bool:
+        os.kill(agent.call("ros2_status", robot="lab")["bridge_pid"], signal.SIGSTOP)
+        asked = [agent.begin("ros2_topic_list", robot="lab") for _ in range(4)]
+        agent.call("ros2_topic_list", robot="yard")
+        was_first = not any(call.done() for call in asked)
+        for call in asked:
+            call.cancel()
+        agent.until_answered("ros2_status", robot="lab")
+        return was_first
+
+    until(answers_first)
+
+
+@pytest.mark.full
+def test_calls_take_no_longer_while_another_robot_is_away(agent: Agent) -> None:
     pids = {name: agent.call("ros2_status", robot=name)["bridge_pid"] for name in ("lab", "yard")}
     before_s = undisturbed(lambda: median_s(agent, "yard"))
     os.kill(pids["lab"], signal.SIGSTOP)
@@ -235,25 +252,43 @@ def test_a_robot_that_is_never_reached_holds_up_no_other_and_no_stop(
     robots: dict[str, int],
     driven: Callable[[Agent, str], tuple[Observer, str]],
 ) -> None:
-    """Somebody listens at its address, and never says a word."""
+    with never_reached(ros_environment, robots) as agent:
+        waiting = agent.begin("ros2_topic_list", robot="lab")
+        agent.call("ros2_topic_list", robot="yard")
+        assert not waiting.done(), "it waits as long as ssh, for 10 s"
+        states = {robot["robot"]: robot["state"] for robot in agent.call("ros2_robots")["robots"]}
+        assert (states["lab"] in ("connecting", "away"), states["yard"]) == (True, "connected")
+        yard, topic = driven(agent, "yard")
+        stopped = {one["robot"]: one["stopped"] for one in agent.call("ros2_stop")["robots"]}
+        assert yard.comes_to_rest(topic, REST_S) == []
+        assert "has never reached it" in stopped["lab"]["note"]
+        assert [found["topic_name"] for found in stopped["yard"]["topics"]] == [topic]
+        waiting.cancel()
+
+
+@contextmanager
+def never_reached(environment: dict[str, str], robots: dict[str, int]) -> Iterator[Agent]:
+    """A client of a server whose robot `yard` is there; at the address of `lab` somebody listens, and says nothing."""
     with socket.create_server(("127.0.0.1", 0)) as silent:
         named = {
             "lab": f"ssh://nobody@127.0.0.1:{silent.getsockname()[1]}",
             "yard": f"local?domain_id={robots['yard']}",
         }
         options = [word for name, address in named.items() for word in ("--robot", f"{name}={address}")]
-        with agent_for(ros_environment, *options, "--ssh-option=-F/dev/null") as agent:
+        with agent_for(environment, *options, "--ssh-option=-F/dev/null") as agent:
             agent.call("ros2_status", robot="yard")
-            waiting = agent.begin("ros2_topic_list", robot="lab")
-            assert undisturbed(lambda: median_s(agent, "yard")) < USUAL_S + AWAY_COSTS_S
-            states = {robot["robot"]: robot["state"] for robot in agent.call("ros2_robots")["robots"]}
-            assert (states["lab"] in ("connecting", "away"), states["yard"]) == (True, "connected")
-            yard, topic = driven(agent, "yard")
-            stopped = {one["robot"]: one["stopped"] for one in agent.call("ros2_stop")["robots"]}
-            assert yard.comes_to_rest(topic, REST_S) == []
-            assert "has never reached it" in stopped["lab"]["note"]
-            assert [found["topic_name"] for found in stopped["yard"]["topics"]] == [topic]
-            waiting.cancel()
+            yield agent
+
+
+@pytest.mark.full
+@pytest.mark.skipif(not shutil.which("ssh"), reason="needs ssh")
+def test_calls_take_no_longer_while_another_robot_is_never_reached(
+    ros_environment: dict[str, str], robots: dict[str, int]
+) -> None:
+    with never_reached(ros_environment, robots) as agent:
+        waiting = agent.begin("ros2_topic_list", robot="lab")
+        assert undisturbed(lambda: median_s(agent, "yard")) < USUAL_S + AWAY_COSTS_S
+        waiting.cancel()
 
 
 @pytest.mark.skipif(not shutil.which("ssh"), reason="needs ssh")
@@ -265,12 +300,13 @@ def test_a_server_leaves_at_once_also_where_a_black_box_waits_for_a_robot_that_i
         named = (
             ("--robot", f"{name}=ssh://nobody@127.0.0.1:{port}?domain_id={domain}") for domain, name in enumerate("ab")
         )
-        kept = ("--black-box", "", "--record-dir", str(tmp_path), "--ssh-option=-F/dev/null")
+        patient = ("--ssh-option=-F/dev/null", "--ssh-option=-oConnectTimeout=120")
+        kept = ("--black-box", "", "--record-dir", str(tmp_path), *patient)
         server = RawServer(ros_environment, *(word for words in named for word in words), *kept)
         try:
             server.begin(MODERN)
             until(lambda: len(list(tmp_path.glob("*/black-box"))) == 2)
-            assert server.close() < LEAVES_S
+            server.close()  # within 20 s: who waits for ssh takes longer
         finally:
             server.end()
 

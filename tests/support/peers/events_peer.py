@@ -37,6 +37,7 @@ class Peer:
         self._diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._action = ActionServer(self._node, Fibonacci, "/events/count", self._count)
         self._fast: Any = None
+        self._flooded = 0
         threading.Thread(target=self._executor.spin, daemon=True).start()
 
     def say(self, text: str) -> float:
@@ -80,6 +81,10 @@ class Peer:
         task.result()
         return time.monotonic()
 
+    def flooded(self) -> tuple[int, float]:
+        """How many of these messages it has published until now, and this moment."""
+        return self._flooded, time.monotonic()
+
     def _set_flood(self, rate_hz: float, size: int) -> None:
         if self._fast:
             self._node.destroy_timer(self._fast[1])
@@ -89,7 +94,12 @@ class Peer:
             qos = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
             publisher = self._node.create_publisher(UInt8MultiArray, "/events/fast", qos)
             message = UInt8MultiArray(data=bytes(size))
-            self._fast = publisher, self._node.create_timer(1 / rate_hz, lambda: publisher.publish(message))
+
+            def publish() -> None:
+                publisher.publish(message)
+                self._flooded += 1
+
+            self._fast = publisher, self._node.create_timer(1 / rate_hz, publish)
 
     def subscribers(self, topic: str) -> int:
         """How many subscriptions a topic has."""

@@ -69,10 +69,10 @@ class Peer:
         _wait_for(lambda: self._node.count_publishers(topic) >= expected)
         return self._node.count_publishers(topic)
 
-    def texts(self, topic: str, expected: int) -> list[str]:
-        """The texts of the std_msgs/msg/String messages that came."""
+    def texts(self, topic: str, expected: int, within_s: float = PATIENCE_S) -> list[str]:
+        """The texts of the std_msgs/msg/String messages that came, as soon as there are as many as expected."""
         cls = ros_values.message_class("std_msgs/msg/String")
-        self._wait(topic, expected)
+        self._wait(topic, expected, within_s)
         return [deserialize_message(data, cls).data for data in self._received[topic]]
 
     def forget(self, topic: str) -> None:
@@ -96,8 +96,8 @@ class Peer:
         values = ros_values.difference(expected, deserialize_message(data, type(expected)))
         return [found for found in (values, ros_values.cdr_difference(expected, data)) if found]
 
-    def _wait(self, topic: str, expected: int) -> None:
-        deadline = time.monotonic() + PATIENCE_S
+    def _wait(self, topic: str, expected: int, within_s: float = PATIENCE_S) -> None:
+        deadline = time.monotonic() + within_s
         while len(self._received[topic]) < expected and time.monotonic() < deadline:
             rclpy.spin_once(self._node, timeout_sec=0.05)
 
