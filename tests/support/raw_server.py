@@ -16,7 +16,7 @@ from typing import Any
 
 MODERN = "2026-07-28"
 CLIENT = {"name": "lines by hand", "version": "1"}
-ANSWER_S = 30.0
+ANSWER_S = 60.0
 
 
 class RawServer:
