@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from support.agent import until
+from support.agent import FULL, until
 from support.browser import CHROMIUM, Page, browsing
 from support.room_bag import room_bag
 from support.scripted_view import Answer, ScriptedView, good, scripted, updated
@@ -39,7 +39,7 @@ LIVE = f"{text('#state')} === 'live'"
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    with browsing() as page:
+    with browsing(graphics=FULL) as page:
         page.look()
         yield page
 
