@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +50,26 @@ def state(tmp_path: Path) -> Path:
 @pytest.fixture
 def options(tmp_path: Path) -> list[str]:
     """Of a server under the policy."""
-    file = tmp_path / "policy.yaml"
-    file.write_text(policy(tmp_path / "state"))
+    return options_in(tmp_path)
+
+
+def options_in(folder: Path) -> list[str]:
+    file = folder / "policy.yaml"
+    file.write_text(policy(folder / "state"))
     file.chmod(0o600)
-    return ["--policy", str(file), "--tools", "all", "--record-dir", str(tmp_path / "recordings")]
+    return ["--policy", str(file), "--tools", "all", "--record-dir", str(folder / "recordings")]
+
+
+@pytest.fixture(scope="module")
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("shared")
+
+
+@pytest.fixture(scope="module")
+def shared_agent(ros_environment: dict[str, str], shared_folder: Path) -> Iterator[Agent]:
+    """Of a server under the policy that several tests share."""
+    with agent_for(ros_environment, *options_in(shared_folder)) as agent:
+        yield agent.knows(TOPIC)
 
 
 def operate(state: Path, *words: str) -> str:
@@ -110,16 +127,15 @@ def test_what_a_person_has_approved_is_carried_out_once_and_the_audit_and_a_reco
     assert len(digests) == 1
 
 
-def test_the_audit_has_calls_that_did_not_come_as_far_as_the_policy(
-    ros_environment: dict[str, str], options: list[str]
-) -> None:
-    with agent_for(ros_environment, *options) as agent:
-        agent.refusal("ros2_topic_publish", topic_name=TOPIC, message_type="no_such_msgs/msg/Thing", data={})
-        agent.refusal("ros2_topic_publish", topic=TOPIC, speed=50)
-        agent.refusal("ros2_topic_info", topic_name="/not_there")  # reads
-        acts = agent.call("ros2_audit_read")["acts"]
-        assert [(act["tool"], act["verb"]) for act in acts] == [("ros2_topic_publish", "refused")] * 2
-        assert "no_such_msgs/msg/Thing" in acts[0]["reason"] and "speed" in acts[1]["reason"]
+def test_the_audit_has_calls_that_did_not_come_as_far_as_the_policy(observer: Observer, shared_agent: Agent) -> None:
+    agent = shared_agent
+    before = len(agent.call("ros2_audit_read")["acts"])
+    agent.refusal("ros2_topic_publish", topic_name=TOPIC, message_type="no_such_msgs/msg/Thing", data={})
+    agent.refusal("ros2_topic_publish", topic=TOPIC, speed=50)
+    agent.refusal("ros2_topic_info", topic_name="/not_there")  # reads
+    acts = agent.call("ros2_audit_read")["acts"][before:]
+    assert [(act["tool"], act["verb"]) for act in acts] == [("ros2_topic_publish", "refused")] * 2
+    assert "no_such_msgs/msg/Thing" in acts[0]["reason"] and "speed" in acts[1]["reason"]
 
 
 def refused_recording(agent: Agent) -> str:
@@ -160,8 +176,9 @@ def test_under_a_policy_nothing_is_done_that_cannot_be_written_down(
 
 
 def test_a_program_waits_for_a_person_and_a_dry_run_tells_what_would_be_held(
-    ros_environment: dict[str, str], observer: Observer, options: list[str], state: Path
+    observer: Observer, shared_agent: Agent, shared_folder: Path
 ) -> None:
+    agent, state = shared_agent, shared_folder / "state" / "hall-3"
     pytest.importorskip("pydantic_monty", reason="needs the extra programs")
     code = """import robot
 def drive(speed):
@@ -179,22 +196,20 @@ drive(0.2)
         before = operate(state).partition(line)[0]
         return re.findall(r"\b[A-Z0-9]{4}\b", before)[-1]
 
-    with agent_for(ros_environment, *options) as agent:
-        agent.knows(TOPIC)
-        observer.forget()
-        other = 'robot.publish("/other", {"data": 1}, message_type="std_msgs/msg/UInt64")\n'
-        dry = agent.call("ros2_run", program=f"{code}{other}", dry_run=True)
-        assert [(one["line"], one["outcome"].partition(": ")[2][:25]) for one in dry["commands"]] == [
-            (3, "would wait for a person's"),
-            (3, "would wait for a person's"),
-            (7, "would be refused: Publish"),
-        ], dry
-        running = agent.begin("ros2_run", program=code, timeout=60)
-        operate(state, "approve", waiting(0.1))
-        observer.until_driven(TOPIC, of=4)
-        assert not running.done()
-        operate(state, "deny", waiting(0.2))
-        ran = running.result(60)
-        assert (ran["outcome"], ran["printed"], ran["error"]["line"]) == ("failed", ["went"], 3), ran
-        assert "denied" in ran["error"]["message"]
-        assert set(observer.driven(topic=TOPIC).values()) == {1}
+    observer.forget()
+    other = 'robot.publish("/other", {"data": 1}, message_type="std_msgs/msg/UInt64")\n'
+    dry = agent.call("ros2_run", program=f"{code}{other}", dry_run=True)
+    assert [(one["line"], one["outcome"].partition(": ")[2][:25]) for one in dry["commands"]] == [
+        (3, "would wait for a person's"),
+        (3, "would wait for a person's"),
+        (7, "would be refused: Publish"),
+    ], dry
+    running = agent.begin("ros2_run", program=code, timeout=60)
+    operate(state, "approve", waiting(0.1))
+    observer.until_driven(TOPIC, of=4)
+    assert not running.done()
+    operate(state, "deny", waiting(0.2))
+    ran = running.result(60)
+    assert (ran["outcome"], ran["printed"], ran["error"]["line"]) == ("failed", ["went"], 3), ran
+    assert "denied" in ran["error"]["message"]
+    assert set(observer.driven(topic=TOPIC).values()) == {1}

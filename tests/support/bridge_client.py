@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import struct
 import subprocess
 import time
@@ -23,6 +24,17 @@ def cdr_string(text: str) -> bytes:
     """A std_msgs/msg/String in CDR."""
     data = text.encode() + b"\0"
     return b"\0\1\0\0" + struct.pack("<I", len(data)) + data
+
+
+def line(process: subprocess.Popen[bytes]) -> str:
+    """The next line that a peer prints."""
+    assert process.stdout
+    return process.stdout.readline().decode().strip()
+
+
+def says(process: subprocess.Popen[bytes]) -> bool:
+    """Whether a peer has printed something."""
+    return bool(select.select([process.stdout], [], [], 0)[0])
 
 
 class Client:

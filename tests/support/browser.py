@@ -22,17 +22,15 @@ CHROMIUM = None if QUICK else next(filter(None, map(shutil.which, _NAMES)), None
 PATIENCE_S = 30.0
 _OPTIONS = (
     *("--headless=new", "--no-sandbox", "--remote-debugging-pipe", "--hide-scrollbars", "--mute-audio"),
-    *(
-        "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader",
-        "--disable-dev-shm-usage",
-        "--no-first-run",
-        "--disable-background-networking",
-    ),
+    *("--disable-dev-shm-usage", "--no-first-run", "--disable-background-networking"),
     *("--disable-site-isolation-trials", "--disable-features=IsolateSandboxedIframes,IsolateOrigins,site-per-process"),
 )
 """All frames of a page in one process, so that what they complain about is heard. `--no-sandbox` is for
 root in a container, which is what runs the tests."""
+
+_GRAPHICS = "--use-angle=swiftshader", "--enable-unsafe-swiftshader"
+"""WebGL in software, and all else is drawn by it, too: twice the time of processors."""
+_NO_GRAPHICS = "--disable-gpu", "--disable-software-rasterizer"
 
 
 class Page:
@@ -161,13 +159,19 @@ class Page:
 
 
 @contextmanager
-def browsing() -> Iterator[Page]:
-    """A browser with one page, for the time of a block."""
+def browsing(*, graphics: bool = False) -> Iterator[Page]:
+    """A browser with one page, for the time of a block; `graphics`: with WebGL, which the panel of space needs."""
     assert CHROMIUM, "needs Chromium"
     to_browser, from_us = os.pipe()
     to_us, from_browser = os.pipe()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        command = [CHROMIUM, *_OPTIONS, f"--user-data-dir={profile}", "about:blank"]
+        command = [
+            CHROMIUM,
+            *_OPTIONS,
+            *(_GRAPHICS if graphics else _NO_GRAPHICS),
+            f"--user-data-dir={profile}",
+            "about:blank",
+        ]
         # It reads commands at 3 and writes answers at 4; bash puts the pipes there, whatever their numbers are.
         moved = ["bash", "-c", f'exec 3<&{to_browser} 4>&{from_browser}; exec "$@"', "bash", *command]
         nothing = subprocess.DEVNULL

@@ -48,6 +48,7 @@ class SocketCarrier(asyncio.Protocol):
         self._free = asyncio.Event()
         self._free.set()
         self._gone = asyncio.Event()
+        self.received_bytes = self.written_bytes = 0
 
     # ── a carrier ──────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -58,6 +59,7 @@ class SocketCarrier(asyncio.Protocol):
 
     def write(self, data: bytes) -> None:
         if self._transport and not self._transport.is_closing():
+            self.written_bytes += len(data)
             self._transport.write(data)
 
     async def writable(self) -> None:
@@ -97,6 +99,7 @@ class SocketCarrier(asyncio.Protocol):
     # ── what asyncio says of the socket ────────────────────────────────────────────────────────────────────────
 
     def data_received(self, data: bytes) -> None:
+        self.received_bytes += len(data)
         self._received(data)
 
     def pause_writing(self) -> None:

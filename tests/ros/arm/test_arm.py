@@ -64,7 +64,7 @@ def test_the_scene_shows_the_arm_where_its_joints_are(agent, witness) -> None:
 
 @pytest.mark.skipif(not CHROMIUM, reason="needs Chromium")
 def test_the_page_shows_the_arm_its_links_and_its_joints(agent, ros_environment: dict[str, str]) -> None:
-    with viewing(ros_environment) as address, browsing() as page:
+    with viewing(ros_environment) as address, browsing(graphics=True) as page:
         page.look()
         page.open(address)
         page.until("/Robot at 0.00, 0.00 metres in world/.test(document.querySelector('#map canvas').ariaLabel)")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -33,24 +32,13 @@ def start_agent(ros_environment: dict[str, str]) -> Iterator[Callable[..., Agent
         )
 
 
-@pytest.fixture(scope="module")
-def waiting_servers(ros_environment: dict[str, str]) -> Iterator[deque[RawServer]]:
-    """Servers that are started while the tests before still run: they have seen who is there."""
-    servers = deque(RawServer(ros_environment, "--tools", "all") for _ in range(2))
-    yield servers
-    for server in servers:
-        server.end()
-
-
 @pytest.fixture
-def start_raw(waiting_servers: deque[RawServer], ros_environment: dict[str, str]) -> Iterator[Callable[[], RawServer]]:
-    """Get a server whose lines the test writes and reads itself."""
+def start_raw(nursery: Nursery, ros_environment: dict[str, str]) -> Iterator[Callable[[], RawServer]]:
+    """Start a server whose lines the test writes and reads itself."""
     servers: list[RawServer] = []
 
     def begin() -> RawServer:
-        waiting_servers.append(RawServer(ros_environment, "--tools", "all"))
-        outlives_test(waiting_servers[-1].process.pid)
-        servers.append(waiting_servers.popleft())
+        servers.append(RawServer(ros_environment, "--tools", "all"))
         return servers[-1]
 
     yield begin

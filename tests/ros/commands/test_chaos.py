@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -12,11 +13,9 @@ import pytest
 from support.agent import FULL, Refusal
 from support.standstill import undisturbed
 
-ROUNDS = 200 if FULL else 3
+ROUNDS = 200 if FULL else 2
 PROCESSES = 200 if FULL else 1
 """Rounds that start processes."""
-LATE_S = 10.0
-"""A killed process can hold up the middleware of those that knew it for seconds (decision 12)."""
 AT_ONCE = 3
 """Such rounds run side by side: while one waits out its time, another discovers its server."""
 STILL_WORKING = "It may still be working on it; a longer timeout_sec waits for longer."
@@ -74,27 +73,24 @@ def test_a_service_server_that_is_killed_during_a_call(agent, start_peer) -> Non
 
     def one_round() -> None:
         peer = start_peer("dumb")
-        started, call = time.monotonic(), begin_call(agent, peer.name("mute"), 3.0)
+        call = begin_call(agent, peer.name("mute"), 3.0)
         wait_until(lambda: peer.take(name="mute"), call)
         peer.kill()
         assert str(call.exception(20)) == f"TimedOut: {peer.name('mute')} did not answer within 3 s. {STILL_WORKING}"
-        assert 3.0 <= time.monotonic() - started < 3.0 + LATE_S
 
     side_by_side(one_round)
 
 
 def test_a_service_server_that_leaves_during_a_call(agent, start_peer) -> None:
-    """Ended with SIGTERM, it says goodbye to ROS: the call ends at once."""
+    """Ended with SIGTERM, it says goodbye to ROS: the call ends long before its time is over."""
 
     def one_round() -> None:
         peer = start_peer("dumb")
-        call = begin_call(agent, peer.name("mute"), 20.0)
+        call = begin_call(agent, peer.name("mute"), 50.0)
         wait_until(lambda: peer.take(name="mute"), call)
         peer.terminate()
-        left = time.monotonic()
-        said = str(call.exception(20))
+        said = str(call.exception(60))
         assert said.startswith(f"NotFound: The server of {peer.name('mute')} disappeared before it answered.")
-        assert time.monotonic() - left < LATE_S
 
     side_by_side(one_round)
 
@@ -102,28 +98,33 @@ def test_a_service_server_that_leaves_during_a_call(agent, start_peer) -> None:
 def test_a_service_server_that_dies_of_a_call(agent, start_peer) -> None:
     def one_round() -> None:
         peer = start_peer("services")
-        started, call = time.monotonic(), begin_call(agent, peer.name("fatal"), 1.0)
-        said = str(call.exception(20))
+        said = str(begin_call(agent, peer.name("fatal"), 1.0).exception(20))
         if NOT_SENT in said:
             raise TooLate(said)
         assert said == f"TimedOut: {peer.name('fatal')} did not answer within 1 s. {STILL_WORKING}"
-        assert 1.0 <= time.monotonic() - started < 1.0 + LATE_S
 
     side_by_side(one_round)
 
 
 def test_a_service_server_that_never_answers(agent, robot) -> None:
-    def seconds() -> float:
-        started = time.monotonic()
-        said = str(begin_call(agent, robot.name("mute"), 0.2).exception(20))
-        took = time.monotonic() - started
-        if NOT_SENT in said:
-            return LATE_S
-        assert said == f"TimedOut: {robot.name('mute')} did not answer within 0.2 s. {STILL_WORKING}"
-        return took
+    never_answered_s(agent, robot)
 
+
+@pytest.mark.full
+def test_a_call_that_is_never_answered_ends_within_a_second_of_its_time(agent, robot) -> None:
     for _ in range(ROUNDS):
-        assert undisturbed(seconds) < 1.0
+        assert undisturbed(lambda: never_answered_s(agent, robot)) < 1.0
+
+
+def never_answered_s(agent, robot) -> float:
+    """How long a call took that may take 0.2 s."""
+    started = time.monotonic()
+    said = str(begin_call(agent, robot.name("mute"), 0.2).exception(20))
+    took = time.monotonic() - started
+    if NOT_SENT in said:
+        return math.inf
+    assert said == f"TimedOut: {robot.name('mute')} did not answer within 0.2 s. {STILL_WORKING}"
+    return took
 
 
 def test_an_action_server_that_is_killed_while_executing_and_started_again(agent, start_peer) -> None:
@@ -132,12 +133,11 @@ def test_an_action_server_that_is_killed_while_executing_and_started_again(agent
     def one_round() -> None:
         peer = start_peer("counting")
         action = peer.name("count")
-        started, waiting = time.monotonic(), begin_goal(agent, action, 5000, 1.5)
+        waiting = begin_goal(agent, action, 5000, 1.5)
         wait_until(lambda: peer.count(name="count executing"), waiting)
         peer.kill()
         ended = waiting.result(20)
         assert (ended["status"], ended["accepted"], ended["result"]) == ("TIMEOUT", True, None)
-        assert time.monotonic() - started < 1.5 + LATE_S
         again = start_peer("counting", namespace=peer.namespace, is_new=True)
         wait_until(lambda: status(agent, action, ended["goal_id"]) == "UNKNOWN")
         assert begin_goal(agent, action, 1, 10.0).result(20)["status"] == "SUCCEEDED"
@@ -157,20 +157,18 @@ def status(agent, action: str, goal_id: str) -> str:
 
 
 def test_an_action_server_that_leaves_while_executing(agent, start_peer) -> None:
-    """Ended with SIGTERM, it says goodbye to ROS: the waiting ends at once."""
+    """Ended with SIGTERM, it says goodbye to ROS: the waiting ends long before its time is over."""
 
     def one_round() -> None:
         peer = start_peer("raw")
-        waiting = begin_goal(agent, peer.name("raw"), 1, 20.0)
+        waiting = begin_goal(agent, peer.name("raw"), 1, 50.0)
         wait_until(lambda: peer.take(name="raw"), waiting)
         peer.terminate()
-        left = time.monotonic()
-        said = str(waiting.exception(20))
+        said = str(waiting.exception(60))
         assert said.startswith(
             f"NotFound: The server of {peer.name('raw')} is not there, or left before the goal ended."
         )
         assert said.endswith(" had been accepted.")
-        assert time.monotonic() - left < LATE_S
 
     side_by_side(one_round)
 
@@ -207,21 +205,41 @@ def test_a_server_that_refuses_cancelling(agent, robot) -> None:
 
 
 def test_results_asked_for_twice_at_once_of_unknown_goals_and_of_forgotten_ones(agent, robot) -> None:
-    action, sent = robot.name("forget"), []
+    """Of a goal that is kept for a second: who is held up for longer asks for one that has been forgotten."""
+    action, goal_ids = robot.name("forget"), []
 
-    def ask(goal_id: str):
-        return agent.begin("ros2_action_request_result", action_name=action, goal_id_hex=goal_id, timeout_sec=20)
+    def is_told() -> bool:
+        goal_id, statuses = asked_at_once(agent, action)
+        goal_ids.append(goal_id)
+        assert statuses[2] == "UNKNOWN"
+        return statuses[:2] == ["SUCCEEDED", "SUCCEEDED"]
 
+    for _ in range(ROUNDS):
+        wait_until(is_told)
+    wait_until(lambda: result_of(agent, action, goal_ids[-1]).result(40)["status"] == "UNKNOWN")
+    for goal_id in goal_ids:
+        assert result_of(agent, action, goal_id).result(40)["status"] == "UNKNOWN"
+
+
+@pytest.mark.full
+def test_results_asked_for_at_once_come_while_the_goal_is_kept(agent, robot) -> None:
     def seconds() -> float:
         started = time.monotonic()
-        sent.append(agent.call("ros2_send_action_goal", action_name=action, goal_fields={"order": 2})["goal_id"])
-        asked = [ask(sent[-1]), ask(sent[-1]), ask(UNKNOWN_ID)]
-        statuses, took = [one.result(40)["status"] for one in asked], time.monotonic() - started
+        _, statuses = asked_at_once(agent, robot.name("forget"))
+        took = time.monotonic() - started
         assert took >= KEPT_S or statuses == ["SUCCEEDED", "SUCCEEDED", "UNKNOWN"]
         return took
 
     for _ in range(ROUNDS):
         assert undisturbed(seconds) < KEPT_S
-    wait_until(lambda: ask(sent[-1]).result(40)["status"] == "UNKNOWN")
-    for goal_id in sent:
-        assert ask(goal_id).result(40)["status"] == "UNKNOWN"
+
+
+def asked_at_once(agent, action: str) -> tuple[str, list[str]]:
+    """A new goal, and the statuses when it is asked for twice at once, beside a goal that there never was."""
+    goal_id = agent.call("ros2_send_action_goal", action_name=action, goal_fields={"order": 2})["goal_id"]
+    asked = [result_of(agent, action, each) for each in (goal_id, goal_id, UNKNOWN_ID)]
+    return goal_id, [one.result(40)["status"] for one in asked]
+
+
+def result_of(agent, action: str, goal_id: str):
+    return agent.begin("ros2_action_request_result", action_name=action, goal_id_hex=goal_id, timeout_sec=20)

@@ -7,7 +7,6 @@ import time
 import pytest
 
 from support.agent import FULL, until
-from support.standstill import undisturbed
 
 FIBONACCI = "test_msgs/action/Fibonacci"
 UNKNOWN_ID = "0123456789abcdef" * 2
@@ -26,10 +25,10 @@ def cancel(agent, action: str, **options):
 
 
 def test_a_goal_whose_acceptance_is_not_answered_is_known_from_the_status(agent, start_peer) -> None:
-    peer, begun = start_peer("late"), time.monotonic()
+    peer = start_peer("late")
     sent = agent.call("ros2_send_action_goal", action_name=peer.name("late"), goal_fields={"order": 1})
+    # Its stamp is that of the status: the answer has another, and takes a minute.
     assert (sent["accepted"], sent["status"], sent["send_goal_stamp"]["sec"]) == (True, "ACCEPTED", 7)
-    assert time.monotonic() - begun < 30  # and the answer takes a minute
 
 
 def test_a_result_whose_answer_is_lost_is_asked_for_again(agent, start_peer) -> None:
@@ -68,12 +67,9 @@ def test_a_goal_that_nobody_waits_for_is_seen_to_end(start_agent, robot) -> None
     status = robot.name("count/_action/status")
     agent.until_answered("ros2_topic_info", topic_name=status)
 
-    def listens() -> bool:
-        return any(row["ours"] for row in agent.call("ros2_topic_info", topic_name=status)["subscribers"])
-
-    send(agent, robot.name("count"), 60)  # some seconds
-    until(listens)
-    until(lambda: not listens())
+    send(agent, robot.name("count"), 60)  # 3 s
+    until(lambda: is_followed(agent, robot.name("count")))
+    until(lambda: not is_followed(agent, robot.name("count")))
     assert agent.call("ros2_stop")["goals"] == []
 
 
@@ -122,7 +118,7 @@ def test_a_waiting_that_times_out_leaves_the_goal_running_and_says_so(agent, rob
 
 @pytest.mark.promise("ros2_send_action_goal", "with feedback as progress")
 def test_waiting_reports_feedback_as_readable_progress(agent, robot) -> None:
-    arguments = {"action_name": robot.name("count"), "goal_fields": {"order": 30}, "wait_for_result": True}
+    arguments = {"action_name": robot.name("count"), "goal_fields": {"order": 50}, "wait_for_result": True}
 
     def reported() -> list[str | None]:
         heard: list[tuple[float, float | None, str | None]] = []
@@ -135,7 +131,7 @@ def test_waiting_reports_feedback_as_readable_progress(agent, robot) -> None:
         assert {whole for _, whole, _ in heard} == {60.0}
         return [line for _, _, line in heard]
 
-    lines = undisturbed(reported)
+    lines = reported()
     assert len(lines) >= 3
     assert any(line and line.startswith("sequence «[0,1") for line in lines)
 
@@ -184,13 +180,13 @@ def test_goals_of_another_client_are_followed_and_cancelled(agent, robot, start_
     )
     assert feedback["topic"] == f"{action}/_action/feedback"
     assert (feedback["action_type"], feedback["goal_id_filter"]) == (FIBONACCI, goal_id)
-    assert feedback["duration_sec"] < 10
+    assert len(feedback["messages"]) == 5  # and not what would come in 20 s
     sequences = [message["feedback"]["sequence"] for message in feedback["messages"]]
     assert [len(sequence) - len(sequences[0]) for sequence in sequences] == [0, 1, 2, 3, 4]
     assert all(m["goal_id"] == goal_id and m["recv_stamp"].endswith("Z") for m in feedback["messages"])
-    (known,) = undisturbed(lambda: known_goals(agent, goal_id))
+    (known,) = until(lambda: known_goals(agent, goal_id))  # an action is asked for a moment only
     assert (known["action_name"], known["status"], known["ours"]) == (action, "EXECUTING", False)
-    assert 0 <= known["age_sec"] < 25
+    assert known["age_sec"] >= 0
     assert cancel(agent, action, goal_id_hex=goal_id)["goals_canceling"][0]["goal_id"] == goal_id
     assert result(agent, action, goal_id)["status"] == "CANCELED"
     assert other.result(goal_id=goal_id)[0] == 5
@@ -206,16 +202,19 @@ def test_the_states_of_a_goal_of_another_client_are_followed(agent, robot, start
     action, other = robot.name("count"), start_peer()
     assert other.reaches(service=robot.name("there"))
 
-    def first_and_last() -> tuple[str, str]:
-        goal_id = other.send_goal(action=action, order=600)
-        follow = agent.begin("ros2_action_subscribe_status", action_name=action, duration_sec=2)
-        time.sleep(0.5)
-        assert cancel(agent, action, goal_id_hex=goal_id)["goals_canceling"][0]["goal_id"] == goal_id
-        frames = follow.result(30)["frames"]
-        seen = [s["status"] for frame in frames for s in frame["statuses"] if s["goal_id"] == goal_id]
-        return (seen[0], seen[-1]) if seen else ("", "")
+    goal_id = other.send_goal(action=action, order=600)
+    follow = agent.begin("ros2_action_subscribe_status", action_name=action, duration_sec=3)
+    until(lambda: is_followed(agent, action))
+    assert cancel(agent, action, goal_id_hex=goal_id)["goals_canceling"][0]["goal_id"] == goal_id
+    frames = follow.result(30)["frames"]
+    seen = [s["status"] for frame in frames for s in frame["statuses"] if s["goal_id"] == goal_id]
+    assert (seen[0], seen[-1]) == ("EXECUTING", "CANCELED")
 
-    assert undisturbed(first_and_last) == ("EXECUTING", "CANCELED")
+
+def is_followed(agent, action: str) -> bool:
+    """Whether this server has subscribed to the states of the goals."""
+    found = agent.call("ros2_topic_info", topic_name=f"{action}/_action/status")
+    return any(row["ours"] for row in found["subscribers"])
 
 
 def test_feedback_of_no_goal_says_that_none_came(agent, robot) -> None:
@@ -250,9 +249,10 @@ def test_every_cancel_code_is_told(agent, robot) -> None:
 def test_all_goals_or_those_up_to_a_time_are_cancelled(agent, robot) -> None:
     action = robot.name("count")
     first = send(agent, action, 200)
-    time.sleep(0.1)
+    between_ns = at_ns(first["send_goal_stamp"]) + 50_000_000  # its server notes it a moment later
+    until(lambda: time.time_ns() > between_ns)
     second = send(agent, action, 200)
-    sec, nanosec = divmod(at_ns(first["send_goal_stamp"]) + 50_000_000, 10**9)
+    sec, nanosec = divmod(between_ns, 10**9)
     older = cancel(agent, action, cancel_all=True, stamp_sec=sec, stamp_nanosec=nanosec)
     assert [goal["goal_id"] for goal in older["goals_canceling"]] == [first["goal_id"]]
     assert result(agent, action, first["goal_id"])["status"] == "CANCELED"

@@ -7,8 +7,8 @@ import uuid
 
 import pytest
 
+from support.agent import until
 from support.raw_server import MODERN
-from support.standstill import undisturbed
 
 
 def call(agent, service: str, kind: str, fields: dict[str, object], **options):
@@ -36,7 +36,7 @@ def wait_until(condition, within_s: float = 30.0) -> None:
 def test_a_goal_that_was_sent_by_a_raw_call_is_ours_and_stopped(agent, robot) -> None:
     action = robot.name("count")
     goal_id = send_raw(agent, action, 2000)
-    known = undisturbed(lambda: [g for g in agent.call("ros2_action_status")["goals"] if g["goal_id"] == goal_id])
+    known = until(lambda: [g for g in agent.call("ros2_action_status")["goals"] if g["goal_id"] == goal_id])
     assert [goal["ours"] for goal in known] == [True]
     stopped = [goal for goal in agent.call("ros2_stop")["goals"] if goal["goal_id"] == goal_id]
     assert [(g["action_name"], g["status"], g["confirmed"]) for g in stopped] == [(action, "CANCELED", True)]

@@ -32,14 +32,20 @@ def start_robot():
     return running_robot
 
 
+@pytest.fixture(scope="module")
+def robot_domain(prefixes):
+    """The domain of a robot that the tests of a file share."""
+    with reserved_domains() as first, running_robot(prefixes, first):
+        yield first
+
+
 @pytest.fixture
-def peer(prefixes, domain_id, monkeypatch):
-    """A peer in a domain where a fresh robot is running."""
+def peer(robot_domain, monkeypatch):
+    """A peer in the domain of the robot."""
     monkeypatch.setitem(os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with running_robot(prefixes, domain_id):
-        peer = Peer(domain_id)
-        yield peer
-        peer.close()
+    peer = Peer(robot_domain)
+    yield peer
+    peer.close()
 
 
 @pytest.fixture

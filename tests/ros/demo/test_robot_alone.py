@@ -15,7 +15,7 @@ CHOOSES_GRAPH = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOS
 SERVER = [sys.executable, "-m", "ros2_mcp"]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def start_alone(prefixes):
     """Start the robot as a user does, with these variables of its graph and no others."""
     started = []
@@ -33,7 +33,14 @@ def start_alone(prefixes):
     yield start
     for process in started:
         process.terminate()
+    for process in started:
         process.communicate(timeout=20)
+
+
+@pytest.fixture(scope="module")
+def robot(start_alone):
+    """The first robot on this machine."""
+    return start_alone()
 
 
 def graph_of(process):
@@ -45,8 +52,7 @@ def graph_of(process):
 
 @pytest.mark.promise("README", "runs the robot alone, for a client of your own")
 @pytest.mark.promise("README", "It uses a ROS domain of its own, on this machine only")
-def test_it_keeps_to_itself_and_the_line_that_it_prints_leads_a_client_to_it(start_alone):
-    robot = start_alone()
+def test_it_keeps_to_itself_and_the_line_that_it_prints_leads_a_client_to_it(robot):
     graph = graph_of(robot)
     assert graph["ROS_DOMAIN_ID"] != "0"
     assert graph["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
@@ -70,8 +76,8 @@ def test_it_keeps_to_itself_and_the_line_that_it_prints_leads_a_client_to_it(sta
 
 
 @pytest.mark.promise("README", "It uses a ROS domain of its own")
-def test_a_second_robot_on_this_machine_does_not_meet_the_first(start_alone):
-    assert graph_of(start_alone())["ROS_DOMAIN_ID"] != graph_of(start_alone())["ROS_DOMAIN_ID"]
+def test_a_second_robot_on_this_machine_does_not_meet_the_first(robot, start_alone):
+    assert graph_of(robot)["ROS_DOMAIN_ID"] != graph_of(start_alone())["ROS_DOMAIN_ID"]
 
 
 def test_the_domain_and_the_range_that_were_asked_for_are_kept(domain_id, start_alone):

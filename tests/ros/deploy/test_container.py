@@ -19,8 +19,8 @@ from support.raw_server import MODERN, RawServer
 
 PATIENCE_S = 7.0
 """Of the script, with its processes."""
-REST_S = 5.0
-"""A zero comes within 1.1 s; for so long it may come at all, as to a subscriber that is discovered late."""
+REST_S = 30.0
+"""How long a zero may take to come at all; how soon is measured elsewhere (`tests/ros/commands/test_stop.py`)."""
 END_S = PATIENCE_S + 13.0
 """On a machine that is busy with other tests."""
 

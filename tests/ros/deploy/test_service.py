@@ -11,8 +11,8 @@ import pytest
 from support.containers import children
 from support.driver import Driver, fresh, repeat
 
-REST_S = 5.0
-"""A zero comes within 1.1 s; for so long it may come at all, as to a subscriber that is discovered late."""
+REST_S = 30.0
+"""How long a zero may take to come at all; how soon is measured elsewhere (`tests/ros/commands/test_stop.py`)."""
 END_S = 20.0
 """On a machine that is busy with other tests."""
 

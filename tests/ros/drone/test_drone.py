@@ -147,7 +147,7 @@ def test_it_flies_up_by_velocity_commands_and_hovers_when_they_end(drone: Drone)
 @pytest.mark.skipif(not CHROMIUM, reason="needs Chromium")
 def test_the_page_shows_a_drone_in_the_air(drone: Drone, drone_environment: dict[str, str]) -> None:
     drone.take_off(3.0)
-    with viewing(drone_environment) as address, browsing() as page:
+    with viewing(drone_environment) as address, browsing(graphics=True) as page:
         page.look()
         page.open(address)
         page.until(

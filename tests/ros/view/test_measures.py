@@ -86,7 +86,7 @@ def seen(environment: dict[str, str], *options: str) -> Iterator[tuple[subproces
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    with browsing() as page:
+    with browsing(graphics=True) as page:
         page.look()
         yield page
 

@@ -31,7 +31,11 @@ def page(demo_environment: dict[str, str], demo_robot: object) -> Iterator[Page]
     if not CHROMIUM:
         pytest.skip("needs Chromium")
     view = running(demo_environment, sys.executable, "-m", "ros2_mcp", "view")
-    with running(demo_environment, *peer_command("cloud_peer", "laser")), view as process, browsing() as page:
+    with (
+        running(demo_environment, *peer_command("cloud_peer", "laser")),
+        view as process,
+        browsing(graphics=True) as page,
+    ):
         assert process.stdout
         page.look()
         page.open(process.stdout.readline().strip())
