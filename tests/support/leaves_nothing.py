@@ -79,10 +79,9 @@ class Watch:
 
     def left_by_test(self) -> list[Process]:
         """What the test has begun, without that of processes which outlive it; and whose parents have died in it."""
-        kept = self._ours | own_processes.outliving()
         new = own_processes.own(own_processes.listed() - self._seen)
         orphaned = [one for one in self._orphaned() if one.pid not in self._orphans]
-        return [one for one in new if not _is_of(kept, one)] + orphaned
+        return [one for one in new if not _is_of(self._ours, one)] + orphaned
 
     def left_by_module(self) -> list[Process]:
         """All that is ours, without what fixtures of the whole session have started."""

@@ -63,7 +63,6 @@ def boot_s() -> float:
 
 
 _commands: dict[int, str] = {}
-_outliving: set[int] = set()
 _killed: set[int] = set()
 """Whom this process has killed (SIGKILL)."""
 
@@ -71,16 +70,6 @@ _killed: set[int] = set()
 def note_kills() -> None:
     """Keep the ids of those whom this process kills from now on, one by one or by group."""
     sys.addaudithook(_note_kill)
-
-
-def outlives_test(pid: int) -> None:
-    """That process may live until its module ends, though no fixture of the module has begun it."""
-    _outliving.add(pid)
-
-
-def outliving() -> set[int]:
-    """Processes that may live until their module ends."""
-    return _outliving
 
 
 def killed_ids() -> set[int]:

@@ -11,7 +11,6 @@ import pytest
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
 from support.agent import Agent, agent_for
-from support.own_processes import outlives_test
 from support.peer_process import Nursery, PeerProcess, reachable
 from support.raw_server import RawServer
 
