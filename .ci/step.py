@@ -44,7 +44,9 @@ class Step:
         self._bound_s = bound_s
         outer = os.environ.get(processes.MARK)
         self._mark = f"{outer}:{os.getpid()}" if outer else str(os.getpid())
-        self._notes = Path(tempfile.mkdtemp(prefix="ros2_mcp_running_tests_"))
+        outer_notes = os.environ.get(RUNNING_TESTS, "")  # of a step around this one, which tells these as well
+        within = outer_notes if Path(outer_notes).is_dir() and outer_notes else None
+        self._notes = Path(tempfile.mkdtemp(prefix="ros2_mcp_running_tests_", dir=within))
         self._signal: int | None = None
         self._output = b""
         self._wake_read, wake_write = os.pipe()
@@ -158,7 +160,7 @@ class Step:
 
     def _say_which_tests_run(self) -> None:
         """Each note is named after a worker and a pid, and says what it does and since when."""
-        notes = sorted(self._notes.rglob("*"))
+        notes = sorted(path for path in self._notes.rglob("*") if path.is_file())
         if not notes:
             return
         _write(b"Tests that had not ended:\n")
