@@ -21,8 +21,7 @@ from support.browser import CHROMIUM, Page, browsing
 from support.observer import Observer
 from support.on_map import WALL, click_on_map
 from support.processes import peer_command, running
-from support.room_bag import room_bag
-from support.viewing import STOP, choose, pictured, pictured_in_all_sizes, seek, text, viewing
+from support.viewing import STOP, choose, pictured, pictured_in_all_sizes, text, viewing
 
 TWIST = {"linear": {"x": 0.1}}
 
@@ -208,17 +207,3 @@ def test_what_is_old_looks_old_and_a_page_without_its_server_says_so(
     finally:
         os.kill(demo_robot.pid, signal.SIGCONT)
     page.until("!document.getElementById('image').classList.contains('stale')")
-
-
-def test_a_recording_is_shown_at_any_of_its_times(
-    browser: Page, ros_environment: dict[str, str], tmp_path: Path
-) -> None:
-    where = "document.querySelector('#map canvas').ariaLabel"
-    with viewing(ros_environment, "--bag", str(room_bag(tmp_path / "room"))) as address:
-        browser.open(address)
-        browser.until("document.querySelector('footer input') !== null")
-        last = browser.until(f"/Robot at/.test({where} ?? '') && {where}")
-        browser.run(seek(1.0))
-        browser.until(f"/Robot at/.test({where}) && {where} !== {last!r}")
-        assert browser.run(text("#state")).startswith("recording")
-        pictured_in_all_sizes(browser, "recording")
