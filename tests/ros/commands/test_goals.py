@@ -49,10 +49,11 @@ def test_an_action_is_listed_with_its_type_and_the_fields_of_its_goal(agent, rob
 
 @pytest.mark.promise("ros2_send_action_goal", "Without it, use ros2_action_request_result with the goal_id later")
 def test_a_goal_that_is_not_waited_for_is_accepted_and_its_result_asked_for_later(agent, robot) -> None:
+    began_at = int(time.time())
     sent = send(agent, robot.name("count"), 6, action_type="test_msgs/Fibonacci")
     assert (sent["accepted"], sent["status_code"], sent["status"], sent["waited"]) == (True, 1, "ACCEPTED", False)
     assert len(bytes.fromhex(sent["goal_id"])) == 16
-    assert abs(sent["send_goal_stamp"]["sec"] - time.time()) < 30
+    assert began_at <= sent["send_goal_stamp"]["sec"] <= time.time()
     assert (sent["result"], sent["result_timeout_sec"]) == (None, None)
     for goal_id in (sent["goal_id"], sent["goal_id"].upper()):  # asked twice
         ended = result(agent, robot.name("count"), goal_id)
@@ -206,7 +207,7 @@ def test_the_states_of_a_goal_of_another_client_are_followed(agent, robot, start
     follow = agent.begin("ros2_action_subscribe_status", action_name=action, duration_sec=3)
     until(lambda: is_followed(agent, action))
     assert cancel(agent, action, goal_id_hex=goal_id)["goals_canceling"][0]["goal_id"] == goal_id
-    frames = follow.result(30)["frames"]
+    frames = follow.result(60)["frames"]
     seen = [s["status"] for frame in frames for s in frame["statuses"] if s["goal_id"] == goal_id]
     assert (seen[0], seen[-1]) == ("EXECUTING", "CANCELED")
 

@@ -217,10 +217,10 @@ def test_a_late_answer_is_never_given_to_another_call(agent, robot) -> None:
         """One more round; a call whose bridge was held up until the answer came was not."""
         number = next(numbers)
         late = call(f"late {number}", 0.3, 0.2)
-        told = late.exception(30)
+        told = late.exception(60)
         assert told is not None or late.result()["result"]["string_value"] == f"late {number}"
         waiting = [call(f"{number}-{index}", 0.15, 30.0) for index in range(3)]
-        assert [one.result(40)["result"]["string_value"] for one in waiting] == [f"{number}-{i}" for i in range(3)]
+        assert [one.result(60)["result"]["string_value"] for one in waiting] == [f"{number}-{i}" for i in range(3)]
         return "did not answer" in str(told)
 
     for _ in range(ROUNDS):
@@ -239,7 +239,7 @@ def test_a_hundred_calls_in_flight_are_all_answered_each_with_its_own(agent, rob
         )
         for number in range(100)
     ]
-    assert [call.result(30)["result"]["int64_value"] for call in calls] == list(range(100))
+    assert [call.result(60)["result"]["int64_value"] for call in calls] == list(range(100))
 
 
 def test_more_calls_than_the_queue_of_a_slow_server_holds_are_all_answered(agent, robot) -> None:
@@ -248,7 +248,7 @@ def test_more_calls_than_the_queue_of_a_slow_server_holds_are_all_answered(agent
         agent.begin("ros2_service_call", service_name=robot.name("serial"), fields={"data": True}, timeout_sec=20)
         for _ in range(40)
     ]
-    assert all(call.result(30)["result"]["success"] for call in calls)
+    assert all(call.result(60)["result"]["success"] for call in calls)
 
 
 def test_what_changes_nothing_is_asked_once_more_where_the_answer_may_have_been_lost(agent, robot) -> None:
@@ -256,7 +256,7 @@ def test_what_changes_nothing_is_asked_once_more_where_the_answer_may_have_been_
     call = agent.begin("ros2_service_call", **asked, timeout_sec=30)
     until(lambda: robot.take(name="state"))
     until(lambda: robot.answer(name="state"))
-    assert call.result(30)["result"] == {"current_state": {"id": 0, "label": ""}}
+    assert call.result(60)["result"] == {"current_state": {"id": 0, "label": ""}}
 
 
 def test_a_slow_call_does_not_delay_others(agent, robot) -> None:
@@ -278,7 +278,7 @@ def test_beside_a_slow_call_five_others_take_less_than_a_second(agent, robot) ->
         for _ in range(5):
             agent.call("ros2_service_call", service_name=robot.name("switch"), fields={"data": True})
         took, was_done = time.monotonic() - started, slow.done()
-        assert slow.result(30)["result"]["string_value"] == "x"
+        assert slow.result(60)["result"]["string_value"] == "x"
         return took, was_done
 
     took, was_done = undisturbed(others)

@@ -260,7 +260,7 @@ def test_stop_cancels_a_goal_that_is_accepted_only_then(agent, robot) -> None:
     sending = agent.begin("ros2_send_action_goal", action_name=robot.name("hesitate"), goal_fields={"order": 600})
     wait_until(lambda: robot.count(name="hesitate") > judged)
     stopped = agent.call("ros2_stop")["goals"]
-    goal_id = sending.result(20)["goal_id"]
+    goal_id = sending.result(60)["goal_id"]
     (goal,) = [one for one in stopped if one["goal_id"] == goal_id]
     assert (goal["status"], goal["confirmed"], goal["cancelled"]) == ("CANCELED", True, True)
 

@@ -1,4 +1,4 @@
-"""The page where its server fails, is slow or says too much; hidden; two at once; for hours."""
+"""The page where its server fails, is slow or says too much; hidden; for hours."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Iterator
 from itertools import cycle
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,9 +15,8 @@ pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2"
 
 from support.agent import FULL, until
 from support.browser import CHROMIUM, Page, browsing
-from support.room_bag import room_bag
 from support.scripted_view import Answer, ScriptedView, good, scripted, updated
-from support.viewing import STOP, seek, text, viewing
+from support.viewing import STOP, text
 
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="needs Chromium")
 
@@ -162,22 +160,6 @@ def asked_after_a_while(page: Page, view: ScriptedView) -> int:
     """How often a page has asked, once its own clock has gone on by a time in which it asks several times."""
     page.run("new Promise(done => setTimeout(done, 600))")
     return view.asked
-
-
-def test_two_pages_show_two_times_of_one_recording(page: Page, ros_environment: dict[str, str], tmp_path: Path) -> None:
-    where = "document.querySelector('#map canvas').ariaLabel"
-    with viewing(ros_environment, "--bag", str(room_bag(tmp_path / "room"))) as address, browsing() as other:
-        for each, seconds in ((page, 1.0), (other, 4.0)):
-            each.look()
-            each.open(address)
-            each.until("document.querySelector('footer input') !== null")
-            each.run(seek(seconds))
-        page.until(f"/Robot at 0.2/.test({where} ?? '')")  # it drives 0.25 m a second along x
-        other.until(f"/Robot at (1.0|0.9)/.test({where} ?? '')")
-        assert "Robot at 0.2" in page.run(where)
-        other.ask("Page.navigate", url="about:blank")
-        page.run(seek(2.0))
-        page.until(f"/Robot at 0.[45]/.test({where})")
 
 
 @pytest.mark.full

@@ -142,11 +142,11 @@ def test_its_button_stops_the_agent_of_the_chat(chat: Page, agent: Agent, observ
     observer.until_driven("/cmd_vel")
     chat.until("document.getElementById('moves').textContent.startsWith('agent drives /cmd_vel')", within=view)
     chat.run("document.getElementById('stop').click()", within=view)
-    assert observer.comes_to_rest("/cmd_vel", 10.0) == []
+    assert observer.comes_to_rest("/cmd_vel", 30.0) == []
     said = "document.getElementById('said').textContent"
     assert "the latch is set" in chat.until(f"/1 of 1 server/.test({said}) && {said}", within=view)
     pictured(chat, "chat-stopped")
-    assert driving.exception(10.0) is not None or driving.result()["status"]
+    assert driving.exception(30.0) is not None or driving.result()["status"]
     chat.until("document.getElementById('moves').textContent.startsWith('LATCHED by operator')", within=view)
     state = agent.call("ros2_view_state")["pages"][0]
     assert any("LATCHED" in line for line in state["shows"])

@@ -21,8 +21,7 @@ from support.browser import CHROMIUM, Page, browsing
 from support.observer import Observer
 from support.on_map import WALL, click_on_map
 from support.processes import peer_command, running
-from support.room_bag import room_bag
-from support.viewing import STOP, choose, pictured, pictured_in_all_sizes, seek, text, viewing
+from support.viewing import STOP, choose, pictured, pictured_in_all_sizes, text, viewing
 
 TWIST = {"linear": {"x": 0.1}}
 
@@ -114,7 +113,7 @@ def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Age
     )
     pictured_in_all_sizes(page, "driving")
     page.run(STOP)
-    assert observer.comes_to_rest("/cmd_vel", 10.0) == []
+    assert observer.comes_to_rest("/cmd_vel", 30.0) == []
     said = page.until(f"/1 of 1 server/.test({text('#said')}) && {text('#said')}")
     assert "the latch is set" in said
     page.until(f"{text('#moves')}.startsWith('LATCHED by operator')")
@@ -122,7 +121,7 @@ def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Age
     page.until(f"{rows}.some(row => /stop .*by operator.*latched$/.test(row))")
     assert page.run(f"{rows}.filter(row => /by operator/.test(row)).length") == 1  # one press, one row
     pictured_in_all_sizes(page, "stopped")
-    assert call.exception(10.0) is not None or call.result()["status"]
+    assert call.exception(30.0) is not None or call.result()["status"]
     assert agent.call("ros2_record_stop", recording_id=recording)["messages"] > 0  # it moves nothing, and goes on
     page.until(f"{rows}.some(row => row.includes('recording ended {recording}'))")
     assert "latch" in agent.refusal(
@@ -181,7 +180,7 @@ def test_where_a_server_hangs_the_latch_is_set_and_the_page_says_that_it_did_not
     os.kill(pid, signal.SIGSTOP)
     try:
         page.run(STOP)
-        assert observer.comes_to_rest("/cmd_vel", 10.0) == []
+        assert observer.comes_to_rest("/cmd_vel", 30.0) == []
         page.until(f"{text('#said')}.includes('NO ANSWER')")
         said = page.run(text("#said"))
         assert "zeros were sent from here on /cmd_vel" in said and "the latch is set" in said
@@ -208,17 +207,3 @@ def test_what_is_old_looks_old_and_a_page_without_its_server_says_so(
     finally:
         os.kill(demo_robot.pid, signal.SIGCONT)
     page.until("!document.getElementById('image').classList.contains('stale')")
-
-
-def test_a_recording_is_shown_at_any_of_its_times(
-    browser: Page, ros_environment: dict[str, str], tmp_path: Path
-) -> None:
-    where = "document.querySelector('#map canvas').ariaLabel"
-    with viewing(ros_environment, "--bag", str(room_bag(tmp_path / "room"))) as address:
-        browser.open(address)
-        browser.until("document.querySelector('footer input') !== null")
-        last = browser.until(f"/Robot at/.test({where} ?? '') && {where}")
-        browser.run(seek(1.0))
-        browser.until(f"/Robot at/.test({where}) && {where} !== {last!r}")
-        assert browser.run(text("#state")).startswith("recording")
-        pictured_in_all_sizes(browser, "recording")
