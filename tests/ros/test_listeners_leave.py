@@ -40,7 +40,7 @@ def test_a_peer_that_hangs_outside_of_python_ends_on_sigterm() -> None:
 @pytest.mark.full
 @pytest.mark.timeout(3600)
 def test_listeners_that_leave_at_the_same_time_all_end(ros_environment: dict[str, str]) -> None:
-    """Tells how many the middleware held up: about one in six hundred on a machine with far too much to do."""
+    """Tells how many the middleware held up: about one in eight hundred on a machine with far too much to do."""
     held_up = 0
     for _ in range(ROUNDS):
         listeners = [
