@@ -6,7 +6,6 @@ If the environment names a node in KNOWS, it is ready only when it knows that no
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import time
 
@@ -20,6 +19,8 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from test_msgs.action import Fibonacci
+
+from support.leaving import leave_on_sigterm
 
 CATCH_UP_S = 0.02
 """A flood that was held up for longer than this goes on later: it does not become a burst."""
@@ -103,7 +104,7 @@ def know(node: Node, other: str) -> None:
 def main() -> None:
     role, *arguments = sys.argv[1:]
     rclpy.init()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    leave_on_sigterm()
     node, entities = Node(f"{role}_peer"), None
     try:
         if other := os.environ.get("KNOWS"):

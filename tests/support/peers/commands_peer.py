@@ -38,6 +38,8 @@ from std_srvs.srv import SetBool, Trigger
 from test_msgs.action import Fibonacci, NestedMessage
 from test_msgs.srv import BasicTypes
 
+from support.leaving import leave_on_sigterm
+
 STEP_S = 0.05
 PATIENCE_S = 20.0
 
@@ -468,7 +470,7 @@ def main() -> None:
 
 def be_peer(commands: socket.socket) -> None:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    signal.signal(signal.SIGTERM, lambda *_: commands.shutdown(socket.SHUT_RD))
+    leave_on_sigterm(lambda: commands.shutdown(socket.SHUT_RD))
     spare = Node("spare", namespace=f"/spare{os.getpid()}", enable_rosout=False, start_parameter_services=False)
     with commands.makefile("rw") as lines:
         _say(lines, os.getpid())

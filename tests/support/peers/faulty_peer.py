@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import json
 import os
-import signal
 import sys
 import threading
 import time
@@ -17,6 +16,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import UInt8MultiArray, UInt64
+
+from support.leaving import leave_on_sigterm
 
 
 def repeat(node: Node, topic: str, kind: str, rate_hz: str) -> None:
@@ -72,7 +73,7 @@ def main() -> None:
     role, *arguments = sys.argv[1:]
     rclpy.init()
     told_to_end = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: told_to_end.set())
+    leave_on_sigterm(told_to_end.set)
     node = Node(f"{role}_{os.getpid()}")
     globals()[role](node, *arguments)
     while not told_to_end.is_set():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import sys
 from typing import Any
 
@@ -21,6 +20,7 @@ from test_msgs.msg import Strings
 from test_msgs.srv import BasicTypes
 
 from support.hidden import HIDDEN
+from support.leaving import leave_on_sigterm
 from support.outlets import FORGED, hostile
 
 PERIOD_S = 0.1
@@ -84,7 +84,7 @@ class HostileRobot(Node):
 
 def main() -> None:
     rclpy.init(args=["--ros-args", "--disable-stdout-logs"])
-    signal.signal(signal.SIGTERM, lambda *_: rclpy.try_shutdown())
+    leave_on_sigterm(rclpy.try_shutdown)
     node = HostileRobot()
     sys.stdout.write("ready\n")
     sys.stdout.flush()

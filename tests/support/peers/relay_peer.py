@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 import threading
 import time
@@ -17,6 +16,8 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
+
+from support.leaving import leave_on_sigterm
 
 KINDS = {"String": String, "Twist": Twist, "JointState": JointState, "Float64": Float64}
 
@@ -106,7 +107,7 @@ def complain(node: Node, count: str) -> None:
 def main() -> None:
     role, *arguments = sys.argv[1:]
     rclpy.init()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    leave_on_sigterm()
     node = Node(f"relay_peer_{role}_{os.getpid()}")
     {"talk": talk, "talk_later": talk_later, "listen": listen, "complain": complain}[role](node, *arguments)
     while True:

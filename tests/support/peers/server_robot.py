@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import sys
 import time
 
@@ -14,6 +13,8 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 from test_msgs.action import Fibonacci
+
+from support.leaving import leave_on_sigterm
 
 STEP_S = 0.1
 SLOW_S = 20.0
@@ -59,7 +60,7 @@ class SmallRobot(Node):
 
 def main() -> None:
     rclpy.init()
-    signal.signal(signal.SIGTERM, lambda *_: rclpy.try_shutdown())
+    leave_on_sigterm(rclpy.try_shutdown)
     executor = MultiThreadedExecutor(6)
     node = SmallRobot()
     executor.add_node(node)
