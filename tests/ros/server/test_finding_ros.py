@@ -75,8 +75,10 @@ def test_an_installation_that_is_slow_to_source(start_raw, bare_python: str, tmp
     exports = {**sourced(), "PYTHONPATH": str(SITE_PACKAGES), "PATH": f"{sys.prefix}/bin:{os.environ['PATH']}"}
     lines = [WAIT_FOR_GATE % gate, *(f"export {name}={shlex.quote(value)}" for name, value in exports.items())]
     (tmp_path / "jazzy" / "setup.bash").write_text("\n".join(lines) + "\n")
-    server = opened(start_raw(command=[bare_python, "-m", "ros2_mcp"], ROS2_MCP_ROS_ROOT=str(tmp_path)))
-    gate.touch()  # only now may the sourcing end
+    try:
+        server = opened(start_raw(command=[bare_python, "-m", "ros2_mcp"], ROS2_MCP_ROS_ROOT=str(tmp_path)))
+    finally:
+        gate.touch()  # only now may the sourcing end
     assert "setup.bash is sourced for the bridge" in found(server)
 
 

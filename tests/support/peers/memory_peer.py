@@ -10,9 +10,11 @@ import struct
 import sys
 import threading
 import time
+from contextlib import suppress
 
 import rclpy
 from geometry_msgs.msg import Twist
+from rclpy.executors import ExternalShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from rosidl_parser.definition import AbstractGenericString, AbstractSequence, Array, NamespacedType
@@ -95,13 +97,21 @@ def listen(node, *topics: str) -> None:
         node.create_subscription(Int32, topic, lambda m, t=topic: heard[t].append([m.data, time.monotonic()]), 100)
     node.create_publisher(Int32, "/live", 10)
     node.create_subscription(Twist, "/cmd_vel", lambda _: None, 10)
-    threading.Thread(target=rclpy.spin, args=(node,), daemon=True).start()
+
+    def spin() -> None:
+        with suppress(ExternalShutdownException):
+            rclpy.spin(node)
+
+    spinning = threading.Thread(target=spin, daemon=True)
+    spinning.start()
     print("ready", flush=True)
     for line in sys.stdin:
         print(json.dumps(heard), flush=True)
         if line.strip() == "forget":
             for numbers in heard.values():
                 numbers.clear()
+    rclpy.try_shutdown()
+    spinning.join()  # a node that is spun to the end of the process does not leave ROS
 
 
 def witness(node, log: str, *topics: str) -> None:
@@ -123,5 +133,7 @@ def witness(node, log: str, *topics: str) -> None:
 if __name__ == "__main__":
     rclpy.init()
     roles = {"types": types, "stream": stream, "listen": listen, "witness": witness}
-    roles[sys.argv[1]](rclpy.create_node("memory_peer"), *sys.argv[2:])
+    node = rclpy.create_node("memory_peer")
+    roles[sys.argv[1]](node, *sys.argv[2:])
+    node.destroy_node()
     rclpy.try_shutdown()  # killed instead, it would hold up the shared memory of those that come after it
