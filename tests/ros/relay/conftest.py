@@ -47,10 +47,6 @@ class Peer:
         """The numbers that it heard since it was last asked, as soon as they are so many."""
         return [number for _, number in self.until(lambda heard: len(heard) >= count)]
 
-    def until_zero(self) -> None:
-        """Wait until the last that it heard is a zero after other numbers; the first number of `talk` is 0, too."""
-        assert self.until(lambda heard: len(heard) > 1 and heard[-1][1] == 0.0)[-1][1] == 0.0
-
     def until(self, is_enough: Callable[[list[tuple[float, float]]], bool]) -> list[tuple[float, float]]:
         """All that it heard since it was last asked, as soon as that is enough, or patience has ended."""
         deadline, heard = time.monotonic() + PATIENCE_S, self.heard()

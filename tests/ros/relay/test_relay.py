@@ -12,10 +12,19 @@ from typing import Any
 import pytest
 
 from support.agent import FULL, Agent, Refusal, agent_for
+from support.observer import TWIST, Observer
 from support.raw_server import MODERN, RawServer
 
 SECONDS = 60 if FULL else 5
 PATIENCE_S = 40.0
+SOURCE = "/driving_in"
+
+
+@pytest.fixture(scope="module")
+def driven(observer: Observer) -> Observer:
+    """The observer, which lets something drive at 50 Hz."""
+    observer.talk(topic=SOURCE, kind=TWIST, hz=50)
+    return observer
 
 
 def wait_for(condition: Callable[[], Any]) -> Any:
@@ -185,38 +194,33 @@ def test_a_stopped_relay_leaves_no_entity_behind(agent) -> None:
 @pytest.mark.promise("README", "repeats, relays and playbacks ended")
 @pytest.mark.promise("ros2_relay_start", "with ros2_relay_stop or ros2_stop")
 @pytest.mark.promise("ros2_relay_start", "velocity topics then get a zero command")
-def test_stop_ends_relays_and_leaves_the_robot_at_zero(agent, peer) -> None:
-    talker = peer("talk", "/driving_in", "Twist", "RELIABLE", "50", "5000")
-    listener = peer("listen", "/driving_out", "Twist", "RELIABLE")
-    agent.knows("/driving_in", "/driving_out")
+def test_stop_ends_relays_and_leaves_the_robot_at_zero(agent, driven: Observer) -> None:
+    driven.join(by="out", topic="/driving_out", kind=TWIST)
+    agent.knows(SOURCE, "/driving_out")
     relays = [
-        begin(agent, "/driving_in", "/driving_out"),
-        begin(agent, "/driving_in", "/driving_out_2", transform="on_change"),
+        begin(agent, SOURCE, "/driving_out"),
+        begin(agent, SOURCE, "/driving_out_2", transform="on_change"),
     ]
-    listener.ready()
-    talker.ready().tell()
-    wait_for(lambda: counted(agent, relays[0])["passed"] > 10)
+    driven.until_driven("/driving_out", 10)
     assert agent.call("ros2_stop")["relays_stopped"] == 2
     for relay in relays:
         wait_for(lambda relay=relay: counted(agent, relay)["state"] == "stopped")
-    listener.until_zero()
-    agent.call("ros2_topic_subscribe", topic_name="/driving_in", message_limit=10)  # its source goes on
-    assert all(number == 0.0 for _, number in listener.heard())
+    assert driven.comes_to_rest("/driving_out", PATIENCE_S) == []
+    zero = driven.last(topic="/driving_out")["out"]["at"]
+    agent.call("ros2_topic_subscribe", topic_name=SOURCE, message_limit=10)  # its source goes on
+    assert not any(any(one["values"]) for one in driven.messages(topic="/driving_out", after=zero))
 
 
 @pytest.mark.promise("ros2_relay_start", "and with this server")
-def test_a_server_that_ends_takes_its_relays_with_it(agent, ros_environment, peer) -> None:
-    talker = peer("talk", "/leaving_in", "Twist", "RELIABLE", "50", "5000")
-    listener = peer("listen", "/leaving_out", "Twist", "RELIABLE")
+def test_a_server_that_ends_takes_its_relays_with_it(agent, ros_environment, driven: Observer) -> None:
+    driven.join(by="out", topic="/leaving_out", kind=TWIST)
     agent.knows("/leaving_out")
     with agent_for(ros_environment, "--tools", "all") as other:
-        other.knows("/leaving_in", "/leaving_out")
-        relay = begin(other, "/leaving_in", "/leaving_out")
-        listener.ready()
-        talker.ready().tell()
-        wait_for(lambda: counted(other, relay)["passed"] > 10)
+        other.knows(SOURCE, "/leaving_out")
+        begin(other, SOURCE, "/leaving_out")
+        driven.until_driven("/leaving_out", 10)
     wait_for(lambda: not agent.call("ros2_topic_info", topic_name="/leaving_out")["publishers"])
-    listener.until_zero()
+    assert driven.comes_to_rest("/leaving_out", PATIENCE_S) == []
 
 
 def test_a_lost_bridge_ends_its_relays_and_says_so(start_agent) -> None:
@@ -233,42 +237,47 @@ def test_a_lost_bridge_ends_its_relays_and_says_so(start_agent) -> None:
     assert end(own, again)["state"] == "stopped"
 
 
-@pytest.mark.parametrize("transform", ["identity", "on_change"])
-def test_a_source_that_comes_back_with_a_weaker_qos_is_matched_again(agent, peer, transform) -> None:
-    source, destination = f"/weaker_in_{transform}", f"/weaker_out_{transform}"
-    listener = peer("listen", destination, "String", "RELIABLE")
-    first = peer("talk", source, "String", "RELIABLE", "100", "50")
-    agent.knows(source, destination)
-    relay = begin(agent, source, destination, message_type="std_msgs/msg/String", transform=transform)
-    second = peer("talk_later", source, "String", "BEST_EFFORT", "100", "70")
-    listener.ready()
+def test_a_source_that_comes_back_with_a_weaker_qos_is_matched_again(agent, peer) -> None:
+    """By relays in the bridge and in the server."""
+    transforms, source = ("identity", "on_change"), "/weaker_in"
+    listeners = [peer("listen", f"/weaker_out_{transform}", "String", "RELIABLE") for transform in transforms]
+    first = peer("talk", source, "String", "RELIABLE", "100", "50", "2")
+    agent.knows(source, *(f"/weaker_out_{transform}" for transform in transforms))
+    relays = [begin(agent, source, f"/weaker_out_{transform}", transform=transform) for transform in transforms]
+    second = peer("talk_later", source, "String", "BEST_EFFORT", "100", "70", "2")
+
+    def passed(expected: int) -> bool:
+        return all(counted(agent, relay)["passed"] == expected for relay in relays)
+
+    for listener in listeners:
+        listener.ready()
     assert talk(agent, source, first) == 50
-    wait_for(lambda: counted(agent, relay)["passed"] == 50)
+    wait_for(lambda: passed(50))
     first.process.terminate()
     first.process.wait(PATIENCE_S)
     second.tell()
     assert talk(agent, source, second) == 70
-    wait_for(lambda: counted(agent, relay)["passed"] == 120)
-    assert listener.numbers(120) == [*range(50), *range(70)]
-    end(agent, relay)
+    wait_for(lambda: passed(120))
+    for listener, relay in zip(listeners, relays, strict=True):
+        assert listener.numbers(120) == [*range(50), *range(70)]
+        end(agent, relay)
 
 
 @pytest.mark.promise("README", "everything that was driven when the server dies, is stopped or sleeps (within 1.1 s)")
 @pytest.mark.promise("stopping", "the server is killed: the same: 1 s")
-def test_a_server_that_is_killed_leaves_no_process_and_a_robot_at_zero(agent, ros_environment, peer) -> None:
-    talker = peer("talk", "/killed_in", "Twist", "RELIABLE", "50", "5000")
-    listener = peer("listen", "/killed_out", "Twist", "RELIABLE")
+def test_a_server_that_is_killed_leaves_no_process_and_a_robot_at_zero(
+    agent, ros_environment, driven: Observer
+) -> None:
+    driven.join(by="out", topic="/killed_out", kind=TWIST)
     agent.knows("/killed_out")
     server = RawServer(ros_environment, "--tools", "all")
     server.begin(MODERN)
     bridge_pid = server.call("ros2_status")["structuredContent"]["bridge_pid"]
-    options = {"message_type": "geometry_msgs/msg/Twist", "duration_sec": 0}
-    server.call("ros2_relay_start", source_topic="/killed_in", destination_topic="/killed_out", **options)
-    listener.ready()
-    talker.ready().tell()
-    wait_for(listener.heard)
+    options = {"message_type": TWIST, "duration_sec": 0}
+    server.call("ros2_relay_start", source_topic=SOURCE, destination_topic="/killed_out", **options)
+    driven.until_driven("/killed_out")
     server.process.kill()
     server.end()
     wait_for(lambda: not Path(f"/proc/{bridge_pid}").exists())
-    listener.until_zero()
+    assert driven.comes_to_rest("/killed_out", PATIENCE_S) == []
     wait_for(lambda: not agent.call("ros2_topic_info", topic_name="/killed_out")["publishers"])

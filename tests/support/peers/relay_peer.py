@@ -56,10 +56,10 @@ def number_in(kind: str, data: bytes) -> float:
     return found.linear.x if kind == "Twist" else float(found.data)
 
 
-def talk(node: Node, topic: str, kind: str, reliability: str, rate_hz: str, count: str) -> None:
-    """Wait for a subscriber and a line on stdin, publish so many messages at the rate, say how many, stay."""
+def talk(node: Node, topic: str, kind: str, reliability: str, rate_hz: str, count: str, subscribers: str = "1") -> None:
+    """Wait for subscribers and a line on stdin, publish so many messages at the rate, say how many, stay."""
     publisher = node.create_publisher(KINDS[kind], topic, profile(reliability))
-    while publisher.get_subscription_count() < 1:
+    while publisher.get_subscription_count() < int(subscribers):
         time.sleep(0.005)
     say("ready")
     sys.stdin.readline()
