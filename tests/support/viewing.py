@@ -12,6 +12,7 @@ from pathlib import Path
 
 from support.browser import Page
 from support.processes import running
+from support.rounds import FULL
 
 STOP = "document.getElementById('stop').click()"
 PICTURES = os.environ.get("ROS2_MCP_PICTURES")
@@ -66,3 +67,10 @@ def pictured_in_all_sizes(page: Page, name: str) -> None:
             time.sleep(0.5)  # two rounds of the map
             pictured(page, f"{name}-{size}-{theme}")
     page.look()
+
+
+def complaints(page: Page) -> list[str]:
+    """What a page complained of, but for a call for what is no longer shown: a page that asks for nothing for 10 s, as
+    on a machine that does not run it, is let go, and begins anew.
+    """
+    return [said for said in page.complaints if FULL or "404 (Not Found)" not in said]

@@ -24,7 +24,7 @@ from support.arm_moves import HOME, far, trajectory
 from support.browser import CHROMIUM, browsing
 from support.driver import Driver
 from support.raw_server import RawServer, children, lives
-from support.viewing import pictured_in_all_sizes, text, viewing
+from support.viewing import complaints, pictured_in_all_sizes, text, viewing
 
 pytestmark = pytest.mark.timeout(180)
 TOPIC, ACTION = "/arm_controller/joint_trajectory", "/arm_controller/follow_joint_trajectory"
@@ -77,7 +77,7 @@ def test_the_page_shows_the_arm_its_links_and_its_joints(agent, ros_environment:
         page.run("document.querySelector('[aria-controls=space]').click()")
         page.until("/[1-9][0-9]* shapes of the robot/.test(document.querySelector('#space canvas').ariaLabel)")
         pictured_in_all_sizes(page, "arm-space")
-        assert page.complaints == []
+        assert complaints(page) == []
 
 
 @pytest.mark.promise("ros2_joint_move", "returns when they have arrived")

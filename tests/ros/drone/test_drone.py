@@ -21,7 +21,7 @@ from support.demo_robot import build_interfaces, with_interfaces
 from support.driver import Driver
 from support.processes import running
 from support.prompting import PromptAgent
-from support.viewing import pictured_in_all_sizes, text, viewing
+from support.viewing import complaints, pictured_in_all_sizes, text, viewing
 
 MISSIONS = 20 if FULL else 1
 NOWHERE = {"min_pitch": 0.0, "yaw": 0.0, "latitude": 0.0, "longitude": 0.0}
@@ -160,7 +160,7 @@ def test_the_page_shows_a_drone_in_the_air(drone: Drone, drone_environment: dict
         page.run("document.querySelector('[aria-controls=space]').click()")
         page.until("/[1-9][0-9]* shapes of the robot/.test(document.querySelector('#space canvas').ariaLabel)")
         pictured_in_all_sizes(page, "drone-space")
-        assert page.complaints == []
+        assert complaints(page) == []
 
 
 def test_wrong_orders_are_refused_in_words(drone: Drone) -> None:

@@ -121,6 +121,7 @@ def silenced(agent: Agent, robot: CommandedProcess, topic: str) -> tuple[str, di
 
 
 @pytest.mark.promise("ros2_drive", "It stops when odometry or scan falls silent")
+@pytest.mark.promise("stopping", "odometry or scan is silent while `ros2_drive` or `ros2_move_until` goes by it")
 @pytest.mark.parametrize("topic", ["odom", "scan"])
 def test_it_stands_when_what_it_goes_by_is_silent(agent: Agent, robot: CommandedProcess, topic: str) -> None:
     base, result = silenced(agent, robot, topic)

@@ -1,4 +1,6 @@
-"""*Confirmed* is said only of what was looked at, and stop is offered whenever anything that acts is."""
+"""*Confirmed* is said only of what was looked at. That stop is offered whenever anything that acts is:
+`tests/unit/test_composition.py`.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,6 @@ import pytest
 from support.agent import until
 from support.driver import WAYS, calm, fresh
 
-GROUPS = ("memory", "relay", "actions")
-"""Those that had no stop; each test starts a server."""
 SET_BOOL = "std_srvs/srv/SetBool"
 
 
@@ -18,22 +18,11 @@ def listed(server) -> dict[str, dict]:
     return {tool["name"]: tool for tool in server.ask("tools/list")["result"]["tools"]}
 
 
-@pytest.mark.parametrize("group", GROUPS)
-def test_whoever_may_act_may_stop(start_server, group: str) -> None:
-    tools = listed(start_server("--tools", group))
-    acts = [name for name, tool in tools.items() if not tool["annotations"].get("readOnlyHint")]
-    assert acts and "ros2_stop" in tools
-
-
 def test_stopping_is_not_declared_destructive(server) -> None:
     annotations = listed(server)["ros2_stop"]["annotations"]
     assert annotations["destructiveHint"] is False
     assert annotations["idempotentHint"] is True
     assert not annotations.get("readOnlyHint")
-
-
-def test_a_server_that_only_reads_does_not_offer_to_stop(start_server) -> None:
-    assert "ros2_stop" not in listed(start_server("--read-only"))
 
 
 def test_names_of_jobs_cannot_be_guessed(server, observer) -> None:
@@ -50,11 +39,33 @@ def test_names_of_jobs_cannot_be_guessed(server, observer) -> None:
     assert any(set("abcdefghijklmnopqrstuvwxyz") & set(part[0]) for part in parts), ids
 
 
+def test_a_service_that_only_reads_hinders_nothing(server, observer) -> None:
+    node = until(lambda: next((n for n in server.do("ros2_node_list")["nodes"] if "observer" in n), None))
+    server.do("ros2_parameter_list", node_names=[node])
+    asked = {"service_name": f"{node}/list_parameters", "fields": {"prefixes": [], "depth": 0}}
+    server.do("ros2_service_call", **asked, force_call=True)
+    assert server.stop()[0]["confirmed"] is True
+
+
+def test_a_goal_that_was_sent_as_a_raw_call(server, observer) -> None:
+    """It is known to ros2_stop as every other, which cancels it."""
+    action = fresh("raw")
+    observer.act(action=action)
+    until(lambda: action in str(server.do("ros2_list_actions")))
+    goal = {"goal_id": {"uuid": list(range(1, 17))}, "goal": {"order": 100}}
+    server.do("ros2_service_call", service_name=f"{action}/_action/send_goal", fields=goal)
+    stopped = server.stop()[0]
+    assert [one["action_name"] for one in stopped["goals"]] == [action]
+    assert stopped["goals"][0]["confirmed"] and stopped["confirmed"]
+    until(lambda: [one["status"] for one in observer.goals_of(action=action)] == ["canceled"])
+
+
 @pytest.mark.promise("README", "Services that were called, and topics of other types that were published on, are named")
 @pytest.mark.promise("ros2_stop", "names the services called and topics published on that it cannot stop")
 @pytest.mark.promise("stopping", "this server has called a service or published on a topic of another type")
-def test_a_service_that_was_called_is_named_and_not_confirmed(start_server, observer) -> None:
-    service, server = fresh("open_gripper"), start_server()
+def test_a_service_that_was_called_is_named_and_not_confirmed(server, observer) -> None:
+    """The last that uses the server of this file: from then on it cannot confirm a stop."""
+    service = fresh("open_gripper")
     observer.serve(service=service, kind=SET_BOOL)
     until(lambda: service in str(server.do("ros2_service_list")))
     assert server.stop()[0]["confirmed"] is True  # reading services confirms nothing and hides nothing
@@ -62,15 +73,6 @@ def test_a_service_that_was_called_is_named_and_not_confirmed(start_server, obse
     answer = server.call("ros2_stop")
     assert answer["structuredContent"]["confirmed"] is False
     assert service in answer["content"][0]["text"]
-
-
-def test_a_service_that_only_reads_hinders_nothing(start_server, observer) -> None:
-    server = start_server()
-    node = until(lambda: next((n for n in server.do("ros2_node_list")["nodes"] if "observer" in n), None))
-    server.do("ros2_parameter_list", node_names=[node])
-    asked = {"service_name": f"{node}/list_parameters", "fields": {"prefixes": [], "depth": 0}}
-    server.do("ros2_service_call", **asked, force_call=True)
-    assert server.stop()[0]["confirmed"] is True
 
 
 @pytest.mark.promise("README", "topics of other types that were published on, are named")
@@ -83,19 +85,6 @@ def test_a_type_of_which_nobody_knows_how_it_is_stopped(start_server, observer) 
     answer = server.call("ros2_stop")
     assert answer["structuredContent"]["confirmed"] is False
     assert topic in answer["content"][0]["text"]
-
-
-def test_a_goal_that_was_sent_as_a_raw_call(start_server, observer) -> None:
-    """It is known to ros2_stop as every other, which cancels it."""
-    action, server = fresh("raw"), start_server()
-    observer.act(action=action)
-    until(lambda: action in str(server.do("ros2_list_actions")))
-    goal = {"goal_id": {"uuid": list(range(1, 17))}, "goal": {"order": 100}}
-    server.do("ros2_service_call", service_name=f"{action}/_action/send_goal", fields=goal)
-    stopped = server.stop()[0]
-    assert [one["action_name"] for one in stopped["goals"]] == [action]
-    assert stopped["goals"][0]["confirmed"] and stopped["confirmed"]
-    until(lambda: [one["status"] for one in observer.goals_of(action=action)] == ["canceled"])
 
 
 @pytest.mark.promise("stopping", "or a goal's server does not answer")

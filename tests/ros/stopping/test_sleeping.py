@@ -130,6 +130,7 @@ def test_a_server_that_is_stopped_leaves_nothing_moving_for_longer_than_its_leas
         assert max(took.values()) <= LIMIT_S, took
 
 
+@pytest.mark.promise("README", "everything that was driven when the server dies, is stopped or sleeps")
 @pytest.mark.promise("stopping", "the server is stopped (SIGSTOP), hangs, or its machine sleeps")
 @pytest.mark.promise("stopping", "when it goes on, its calls say what ended them")
 def test_a_server_that_is_stopped_leaves_nothing_moving_and_says_so_when_it_goes_on(server, observer, action) -> None:

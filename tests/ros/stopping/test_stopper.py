@@ -114,6 +114,7 @@ def first_zeros_s(observer: Observer, topic: str, since_ns: int) -> list[float]:
 
 
 @pytest.mark.promise("stopping", "the *stopper*, a second process beside the bridge, sends the zeros")
+@pytest.mark.promise("README", "Where the bridge dies or hangs, the *stopper*, one more process, sends the zero")
 @pytest.mark.promise("stopping", "the stopper is killed while something moves")
 @pytest.mark.promise("stopping", "the bridge is stopped (`SIGSTOP`) or hangs")
 @pytest.mark.parametrize("fate", FATES)
@@ -140,6 +141,9 @@ def test_every_subscriber_has_a_zero_and_nothing_that_moves_it_after_that(
 
 @pytest.mark.full
 @pytest.mark.promise("README", "the *stopper*, one more process, sends the zero within 0.5 s")
+@pytest.mark.promise("stopping", "the *stopper*, a second process beside the bridge, sends the zeros")
+@pytest.mark.promise("stopping", "the stopper is killed while something moves")
+@pytest.mark.promise("stopping", "the bridge is stopped (`SIGSTOP`) or hangs")
 @pytest.mark.parametrize("fate", FATES)
 def test_every_subscriber_has_a_zero_within_half_a_second(start_server, observer: Observer, fate: str) -> None:
     happen, rounds = FATES[fate]
