@@ -26,7 +26,7 @@ MARK = "ROS2_MCP_CI"
 BOUNDS_S = (3, 10, 30)
 """The first that lets the command reach the hang is judged: on a busy machine pytest or Chromium starts in seconds."""
 ENDED_WITHIN_S = 30
-"""After the bound."""
+"""Seconds after the bound within which a step has ended everything."""
 LONG_BOUND_S = 300
 """For steps that end by themselves."""
 BOUND_STATUS, LEFT_STATUS = 124, 3
@@ -90,8 +90,6 @@ class Ended:
 
     status: int
     output: str
-    took_s: float
-    bound_s: float
     mark: str
 
     def left(self) -> list[str]:
@@ -110,11 +108,10 @@ class Ended:
 
 
 def run_step(command: Sequence[str], bound_s: float, **environment: str) -> Ended:
-    """Runs a command as a step, with a mark that no other test has."""
+    """Runs a command as a step, with a mark that no other test has. A step that does not end in time fails the test."""
     mark = ":".join(filter(None, [os.environ.get(MARK), f"{os.getpid()}-{time.monotonic_ns()}"]))
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST_", "UV_", "COV_"))}
     environment = {**kept, "PYTHONPATH": str(ROOT / "tests"), MARK: mark, **environment}
-    began = time.monotonic()
     ended = subprocess.run(
         [*STEP, "planted", str(bound_s), *command],
         check=False,
@@ -122,9 +119,9 @@ def run_step(command: Sequence[str], bound_s: float, **environment: str) -> Ende
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        timeout=bound_s + 2 * ENDED_WITHIN_S,
+        timeout=bound_s + ENDED_WITHIN_S,
     )
-    return Ended(ended.returncode, ended.stdout, time.monotonic() - began, bound_s, mark)
+    return Ended(ended.returncode, ended.stdout, mark)
 
 
 def run_until_it_hangs(command: Sequence[str], reached_at: Callable[[], float], **environment: str) -> Ended:
@@ -230,7 +227,6 @@ def test_a_step_that_hangs_ends_and_names_what_hangs(
         pytest.skip(f"needs {hang}")
     ended = ends[hang].result()
     assert ended.status == BOUND_STATUS, ended.output
-    assert ended.took_s < ended.bound_s + ENDED_WITHIN_S
     for name in names:
         assert re.search(name, ended.output), ended.output
     assert ended.left() == []
@@ -239,7 +235,6 @@ def test_a_step_that_hangs_ends_and_names_what_hangs(
 def test_a_grandchild_that_holds_the_pipe_holds_up_nothing_and_fails_the_step(tmp_path: Path) -> None:
     command, _ = pytest_of(tmp_path, LEAVES_A_GRANDCHILD, "-n0")
     ended = run_step(command, LONG_BOUND_S)
-    assert ended.took_s < LONG_BOUND_S
     assert ended.status == LEFT_STATUS
     assert "1 passed" in ended.output
     assert re.search(r"has left these processes behind.*\n.*sleep 1234", ended.output), ended.output

@@ -18,49 +18,6 @@ OF_STANDSTILL = {"standstill.py", "turns.py"}
 CLOCKS = {"monotonic", "monotonic_ns", "perf_counter", "perf_counter_ns", "time", "time_ns"}
 LOOKS_AT_A_CLOCK = re.compile(rf"\b({'|'.join(QUIET | CLOCKS)})\b|mark\.alone")
 ALONE = -1
-NOT_YET: set[str] = {
-    "ros/commands/test_chaos.py",
-    "ros/commands/test_goals.py",
-    "ros/commands/test_meanings.py",
-    "ros/commands/test_parameters.py",
-    "ros/commands/test_services.py",
-    "ros/commands/test_stop.py",
-    "ros/demo/test_demo_robot.py",
-    "ros/faults/test_lost_bridge.py",
-    "ros/faults/test_odd_topics.py",
-    "ros/history/test_data_black_box.py",
-    "ros/memory/test_kills.py",
-    "ros/memory/test_live_and_recorded.py",
-    "ros/memory/test_playing.py",
-    "ros/pictures/test_pictures.py",
-    "ros/prompts/test_own_prompts.py",
-    "ros/prompts/test_prompts.py",
-    "ros/reach/test_dead_container_client.py",
-    "ros/remote/test_outage.py",
-    "ros/remote/test_ssh.py",
-    "ros/resources/test_push.py",
-    "ros/resources/test_read.py",
-    "ros/server/test_faults.py",
-    "ros/server/test_finding_ros.py",
-    "ros/server/test_http_departures.py",
-    "ros/server/test_http_login.py",
-    "ros/server/test_promises.py",
-    "ros/server/test_protocol.py",
-    "ros/server/test_publish.py",
-    "ros/server/test_several_robots.py",
-    "ros/server/test_socket.py",
-    "ros/server/test_stdout.py",
-    "ros/test_bridge.py",
-    "ros/test_bridge_latch.py",
-    "ros/test_bridge_motion.py",
-    "ros/test_bridge_runaway.py",
-    "ros/test_link.py",
-    "ros/test_slow_link.py",
-    "ros/view/test_answers.py",
-    "support/prompting.py",
-}
-"""Files whose tests are still to be judged otherwise than by the clock."""
-
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 Node = Function | ast.ClassDef
 
@@ -274,8 +231,7 @@ def all_faults() -> dict[str, list[str]]:
 
 def test_no_test_of_ci_needs_a_quiet_machine_or_says_that_something_is_soon() -> None:
     found = all_faults()
-    assert not {file: said for file, said in found.items() if file not in NOT_YET}
-    assert set(found) >= NOT_YET, "these are judged otherwise by now"
+    assert not found
 
 
 USES = "def seconds():\n    return undisturbed(measure)\n"
