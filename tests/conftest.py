@@ -15,9 +15,8 @@ from support.rounds import FULL
 from support.tasks import running_tasks
 from support.turns import turn
 
-pytest_plugins = ["support.leaves_nothing"]
 Report = TypeVar("Report", pytest.CollectReport, pytest.TestReport)
-pytest_plugins = ("support.running_tests",)
+pytest_plugins = ("support.leaves_nothing", "support.running_tests")
 ROS = Path(__file__).with_name("ros")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 """As on users' machines: each of the thousand servers and bridges would be compiled anew, which takes 0.6 s."""
