@@ -9,6 +9,7 @@ from pathlib import Path
 
 from support.agent import until
 from support.commanded import CommandedProcess
+from support.rounds import FULL
 from support.velocities import TWIST
 
 STOPS_S = 60.0
@@ -38,12 +39,12 @@ class Observer(CommandedProcess):
         """Wait until so many subscribers have got at least so many messages that move the robot."""
         until(lambda: sum(count >= number for count in self.driven(topic=topic).values()) >= of)
 
-    def until_stopped(self, topic: str, since_ns: int) -> None:
+    def until_stopped(self, topic: str, since_ns: int, full_s: float = STOPS_S) -> None:
         """Wait until each subscriber that was moved has a zero that was written since then (wall clock), and nothing
-        that moves it and was written after that zero.
+        that moves it and was written after that zero. `full_s` is how long that may take in full.
         """
         with suppress(AssertionError):
-            until(lambda: not self.unstopped(topic=topic, since=since_ns), STOPS_S)
+            until(lambda: not self.unstopped(topic=topic, since=since_ns), full_s if FULL else STOPS_S)
         assert self.unstopped(topic=topic, since=since_ns) == []
 
     def comes_to_rest(self, topic: str, within_s: float) -> list[str]:

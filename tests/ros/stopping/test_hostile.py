@@ -201,6 +201,9 @@ def test_what_the_bridge_does_by_itself_is_sound_too(field) -> None:
         until(lambda topic=topic: field.observer.counts(topic=topic)[topic])
     bridge = children(field.server.process.pid)
     field.server.process.kill()
+    if FULL:
+        for topic in topics.values():
+            assert field.observer.comes_to_rest(topic, 3.0) == []
     until(lambda: not any(map(lives, bridge)))
     for kind, topic in topics.items():
         until(lambda topic=topic: not field.observer.moving(topic=topic))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ros2_mcp.guard.state import StateFolder
-from support.agent import Refusal, until
+from support.agent import FULL, Refusal, until
 from support.driver import Driver, fresh
 from support.observer import Observer
 from support.velocities import TWIST
@@ -33,7 +33,7 @@ def test_it_holds_over_a_restart_and_for_a_second_server_of_which_one_acts(
     observer.until_driven(topic)
     told, answered_ns = first.stop()
     assert told["latched"] and told["observed"] == "not observed"
-    until(lambda: not observer.moving(topic=topic))
+    assert observer.comes_to_rest(topic, 1.0 if FULL else 30.0) == []
     second = start_server(*under_policy)
     second.knows(topic, 4)
     first.process.kill()

@@ -21,6 +21,9 @@ BRIDGES = 50 if FULL else 1
 """Each takes a bridge two seconds to come up."""
 LATEST_S = 0.05
 """A request shows only when it arrives: the way through DDS and the observer's threads takes less on two processors."""
+REST_S = 1.0 if FULL else 30.0
+ACTION_S = 3.0 if FULL else 30.0
+"""A goal is judged for 0.2 s and looks for its cancelling every 20 ms."""
 
 Way = Callable[[Driver, Observer, str], int]
 
@@ -46,6 +49,7 @@ def has_ended(server: Driver, observer: Observer, topic: str, answered_ns: int) 
 
     What left late has come when a zero has that the same server publishes now, after all of it.
     """
+    assert observer.comes_to_rest(topic, REST_S) == [], "the stop has sent the zero, not this test"
     since_ns = time.time_ns()
     server.do("ros2_topic_publish", topic_name=topic, message_type=TWIST, data=speed(TWIST, 0.0))
     until(lambda: not observer.behind(topic=topic, since=since_ns))
@@ -125,7 +129,7 @@ def test_a_goal_that_is_being_sent(server, observer, chance) -> None:
         time.sleep(chance.uniform(0.0, 0.4))
         _, answered_ns = server.stop()
         server.outcome(sent)
-        until(lambda: unended(observer, action) == [])
+        until(lambda: unended(observer, action) == [], ACTION_S)
         goals = observer.goals_of(action=action)
         assert not late([goal["asked"] for goal in goals], answered_ns)
         assert {goal["status"] for goal in goals} <= {"canceled"}
@@ -161,7 +165,7 @@ def test_publishes_calls_and_goals_that_are_in_flight_together(server, observer,
         has_ended(server, observer, watched, answered_ns)
         asked = [*observer.asked(service=service), *(goal["asked"] for goal in observer.goals_of(action=action))]
         came_late += len(late(asked, answered_ns))
-        until(lambda: unended(observer, action) == [])
+        until(lambda: unended(observer, action) == [], ACTION_S)
         sent_in_all += len(sent)
     print(f"{sent_in_all} commands in flight, {came_late} left after the answer")
     assert came_late == 0

@@ -189,7 +189,7 @@ def test_the_zero_of_the_stopper_is_stamped_in_the_robots_frame_and_reaches_who_
     until(lambda: sum(count > 0 for count in observer.driven(topic=topic).values()) >= 6)
     since_ns = time.time_ns()
     kill(of_server, of_bridge)(server)
-    observer.until_stopped(topic, since_ns)
+    observer.until_stopped(topic, since_ns, full_s=NO_SUCCESSOR_S)
     zeros = [one for one in observer.messages(topic=topic) if one["written"] > since_ns and not any(one["values"])]
     assert len({one["by"] for one in zeros}) == 6
     assert {one["frame"] for one in zeros} == {"base_link"}
