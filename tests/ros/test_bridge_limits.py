@@ -21,6 +21,7 @@ from support.velocities import TWIST, TWIST_STAMPED, cdr, hostile_bytes
 MANY = 4_000 if FULL else 100
 """Messages of each type by each of the ways; five ways and two types make 40,000 in full."""
 TRUE, FALSE = b"\0\1\0\0\1", b"\0\1\0\0\0"
+REST_S = 2.0 if FULL else PATIENCE_S
 JITTER_S = 0.05
 """By how much messages may come closer together than they were sent; chosen for a busy machine."""
 KINDS = (TWIST, TWIST_STAMPED)
@@ -95,7 +96,7 @@ def by_all_ways(bridge: Limited, observer: Observer, topic: str, kind: str) -> N
         assert bridge.answer(request)[0]["ok"]["final_sent"]
     bridge.begin("publish", topic, kind, cdr(kind, 0.02), wait_ack_s=1.0)
     bridge.close()
-    assert observer.comes_to_rest(topic, PATIENCE_S) == []
+    assert observer.comes_to_rest(topic, REST_S) == []
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -145,7 +146,7 @@ def test_a_second_policy_ends_the_bridge_and_the_robot_is_stopped(bridge, observ
     it.begin("repeat", topic, data=cdr(TWIST, 0.3), rate_hz=20, duration_s=60, wait_match_s=PATIENCE_S)
     observer.until_driven(topic)
     it.policy(body(rules(ramp=False)))
-    assert observer.comes_to_rest(topic, PATIENCE_S) == []
+    assert observer.comes_to_rest(topic, REST_S) == []
     with pytest.raises((EOFError, BrokenPipeError)):
         while True:
             it.next_packet()
@@ -170,7 +171,7 @@ def held_for_s(it: Limited, observer: Observer, topic: str) -> float:
     sent = it.ok("publish", cdr(TWIST, 0.3), topic=topic, type=TWIST, qos=RELIABLE, epoch=0, wait_match_s=PATIENCE_S)
     assert sent["hold_s"] == HOLD_S
     observer.until_driven(topic)  # it was sent, which is not yet that it has arrived
-    assert observer.comes_to_rest(topic, PATIENCE_S) == []
+    assert observer.comes_to_rest(topic, HOLD_S + 1.0 if FULL else PATIENCE_S) == []
     moved, *_, rested = arrived(observer, topic)
     return (rested[0] - moved[0]) / 1e9
 

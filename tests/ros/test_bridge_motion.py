@@ -40,6 +40,7 @@ NOW_S = ON_TIME_S if FULL else 3.0
 """No stamp is further from the time at which its message was written: the figure in full, else that it is that clock's,
 on a machine that may stand still between the two.
 """
+REST_S = 1.0 if FULL else PATIENCE_S
 CLOCK = "rosgraph_msgs/msg/Clock"
 SET_BOOL = "std_srvs/srv/SetBool"
 TRUE = b"\0\1\0\0\1"
@@ -164,7 +165,7 @@ def test_nothing_that_was_accepted_before_a_stop_leaves_after_its_answer(begin, 
         assert bridge.error("publish", go, topic=topic, **acts)["kind"] == "stopped"
         assert bridge.ok("ping", epoch=0)  # an old epoch changes nothing
         assert bridge.error("publish", go, topic=topic, **acts)["kind"] == "stopped"
-        assert observer.comes_to_rest(topic, within_s=PATIENCE_S) == []
+        assert observer.comes_to_rest(topic, within_s=REST_S) == []
         assert observer.moved(sent_after=answered) == []
         assert observer.asked(service=later) == []
         bridge.send("cancel", request=waiting[0] - 1)  # the fail-safe of the other topic
@@ -226,7 +227,7 @@ def test_a_command_is_stamped_now_and_its_zero_keeps_its_frame(
     bridge.ok("publish", future, **command(topic, kind), **WAITS)
     lasting = bridge.send("repeat", future, **command(topic, kind, name="named", rate_hz=50, duration_s=0.5))
     assert bridge.answer(lasting)[0]["ok"]["final_sent"]
-    assert observer.comes_to_rest(topic, within_s=PATIENCE_S) == []
+    assert observer.comes_to_rest(topic, within_s=REST_S) == []
     assert observer.misstamped(most_s=NOW_S) == []
     heard = observer.messages(topic=topic)
     first = min(one["sent"] for one in heard if one["frame"] == "base_link")  # until then the zero is sent again
@@ -262,7 +263,7 @@ def test_now_is_simulated_time_where_the_subscriber_uses_it(
     observer.forget()
     lasting = bridge.send("repeat", body, **command(topic, TWIST_STAMPED, rate_hz=50, duration_s=1.0))
     bridge.answer(lasting)
-    assert observer.comes_to_rest(topic, within_s=PATIENCE_S) == []
+    assert observer.comes_to_rest(topic, within_s=REST_S) == []
     assert observer.counts(topic=topic)["near"] > 40
     assert observer.misstamped(most_s=NOW_S * max(1.0, factor)) == []
     assert all(1000 <= one["stamp"] / 1e9 < 2000 for one in observer.messages(topic=topic))
@@ -315,7 +316,7 @@ def test_what_is_not_finite_leaves_on_no_way(bridge: Client, observer: Observer,
         bridge.ok("relay_stop", name=name)
         told = bridge.answer(request)[0]["ok"]
         assert (told["passed"], told["refused"]) == counts and told["final_sent"]
-    assert observer.comes_to_rest(topic, within_s=PATIENCE_S) == []
+    assert observer.comes_to_rest(topic, within_s=REST_S) == []
     assert observer.unsound(topic=topic) == []
     sizes = {one["size"] for one in observer.messages(topic=topic)}
     assert max(sizes) <= len(good)
@@ -336,7 +337,7 @@ def test_hostile_commands_arrive_sound_or_not_at_all(bridge: Client, observer: O
     bridge.ok("relay_stop", name="fed")
     told = bridge.answer(relaying)[0]["ok"]
     assert (told["passed"], told["refused"]) == (len(bodies) - len(refused), len(refused))
-    assert observer.comes_to_rest(topic, within_s=PATIENCE_S) == []
+    assert observer.comes_to_rest(topic, within_s=REST_S) == []
     assert observer.counts(topic=topic)["reliable"] > len(bodies) - len(refused)
     assert observer.unsound(topic=topic) == []
     assert observer.misstamped(most_s=NOW_S, topic=topic) == []
@@ -353,7 +354,7 @@ def test_the_stopper_stops_what_a_hanging_ros_thread_moves(
     repeat(bridge, topic)
     observer.until_driven(topic, 10, 4)
     bridge.send("stats")
-    assert observer.comes_to_rest(topic, PATIENCE_S) == []  # it hangs for longer
+    assert observer.comes_to_rest(topic, within_s=4.0 if FULL else PATIENCE_S) == []  # it hangs for longer
     bridge.process.kill()
 
 
@@ -371,8 +372,10 @@ def test_a_silent_server_ends_what_moves_and_the_bridge_lives_on(begin, observer
 def test_a_silent_server_has_ended_what_moves_as_its_lease_ends(begin, observer: Observer, topic: str) -> None:
     bridge = begin()
     cancel = left_to_cancel(bridge, observer, topic)
-    assert undisturbed(lambda: ended_after_s(bridge, observer, topic, cancel)) <= LEASE_S + ON_TIME_S
-    assert all(header["silent_s"] < 2 * LEASE_S for header, _ in bridge.samples[-1:])
+    for _ in range(2):
+        assert undisturbed(lambda: ended_after_s(bridge, observer, topic, cancel)) <= LEASE_S + ON_TIME_S
+        assert [head["silent_s"] < 2 * LEASE_S for head, _ in bridge.samples if head["event"] == "lapsed"] == [True]
+    assert bridge.ok("ping", lease_s=0, epoch=0)
 
 
 def left_to_cancel(bridge: Client, observer: Observer, topic: str) -> str:
@@ -402,7 +405,7 @@ def ended_after_s(bridge: Client, observer: Observer, topic: str, cancel: str) -
     assert bridge.answer(repeating)[0]["ok"]["ended_by"] == "lease"
     assert bridge.answer(waiting)[0]["error"]["kind"] == "lapsed"
     assert [header["silent_s"] >= LEASE_S for header, _ in bridge.samples if header["event"] == "lapsed"] == [True]
-    assert observer.comes_to_rest(topic, PATIENCE_S) == []
+    assert observer.comes_to_rest(topic, within_s=REST_S) == []
     heard = observer.messages(topic=topic)
     last_motion = max(one["sent"] for one in heard if any(one["values"]))
     first_zero = min(one["sent"] for one in heard if not any(one["values"]))
@@ -459,7 +462,7 @@ def test_the_successor_of_a_killed_bridge_stops_whoever_it_discovers(begin, obse
         bridge.process.wait(PATIENCE_S)
         successor = begin()
         drive(successor, topic, TWIST_STAMPED, frame="base_link", now=True)
-        assert observer.comes_to_rest(topic, within_s=PATIENCE_S) == []
+        assert observer.comes_to_rest(topic, within_s=10.0 if FULL else PATIENCE_S) == []
         assert {one["frame"] for one in observer.last(topic=topic).values()} == {"base_link"}
         for name in names:
             observer.leave(by=name)
@@ -492,7 +495,7 @@ def test_publishers_of_every_quality_send_the_zero(begin, observer: Observer, to
     observer.until_driven(topic)
     told = bridge.ok("stop", epoch=1, **WAITS)["topics"][0]
     assert (told["matched"], told["acked"]) == (4, None)
-    assert observer.comes_to_rest(topic, within_s=PATIENCE_S) == []
+    assert observer.comes_to_rest(topic, within_s=REST_S) == []
 
 
 @pytest.mark.promise("stopping", "Every zero was acknowledged by all subscribers of its topic (or there are none)")
@@ -529,7 +532,7 @@ def test_a_broken_clock_keeps_no_topic_from_its_zero(
     observer.say(topic="/clock", kind=CLOCK, bodies=[body.hex() for body in bodies], gap_s=0.1)
     assert len(bridge.ok("stop", epoch=1, **WAITS)["topics"]) == 2
     for name in (topic, f"{topic}_other"):
-        assert observer.comes_to_rest(name, within_s=PATIENCE_S) == []
+        assert observer.comes_to_rest(name, within_s=REST_S) == []
 
 
 @pytest.mark.promise("stopping", "A 65th velocity topic, because only 64 have a fail-safe")

@@ -17,6 +17,7 @@ from support.velocities import TWIST, cdr
 
 ACKNOWLEDGED_S = 1.0
 """How long a relay waits until its first message is acknowledged."""
+GIVES_UP_S = 1.0
 ENDINGS = ("stdin ends", "SIGTERM", "broken frame")
 
 
@@ -110,8 +111,9 @@ def leaves(bridge: Client, ending: str) -> float:
     else:
         bridge.process.stdin.write(b"\xff" * 100)
         bridge.process.stdin.flush()
-    assert bridge.process.wait(PATIENCE_S) in (0, -signal.SIGALRM)
-    return time.monotonic() - started
+    status, took_s = bridge.process.wait(PATIENCE_S), time.monotonic() - started
+    assert status == 0 or (status == -signal.SIGALRM and took_s >= GIVES_UP_S)
+    return took_s
 
 
 def test_nothing_follows_the_zero_of_a_relay_that_is_being_fed(bridge: Client, peer, name: str) -> None:
@@ -177,7 +179,7 @@ def test_a_fail_safe_that_is_withdrawn_is_answered_and_not_carried_out(own_bridg
         bridge.ok("ping")
         if any(header["event"] == "stopper" for header, _ in bridge.samples):
             return False
-        assert heard[-1:] == ["1.0"] and set(heard) == {"1.0"}
+        assert heard == ["1.0"]
         return True
 
     until(withdrawn)
