@@ -16,6 +16,8 @@ from support.standstill import undisturbed
 ROUNDS = 200 if FULL else 2
 PROCESSES = 200 if FULL else 1
 """Rounds that start processes."""
+LATE_S = 10.0
+"""A killed process can hold up the middleware of those that knew it for seconds (decision 12). Judged in full."""
 AT_ONCE = 3
 """Such rounds run side by side: while one waits out its time, another discovers its server."""
 STILL_WORKING = "It may still be working on it; a longer timeout_sec waits for longer."
@@ -73,10 +75,12 @@ def test_a_service_server_that_is_killed_during_a_call(agent, start_peer) -> Non
 
     def one_round() -> None:
         peer = start_peer("dumb")
-        call = begin_call(agent, peer.name("mute"), 3.0)
+        started, call = time.monotonic(), begin_call(agent, peer.name("mute"), 3.0)
         wait_until(lambda: peer.take(name="mute"), call)
         peer.kill()
         assert str(call.exception(60)) == f"TimedOut: {peer.name('mute')} did not answer within 3 s. {STILL_WORKING}"
+        if FULL:
+            assert 3.0 <= time.monotonic() - started < 3.0 + LATE_S
 
     side_by_side(one_round)
 
@@ -89,8 +93,11 @@ def test_a_service_server_that_leaves_during_a_call(agent, start_peer) -> None:
         call = begin_call(agent, peer.name("mute"), 50.0)
         wait_until(lambda: peer.take(name="mute"), call)
         peer.terminate()
+        left = time.monotonic()
         said = str(call.exception(60))
         assert said.startswith(f"NotFound: The server of {peer.name('mute')} disappeared before it answered.")
+        if FULL:
+            assert time.monotonic() - left < LATE_S
 
     side_by_side(one_round)
 
@@ -98,16 +105,19 @@ def test_a_service_server_that_leaves_during_a_call(agent, start_peer) -> None:
 def test_a_service_server_that_dies_of_a_call(agent, start_peer) -> None:
     def one_round() -> None:
         peer = start_peer("services")
-        said = str(begin_call(agent, peer.name("fatal"), 1.0).exception(60))
+        started, call = time.monotonic(), begin_call(agent, peer.name("fatal"), 1.0)
+        said = str(call.exception(60))
         if NOT_SENT in said:
             raise TooLate(said)
         assert said == f"TimedOut: {peer.name('fatal')} did not answer within 1 s. {STILL_WORKING}"
+        if FULL:
+            assert 1.0 <= time.monotonic() - started < 1.0 + LATE_S
 
     side_by_side(one_round)
 
 
 def test_a_service_server_that_never_answers(agent, robot) -> None:
-    never_answered_s(agent, robot)
+    wait_until(lambda: never_answered_s(agent, robot) < math.inf)
 
 
 @pytest.mark.full
@@ -117,7 +127,7 @@ def test_a_call_that_is_never_answered_ends_within_a_second_of_its_time(agent, r
 
 
 def never_answered_s(agent, robot) -> float:
-    """How long a call took that may take 0.2 s."""
+    """How long a call took that may take 0.2 s; infinite if these were over before it was sent."""
     started = time.monotonic()
     said = str(begin_call(agent, robot.name("mute"), 0.2).exception(60))
     took = time.monotonic() - started
@@ -133,11 +143,13 @@ def test_an_action_server_that_is_killed_while_executing_and_started_again(agent
     def one_round() -> None:
         peer = start_peer("counting")
         action = peer.name("count")
-        waiting = begin_goal(agent, action, 5000, 1.5)
+        started, waiting = time.monotonic(), begin_goal(agent, action, 5000, 1.5)
         wait_until(lambda: peer.count(name="count executing"), waiting)
         peer.kill()
         ended = waiting.result(60)
         assert (ended["status"], ended["accepted"], ended["result"]) == ("TIMEOUT", True, None)
+        if FULL:
+            assert time.monotonic() - started < 1.5 + LATE_S
         again = start_peer("counting", namespace=peer.namespace, is_new=True)
         wait_until(lambda: status(agent, action, ended["goal_id"]) == "UNKNOWN")
         assert begin_goal(agent, action, 1, 10.0).result(60)["status"] == "SUCCEEDED"
@@ -164,11 +176,14 @@ def test_an_action_server_that_leaves_while_executing(agent, start_peer) -> None
         waiting = begin_goal(agent, peer.name("raw"), 1, 50.0)
         wait_until(lambda: peer.take(name="raw"), waiting)
         peer.terminate()
+        left = time.monotonic()
         said = str(waiting.exception(60))
         assert said.startswith(
             f"NotFound: The server of {peer.name('raw')} is not there, or left before the goal ended."
         )
         assert said.endswith(" had been accepted.")
+        if FULL:
+            assert time.monotonic() - left < LATE_S
 
     side_by_side(one_round)
 

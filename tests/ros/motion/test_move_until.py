@@ -36,33 +36,33 @@ def asked(base: str, **how: Any) -> dict[str, Any]:
 
 @pytest.mark.promise("ros2_move_until", "until a message of a topic meets a condition, asked beside the robot")
 def test_it_is_stopped_by_the_message_that_meets_the_condition(agent: Agent, robot: CommandedProcess) -> None:
-    base, result, state = until_near(agent, robot)
-    assert (result["outcome"], result["met"]) == ("met", True), result["note"]
+    _, state = until_near(agent, robot)
     assert state["zero_at"] > max(state["near_at"], state["moved_at"]) > 0
-    assert result["values"]["nearest(-20, 20)"] < 0.6
-    assert result["stopped_with_zero"]
-    assert result["odometry_topic"] == f"{base}/odom"
 
 
-def until_near(agent: Agent, robot: CommandedProcess) -> tuple[str, dict[str, Any], dict[str, Any]]:
-    """A robot that drives towards a thing until it is near it: its name, the result, and its state as it stands."""
+def until_near(agent: Agent, robot: CommandedProcess) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A robot drives towards a thing until it is near it: the result, which says so, and its state as it stands."""
     base = place(robot, agent, discs=[[1.2, 0.0, 0.2]])
     robot.note_near(range_m=0.6)
     result = agent.call("ros2_move_until", **asked(base))
-    return base, result, until(lambda: (now := robot.state())["speed"] < 1e-6 and now)
+    assert (result["outcome"], result["met"]) == ("met", True), result["note"]
+    assert result["values"]["nearest(-20, 20)"] < 0.6
+    assert result["stopped_with_zero"]
+    assert result["odometry_topic"] == f"{base}/odom"
+    return result, until(lambda: (now := robot.state())["speed"] < 1e-6 and now)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("_", range(20))
 def test_it_is_stopped_within_a_period_of_the_message(agent: Agent, robot: CommandedProcess, _: int) -> None:
-    def measured() -> tuple[str, dict[str, Any], dict[str, Any]]:
+    def measured() -> tuple[dict[str, Any], dict[str, Any]]:
         for _ in range(TIMES):
-            base, result, state = until_near(agent, robot)
+            result, state = until_near(agent, robot)
             if state["stood_s"] < STOOD_STILL_S:
                 break
-        return base, result, state
+        return result, state
 
-    _, result, state = undisturbed(measured, REACTS_S)
+    result, state = undisturbed(measured, REACTS_S)
     reacted_s = state["zero_at"] - state["near_at"]
     print(f"zero after {reacted_s * 1000:.1f} ms: {result}")
     assert 0 < reacted_s <= REACTS_S + ON_THE_WAY_S
@@ -83,6 +83,8 @@ def test_it_ends_after_its_way_and_after_its_time(agent: Agent, robot: Commanded
     result = agent.call("ros2_move_until", **asked(base, max_distance_m=0.2))
     assert (result["outcome"], result["met"]) == ("distance", False)
     assert result["distance_m"] > 0.19
+    if FULL:
+        assert result["distance_m"] < 0.35
     result = agent.call("ros2_move_until", **asked(base, timeout=0.3))
     assert result["outcome"] == "time_out"
     assert result["stopped_with_zero"]
