@@ -48,10 +48,22 @@ def listed(inspector: Path, environment: dict[str, str], *options: str) -> tuple
     return json.loads(ended.stdout)["result"], ended.stderr
 
 
-def test_it_lists_tools_without_a_warning_over_stdio(inspector, ros_environment) -> None:
+LISTS = [
+    ("tools/list", "tools"),
+    ("prompts/list", "prompts"),
+    ("resources/list", "resources"),
+    ("resources/templates/list", "resourceTemplates"),
+]
+
+
+@pytest.mark.parametrize(
+    ("method", "key"), [LISTS[0], *(pytest.param(*one, marks=pytest.mark.full) for one in LISTS[1:])]
+)
+def test_it_lists_without_a_warning_over_stdio(inspector, ros_environment, method: str, key: str) -> None:
+    strict = ["--strict"] if method == "tools/list" else []
     server = [sys.executable, "-m", "ros2_mcp", "--tools", "all"]
-    result, said = listed(inspector, ros_environment, *server, "--method", "tools/list", "--strict")
-    assert result["tools"] and said == ""
+    result, said = listed(inspector, ros_environment, *server, "--method", method, *strict)
+    assert result[key] and said == ""
 
 
 @pytest.fixture(scope="module")
@@ -61,15 +73,7 @@ def url(ros_environment: dict[str, str]) -> Iterator[str]:
         yield f"http://127.0.0.1:{port}/mcp"
 
 
-@pytest.mark.parametrize(
-    ("method", "key"),
-    [
-        ("tools/list", "tools"),
-        ("prompts/list", "prompts"),
-        ("resources/list", "resources"),
-        ("resources/templates/list", "resourceTemplates"),
-    ],
-)
+@pytest.mark.parametrize(("method", "key"), LISTS)
 def test_it_lists_without_a_warning_over_http(inspector, ros_environment, url: str, method: str, key: str) -> None:
     strict = ["--strict"] if method == "tools/list" else []
     result, said = listed(inspector, ros_environment, url, "--transport", "http", "--method", method, *strict)

@@ -18,7 +18,7 @@ import pytest
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 
-from support.agent import until
+from support.agent import FULL, until
 from support.observer import TWIST, Observer
 from support.ports import serving
 from support.standstill import undisturbed
@@ -149,7 +149,7 @@ def test_what_a_client_keeps_moving_stops_with_it_and_nothing_of_another_does(fi
         assert client.process.wait(END_S) == (-9 if way == "is killed" else 0)
         client.kill()
     stays.kill()
-    assert field.observer.comes_to_rest(kept, END_S) == []
+    assert field.observer.comes_to_rest(kept, 3.0 if FULL else END_S) == []
 
 
 @pytest.mark.full
