@@ -12,14 +12,14 @@ from typing import Any
 
 import pytest
 
-from support.agent import until
+from support.agent import FULL, until
 from support.containers import CONTAINER, ENTRYPOINT, WHERE_NONE, children, there_are_containers
 from support.driver import Driver, fresh, repeat
 from support.raw_server import MODERN, RawServer
 
 PATIENCE_S = 7.0
 """Of the script, with its processes."""
-REST_S = 30.0
+REST_S = 5.0 if FULL else 30.0
 """How long a zero may take to come at all; how soon is measured elsewhere (`tests/ros/commands/test_stop.py`)."""
 END_S = PATIENCE_S + 13.0
 """On a machine that is busy with other tests."""

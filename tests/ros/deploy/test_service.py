@@ -8,10 +8,11 @@ from contextlib import suppress
 
 import pytest
 
+from support.agent import FULL
 from support.containers import children
 from support.driver import Driver, fresh, repeat
 
-REST_S = 30.0
+REST_S = 5.0 if FULL else 30.0
 """How long a zero may take to come at all; how soon is measured elsewhere (`tests/ros/commands/test_stop.py`)."""
 END_S = 20.0
 """On a machine that is busy with other tests."""
