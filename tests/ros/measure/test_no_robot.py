@@ -5,8 +5,9 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 
-from support.agent import Agent, until
+from support.agent import FULL, Agent, until
 from support.processes import peer_command, running
 
 
@@ -52,9 +53,12 @@ def test_names_are_found_by_type_and_a_misspelt_one_is_told_at_once(
         assert {row["topic_name"] for row in listed} == {"/signal", "/signal_copy", "/signal_steady"}
         asked = {"msg_type": "Float64", "message_limit": 9}
         waiting = agent.begin("ros2_topic_subscribe", topic_name="/not/there", **asked)
+        begun = time.monotonic()
         told = agent.refusal("ros2_topic_subscribe", topic_name="/signal_waev", **asked)
         assert "Did you mean /signal_wave?" in told
         assert not waiting.done(), "what waits for a name that resembles no other was begun before"
+        if FULL:
+            assert time.monotonic() - begun < 10  # of the 20 s that it would wait
         lines: list[str] = []
 
         async def progress(_done: float, _whole: float | None, line: str | None) -> None:
@@ -62,6 +66,7 @@ def test_names_are_found_by_type_and_a_misspelt_one_is_told_at_once(
 
         agent.whole("ros2_topic_subscribe", {"topic_name": "/signal_waev", "duration": 0.2}, progress)
         assert lines[0] == "/signal_waev is not there yet; waiting for it. Did you mean /signal_wave?"
+        begun = time.monotonic()
         told = agent.refusal(
             "ros2_service_call",
             service_name="/signals/get_parameter",
@@ -70,6 +75,8 @@ def test_names_are_found_by_type_and_a_misspelt_one_is_told_at_once(
         )
         assert "no service" in told and "Did you mean" not in told  # those of every node are not suggested
         assert not waiting.done()
+        if FULL:
+            assert time.monotonic() - begun < 8  # of the 10 s that it would wait
         waiting.cancel()
         assert agent.call("ros2_get_message_fields", message_type="SetBool")["message_type"] == "std_srvs/srv/SetBool"
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from support.agent import CALL_S, Agent, agent_for, until
+from support.agent import CALL_S, FULL, Agent, agent_for, until
 from support.processes import peer_command, running
 from support.standstill import undisturbed
 
@@ -43,6 +43,10 @@ def test_the_status_tells_how_far_the_clocks_are_apart(abroad: tuple[Agent, floa
     words = "ahead of" if ahead_s > 0 else "behind"
     said = f"The robot's clock is {abs(offset_s):.1f} s {words} this machine's"
     assert any(said in line for line in status["limitations"]), status["limitations"]
+    if FULL:
+        assert offset_s == pytest.approx(ahead_s, abs=EXACT_S)
+        assert 0 < status["link_rtt_s"] < EXACT_S
+        assert "3600.0 s" in said
 
 
 def measured(agent: Agent) -> tuple[dict[str, Any], dict[str, Any]]:

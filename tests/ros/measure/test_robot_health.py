@@ -89,10 +89,10 @@ def test_a_slow_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> N
 
 @pytest.mark.full
 @pytest.mark.parametrize(
-    ("name", "value", "usual", "said"),
+    ("name", "value", "usual", "listen", "said"),
     [
-        ("lidar.enabled", False, True, ("CRITICAL", ["/lidar"], "SILENT")),
-        ("lidar.rate", 0.5, 10.0, ("DEGRADED", ["/scan"], "SLOW")),
+        ("lidar.enabled", False, True, LISTEN, ("CRITICAL", ["/lidar"], "SILENT")),
+        ("lidar.rate", 0.5, 10.0, {}, ("DEGRADED", ["/scan"], "SLOW")),
     ],
 )
 def test_a_sensor_that_is_dead_or_slow_is_found_at_the_first_look(

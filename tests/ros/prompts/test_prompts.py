@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from support.agent import until
+from support.agent import FULL, until
 from support.faults import FAULTS
 from support.prompting import PromptAgent
 from support.standstill import undisturbed
@@ -79,7 +79,7 @@ def relayed(agent: PromptAgent) -> tuple[float | None, dict[str, Any]]:
 def test_a_topic_and_its_relay_are_compared(agent: PromptAgent) -> None:
     relay = agent.agent.call("ros2_relay_start", source_topic="/odom", destination_topic="/odom_same")
     asked = {"topic1_name": "/odom", "topic2_name": "/odom_same", "duration_sec": "1"}
-    until(lambda: agent.take(DIFF, **asked)[0]["verdict"] == "IDENTICAL", PATIENCE_S)
+    first_look(lambda: agent.take(DIFF, **asked)[0]["verdict"] == "IDENTICAL")
     agent.agent.call("ros2_relay_stop", relay_id=relay["relay_id"])
 
 
@@ -105,7 +105,14 @@ def test_the_health_check_names_what_is_wrong(
         return health["verdict"] in verdicts and said in found
 
     with FAULTS[fault](agent, demo_environment):
-        until(is_told, PATIENCE_S)
+        first_look(is_told)
+
+
+def first_look(is_so: Callable[[], bool]) -> None:
+    """It is so: in full at the first look, in CI as soon as a busy machine lets it be."""
+    if FULL:
+        assert undisturbed(is_so)
+    until(is_so, PATIENCE_S)
 
 
 @pytest.mark.parametrize(

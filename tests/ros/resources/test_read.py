@@ -21,6 +21,15 @@ def refusal(listener: Listener, uri: str) -> dict[str, Any]:
 
 
 def test_every_resource_is_listed_as_json(listener: Listener) -> None:
+    assert_listed_as_json(listener)
+
+
+@pytest.mark.full
+def test_every_resource_is_listed_as_json_in_each_era(listener_of_each_era: Listener) -> None:
+    assert_listed_as_json(listener_of_each_era)
+
+
+def assert_listed_as_json(listener: Listener) -> None:
     listed = listener.ask("resources/list")["result"]["resources"]
     templates = listener.ask("resources/templates/list")["result"]["resourceTemplates"]
     assert {entry["uri"] for entry in listed} >= {f"ros2://{path}" for path in STATIC}

@@ -15,7 +15,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from support.agent import Agent, agent_for, until
+from support.agent import FULL, Agent, agent_for, until
 from support.browser import CHROMIUM, Page, browsing
 from support.chat_host import APPS, KINDS, ChatHost, hosting
 from support.observer import Observer
@@ -23,6 +23,7 @@ from support.on_map import FREE, WALL, click_on_map
 
 Reset = Callable[[], None]
 TWIST = {"linear": {"x": 0.1}}
+REST_S = 10.0 if FULL else 30.0
 PICTURES = os.environ.get("ROS2_MCP_PICTURES")
 OURS = "!!document.querySelector('#map canvas')"
 LIVE = "document.getElementById('state').textContent === 'live'"
@@ -142,11 +143,11 @@ def test_its_button_stops_the_agent_of_the_chat(chat: Page, agent: Agent, observ
     observer.until_driven("/cmd_vel")
     chat.until("document.getElementById('moves').textContent.startsWith('agent drives /cmd_vel')", within=view)
     chat.run("document.getElementById('stop').click()", within=view)
-    assert observer.comes_to_rest("/cmd_vel", 30.0) == []
+    assert observer.comes_to_rest("/cmd_vel", REST_S) == []
     said = "document.getElementById('said').textContent"
     assert "the latch is set" in chat.until(f"/1 of 1 server/.test({said}) && {said}", within=view)
     pictured(chat, "chat-stopped")
-    assert driving.exception(30.0) is not None or driving.result()["status"]
+    assert driving.exception(REST_S) is not None or driving.result()["status"]
     chat.until("document.getElementById('moves').textContent.startsWith('LATCHED by operator')", within=view)
     state = agent.call("ros2_view_state")["pages"][0]
     assert any("LATCHED" in line for line in state["shows"])

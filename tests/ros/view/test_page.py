@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from support.agent import Agent, agent_for, until
+from support.agent import FULL, Agent, agent_for, until
 from support.browser import CHROMIUM, Page, browsing
 from support.observer import Observer
 from support.on_map import WALL, click_on_map
@@ -24,6 +24,7 @@ from support.processes import peer_command, running
 from support.viewing import STOP, choose, pictured, pictured_in_all_sizes, text, viewing
 
 TWIST = {"linear": {"x": 0.1}}
+REST_S = 10.0 if FULL else 30.0
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +114,7 @@ def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Age
     )
     pictured_in_all_sizes(page, "driving")
     page.run(STOP)
-    assert observer.comes_to_rest("/cmd_vel", 30.0) == []
+    assert observer.comes_to_rest("/cmd_vel", REST_S) == []
     said = page.until(f"/1 of 1 server/.test({text('#said')}) && {text('#said')}")
     assert "the latch is set" in said
     page.until(f"{text('#moves')}.startsWith('LATCHED by operator')")
@@ -121,7 +122,7 @@ def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Age
     page.until(f"{rows}.some(row => /stop .*by operator.*latched$/.test(row))")
     assert page.run(f"{rows}.filter(row => /by operator/.test(row)).length") == 1  # one press, one row
     pictured_in_all_sizes(page, "stopped")
-    assert call.exception(30.0) is not None or call.result()["status"]
+    assert call.exception(REST_S) is not None or call.result()["status"]
     assert agent.call("ros2_record_stop", recording_id=recording)["messages"] > 0  # it moves nothing, and goes on
     page.until(f"{rows}.some(row => row.includes('recording ended {recording}'))")
     assert "latch" in agent.refusal(
@@ -180,7 +181,7 @@ def test_where_a_server_hangs_the_latch_is_set_and_the_page_says_that_it_did_not
     os.kill(pid, signal.SIGSTOP)
     try:
         page.run(STOP)
-        assert observer.comes_to_rest("/cmd_vel", 30.0) == []
+        assert observer.comes_to_rest("/cmd_vel", REST_S) == []
         page.until(f"{text('#said')}.includes('NO ANSWER')")
         said = page.run(text("#said"))
         assert "zeros were sent from here on /cmd_vel" in said and "the latch is set" in said
