@@ -9,7 +9,7 @@ from typing import Any
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import quoted
-from ros2_mcp.ops.results import HIDDEN, ON_REQUEST, Report, WithPictures, facts, silent
+from ros2_mcp.ops.results import HIDDEN, ON_REQUEST, SAID, Report, WithPictures, facts, silent
 from ros2_mcp.programs.crossing import crossed
 from ros2_mcp.programs.program import MOST_PRINTED, Done, Program, Programs, Record
 from ros2_mcp.robot import Robot
@@ -40,12 +40,12 @@ class Ran(WithPictures):
     the first and the last. `ended_with_it` was still in motion at its end.
     """
 
-    outcome: str
+    outcome: str = field(metadata=SAID)
     printed: Sequence[str] = ()
     returned: Mapping[str, Any] | None = field(default=None, metadata=ON_REQUEST)
     error: ProgramError | None = field(default=None, metadata=ON_REQUEST)
-    elapsed_s: float
-    calls: int
+    elapsed_s: float = field(metadata=SAID)
+    calls: int = field(metadata=SAID)
     commands: Sequence[Done] = ()
     ended_with_it: Sequence[str] = ()
     program_id: str

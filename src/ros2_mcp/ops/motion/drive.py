@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 from ros2_mcp.guard.policy import bounded
@@ -16,7 +16,7 @@ from ros2_mcp.ops.motion.body import body_of
 from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of, scan_of
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results import SAID, Report, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.drive import STEER_MOST
 
@@ -101,17 +101,17 @@ class Driven:
     the end: less than the mean distance to a wall by the noise of the scan.
     """
 
-    outcome: str
-    asked: float
-    measured: float | None
-    error: float | None
-    unit: str
+    outcome: str = field(metadata=SAID)
+    asked: float = field(metadata=SAID)
+    measured: float | None = field(metadata=SAID)
+    error: float | None = field(metadata=SAID)
+    unit: str = field(metadata=SAID)
     aside_m: float | None = None
     heading_deg: float | None = None
     free_m: float | None = None
-    elapsed_s: float
+    elapsed_s: float = field(metadata=SAID)
     topic_name: str
-    odometry: str
+    odometry: str = field(metadata=SAID)
     scan: str = ""
     note: str = ""
 

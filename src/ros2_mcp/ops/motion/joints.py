@@ -23,7 +23,7 @@ from ros2_mcp.ops.description import described
 from ros2_mcp.ops.endings import ended_by
 from ros2_mcp.ops.motion.controllers import FOLLOW, TRAJECTORY, Controller, controller_for
 from ros2_mcp.ops.motion.joint_states import JointStates, joint_states
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results import SAID, Report, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.jobs import Job
@@ -98,12 +98,12 @@ class JointsMoved:
     went through.
     """
 
-    outcome: str
+    outcome: str = field(metadata=SAID)
     joints: Sequence[JointResult]
     controller: str
     way: str
     planned_s: float
-    elapsed_s: float
+    elapsed_s: float = field(metadata=SAID)
     note: str = ""
 
     def summary(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ros2_mcp.guard.policy import bounded
@@ -18,7 +18,7 @@ from ros2_mcp.ops.endings import ended_by, guarded, limited
 from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
-from ros2_mcp.ops.results import Report, silent, told_values
+from ros2_mcp.ops.results import SAID, Report, silent, told_values
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 from ros2_mcp_bridge.scans import LASER_SCAN
@@ -61,19 +61,19 @@ class MovedUntil:
     """
 
     outcome: str
-    met: bool
-    topic_name: str
+    met: bool = field(metadata=SAID)
+    topic_name: str = field(metadata=SAID)
     topic_type: str
-    condition: str
-    values: Mapping[str, Any]
+    condition: str = field(metadata=SAID)
+    values: Mapping[str, Any] = field(metadata=SAID)
     looked_at: int
     undecided: int
     command_topic: str
     velocity: Mapping[str, float]
     sent: int
-    elapsed: float
-    distance_m: float | None
-    odometry_topic: str = ""
+    elapsed: float = field(metadata=SAID)
+    distance_m: float | None = field(metadata=SAID)
+    odometry_topic: str = field(default="", metadata=SAID)
     stopped_with_zero: bool = False
     note: str = ""
 
