@@ -37,6 +37,9 @@ class ClaudeCode:
         place.run(self.program, *words)
         (place.home / "model").write_text(model)
 
+    def servers(self, place: Workplace) -> str:
+        return place.run(self.program, "mcp", "get", "ros2")
+
     def command(self, place: Workplace, prompt: str) -> list[str]:
         address = (place.home / "model").read_text()
         output = ("--output-format", "stream-json", "--verbose")

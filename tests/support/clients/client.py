@@ -52,27 +52,36 @@ class Workplace:
     def run(self, *command: str | Path) -> str:
         """What a command of the client's says; it must succeed."""
         run = subprocess.run(
-            command, cwd=self.project, env=self.environment, capture_output=True, text=True, timeout=60, check=False
+            command, cwd=self.project, env=self.environment, capture_output=True, text=True, timeout=120, check=False
         )
         assert run.returncode == 0, (command, run.stdout, run.stderr)
         return run.stdout + run.stderr
 
 
-class Client(Protocol):
-    """A client in one version."""
+class Configured(Protocol):
+    """A client in one version, as far as it takes a configuration."""
 
     name: str
     """As `ros2-mcp config` and the tests' names have it."""
-    allow_all: Sequence[str]
-    """Options with which it asks nobody before it calls a tool."""
 
-    def environment(self, home: Path) -> dict[str, str]:
+    def environment(self, home: Path, /) -> dict[str, str]:
         """What it needs beside HOME and PATH: no telemetry, no updates."""
         ...
 
-    def configure(self, place: Workplace, printed: str, model: str) -> None:
+    def configure(self, place: Workplace, printed: str, model: str, /) -> None:
         """Do with what `ros2-mcp config` printed what its user would do; the model's address is `model`."""
         ...
+
+    def servers(self, place: Workplace) -> str:
+        """What it says of the servers that are configured."""
+        ...
+
+
+class Client(Configured, Protocol):
+    """A client that a scripted model can drive."""
+
+    allow_all: Sequence[str]
+    """Options with which it asks nobody before it calls a tool."""
 
     def command(self, place: Workplace, prompt: str) -> list[str]:
         """Let it carry out a prompt without a human."""
@@ -158,8 +167,7 @@ def session(
         options: of the client's command line, before the prompt.
         server: more variables of the shell in which `ros2-mcp config` is run.
     """
-    with tempfile.TemporaryDirectory(prefix="ros2_mcp_client_", ignore_cleanup_errors=True) as made:
-        place = _workplace(Path(made), client, environment)
+    with workplace(client) as place:
         model = ScriptedModel(turns, client.waiting)
         with serving(model) as address:
             client.configure(place, printed_config(client.name, place, {**environment, **server}), address)
@@ -200,7 +208,14 @@ def printed_config(name: str, place: Workplace, environment: Mapping[str, str]) 
     return printed.replace(ours, place.server)
 
 
-def _workplace(folder: Path, client: Client, environment: Mapping[str, str]) -> Workplace:
+@contextmanager
+def workplace(client: Configured) -> Iterator[Workplace]:
+    """An empty one for this client, for the time of a block."""
+    with tempfile.TemporaryDirectory(prefix="ros2_mcp_client_", ignore_cleanup_errors=True) as made:
+        yield _workplace(Path(made), client)
+
+
+def _workplace(folder: Path, client: Configured) -> Workplace:
     watched = folder / "ros2-mcp"
     ours = str(Path(sys.executable).with_name("ros2-mcp"))
     tap = shlex.join([*peer_command("mcp_tap"), str(folder / "mcp.jsonl"), ours])

@@ -49,6 +49,9 @@ class Codex:
         folder.mkdir()
         (folder / "config.toml").write_text(SETTINGS.format(model=model) + printed)
 
+    def servers(self, place: Workplace) -> str:
+        return place.run(self.program, "mcp", "get", "ros2", "--json")
+
     def command(self, place: Workplace, prompt: str) -> list[str]:
         return [str(self.program), "exec", "--json", "--skip-git-repo-check", "--cd", str(place.project), prompt]
 

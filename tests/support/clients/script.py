@@ -106,6 +106,8 @@ def picture_and_text(content: Any) -> tuple[str, int]:
     if isinstance(content, Mapping):
         if content.get("type") in ("image", "input_image"):
             return "", 1
+        if content.get("type") == "tool_reference":  # what a search for tools finds
+            return content["tool_name"], 0
         return picture_and_text(content.get("text", content.get("content", "")))
     parts = [picture_and_text(part) for part in content or []]
     return "\n".join(text for text, _ in parts if text), sum(pictures for _, pictures in parts)
