@@ -38,7 +38,7 @@ class ShownTool:
 
     def is_for(self, tool: str) -> bool:
         """Whether this is the server's tool of that name; clients put the server's name before it."""
-        return self.name == tool or self.name.endswith(f"__{tool}")
+        return self.name == tool or self.name.endswith(f"_{tool}")
 
     @property
     def size_bytes(self) -> int:
