@@ -19,7 +19,7 @@ from ros2_mcp.model.finite import finite
 from ros2_mcp.model.text import as_sent, quoted, visible, visible_json
 from ros2_mcp.model.values import DIAGONAL, DIAGONAL_EXPLAINED
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import Report, as_json, at_most_every, in_brief, lines_of
+from ros2_mcp.ops.results import Report, as_json, at_most_every, in_brief, lines_of, structured
 from ros2_mcp.ops.sources.kinds import OWN_KINDS
 from ros2_mcp.ops.sources.source import SourceKind
 from ros2_mcp.programs.declare import Function
@@ -38,6 +38,8 @@ _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is ex
 _MAX_TEXT = 40_000
 # What of a recording is damaged or missing, in every answer made from it; results with `problems` say it there.
 _DAMAGE = "damage"
+SUMMARY = "summary"
+"""The field of structured content with the lines of the summary."""
 # What there is to be said of an answer, also how arguments were taken that do not say it all.
 _NOTE = "note"
 _MOST_NAMED = 5
@@ -116,8 +118,7 @@ class BoundTool:
                 text = TextContent(type="text", text=visible(result.told))
                 return CallToolResult(content=[text], structured_content=dict(finite(result.value)))
             noted = self._with_notes(result, told)
-            value = as_json(noted)
-            return await aside(extent(value), answer, noted, value, self._damage(damage()), told)
+            return await aside(extent(as_json(noted)), answer, noted, self._damage(damage()), told)
 
     async def perform(self, arguments: Mapping[str, Any], report: Report, robot: Robot) -> Any:
         """The result itself, for a program; strict as a call is.
@@ -244,7 +245,7 @@ def bind(
         title=declaration.title,
         description=declaration.description,
         input_schema=argument_schema(arguments.model_json_schema()),
-        output_schema=None if declaration.audience == "page" else result_schema(signature.return_annotation),
+        output_schema=None if declaration.audience == "page" else answer_schema(signature.return_annotation),
         annotations=ToolAnnotations(
             title=declaration.title,
             read_only_hint=declaration.risk == "read",
@@ -272,25 +273,34 @@ def bind(
     )
 
 
-def answer(result: Any, value: Any, damage: Sequence[str] = (), told: Sequence[str] = ()) -> CallToolResult:
+def answer_schema(kind: Any) -> dict[str, Any]:
+    """The schema of the structured content of an answer with such a result."""
+    schema = result_schema(kind)
+    properties = {SUMMARY: {"type": "string"}, **schema["properties"]}
+    return {**schema, "properties": properties, "required": [SUMMARY, *schema["required"]]}
+
+
+def answer(result: Any, damage: Sequence[str] = (), told: Sequence[str] = ()) -> CallToolResult:
     """A result and its `value` as MCP content: lines to read, the value as short JSON, pictures, all of it structured.
 
     A summary is one line or a list of lines: a line break within one is shown as what it is, and begins no line.
     `damage` says of the bags that were read for it what of them is damaged or missing, `told` how arguments were taken.
     """
-    lines = lines_of(result.summary())
+    lines, value = lines_of(result.summary()), as_json(result)
+    beside: dict[str, Any] = {}
     if told:
-        value.setdefault(_NOTE, " ".join(told))
+        beside[_NOTE] = value.setdefault(_NOTE, " ".join(told))
         lines = [*lines, *(line for line in told if not any(line in shown for shown in lines))]
     if damage and not hasattr(result, "problems"):  # those say it themselves
-        value[_DAMAGE] = list(damage)
+        beside[_DAMAGE] = value[_DAMAGE] = list(damage)
         lines = [*lines, *(f"Damage: {line}" for line in damage)]
-    structured, _ = visible_json(value)
+    summary = "\n".join(map(visible, lines))
+    structure, _ = visible_json({**structured(result), **beside})
     short, is_shortened = in_brief(result, value, "\n".join(lines))
     _, text = visible_json(short)
     shown = "\n".join(
         [
-            *map(visible, lines),
+            summary,
             text,
             *([EXPLAINED] if is_shortened else []),
             *([DIAGONAL_EXPLAINED] if f'"{DIAGONAL}"' in text else []),
@@ -300,7 +310,7 @@ def answer(result: Any, value: Any, damage: Sequence[str] = (), told: Sequence[s
     for image in getattr(result, "images", ()):
         data = base64.b64encode(image.data).decode()
         content.append(ImageContent(type="image", data=data, mime_type=image.mime))
-    return CallToolResult(content=content, structured_content=structured)
+    return CallToolResult(content=content, structured_content={SUMMARY: summary, **structure})
 
 
 def _parsed(text: str, *, acts: bool) -> Any:

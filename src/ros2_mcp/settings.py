@@ -346,6 +346,11 @@ class Settings:
         32_000, "--result-bytes", "ROS2_MCP_RESULT_BYTES", _SERVING, _number(*_RESULT_BYTES),
         "bound on the text of one result",
     )
+    structured: bool = _option(
+        False, "--structured", "ROS2_MCP_STRUCTURED", _SERVING, _SWITCH,
+        "send structured content and output schemas beside the text, for programs; some clients then hide text and "
+        "pictures from the model", takes_value=False,
+    )
     log_level: str = _option(
         "warning", "--log-level", "ROS2_MCP_LOG_LEVEL", _SERVING, _one_of("debug", "info", "warning", "error"),
         "what is logged on stderr; debug includes the bridge's own log",

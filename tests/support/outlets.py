@@ -16,7 +16,10 @@ _BREAK = re.compile("[\n\r\v\f\x1c-\x1e\x85\u2028\u2029]")
 _QUOTED = re.compile("«[^«»]*»")
 _HIDDEN = frozenset("".join(HIDDEN.values())) - frozenset("[8m")
 _CLASSES = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp", "Zs")
-_OURS = {"note", "error", "problem", "problems", "recommendation", "reasons", "source", "mismatches", "damage"}
+_OURS = {
+    *("summary", "note", "error", "problem", "problems", "recommendation"),
+    *("reasons", "source", "mismatches", "damage"),
+}
 """Fields of results that have sentences of ours."""
 
 

@@ -14,6 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from support.structured import META
+
 MODERN = "2026-07-28"
 CLIENT = {"name": "lines by hand", "version": "1"}
 ANSWER_S = 30.0
@@ -56,6 +58,8 @@ class RawServer:
             prefix = "io.modelcontextprotocol/"
             stamp = {"protocolVersion": MODERN, "clientInfo": CLIENT, "clientCapabilities": {}}
             params["_meta"] = {prefix + name: value for name, value in stamp.items()}
+        if method == "tools/call":
+            params["_meta"] = {**params.get("_meta", {}), **META}
         return self.send_params(method, params)
 
     def send_params(self, method: str, params: Any) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic
 
 import anyio
@@ -15,7 +15,7 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.graph import Contact
 from ros2_mcp.model.text import quoted
 from ros2_mcp.ops import stop as stopping
-from ros2_mcp.ops.results import microseconds
+from ros2_mcp.ops.results import IF_ANY, microseconds
 from ros2_mcp.robot import Robot
 
 ROBOTS = "ros2_robots"
@@ -55,7 +55,7 @@ class RobotState:
     read_only: bool
     policy: str
     latched: bool
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def line(self) -> str:
         """One line."""
@@ -89,7 +89,7 @@ class StoppedRobots:
 
     robots: Sequence[StoppedRobot]
     confirmed: bool
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
         """A line for each robot."""

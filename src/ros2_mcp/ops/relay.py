@@ -24,6 +24,7 @@ from ros2_mcp.model.graph import RelayCounts, TopicEndpoints
 from ros2_mcp.model.qos import QoS, for_subscribing
 from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.ops.endings import ended_by, guarded, held_back, limited, reason_of
+from ros2_mcp.ops.results import IF_ANY
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.jobs import Job
 from ros2_mcp_bridge.limits import MAX_RATE_HZ, MIN_RATE_HZ
@@ -100,7 +101,7 @@ class RelayState:
     stopped_with_zero: bool
     runs_in: str
     qos: Sequence[str]
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import cache
 from time import monotonic
 from typing import Any, Protocol, TypeVar, cast
@@ -35,6 +35,9 @@ HIDDEN = {"hidden": True}
 
 ON_REQUEST = {"on_request": True}
 """Metadata of a result's field that is part of its JSON only where it was asked for, or has something; else None."""
+
+IF_ANY = {"if_any": True}
+"""Metadata of a result's field without a default that structured content lacks where it is empty, such as a note."""
 
 SAID = {"said": True}
 """Metadata of a result's field that its summary tells: the text, which begins with that, does not tell it again."""
@@ -143,7 +146,7 @@ class PictureFacts:
     width: int
     height: int
     mime: str
-    note: str
+    note: str = field(metadata=IF_ANY)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,6 +162,31 @@ def facts(pictures: Sequence[Picture]) -> list[PictureFacts]:
     return [PictureFacts(p.width, p.height, p.mime, p.note) for p in pictures]
 
 
+def may_be_absent(declared: Field[Any]) -> bool:
+    """Whether structured content lacks a field of a result where it is empty: such as it is by default, or `IF_ANY`."""
+    if "on_request" in declared.metadata or "if_any" in declared.metadata:
+        return True
+    made = declared.default_factory
+    return _is_empty(declared.default if made is MISSING else made())
+
+
+def _is_empty(value: Any) -> bool:
+    """Whether it is nothing: null, an empty text, list or object. 0 and false are values."""
+    return value is None or (isinstance(value, (str, Sequence, Mapping)) and not value)
+
+
+def structured(value: Any) -> Any:
+    """A result as JSON values for a program: as `as_json`, without fields that are empty and say nothing thereby."""
+    if type(value) in _SCALARS:
+        return value
+    if isinstance(value, (list, tuple)):
+        return [structured(item) for item in cast("Sequence[Any]", value)]
+    if not is_dataclass(value):
+        return value
+    shown = ((name, getattr(value, name), may_lack) for name, _, may_lack in _shown_fields(type(value)))
+    return {name: structured(inner) for name, inner, may_lack in shown if not (may_lack and _is_empty(inner))}
+
+
 def as_json(value: Any) -> Any:
     """A result as JSON values, field by field, without what is hidden."""
     if type(value) in _SCALARS:  # as nearly all are
@@ -167,7 +195,7 @@ def as_json(value: Any) -> Any:
         return [as_json(item) for item in cast("Sequence[Any]", value)]
     if not is_dataclass(value):
         return value
-    shown = ((name, getattr(value, name), on_request) for name, on_request in _shown_fields(type(value)))
+    shown = ((name, getattr(value, name), on_request) for name, on_request, _ in _shown_fields(type(value)))
     return {name: as_json(inner) for name, inner, on_request in shown if not (on_request and inner is None)}
 
 
@@ -192,7 +220,7 @@ def in_brief(result: Any, value: Any, said: str) -> tuple[Any, bool]:
         if not is_dataclass(one):
             return value
         said_above = () if is_row else _said_fields(type(one))
-        names = [name for name, _ in _shown_fields(type(one)) if name in value and name not in said_above]
+        names = [name for name, *_ in _shown_fields(type(one)) if name in value and name not in said_above]
         parts = {name: shown(getattr(one, name), value[name]) for name in names}
         if not hasattr(one, "summary"):  # a row: what is empty there may be a value
             return parts
@@ -215,10 +243,10 @@ def _said_fields(kind: type[Any]) -> frozenset[str]:
 
 
 @cache
-def _shown_fields(kind: type[Any]) -> tuple[tuple[str, bool], ...]:
-    """Names, and whether they are there only on request."""
+def _shown_fields(kind: type[Any]) -> tuple[tuple[str, bool, bool], ...]:
+    """Names, whether they are there only on request, and whether structured content lacks them where they are empty."""
     shown = (field for field in fields(kind) if not field.metadata.get("hidden"))
-    return tuple((field.name, "on_request" in field.metadata) for field in shown)
+    return tuple((field.name, "on_request" in field.metadata, may_be_absent(field)) for field in shown)
 
 
 def exact_time(unix_ns: int) -> str:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any, cast, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
+
+from ros2_mcp.ops.results import may_be_absent
 
 Schema = dict[str, Any]
 _REFERENCE = "#/$defs/"
@@ -27,18 +30,20 @@ def argument_schema(schema: Mapping[str, Any]) -> Schema:
 
 
 def result_schema(kind: Any) -> Schema:
-    """The schema of a result: dataclasses of plain values. A field is always there, unless it is so only on request;
-    what may be null says so.
+    """The schema of a result: dataclasses of plain values. A field is always there, unless it is left out where it is
+    empty; what may be null says so.
     """
     options = get_args(kind)
-    if type(None) in options:
-        (present,) = (option for option in options if option is not type(None))
+    if NoneType in options:
+        (present,) = (option for option in options if option is not NoneType)
         return {"anyOf": [result_schema(present), _NULL]}
+    if get_origin(kind) is Literal:
+        return {"type": _SCALARS[type(options[0])], "enum": list(options)}
     if is_dataclass(kind):
         hints = get_type_hints(kind)
         shown = [field for field in fields(kind) if not field.metadata.get("hidden")]
         properties = {field.name: result_schema(hints[field.name]) for field in shown}
-        always = [field.name for field in shown if not field.metadata.get("on_request")]
+        always = [field.name for field in shown if not may_be_absent(field)]
         return {"type": "object", "properties": properties, "required": always}
     origin = get_origin(kind) or kind
     if origin in (list, tuple, Sequence):

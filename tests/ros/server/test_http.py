@@ -13,6 +13,7 @@ import anyio
 import pytest
 from mcp import Client
 
+from support.structured import META
 from support.tokens import HEADERS, client_at
 
 PATIENCE_S = 30.0
@@ -44,7 +45,7 @@ def port(start: Any, request: pytest.FixtureRequest) -> Iterator[int]:
 
 
 async def status(client: Client) -> Any:
-    result = await client.call_tool("ros2_status", {})
+    result = await client.call_tool("ros2_status", {}, meta=META)
     assert not result.is_error, result.content
     return result.structured_content
 
@@ -87,7 +88,7 @@ async def test_a_client_that_is_gone_leaves_no_subscription_behind(port: int) ->
 
 
 async def called(client: Client, tool: str, **arguments: Any) -> Any:
-    result = await client.call_tool(tool, arguments)
+    result = await client.call_tool(tool, arguments, meta=META)
     assert not result.is_error, result.content
     return result.structured_content
 

@@ -30,6 +30,7 @@ from support.networks import Network, NotPermitted, network
 from support.observer import TWIST, Observer, observing
 from support.ports import listening
 from support.standstill import undisturbed
+from support.structured import META
 from support.tokens import client_at
 
 ROUNDS = 200 if FULL else 5
@@ -374,7 +375,7 @@ async def test_a_repeat_outlasts_ten_seconds_where_the_client_answers_pings_and_
         url = f"http://{field.host}:{field.ports['handshake']}/mcp"
         repeat = {"message_type": TWIST, "data": MOVING, "frequency": 20, "duration": 12}
         async with client_at(url, mode=mode) as client:
-            return await client.call_tool("ros2_topic_publish", {"topic_name": f"/{mode}/cmd_vel", **repeat})
+            return await client.call_tool("ros2_topic_publish", {"topic_name": f"/{mode}/cmd_vel", **repeat}, meta=META)
 
     answers: dict[str, Any] = {}
 

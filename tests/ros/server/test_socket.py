@@ -19,6 +19,7 @@ from mcp.client.stdio import stdio_client
 
 from support.agent import until
 from support.observer import TWIST, Observer
+from support.structured import META
 
 END_S = 30.0
 CLOSED_S, ARRIVES_S = 0.3, 0.05
@@ -84,7 +85,7 @@ class Connected:
 
     def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
         """The structured result of a call."""
-        result = self.ask("tools/call", {"name": tool, "arguments": arguments})
+        result = self.ask("tools/call", {"name": tool, "arguments": arguments, "_meta": META})
         assert not result.get("isError"), result
         return result["structuredContent"]
 
@@ -102,7 +103,7 @@ async def test_clients_of_both_eras_speak_through_connect(
     )
     async with Client(stdio_client(command), mode=mode) as client:
         assert "ros2_topic_list" in {tool.name for tool in (await client.list_tools()).tools}
-        result = await client.call_tool("ros2_status", {})
+        result = await client.call_tool("ros2_status", {}, meta=META)
         assert result.structured_content and result.structured_content["bridge_node"]
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadName
-from ros2_mcp.ops.results import list_note
+from ros2_mcp.ops.results import IF_ANY, list_note
 from ros2_mcp.robot import Robot
 
 
@@ -18,7 +18,7 @@ class InterfaceList:
 
     interfaces: Sequence[str]
     total: int
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""

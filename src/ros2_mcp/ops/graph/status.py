@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import platform
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
 
 from ros2_mcp.guard.consent import Auditing
 from ros2_mcp.guard.state import RESET_HINT, latched
-from ros2_mcp.ops.results import microseconds
+from ros2_mcp.ops.results import IF_ANY, microseconds
 from ros2_mcp.robot import Robot
 
 NO_POLICY = "none is in force, whatever fits its definition is sent"
@@ -58,7 +58,7 @@ class Status:
     latched: bool
     ros_found: str
     robot_seen: bool
-    note: str
+    note: str = field(metadata=IF_ANY)
     limitations: Sequence[str]
 
     def summary(self) -> str:

@@ -13,7 +13,7 @@ from ros2_mcp.model.errors import BadData, BadValue, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import in_quotes
 from ros2_mcp.model.times import recorded_time, seconds_in
-from ros2_mcp.ops.results import HIDDEN, Report, iso_time, reporting, silent
+from ros2_mcp.ops.results import HIDDEN, IF_ANY, Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source, Stream
 
@@ -50,7 +50,7 @@ class Wait:
     values: Mapping[str, Any]
     message: dict[str, Any] | None
     source: str
-    note: str
+    note: str = field(metadata=IF_ANY)
     is_live: bool = field(default=True, metadata=HIDDEN)
     when: str = field(default="", metadata=HIDDEN)
 

@@ -14,7 +14,7 @@ from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import named
 from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import ON_REQUEST, iso_time
+from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, iso_time
 from ros2_mcp.ops.sources.bag import open_bag
 from ros2_mcp.ops.sources.selection import Selection, fit, message_times
 from ros2_mcp.ops.space.meaning import meaning_of_newest
@@ -82,8 +82,8 @@ class BagInfo:
     messages: int
     bytes: int
     topics: Sequence[BagTopic]
-    problems: Sequence[str]
-    note: str
+    problems: Sequence[str] = field(metadata=IF_ANY)
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
         """One line, and one for each problem."""
@@ -107,9 +107,9 @@ class BagMessages:
     start: str
     times_s: Sequence[float]
     count: int
-    truncated: Sequence[str]
-    problems: Sequence[str]
-    note: str
+    truncated: Sequence[str] = field(metadata=IF_ANY)
+    problems: Sequence[str] = field(metadata=IF_ANY)
+    note: str = field(metadata=IF_ANY)
     meaning: Meaning | None = field(default=None, metadata=ON_REQUEST)
 
     def summary(self) -> list[str]:

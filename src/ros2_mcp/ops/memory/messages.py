@@ -13,7 +13,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError
 from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
-from ros2_mcp.ops.results import ON_REQUEST, Report, iso_time, reporting, silent
+from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.bag import end_note
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.selection import MAX_MESSAGES, Fitted, Selection, fit, message_times
@@ -44,8 +44,8 @@ class StoredMessages:
     messages: Sequence[dict[str, Any]]
     count: int
     found: int
-    truncated: Sequence[str]
-    note: str
+    truncated: Sequence[str] = field(metadata=IF_ANY)
+    note: str = field(metadata=IF_ANY)
     meaning: Meaning | None = field(default=None, metadata=ON_REQUEST)
 
     def summary(self) -> str:

@@ -35,7 +35,7 @@ from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.model.times import Outage
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
-from ros2_mcp.ops.results import HIDDEN, iso_time
+from ros2_mcp.ops.results import HIDDEN, IF_ANY, iso_time
 from ros2_mcp.robot import Listening, Robot
 from ros2_mcp.robot.jobs import Job
 
@@ -140,8 +140,8 @@ class RecordingState:
     bytes: int
     messages: int
     topics: Sequence[TopicCounts]
-    reason: str
-    notes: Sequence[str]
+    reason: str = field(metadata=IF_ANY)
+    notes: Sequence[str] = field(metadata=IF_ANY)
     why_dropped: str = field(default="", metadata=HIDDEN)
 
     def summary(self) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ros2_mcp.model import names
-from ros2_mcp.ops.results import list_note
+from ros2_mcp.ops.results import IF_ANY, list_note
 from ros2_mcp.robot import Robot
 
 
@@ -20,7 +20,7 @@ class NodeList:
     total: int
     settled: bool
     duplicates: Sequence[str]
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""

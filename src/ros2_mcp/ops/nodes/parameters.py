@@ -16,7 +16,7 @@ from ros2_mcp.model.errors import BadInput, BadValue, NotFound
 from ros2_mcp.model.text import in_quotes, listed, named, quoted
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
-from ros2_mcp.ops.results import HIDDEN, list_note, or_error
+from ros2_mcp.ops.results import HIDDEN, IF_ANY, list_note, or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.rules import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
@@ -68,7 +68,7 @@ class ParameterList:
     """The parameters of several nodes."""
 
     nodes: Sequence[NodeParameters]
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
         """A line for each node."""
@@ -87,7 +87,7 @@ class Dump:
     node: str
     parameters: dict[str, Any]
     read_only: Sequence[str]
-    left_out: dict[str, str]
+    left_out: dict[str, str] = field(metadata=IF_ANY)
     note: str = ""
 
     def summary(self) -> str:
@@ -109,7 +109,7 @@ class SetOne:
 
     name: str
     successful: bool
-    reason: str
+    reason: str = field(metadata=IF_ANY)
     value: Any
     left_out: str = ""
     before: Any = field(default=None, metadata=HIDDEN)

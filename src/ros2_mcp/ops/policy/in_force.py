@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ros2_mcp.guard import words
 from ros2_mcp.guard.document import Document
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.watch import most_of
+from ros2_mcp.ops.results import IF_ANY
 from ros2_mcp.robot import Robot
 
 NONE = (
@@ -38,7 +39,7 @@ class InForce:
     limits: Sequence[str]
     forbidden: Sequence[str]
     held: str
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
         """All of it: a line each."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadName, NotFound
-from ros2_mcp.ops.results import list_note
+from ros2_mcp.ops.results import IF_ANY, list_note
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 
@@ -31,7 +31,7 @@ class ServiceList:
     services: Sequence[ServiceEntry]
     total: int
     settled: bool
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""

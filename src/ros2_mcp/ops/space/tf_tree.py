@@ -14,7 +14,7 @@ from ros2_mcp.model.errors import NotFound, NoTransform
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.pictures import BOUNDS, Picture
 from ros2_mcp.model.text import is_name, named
-from ros2_mcp.ops.results import HIDDEN, Report, WithPictures, facts, reporting, silent
+from ros2_mcp.ops.results import HIDDEN, IF_ANY, Report, WithPictures, facts, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
@@ -49,7 +49,7 @@ class Tree(WithPictures):
     frames: int
     roots: Sequence[str]
     edges: Sequence[EdgeRow]
-    problems: Sequence[str]
+    problems: Sequence[str] = field(metadata=IF_ANY)
     read_from: str
     note: str = ""
     lines: Sequence[str] = field(default=(), metadata=HIDDEN)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model import names
-from ros2_mcp.ops.results import ON_REQUEST, list_note
+from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, list_note
 from ros2_mcp.robot import Robot
 
 
@@ -33,7 +33,7 @@ class TopicList:
     topics: Sequence[TopicEntry]
     total: int
     settled: bool
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""

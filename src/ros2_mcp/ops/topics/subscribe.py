@@ -23,6 +23,7 @@ from ros2_mcp.model.times import seconds_in
 from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.results import (
     HIDDEN,
+    IF_ANY,
     ON_REQUEST,
     Report,
     WithPictures,
@@ -126,8 +127,8 @@ class Echo(WithPictures):
     seconds_in: float | None
     waited: float
     publishers: Sequence[str]
-    truncated: Sequence[str]
-    note: str
+    truncated: Sequence[str] = field(metadata=IF_ANY)
+    note: str = field(metadata=IF_ANY)
     source: str
     meaning: Meaning | None = field(default=None, metadata=ON_REQUEST)
     is_live: bool = field(metadata=HIDDEN)

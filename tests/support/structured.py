@@ -1,0 +1,38 @@
+"""Structured content as tests read it: a field that is left out because it is empty reads as the empty value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ros2_mcp.server import STRUCTURED
+
+META: dict[str, Any] = {STRUCTURED: True}
+"""The `_meta` of a request that asks for structured content, or in `tools/list` for output schemas."""
+
+
+class Structured(dict[str, Any]):
+    """One object; `[]` gives of a field that its schema has and that is absent the empty value of its type."""
+
+    def __init__(self, value: Mapping[str, Any], schema: Mapping[str, Any]) -> None:
+        self._properties: Mapping[str, Any] = schema.get("properties", {})
+        super().__init__({name: read(part, self._properties.get(name, {})) for name, part in value.items()})
+
+    def __missing__(self, name: str) -> Any:
+        if name not in self._properties:
+            raise KeyError(name)
+        kind = self._properties[name].get("type")
+        return {"string": "", "array": [], "object": {}}.get(kind)
+
+
+def read(value: Any, schema: Mapping[str, Any]) -> Any:
+    """A value of structured content, of which the objects are `Structured` where their schema names fields."""
+    if isinstance(value, dict):
+        for part in schema.get("anyOf", [schema]):
+            if "properties" in part:
+                return Structured(value, part)
+        return value
+    if isinstance(value, list):
+        items = schema.get("items", {})
+        return [read(item, items) for item in value]
+    return value
