@@ -16,6 +16,8 @@ from ros2_mcp.robot import Robot
 
 MOST_CHARACTERS = 20_000
 """Of a program: ten times what a task needs; what is longer is no program that somebody reads."""
+_MOST_TOLD = 5
+"""Sentences of functions about what they gave."""
 MOST_VALUE = 12_000
 """Characters of JSON of what a program gives, and of what it is given."""
 
@@ -115,6 +117,7 @@ def _told(program: Program, text: str, note: str) -> Ran:
         notes.append(f"It printed {record.characters} characters, of which the first {MOST_PRINTED} are shown.")
     if record.commands > len(record.done):
         notes.append(f"{record.commands} commands were given, of which {len(record.done)} are listed.")
+    notes += [*record.told][:_MOST_TOLD]
     if record.ended:
         notes.append(f"Ended with it: {', '.join(record.ended)}.")
     returned, cut = _returned(record)

@@ -69,7 +69,7 @@ def short(functions: Sequence[Function]) -> str:
     """The functions as a model reads them, a line each: arguments with defaults, and the fields of the result."""
     alike: dict[str, list[str]] = {}
     for each in functions:
-        alike.setdefault(f"({_short_arguments(each.signature)}){_short_result(each)}", []).append(each.name)
+        alike.setdefault(f"({short_arguments(each.signature)}){_short_result(each)}", []).append(each.name)
     return "\n".join(f"{', '.join(names)}{rest}" for rest, names in alike.items())
 
 
@@ -77,8 +77,10 @@ def _arguments(signature: inspect.Signature, classes: dict[str, str]) -> str:
     shown: list[str] = []
     for name, each in signature.parameters.items():
         star = "*" if each.kind is inspect.Parameter.VAR_POSITIONAL else ""
-        default = "" if each.default is inspect.Parameter.empty else " = ..."
-        shown.append(f"{star}{name}: {_type(each.annotation, classes)}{default}")
+        kind, default = _type(each.annotation, classes), ""
+        if each.default is not inspect.Parameter.empty:  # None means there that it is not given
+            kind, default = kind if kind in ("Any", "None") or kind.endswith("| None") else f"{kind} | None", " = ..."
+        shown.append(f"{star}{name}: {kind}{default}")
     return ", ".join(shown)
 
 
@@ -134,7 +136,8 @@ def _of_result(kind: Any, classes: dict[str, str]) -> str:
     return _type(kind, classes).replace("Sequence[", "list[")
 
 
-def _short_arguments(signature: inspect.Signature) -> str:
+def short_arguments(signature: inspect.Signature) -> str:
+    """The names of the arguments; those that may be left out with a question mark."""
     shown: list[str] = []
     for name, each in signature.parameters.items():
         if name in _OF_RECORDINGS:
