@@ -34,8 +34,6 @@ from ros2_mcp.tools.schema import argument_schema, result_schema, text_for_numbe
 from ros2_mcp.view.viewing import Viewing
 
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
-# About 10,000 tokens: one terminal client refuses more than 25,000, and text costs the model's attention before that.
-_MAX_TEXT = 40_000
 # What of a recording is damaged or missing, in every answer made from it; results with `problems` say it there.
 _DAMAGE = "damage"
 SUMMARY = "summary"
@@ -261,8 +259,11 @@ def bind(
             read_only_hint=declaration.risk == "read",
             destructive_hint=declaration.risk == "actuate",
             idempotent_hint=declaration.risk in ("read", "stop"),
-            open_world_hint=True,
+            # A client that may not ask runs no tool with an open world: neither what only reads, nor the stop, needs to
+            # be asked about (decision 58).
+            open_world_hint=declaration.risk in ("write", "actuate"),
         ),
+        _meta=_hints_of(declaration),
     )
     results: Mapping[str, Any] = listed.output_schema or {}
     if results and declaration.recorded and "problems" not in results["properties"]:
@@ -281,6 +282,14 @@ def bind(
         functions=functions,
         viewing=viewing,
     )
+
+
+def _hints_of(declaration: ToolDeclaration) -> dict[str, Any] | None:
+    """What one client's search goes by; others leave it alone."""
+    hints: dict[str, Any] = {"anthropic/searchHint": declaration.finds} if declaration.finds else {}
+    if declaration.always_loaded:
+        hints["anthropic/alwaysLoad"] = True
+    return hints or None
 
 
 def answer_schema(kind: Any) -> dict[str, Any]:
@@ -319,7 +328,11 @@ def answer(
         content.append(ImageContent(type="image", data=data, mime_type=image.mime))
     structure, _ = visible_json({**structured(result), **beside})
     summary = "\n".join(map(visible, lines_of(result.summary())))
-    return CallToolResult(content=content, structured_content={SUMMARY: summary, **structure})
+    return CallToolResult(
+        content=content,
+        structured_content={SUMMARY: summary, **structure},
+        is_error=getattr(result, "failed", False),
+    )
 
 
 def _parsed(text: str, *, acts: bool) -> Any:
@@ -357,9 +370,9 @@ def _visibly(report: Report) -> Report:
 
 def _cut(text: str) -> str:
     """Text within the limit of what clients take."""
-    if len(text) <= _MAX_TEXT:
+    if len(text) <= MOST_CHARACTERS:
         return text
-    return text[:_MAX_TEXT] + f"… (cut after {_MAX_TEXT} characters: ask for less, with a pattern, a limit or fields)"
+    return f"{text[:MOST_CHARACTERS]}… (cut after {MOST_CHARACTERS} characters)"
 
 
 def _explain(tool: str, error: ValidationError, schema: Mapping[str, Any]) -> str:

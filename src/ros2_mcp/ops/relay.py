@@ -26,7 +26,7 @@ from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.ops.endings import ended_by, guarded, held_back, limited, reason_of
 from ros2_mcp.ops.results import IF_ANY, SAID
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.jobs import Job, State
 from ros2_mcp_bridge.limits import MAX_RATE_HZ, MIN_RATE_HZ
 from ros2_mcp_bridge.rhythm import Rhythm
 
@@ -83,7 +83,7 @@ class RelayState:
     """
 
     relay_id: str = field(metadata=SAID)
-    state: str = field(metadata=SAID)
+    state: State = field(metadata=SAID)
     source_topic: str = field(metadata=SAID)
     destination_topic: str = field(metadata=SAID)
     message_type: str

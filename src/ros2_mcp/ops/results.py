@@ -43,7 +43,7 @@ SAID = {"said": True}
 """Metadata of a result's field that its summary tells: the text, which begins with that, does not tell it again."""
 
 EXACT = {"exact": True}
-"""Metadata of a field with an object that can be sent back: the text has its numbers as they are."""
+"""Metadata of a field with a value that can be sent back: the text has it as JSON, its numbers as they are."""
 
 LINES = {"lines": True}
 """Metadata of a field whose text has lines that are to be read as such."""

@@ -134,7 +134,7 @@ class _Body:
             if is_empty(value) or _beside(declared) or ("said" in declared.metadata and not is_row):
                 continue
             if _is_short(value) and "lines" not in declared.metadata and not _has_sentences(declared):
-                scalars.append(f"{path}{declared.name}: {cell(value)}")
+                scalars.append(f"{path}{declared.name}: {cell(_cell_value(declared, value))}")
             else:
                 others.append((declared, value))
         if title or scalars:
@@ -194,7 +194,7 @@ class _Body:
         if not inner:
             self.parts.append(_flat(name, _with(beside, [_row(value) for value in values])))
         elif len(inner) == 1 and len(values) > 1 and _is_table(values, *inner):
-            self.parts.append(_grouped(name, values, *inner))
+            self.parts.append(_grouped(name, values, *inner, self.said))
         else:
             for number, value in enumerate(values, 1):
                 which = f" {number} of {len(values)}" if len(values) > 1 else ""
@@ -254,15 +254,18 @@ def _flat(name: str, rows: Sequence[Mapping[str, Any]]) -> _Part:
     return _Part([title, *table(rows, columns)], name, len(rows) if columns else 0)
 
 
-def _grouped(name: str, values: Sequence[Any], inner: str) -> _Part:
-    """Objects with a list of flat ones each: one table, in which a line for each object stands above its rows."""
+def _grouped(name: str, values: Sequence[Any], inner: str, said: str) -> _Part:
+    """Objects with a list of flat ones each: one table, in which a line for each object stands above its rows; without
+    objects of which there is nothing to say but what is `said` already.
+    """
     groups = [[_row(one) for one in getattr(value, inner)] for value in values]
     rows = [row for group in groups for row in group]
     columns, shared = told_apart(rows)
     lines = [f"{name} ({len(values)}), {inner} of each{_in_all(rows[0], shared)}:", *table((), columns)]
     for value, group in zip(values, groups, strict=True):
         own = {key: one for key, one in _row(value).items() if key != inner and not is_empty(one)}
-        lines += [f"{pairs(own, list(own))}:", *(line([row[column] for column in columns]) for row in group)]
+        if group or not all(str(one) in said for one in own.values()):
+            lines += [pairs(own, list(own)), *(line([row[column] for column in columns]) for row in group)]
     return _Part(lines, f"{name} and their {inner}", len(lines) - 2)
 
 
@@ -305,7 +308,12 @@ def _is_short(value: Any) -> bool:
 
 
 def _row(one: Any) -> dict[str, Any]:
-    return {declared.name: getattr(one, declared.name) for declared in _shown_fields(type(one))}
+    """The cells of an object."""
+    return {declared.name: _cell_value(declared, getattr(one, declared.name)) for declared in _shown_fields(type(one))}
+
+
+def _cell_value(declared: Field[Any], value: Any) -> Any:
+    return Exact(visible_json(as_json(value))[1]) if "exact" in declared.metadata and value is not None else value
 
 
 def _beside(declared: Field[Any]) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, cast
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import quoted
@@ -32,6 +32,9 @@ class ProgramError:
     hint: str = ""
 
 
+ProgramEnd = Literal["ended", "failed", "limit", "stopped", "crashed"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ran(WithPictures):
     """What became of a program.
@@ -42,7 +45,7 @@ class Ran(WithPictures):
     the first and the last. `ended_with_it` was still in motion at its end.
     """
 
-    outcome: str = field(metadata=SAID)
+    outcome: ProgramEnd = field(metadata=SAID)
     printed: Sequence[str] = ()
     returned: Mapping[str, Any] | None = field(default=None, metadata=ON_REQUEST)
     error: ProgramError | None = field(default=None, metadata=ON_REQUEST)
@@ -53,6 +56,11 @@ class Ran(WithPictures):
     program_id: str
     note: str = ""
     commands_given: int = field(default=0, metadata=HIDDEN)
+
+    @property
+    def failed(self) -> bool:
+        """Whether it did not come to its end; a stop is no failure."""
+        return self.outcome in ("failed", "limit", "crashed")
 
     def summary(self) -> str:
         """One line."""
@@ -107,9 +115,9 @@ async def run(
 def _told(program: Program, text: str, note: str) -> Ran:
     record, notes = program.record, [note] if note else []
     failure = record.failure
-    outcome = "ended"
+    outcome: ProgramEnd = "ended"
     if failure:
-        outcome = {"error": "failed", "crash": "crashed"}.get(failure.kind, failure.kind)
+        outcome = cast("ProgramEnd", {"error": "failed", "crash": "crashed"}.get(failure.kind, failure.kind))
     elif program.state == "stopped":
         outcome = "stopped"
         notes.append(f"It was ended by {program.stop_reason or 'a request to cancel it'}.")

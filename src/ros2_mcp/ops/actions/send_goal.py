@@ -53,6 +53,11 @@ class GoalOutcome:
     last_feedback: dict[str, Any] | None = None
     note: str = ""
 
+    @property
+    def failed(self) -> bool:
+        """Whether its server did not accept it, or gave it up; one that goes on, or was cancelled, is no failure."""
+        return not self.accepted or self.status == "ABORTED"
+
     def summary(self) -> str:
         """One line."""
         return f"{self.action_name} goal {self.goal_id}: {self.status}. {self.note}".rstrip()

@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import anyio
 from anyio import to_thread
@@ -132,7 +132,7 @@ class RecordingState:
     """A recording. `bag` is its name for the tools that read bags; `state` is `recording`, `ended` or `failed`."""
 
     recording_id: str = field(metadata=SAID)
-    state: str = field(metadata=SAID)
+    state: Literal["recording", "ended", "failed"] = field(metadata=SAID)
     bag: str = field(metadata=SAID)
     path: str
     started_at: str = field(metadata=SAID)

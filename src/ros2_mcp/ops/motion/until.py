@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal, cast
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.aside import load
@@ -51,6 +51,9 @@ class UntilRequest:
     odometry_topic: str = ""
 
 
+UntilEnd = Literal["met", "distance", "time_out", "silent", "nobody_listens", "refused", "ended"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedUntil:
     """What ended a motion: `outcome` is `met`, `distance`, `time_out`, `silent`, `nobody_listens`, `refused`, or
@@ -60,7 +63,7 @@ class MovedUntil:
     it could not be said. `distance_m` is the way by odometry until the end of the commands, null without odometry.
     """
 
-    outcome: str
+    outcome: UntilEnd
     met: bool = field(metadata=SAID)
     topic_name: str = field(metadata=SAID)
     topic_type: str
@@ -76,6 +79,11 @@ class MovedUntil:
     odometry_topic: str = field(default="", metadata=SAID)
     stopped_with_zero: bool = False
     note: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether something went wrong; a limit of time or way that the caller gave, and a stop, are no failures."""
+        return self.outcome in ("silent", "nobody_listens", "refused")
 
     def summary(self) -> str:
         """One line."""
@@ -204,7 +212,7 @@ def _result(command: Move, moved: Moved, reason: str, known: str) -> MovedUntil:
         notes.append("A zero command was sent at the end.")
     odometry = asked["odometry"]
     return MovedUntil(
-        outcome="ended" if reason else moved.outcome,
+        outcome="ended" if reason else cast("UntilEnd", moved.outcome),
         met=told["met"],
         topic_name=asked["topic"],
         topic_type=asked["type"],

@@ -80,6 +80,11 @@ class Navigated:
     health: Sequence[str] = field(default=(), metadata=SAID)
     note: str = ""
 
+    @property
+    def failed(self) -> bool:
+        """Whether it did not get there; one that goes on, or that somebody has cancelled, is no failure."""
+        return self.outcome in ("failed", "rejected", "not begun")
+
     def summary(self) -> list[str]:
         """What became of it, and of a failure its cause."""
         lines = [f"{self.outcome} after {self.duration_s:.1f} s. {self.note}".strip(), *map(_line, self.legs)]

@@ -24,7 +24,7 @@ from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
 
 _MOST_LINES = 150
-"""Of the text: the largest robots have that many frames, and a result has 32 kB."""
+"""Of the text: the largest robots have that many frames, and a result has 12 kB."""
 
 _AGAIN_NS = 4_000_000_000
 """For the second message of an edge that came once: its rate is not known before; and for the first message of a
