@@ -58,7 +58,7 @@ class Use(Protocol):
 
     @property
     def report(self) -> Report:
-        """Progress, for who called `ros2_run`."""
+        """Progress, for who called `ros2_program_run`."""
         ...
 
     @property

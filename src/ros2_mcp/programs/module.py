@@ -2,7 +2,10 @@
 
 from collections.abc import Sequence
 
-from ros2_mcp.programs import arrays, functions
+from ros2_mcp.programs import functions  # isort: split
+
+# What is used most is declared first, and shown first.
+from ros2_mcp.programs import arrays
 from ros2_mcp.programs.declare import DECLARED, Function, pure
 from ros2_mcp.programs.numbers import NUMBERS
 

@@ -241,7 +241,7 @@ class Program(Job):
             if record.commands > MOST_COMMANDS:
                 raise Failure("limit", line, f"more than {MOST_COMMANDS} commands")
         try:
-            with called_through(function.tool or "ros2_run", f"{self.id}, line {line}"):
+            with called_through(function.tool or "ros2_program_run", f"{self.id}, line {line}"):
                 if acts and self._is_rehearsal:
                     return await self._rehearse(function, arguments, line)
                 result = await self._perform(function, arguments, line)

@@ -48,9 +48,9 @@ _SAID_ELSEWHERE = frozenset(
         "condition",
     }
 )
-_TOOLS = "As the tools, with their arguments and the fields of their results (print one to see them):"
-_MOST_OPTIONAL = 2
-_MOST_FIELDS = 4
+_TOOLS = "The tools, with all their arguments (here what must be given):"
+_NUMBER = " → float"
+_MOST_FIELDS = 3
 """Of a result in the short form; the check of types knows all, and names the nearest."""
 
 
@@ -69,16 +69,20 @@ def stub(functions: Sequence[Function]) -> str:
 
 def short(functions: Sequence[Function]) -> str:
     """The functions as a model reads them: those that only programs have a line each, with arguments and the fields of
-    the result; of those that are tools, what must be given. The whole is a part of a description, of which some clients
-    show no more than 2,048 characters.
+    the result, but numbers of values in one line; of those that are tools, what must be given. The whole is a part of
+    a description, of which some clients show no more than 2,048 characters.
     """
-    alike: dict[str, list[str]] = {}
+    own: list[str] = []
+    numbers: list[str] = []
     for each in functions:
-        if not each.tool:
-            alike.setdefault(f"({short_arguments(each.signature)}){_short_result(each)}", []).append(each.name)
-    own = [f"{', '.join(names)}{rest}" for rest, names in alike.items()]
+        arguments, result = short_arguments(each.signature), _short_result(each)
+        if result == _NUMBER:
+            numbers.append(each.name if len(each.signature.parameters) == 1 else f"{each.name}({arguments})")
+        elif not each.tool:
+            own.append(f"{each.name}({arguments}){result}")
     tools = ", ".join(f"{each.name}({_needed_arguments(each.signature)})" for each in functions if each.tool)
-    return "\n".join([*own, *([f"{_TOOLS}\n{tools}"] if tools else [])])
+    lines = [*own, ", ".join(numbers) + _NUMBER if numbers else "", f"{_TOOLS}\n{tools}" if tools else ""]
+    return "\n".join(filter(None, lines))
 
 
 def _arguments(signature: inspect.Signature, classes: dict[str, str]) -> str:
@@ -158,17 +162,17 @@ def short_arguments(signature: inspect.Signature) -> str:
 
 
 def _needed_arguments(signature: inspect.Signature) -> str:
-    """What must be given, and as many of the others as tell what it is about."""
+    """What must be given; of a function to which nothing must be given, what it is about."""
     given = [each.name for each in signature.parameters.values() if each.default is inspect.Parameter.empty]
-    others = [f"{name}?" for name in signature.parameters if name not in given and name not in _OF_RECORDINGS]
-    shown = others[: max(_MOST_OPTIONAL - len(given), 0)]
-    return ", ".join([*given, *shown, *(["…"] if len(shown) < len(others) else [])])
+    return ", ".join(given or [f"{name}?" for name in signature.parameters][:1])
 
 
 def _short_result(function: Function) -> str:
     kind = function.signature.return_annotation
     if kind is Stream:
         return " → for"
+    if len(some := [each for each in get_args(kind) if is_dataclass(each)]) == 1 and type(None) in get_args(kind):
+        return f" → {_names(some[0])} | None"
     if function.unwrapped:
         kind = get_type_hints(kind)[function.unwrapped]
         element = get_args(kind)[0]
