@@ -57,8 +57,8 @@ async def points(
     _whole("limit", limit, 1, MOST_POINTS)
     if stride is not None:
         _whole("stride", stride, 1, 1_000_000)
-    if len(fields) > _MOST_FIELDS:
-        raise BadInput(f"robot.points: {len(fields)} fields; give at most {_MOST_FIELDS}.")
+    if not isinstance(fields, (list, tuple)) or len(fields) > _MOST_FIELDS:
+        raise BadInput(f"robot.points: fields is a list of at most {_MOST_FIELDS} names.")
     await load("ros2_mcp.codec.clouds")
     from ros2_mcp.codec.clouds import points_of
 
@@ -127,7 +127,8 @@ async def grid(use: Use, message: Message) -> GridFacts:
 @function()
 async def grid_value(use: Use, grid: Message, x: float, y: float) -> int | None:
     """The value of the cell at a place in m: -1 unknown, 0 free to 100 occupied; None outside."""
-    return (await _grid_of(use, "grid_value", grid)).cost(x, y)
+    found = await _grid_of(use, "grid_value", grid)
+    return await _computed("grid_value", 0, found.cost, x, y)
 
 
 @function()
@@ -135,7 +136,7 @@ async def grid_nearest(
     use: Use, grid: Message, x: float, y: float, kind: Literal["occupied", "free", "unknown"] = "occupied"
 ) -> NearestCell | None:
     """The nearest cell of a kind to a place in m; None if there is none. Occupied is 50 and more."""
-    if kind not in KINDS:
+    if kind not in [*KINDS]:
         raise BadInput(f"robot.grid_nearest: kind is one of {', '.join(KINDS)}.")
     found = await _grid_of(use, "grid_nearest", grid)
     place = await _computed("grid_nearest", found.cells.size, found.nearest, x, y, *KINDS[kind])
@@ -194,8 +195,8 @@ async def unpack(
         if not hasattr(content, "nbytes"):
             raise BadInput("robot.unpack: data is bytes, such as those of a field uint8[].", 'As m["data"].')
         content = memoryview(content)
-    if len(format) > _MOST_FORMAT:
-        raise BadInput(f"robot.unpack: the format has more than {_MOST_FORMAT} characters.")
+    if not isinstance(cast("Any", format), str) or len(format) > _MOST_FORMAT:
+        raise BadInput(f"robot.unpack: the format is a text of at most {_MOST_FORMAT} characters.", 'Such as "<Hf".')
     try:
         record = struct.Struct(format)
     except struct.error as error:

@@ -23,7 +23,7 @@ _PLAIN: Mapping[Any, str] = {
     inspect.Signature.empty: "Any",
 }
 _HEAD = """\
-from typing import Any, Iterator, Literal, Sequence, TypedDict
+from typing import Any, Iterator, Literal, Mapping, Sequence, TypedDict
 Message = dict[str, Any]
 class Messages:
     def __iter__(self) -> Iterator[Message]: ...
@@ -89,7 +89,8 @@ def _arguments(signature: inspect.Signature, classes: dict[str, str]) -> str:
     shown: list[str] = []
     for name, each in signature.parameters.items():
         star = "*" if each.kind is inspect.Parameter.VAR_POSITIONAL else ""
-        kind, default = _type(each.annotation, classes), ""
+        # A result, which is a TypedDict, is no dict[str, Any] to the check of types.
+        kind, default = _type(each.annotation, classes).replace("dict[str, Any]", "Mapping[str, Any]"), ""
         if each.default is not inspect.Parameter.empty:  # None means there that it is not given
             kind, default = kind if kind in ("Any", "None") or kind.endswith("| None") else f"{kind} | None", " = ..."
         shown.append(f"{star}{name}: {kind}{default}")
