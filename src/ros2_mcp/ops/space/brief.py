@@ -49,7 +49,8 @@ class RobotInBrief:
     are actions that every Nav2 has. `left_out` counts what did not fit even so; the whole of it leaves nothing out.
 
     `not_read` are the parts that were not there within the time of this answer, or whose type is not known here, which
-    says nothing of the robot. `read_from` is the recording, where it is not of the live robot.
+    says nothing of the robot; and the topics of frames, odometry and diagnostics that somebody publishes and that were
+    silent, with how long they were listened to. `read_from` is the recording, where it is not of the live robot.
     """
 
     name: str = field(metadata=SAID)
