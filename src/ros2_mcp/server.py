@@ -208,9 +208,7 @@ class Tools:
         """
         result = await self._call(context, params)
         wanted = self._structured or _asks_for_structure(params) or params.name in _FOR_PAGE
-        if wanted or not isinstance(result, CallToolResult):
-            return result
-        return CallToolResult(content=result.content, is_error=result.is_error)
+        return result if wanted or not isinstance(result, CallToolResult) else text_alone(result)
 
     async def _call(self, context: Context, params: CallToolRequestParams) -> CallToolResult | InputRequiredResult:
         failed: CallFailed | None = None
@@ -263,6 +261,11 @@ class Tools:
                 raise
             raise CallFailed(f"Robot {member.name}: {error}") from error
         return self._fleet.told_of(member, result)
+
+
+def text_alone(result: CallToolResult) -> CallToolResult:
+    """A result as a model's client gets it: text and pictures."""
+    return CallToolResult(content=result.content, is_error=result.is_error)
 
 
 def _asks_for_structure(params: RequestParams | None) -> bool:

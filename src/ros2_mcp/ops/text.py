@@ -128,7 +128,7 @@ class _Body:
 
         What the summary says is not said again, but in the rows of a list: nobody should look for whose line it was.
         """
-        found = [(declared, getattr(one, declared.name)) for declared in _shown_fields(type(one))]
+        found = [(declared, getattr(one, declared.name)) for declared in _shown_fields(one)]
         beside: dict[str, tuple[str, Sequence[Any]]] = {
             declared.metadata["beside"]: (declared.name, value) for declared, value in found if _beside(declared)
         }
@@ -288,11 +288,12 @@ def _nested(values: Sequence[Any]) -> list[str]:
     """The names of fields that have in some of these objects what is no cell of a table."""
     found: dict[str, None] = {}
     for value in values:
-        for declared in _shown_fields(type(value)):
+        for declared in _shown_fields(value):
             inner: Any = getattr(value, declared.name)
             items = _items(inner)
-            is_list = bool(items) and isinstance(items[0], Mapping)
-            if is_list or is_dataclass(items[0] if items else inner) or ("lines" in declared.metadata and inner):
+            first = items[0] if items else inner
+            has_objects = bool(items) and isinstance(items[0], Mapping)
+            if has_objects or is_dataclass(first) or ("lines" in declared.metadata and inner):
                 found[declared.name] = None
     return list(found)
 
@@ -316,7 +317,7 @@ def _items(value: Any) -> Sequence[Any]:
 
 def _row(one: Any) -> dict[str, Any]:
     """The cells of an object."""
-    return {declared.name: _cell_value(declared, getattr(one, declared.name)) for declared in _shown_fields(type(one))}
+    return {declared.name: _cell_value(declared, getattr(one, declared.name)) for declared in _shown_fields(one)}
 
 
 def _cell_value(declared: Field[Any], value: Any) -> Any:
@@ -331,6 +332,10 @@ def _has_sentences(declared: Field[Any]) -> bool:
     return declared.name in _OURS and "str" in str(declared.type)
 
 
+def _shown_fields(one: Any) -> tuple[Field[Any], ...]:
+    return _shown_fields_of(cast("type[Any]", type(one)))
+
+
 @cache
-def _shown_fields(kind: type[Any]) -> tuple[Field[Any], ...]:
+def _shown_fields_of(kind: type[Any]) -> tuple[Field[Any], ...]:
     return tuple(declared for declared in fields(kind) if not declared.metadata.get("hidden"))

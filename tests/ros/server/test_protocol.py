@@ -51,7 +51,7 @@ def assert_tools_are_listed(server: RawServer) -> None:
 def assert_a_call_is_answered(server: RawServer) -> None:
     result = server.call("ros2_topic_list", pattern="/parameter_events")
     assert not result.get("isError")
-    assert '"topic_name":"/parameter_events"' in result["content"][0]["text"]
+    assert "topic_name: /parameter_events, topic_type: " in result["content"][0]["text"]
     if server.version >= "2025-06-18":
         assert result["structuredContent"]["topics"][0]["topic_name"] == "/parameter_events"
 
