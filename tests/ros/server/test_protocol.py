@@ -80,7 +80,7 @@ def wait_for_subscriptions(server: RawServer, expected: int) -> None:
 
 def subscriptions(server: RawServer) -> int:
     text = server.call("ros2_status")["content"][0]["text"]
-    return int(text.partition('"subscriptions":')[2].partition(",")[0])
+    return int(text.partition("subscriptions: ")[2].partition(",")[0])
 
 
 def test_lines_that_are_not_json_do_no_harm(start_raw) -> None:
