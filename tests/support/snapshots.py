@@ -1,7 +1,7 @@
 """Whole texts that tests compare: one file for each room, which one command rewrites.
 
-`ROS2_MCP_REWRITE=1 pytest tests/unit/test_texts.py` writes them anew; look at the difference, and commit it. Other tests
-compare codes, numbers and names, so that a better sentence costs nothing but this.
+`ROS2_MCP_REWRITE=1 pytest tests/unit/test_texts.py` writes them anew; look at the difference, and commit it. Other
+tests compare codes, numbers and names, so that a better sentence costs nothing but this.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 FOLDER = Path(__file__).parents[1] / "unit" / "snapshots"
+_COMMAND = "ROS2_MCP_REWRITE=1 pytest tests/unit/test_texts.py"
 _REWRITES = bool(os.environ.get("ROS2_MCP_REWRITE"))
 
 
@@ -21,6 +22,4 @@ def assert_as_snapshot(room: str, texts: Mapping[str, str]) -> None:
     if _REWRITES:
         FOLDER.mkdir(exist_ok=True)
         path.write_text(whole, encoding="utf-8")
-    assert path.read_text(encoding="utf-8") == whole, (
-        "if this is meant: ROS2_MCP_REWRITE=1 pytest tests/unit/test_texts.py"
-    )
+    assert path.read_text(encoding="utf-8") == whole, f"if this is meant: {_COMMAND}"

@@ -30,7 +30,7 @@ _OURS = frozenset(
     {
         *("note", "notes", "error", "problem", "problems", "recommendation", "reasons", "mismatches", "limitations"),
         *("footprint", "place", "command_inputs", "sensors", "joints", "controllers", "stacks", "frames", "unhealthy"),
-        *("not_read", "allowed", "limits", "forbidden", "held", "cause", "helps", "hint", "mistakes"),
+        *("not_read", "allowed", "limits", "forbidden", "held", "cause", "helps", "hint", "mistakes", "health", "log"),
     }
 )
 """Fields whose texts this server has written, with the robot's words in them quoted already: shown as they are."""
