@@ -87,7 +87,7 @@ async def test_the_names_of_the_existing_viewer_lead_to_the_page(bag: Path) -> N
         "plot_fields": ["twist.twist.linear.x"],
     }
     async with client_of(assemble(Settings(bag=bag)), shows_pages=True) as client:
-        answer = await client.call_tool("ros2_viewer_app", asked, meta=META)
+        answer = await client.call_tool("ros2_viewer_app", asked)
         assert not answer.is_error, answer.content
         assert answer.structured_content
         assert answer.structured_content["panels"] == {"plot": "/odom:twist.twist.linear.x"}
