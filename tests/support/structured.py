@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
+from ros2_mcp.binding import answer_schema
 from ros2_mcp.server import STRUCTURED
+from ros2_mcp.tools import TOOLS
 
 META: dict[str, Any] = {STRUCTURED: True}
 """The `_meta` of a request that asks for structured content, or in `tools/list` for output schemas."""
@@ -32,6 +35,16 @@ class Structured(dict[str, Any]):
             raise KeyError(name)
         kind = self._properties[name].get("type")
         return {"string": "", "array": [], "object": {}}.get(kind)
+
+
+def result_of(tool: str, result: Mapping[str, Any]) -> Any:
+    """The structured content in the result of a call, as the tool declares it."""
+    return read(result["structuredContent"], _schemas()[tool])
+
+
+@cache
+def _schemas() -> dict[str, Any]:
+    return {tool.name: answer_schema(tool.signature().return_annotation) for tool in TOOLS}
 
 
 def read(value: Any, schema: Mapping[str, Any]) -> Any:
