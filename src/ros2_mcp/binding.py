@@ -331,7 +331,7 @@ def answer(
     return CallToolResult(
         content=content,
         structured_content={SUMMARY: summary, **structure},
-        is_error=getattr(result, "failed", False),
+        is_error=getattr(result, "has_failed", False),
     )
 
 

@@ -46,12 +46,13 @@ from ros2_mcp.prompts.serving import Prompts
 from ros2_mcp.resources import Resources
 from ros2_mcp.robot import Robot
 from ros2_mcp.scopes import Scopes
-from ros2_mcp.tools import PAGE_TOOLS
+from ros2_mcp.tools import PAGE_TOOLS, TOOLS
 
 _logger = logging.getLogger(__name__)
 
 STRUCTURED = "io.github.ros2-mcp/structured"
 """The key in a request's `_meta` that asks with `true` for structured content beside the text."""
+_OPENS_PAGE = frozenset(name for tool in TOOLS if tool.opens_page for name in (tool.name, tool.also_named))
 _FOR_PAGE = frozenset(tool.name for tool in PAGE_TOOLS)
 _MOST_NAMED = 15
 """Robots in the instructions: each is read with every task. ros2_robots has them all."""
@@ -203,14 +204,13 @@ class Tools:
     async def call(self, context: Context, params: CallToolRequestParams) -> CallToolResult | InputRequiredResult:
         """One call; what went wrong is a result that the model reads, never an error of the protocol.
 
-        Structured content goes to who asked for it alone, and to the page, which reads nothing else: clients that get
-        it hide text and pictures from their model (decision 58).
+        Structured content goes to who asked for it alone, and to the page, which reads nothing else, also what it was
+        opened with: clients that get it hide text and pictures from their model (decision 58).
         """
         result = await self._call(context, params)
-        wanted = self._structured or _asks_for_structure(params) or params.name in _FOR_PAGE
-        if wanted or not isinstance(result, CallToolResult):
-            return result
-        return CallToolResult(content=result.content, is_error=result.is_error)
+        for_page = params.name in _FOR_PAGE or (params.name in _OPENS_PAGE and apps.shows_pages(context))
+        wanted = self._structured or _asks_for_structure(params) or for_page
+        return result if wanted or not isinstance(result, CallToolResult) else text_alone(result)
 
     async def _call(self, context: Context, params: CallToolRequestParams) -> CallToolResult | InputRequiredResult:
         failed: CallFailed | None = None
@@ -263,6 +263,11 @@ class Tools:
                 raise
             raise CallFailed(f"Robot {member.name}: {error}") from error
         return self._fleet.told_of(member, result)
+
+
+def text_alone(result: CallToolResult) -> CallToolResult:
+    """A result as a model's client gets it: text and pictures."""
+    return CallToolResult(content=result.content, is_error=result.is_error)
 
 
 def _asks_for_structure(params: RequestParams | None) -> bool:

@@ -57,7 +57,7 @@ async def test_who_shows_no_pages_is_not_told_of_them(bag: Path, mode: str) -> N
     async with client_of(assemble(Settings(bag=bag)), shows_pages=False, mode=mode) as client:
         tools = (await client.list_tools()).tools
         assert {tool.name for tool in tools}.isdisjoint({tool.name for tool in PAGE_TOOLS})
-        assert all(tool.meta is None for tool in tools)
+        assert not [tool.name for tool in tools if "ui" in (tool.meta or {})]
         assert (await client.list_resources()).resources == []
 
 
@@ -87,7 +87,7 @@ async def test_the_names_of_the_existing_viewer_lead_to_the_page(bag: Path) -> N
         "plot_fields": ["twist.twist.linear.x"],
     }
     async with client_of(assemble(Settings(bag=bag)), shows_pages=True) as client:
-        answer = await client.call_tool("ros2_viewer_app", asked, meta=META)
+        answer = await client.call_tool("ros2_viewer_app", asked)
         assert not answer.is_error, answer.content
         assert answer.structured_content
         assert answer.structured_content["panels"] == {"plot": "/odom:twist.twist.linear.x"}

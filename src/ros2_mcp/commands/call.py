@@ -263,7 +263,7 @@ async def _print_answer(
         summary = value.pop(SUMMARY).split("\n")
         lines = readable([*summary, *beside], value, _columns())
         print("\n".join(lines), flush=True)
-    return _FAILED if stops or _has_gone_wrong(value) else 0
+    return _FAILED if stops or result.is_error or _has_gone_wrong(value) else 0
 
 
 def _has_gone_wrong(result: Mapping[str, Any]) -> bool:

@@ -39,6 +39,9 @@ ON_REQUEST = {"on_request": True}
 IF_ANY = {"if_any": True}
 """Metadata of a result's field without a default that structured content lacks where it is empty, such as a note."""
 
+ALWAYS = {"always": True}
+"""Metadata of a field that is empty by default, and that structured content has all the same: what was asked for."""
+
 SAID = {"said": True}
 """Metadata of a result's field that its summary tells: the text, which begins with that, does not tell it again."""
 
@@ -177,6 +180,8 @@ def may_be_absent(declared: Field[Any]) -> bool:
     """Whether structured content lacks a field of a result where it is empty: such as it is by default, or `IF_ANY`."""
     if "on_request" in declared.metadata or "if_any" in declared.metadata:
         return True
+    if "always" in declared.metadata:
+        return False
     made = declared.default_factory
     return is_empty(declared.default if made is MISSING else made())
 

@@ -58,7 +58,7 @@ class Ran(WithPictures):
     commands_given: int = field(default=0, metadata=HIDDEN)
 
     @property
-    def failed(self) -> bool:
+    def has_failed(self) -> bool:
         """Whether it did not come to its end; a stop is no failure."""
         return self.outcome in ("failed", "limit", "crashed")
 

@@ -54,7 +54,7 @@ class GoalOutcome:
     note: str = ""
 
     @property
-    def failed(self) -> bool:
+    def has_failed(self) -> bool:
         """Whether its server did not accept it, or gave it up; one that goes on, or was cancelled, is no failure."""
         return not self.accepted or self.status == "ABORTED"
 

@@ -130,7 +130,7 @@ class Driven:
     note: str = ""
 
     @property
-    def failed(self) -> bool:
+    def has_failed(self) -> bool:
         """Whether it did not get there by itself; a stop is no failure."""
         return self.outcome not in ("reached", "ended")
 

@@ -110,7 +110,7 @@ class JointsMoved:
     note: str = ""
 
     @property
-    def failed(self) -> bool:
+    def has_failed(self) -> bool:
         """Whether they did not arrive; a stop is no failure."""
         return self.outcome not in ("reached", "ended")
 

@@ -81,7 +81,7 @@ class MovedUntil:
     note: str = ""
 
     @property
-    def failed(self) -> bool:
+    def has_failed(self) -> bool:
         """Whether something went wrong; a limit of time or way that the caller gave, and a stop, are no failures."""
         return self.outcome in ("silent", "nobody_listens", "refused")
 

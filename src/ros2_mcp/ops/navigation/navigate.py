@@ -81,7 +81,7 @@ class Navigated:
     note: str = ""
 
     @property
-    def failed(self) -> bool:
+    def has_failed(self) -> bool:
         """Whether it did not get there; one that goes on, or that somebody has cancelled, is no failure."""
         return self.outcome in ("failed", "rejected", "not begun")
 

@@ -22,6 +22,7 @@ from ros2_mcp.model.text import named
 from ros2_mcp.model.times import seconds_in
 from ros2_mcp.model.values import summarised
 from ros2_mcp.ops.results import (
+    ALWAYS,
     HIDDEN,
     IF_ANY,
     ON_REQUEST,
@@ -74,7 +75,7 @@ class Reading(WithPictures):
 
     topic_name: str = field(metadata=SAID)
     topic_type: str = ""
-    messages: Sequence[dict[str, Any]] = ()
+    messages: Sequence[dict[str, Any]] = field(default=(), metadata=ALWAYS)
     start: str = ""
     times_s: Sequence[float] = field(default=(), metadata=beside("messages"))
     count: int = field(default=0, metadata=SAID)
