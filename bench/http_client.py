@@ -7,7 +7,7 @@ import itertools
 import json
 from typing import Any
 
-from .stdio import LONGEST_LINE, PROTOCOL, CallFailed
+from .stdio import LONGEST_LINE, PROTOCOL, STRUCTURED, CallFailed
 
 
 class HttpClient:
@@ -36,7 +36,8 @@ class HttpClient:
 
     async def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
         """The structured content of one call."""
-        request = {"id": next(self._numbers), "method": "tools/call", "params": {"name": tool, "arguments": arguments}}
+        params = {"name": tool, "arguments": arguments, "_meta": {STRUCTURED: True}}
+        request = {"id": next(self._numbers), "method": "tools/call", "params": params}
         body, _ = await self._post(request)
         lines = body.decode().splitlines()
         told = [line.removeprefix("data:") for line in lines if line.startswith("data:")] or [body.decode()]

@@ -315,14 +315,14 @@ async def sandbox(rounds: int) -> list[Row]:
     async with ours() as us, trivial() as them:
         await us.greet()
         await them.greet()
-        await us.call("ros2_run", program="1 + 1")
+        await us.call("ros2_program_run", program="1 + 1")
         for _ in range(rounds):
-            one = await timed(us.call("ros2_run", program="1 + 1"))
-            many = await timed(us.call("ros2_run", program=loop))
+            one = await timed(us.call("ros2_program_run", program="1 + 1"))
+            many = await timed(us.call("ros2_program_run", program=loop))
             whole.append(one)
             out_and_back.append((many - one) / calls)
             floor.append(await timed(them.call("ping")))
     return [
-        Row("ros2_run of a program without calls, p50", p50(whole), "ms", floor=p50(floor)),
+        Row("ros2_program_run of a program without calls, p50", p50(whole), "ms", floor=p50(floor)),
         Row("a call of a program's, out and back, p50", p50(out_and_back), "ms"),
     ]

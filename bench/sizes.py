@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from .processes import ENVIRONMENT, ours
+from .stdio import STRUCTURED
 
 TOPICS = {
     "/odom": 10,
@@ -71,7 +72,9 @@ async def run(shown: str) -> None:
             whole = 0
             for topic, several in TOPICS.items():
                 arguments = {"topic_name": topic, **({"message_limit": several} if limited else {})}
-                result = await client.request("tools/call", name="ros2_topic_subscribe", arguments=arguments)
+                result = await client.request(
+                    "tools/call", name="ros2_topic_subscribe", arguments=arguments, _meta={STRUCTURED: True}
+                )
                 if topic == shown:
                     print(*(block.get("text", block["type"]) for block in result["content"]), sep="\n")
                 text, structured = sizes(result)

@@ -39,8 +39,20 @@ offered with every choice of tools (`--tools`) that has one which does more than
 Where a server has [several robots](../how-to/several-robots.md), each tool has one argument more, `robot`, which names
 one, and each result says which; `ros2_robots` shows them all.
 
-An argument that a tool does not know is an error, never ignored. Results also come as structured content with the
-fields listed here; `[]` stands for the elements of a list, and a type that ends in `or null` may be unknown.
+An argument that a tool does not know is an error, never ignored.
+"""
+
+STRUCTURED_CONTENT = """\
+## Structured content
+
+A result is text and pictures: that is what an agent acts on. A program asks for the same as JSON, with
+`"io.github.ros2-mcp/structured": true` in the `_meta` of its `tools/call` request; in the `_meta` of `tools/list` this
+key brings the output schemas. With `--structured` the server sends both to every client; do not set it for an agent:
+some clients then hide text and pictures from the model.
+
+Structured content begins with `summary`, the first lines of the text. Its other fields are listed with each tool; `[]`
+stands for the elements of a list, and a type that ends in `or null` may be unknown. Fields marked with `?` are absent
+where they are empty.
 """
 
 SETTINGS_INTRODUCTION = """\
@@ -82,7 +94,7 @@ def reference(tools: Sequence[Tool]) -> str:
     """The page of all tools."""
     declared = {declaration.name: declaration for declaration in TOOLS}
     sections = [section(tool, declared[tool.name]) for tool in tools]
-    return "\n".join([INTRODUCTION, overview(tools, declared), *sections])
+    return "\n".join([INTRODUCTION, overview(tools, declared), STRUCTURED_CONTENT, *sections])
 
 
 def overview(tools: Sequence[Tool], declared: Mapping[str, ToolDeclaration]) -> str:
@@ -121,7 +133,8 @@ def arguments(schema: Mapping[str, Any]) -> str:
 
 def results(schema: Mapping[str, Any]) -> str:
     """The table of a result's fields."""
-    return table(("field", "type"), [(f"`{path}`", kind(node)) for path, node, _ in walk(schema)])
+    rows = [(f"`{path}`{'' if always else '?'}", kind(node)) for path, node, always in walk(schema)]
+    return table(("field", "type"), [row for row in rows if row[0] != "`summary`"])
 
 
 def result_text(declaration: ToolDeclaration) -> str:
@@ -146,6 +159,8 @@ def kind(node: Mapping[str, Any]) -> str:
     if "anyOf" in node:
         return " or ".join(kind(branch) for branch in node["anyOf"])
     name = node.get("type", "any")
+    if "enum" in node:
+        return " or ".join(f"`{choice}`" for choice in node["enum"])
     return f"list of {kind(node.get('items', {}))}" if name == "array" else name
 
 

@@ -93,7 +93,14 @@ class Assembly:
     @cached_property
     def server(self) -> Server[Any]:
         """The MCP server."""
-        return build_server(self.fleet, self.catalog, self.leases, self.scopes, recording=self.store.subject_name)
+        return build_server(
+            self.fleet,
+            self.catalog,
+            self.leases,
+            self.scopes,
+            recording=self.store.subject_name,
+            structured=self.settings.structured,
+        )
 
     def running(self) -> AbstractAsyncContextManager[None]:
         """While it is entered the bridge is there, if there is a robot; at the end all work of this server is ended."""

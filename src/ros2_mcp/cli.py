@@ -21,8 +21,8 @@ from ros2_mcp.settings import OPTIONS, Option, Settings
 
 # The clients of `commands/config.py`, which is imported only when it is run.
 CLIENTS = (
-    *("claude-desktop", "claude-code", "vscode", "cursor", "codex", "gemini", "antigravity", "warp", "windsurf"),
-    *("cline", "zed", "goose", "lm-studio", "jetbrains"),
+    *("claude-desktop", "claude-code", "vscode", "cursor", "codex", "gemini", "opencode", "antigravity", "warp"),
+    *("windsurf", "cline", "zed", "goose", "lm-studio", "jetbrains"),
 )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from functools import cached_property, partial
+from functools import cache, partial
 from importlib.metadata import version
 from typing import Any
 
@@ -46,9 +46,14 @@ from ros2_mcp.prompts.serving import Prompts
 from ros2_mcp.resources import Resources
 from ros2_mcp.robot import Robot
 from ros2_mcp.scopes import Scopes
+from ros2_mcp.tools import PAGE_TOOLS, TOOLS
 
 _logger = logging.getLogger(__name__)
 
+STRUCTURED = "io.github.ros2-mcp/structured"
+"""The key in a request's `_meta` that asks with `true` for structured content beside the text."""
+_OPENS_PAGE = frozenset(name for tool in TOOLS if tool.opens_page for name in (tool.name, tool.also_named))
+_FOR_PAGE = frozenset(tool.name for tool in PAGE_TOOLS)
 _MOST_NAMED = 15
 """Robots in the instructions: each is read with every task. ros2_robots has them all."""
 _MOST_CALLS = 32
@@ -106,11 +111,22 @@ ANNOUNCED = NotificationOptions(prompts_changed=True)
 Context = ServerRequestContext[Any, Any]
 
 
-def build_server(fleet: Fleet, catalog: Catalog, leases: Leases, scopes: Scopes, *, recording: str = "") -> Server[Any]:
-    """The MCP server for these robots; `recording` is the name of the bag that stands for the only one, if one does."""
+def build_server(
+    fleet: Fleet, catalog: Catalog, leases: Leases, scopes: Scopes, *, recording: str = "", structured: bool = False
+) -> Server[Any]:
+    """The MCP server for these robots.
+
+    Args:
+        fleet: the robots and their tools.
+        catalog: the prompts.
+        leases: of its clients over HTTP.
+        scopes: what the tokens of its clients allow.
+        recording: the name of the bag that stands for the only robot, if one does.
+        structured: whether every client gets structured content and output schemas; else only who asks for them.
+    """
     events = InMemorySubscriptionBus()
     robots = {name: member.robot for name, member in fleet.members.items()}
-    tools = Tools(fleet, leases)
+    tools = Tools(fleet, leases, structured=structured)
     prompts = Prompts(catalog, events)
     resources = Resources(robots, events)
     completions = Completions(
@@ -163,26 +179,40 @@ async def _discover(server: Server[Any], context: Context, _: RequestParams) -> 
 class Tools:
     """Answers `tools/list` and `tools/call`."""
 
-    def __init__(self, fleet: Fleet, leases: Leases) -> None:
+    def __init__(self, fleet: Fleet, leases: Leases, *, structured: bool) -> None:
         self._fleet = fleet
         self._leases = leases
-        self._listed = ListToolsResult(tools=fleet.listed)
+        self._structured = structured
 
-    async def list(self, context: Context, _: PaginatedRequestParams | None) -> ListToolsResult:
-        """The same for every client, in a fixed order; with the tools of the page for those that show it."""
-        return self._listed_with_pages if apps.shows_pages(context) else self._listed
+    async def list(self, context: Context, params: PaginatedRequestParams | None) -> ListToolsResult:
+        """The tools in a fixed order; with those of the page for clients that show it, with output schemas for those
+        that ask for structured content.
+        """
+        return self._listed(apps.shows_pages(context), self._structured or _asks_for_structure(params))
 
-    @cached_property
-    def _listed_with_pages(self) -> ListToolsResult:
-        return ListToolsResult(tools=apps.marked(self._fleet.listed_with_pages))
+    @cache  # noqa: B019 - they live as long as their server
+    def _listed(self, with_pages: bool, structured: bool) -> ListToolsResult:
+        tools = apps.marked(self._fleet.listed_with_pages) if with_pages else self._fleet.listed
+        if not structured:
+            tools = [tool.model_copy(update={"output_schema": None}) for tool in tools]
+        return ListToolsResult(tools=tools)
 
     def input_schema(self, name: str) -> dict[str, Any] | None:
         """What the SDK checks the headers of a modern HTTP request against."""
         return self._fleet.input_schema(name)
 
     async def call(self, context: Context, params: CallToolRequestParams) -> CallToolResult | InputRequiredResult:
-        """One call; what went wrong is a result that the model reads, never an error of the protocol."""
+        """One call; what went wrong is a result that the model reads, never an error of the protocol.
 
+        Structured content goes to who asked for it alone, and to the page, which reads nothing else, also what it was
+        opened with: clients that get it hide text and pictures from their model (decision 58).
+        """
+        result = await self._call(context, params)
+        for_page = params.name in _FOR_PAGE or (params.name in _OPENS_PAGE and apps.shows_pages(context))
+        wanted = self._structured or _asks_for_structure(params) or for_page
+        return result if wanted or not isinstance(result, CallToolResult) else text_alone(result)
+
+    async def _call(self, context: Context, params: CallToolRequestParams) -> CallToolResult | InputRequiredResult:
         failed: CallFailed | None = None
         is_stop = self._fleet.first.toolset.risk_of(params.name) == "stop"
         about = self._fleet.named_in(params.arguments or {})
@@ -233,6 +263,16 @@ class Tools:
                 raise
             raise CallFailed(f"Robot {member.name}: {error}") from error
         return self._fleet.told_of(member, result)
+
+
+def text_alone(result: CallToolResult) -> CallToolResult:
+    """A result as a model's client gets it: text and pictures."""
+    return CallToolResult(content=result.content, is_error=result.is_error)
+
+
+def _asks_for_structure(params: RequestParams | None) -> bool:
+    """Whether a request asks in its `_meta` for structured content, or in `tools/list` for its schemas."""
+    return bool(params and params.meta and params.meta.get(STRUCTURED) is True)
 
 
 def _view(context: Context, robot: Robot) -> Robot:

@@ -341,10 +341,15 @@ class Settings:
         (), "--tools", "ROS2_MCP_TOOLS", _SERVING, _names("GROUPS"),
         "groups of tools, such as default,lifecycle, or all", unset="the default ones",
     )
-    # About 10,000 tokens: what one terminal client takes at most is 25,000, and a model should have room for others.
+    # One terminal client cuts what is longer in the middle; another takes 25,000 tokens, some 75,000 bytes.
     result_bytes: int = _option(
-        32_000, "--result-bytes", "ROS2_MCP_RESULT_BYTES", _SERVING, _number(*_RESULT_BYTES),
+        12_000, "--result-bytes", "ROS2_MCP_RESULT_BYTES", _SERVING, _number(*_RESULT_BYTES),
         "bound on the text of one result",
+    )
+    structured: bool = _option(
+        False, "--structured", "ROS2_MCP_STRUCTURED", _SERVING, _SWITCH,
+        "send structured content and output schemas beside the text, for programs; some clients then hide text and "
+        "pictures from the model", takes_value=False,
     )
     log_level: str = _option(
         "warning", "--log-level", "ROS2_MCP_LOG_LEVEL", _SERVING, _one_of("debug", "info", "warning", "error"),

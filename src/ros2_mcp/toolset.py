@@ -187,8 +187,9 @@ class Toolset:
             try:
                 if tool:
                     return await tool.call(arguments, report, robot, shows_pages=shows_pages)
-                if name in self.missing:
-                    raise CallFailed(f"{name} is not offered: {self.missing[name]}.")
+                own_name = _OTHER_NAMES.get(name, name)
+                if own_name in self.missing:
+                    raise CallFailed(f"{own_name} is not offered: {self.missing[own_name]}.")
             except CallFailed as error:
                 if not call.has_line:  # it has not come as far as the guard
                     of = robot or self._robot

@@ -16,6 +16,7 @@ SHARED = {
     "flights": "orders to vehicles and what stops them: of service calls and of stops",
     "observed": "whether the robot is seen to stand, for whatever has stopped it",
     "results": "what all results have in common, and progress",
+    "text": "the text of every result",
     "sources": "what is read from, live or recorded: arguments of tools in several rooms",
     "view": "what the page shows, for `ros2-mcp view` and not for tools",
     "watch": "changes on the robot, for resources and not for tools",

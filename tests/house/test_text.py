@@ -11,6 +11,7 @@ OUTLETS = (
     *("commands/operate", "commands/audit", "commands/view", "view/views"),
     *("resources/fitting", "resources/offering", "resources/push", "prompts/serving", "prompts/mistakes"),
     "following",
+    *("ops/text", "model/cells"),  # the text of a result, which is only made to leave
 )
 MEASURE = ("codec/render", "ops/log")
 """These only measure how long a text will be when it is shown."""

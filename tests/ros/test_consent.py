@@ -198,13 +198,13 @@ drive(0.2)
 
     observer.forget()
     other = 'robot.publish("/other", {"data": 1}, message_type="std_msgs/msg/UInt64")\n'
-    dry = agent.call("ros2_run", program=f"{code}{other}", dry_run=True)
+    dry = agent.call("ros2_program_run", program=f"{code}{other}", dry_run=True)
     assert [(one["line"], one["outcome"].partition(": ")[2][:25]) for one in dry["commands"]] == [
         (3, "would wait for a person's"),
         (3, "would wait for a person's"),
         (7, "would be refused: Publish"),
     ], dry
-    running = agent.begin("ros2_run", program=code, timeout=60)
+    running = agent.begin("ros2_program_run", program=code, timeout=60)
     operate(state, "approve", waiting(0.1))
     observer.until_driven(TOPIC, of=4)
     assert not running.done()

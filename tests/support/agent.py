@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 
 from anyio.from_thread import BlockingPortal, start_blocking_portal
@@ -16,6 +15,7 @@ from mcp import Client, StdioServerParameters
 from mcp.types import CallToolResult
 
 from support import rounds
+from support.structured import META, read
 
 FULL = rounds.FULL
 SERVER = (sys.executable, "-m", "ros2_mcp")
@@ -43,6 +43,7 @@ class Agent:
     def __init__(self, client: Client, portal: BlockingPortal) -> None:
         self.client = client
         self._portal = portal
+        self._schemas: dict[str, dict[str, Any]] = {}
 
     def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
         """The structured result of a tool; raises `Refusal` with the text of its error."""
@@ -79,8 +80,13 @@ class Agent:
 
     def whole(self, tool: str, arguments: dict[str, Any], progress: Any = None) -> CallToolResult:
         """The result with its text and pictures; `progress` is called with each report."""
-        call = partial(self.client.call_tool, tool, arguments, progress_callback=progress)
-        return self._portal.call(call)
+        return self._portal.call(self._whole, tool, arguments, progress)
+
+    def text(self, tool: str, **arguments: Any) -> str:
+        """The text that a model reads, error or not: asked for as such clients do, without structured content."""
+        result = self._portal.call(self.client.call_tool, tool, arguments)
+        assert result.structured_content is None
+        return result.content[0].text  # type: ignore[union-attr]
 
     def ask(self, method: str, *arguments: Any) -> Any:
         """Another request of the client, by the name of its method."""
@@ -95,12 +101,17 @@ class Agent:
         return any(entry["topic_name"] == topic for entry in listed)
 
     async def _call(self, tool: str, arguments: dict[str, Any]) -> dict[str, Any]:
-        result = await self.client.call_tool(tool, arguments)
-        text = result.content[0].text  # type: ignore[union-attr]
-        if result.is_error:
-            raise Refusal(text)
+        result = await self._whole(tool, arguments)
+        if result.structured_content is None:
+            raise Refusal(result.content[0].text)  # type: ignore[union-attr]
         assert json.loads(json.dumps(result.structured_content, allow_nan=False)) is not None
-        return result.structured_content or {}
+        return read(result.structured_content, self._schemas.get(tool, {}))
+
+    async def _whole(self, tool: str, arguments: dict[str, Any], progress: Any = None) -> CallToolResult:
+        if not self._schemas:  # from now on the client validates what it gets against them
+            listed = await self.client.list_tools(meta=META)
+            self._schemas = {tool.name: tool.output_schema or {} for tool in listed.tools}
+        return await self.client.call_tool(tool, arguments, progress_callback=progress, meta=META)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import Any
 from mcp import Client
 
 from support.agent import Refusal
+from support.structured import META, read
 
 
 class AsyncAgent:
@@ -16,13 +17,17 @@ class AsyncAgent:
 
     def __init__(self, client: Client) -> None:
         self._client = client
+        self._schemas: dict[str, dict[str, Any]] = {}
 
     async def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
         """The structured content of one call."""
-        result = await self._client.call_tool(tool, arguments)
-        if result.is_error:
+        if not self._schemas:
+            listed = await self._client.list_tools(meta=META)
+            self._schemas = {tool.name: tool.output_schema or {} for tool in listed.tools}
+        result = await self._client.call_tool(tool, arguments, meta=META)
+        if result.structured_content is None:
             raise Refusal("".join(getattr(block, "text", "") for block in result.content))
-        return result.structured_content or {}
+        return read(result.structured_content, self._schemas.get(tool, {}))
 
     async def knows(self, topic: str, publishers: int = 1, subscribers: int = 0) -> dict[str, Any]:
         """Waits until the server sees that many endpoints on the topic; returns the topic's information."""

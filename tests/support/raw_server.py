@@ -14,6 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from support.structured import META, result_of
+
 MODERN = "2026-07-28"
 CLIENT = {"name": "lines by hand", "version": "1"}
 ANSWER_S = 60.0
@@ -56,6 +58,8 @@ class RawServer:
             prefix = "io.modelcontextprotocol/"
             stamp = {"protocolVersion": MODERN, "clientInfo": CLIENT, "clientCapabilities": {}}
             params["_meta"] = {prefix + name: value for name, value in stamp.items()}
+        if method == "tools/call":
+            params["_meta"] = {**params.get("_meta", {}), **META}
         return self.send_params(method, params)
 
     def send_params(self, method: str, params: Any) -> int:
@@ -79,8 +83,9 @@ class RawServer:
         raise AssertionError(f"no answer to request {request} within {within_s} s; stdout was {self.said[-500:]!r}")
 
     def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """The result of a tool, error or not."""
-        return self.ask("tools/call", name=tool, arguments=arguments)["result"]
+        """The result of a tool, error or not; empty fields of structured content can be read, too."""
+        result = self.ask("tools/call", name=tool, arguments=arguments)["result"]
+        return {**result, "structuredContent": result_of(tool, result)} if "structuredContent" in result else result
 
     def write(self, data: bytes) -> None:
         """Bytes, as they are."""

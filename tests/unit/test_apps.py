@@ -18,6 +18,7 @@ from ros2_mcp.tools import PAGE_TOOLS, TOOLS
 from ros2_mcp.view.page import page
 from support.chat_host import APPS
 from support.room_bag import room_bag
+from support.structured import META
 
 BOTH_ERAS = pytest.mark.parametrize("mode", ["legacy", "auto"])
 
@@ -56,7 +57,7 @@ async def test_who_shows_no_pages_is_not_told_of_them(bag: Path, mode: str) -> N
     async with client_of(assemble(Settings(bag=bag)), shows_pages=False, mode=mode) as client:
         tools = (await client.list_tools()).tools
         assert {tool.name for tool in tools}.isdisjoint({tool.name for tool in PAGE_TOOLS})
-        assert all(tool.meta is None for tool in tools)
+        assert not [tool.name for tool in tools if "ui" in (tool.meta or {})]
         assert (await client.list_resources()).resources == []
 
 
@@ -72,7 +73,7 @@ def test_a_page_may_call_nothing_that_acts_but_the_stop() -> None:
 @pytest.mark.promise("README", "elsewhere the agent tells the command")
 async def test_without_a_page_there_is_a_picture_and_the_command(bag: Path) -> None:
     async with client_of(assemble(Settings(bag_dir=bag.parent)), shows_pages=False) as client:
-        answer = await client.call_tool("ros2_view", {"bag": "room"})
+        answer = await client.call_tool("ros2_view", {"bag": "room"}, meta=META)
         assert not answer.is_error, answer.content
         assert "ros2-mcp view --bag room" in answer.content[0].text
         assert [block.type for block in answer.content] == ["text", "image"]
@@ -126,7 +127,7 @@ async def test_the_page_asks_and_what_it_shows_is_told_to_the_model(bag: Path) -
         part = await client.call_tool("ros2_view_ask", {"asked": {"view": asked["view"], "key": key}})
         assert (part.structured_content or {})["next"] is None
         await client.call_tool("ros2_view_ask", {"asked": {"view": asked["view"], "picked": [POINT, BOX, AT_TIME]}})
-        answer = await client.call_tool("ros2_view_state", {})
+        answer = await client.call_tool("ros2_view_state", {}, meta=META)
         assert [line for line in answer.content[0].text.splitlines() if line.startswith("Picked")] == PICKED
         (seen,) = (answer.structured_content or {})["pages"]
         point, box, time = seen["picked"]
@@ -138,7 +139,7 @@ async def test_the_page_asks_and_what_it_shows_is_told_to_the_model(bag: Path) -
         )
         pick = {"x": 1.5, "y": -0.25, "frame": "map", "at_s": 1_700_000_000, "grid": "/map", "cell": 0}
         await client.call_tool("ros2_view_ask", {"asked": {"view": asked["view"], "picked": [pick]}})
-        answer = await client.call_tool("ros2_view_state", {})
+        answer = await client.call_tool("ros2_view_state", {}, meta=META)
         (seen,) = (answer.structured_content or {})["pages"]
         assert [(one["x_m"], one["y_m"], one["frame"], one["about"]) for one in seen["picked"]] == [
             (1.5, -0.25, "map", "free on /map")

@@ -25,6 +25,7 @@ from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.settings import Settings
 from support.made_windows import encoded
+from support.structured import META
 
 SESSION = UUID(int=0xC0FFEE)
 
@@ -57,7 +58,7 @@ async def test_a_client_of_either_era_reads_a_recording(bag: Path, mode: str) ->
     assembly = assemble(Settings(bag=bag))
     async with assembly.running(), Client(assembly.server, mode=mode) as client:
         assert (await client.list_resources()).resources == []
-        result = await client.call_tool("ros2_topic_echo_wait", {"topic_name": "/count"})
+        result = await client.call_tool("ros2_topic_echo_wait", {"topic_name": "/count"}, meta=META)
         assert result.structured_content and result.structured_content["message"] == {"data": 41}
         refused = await client.call_tool("ros2_topic_publish", {})
         assert refused.is_error and "is a recording" in refused.content[0].text

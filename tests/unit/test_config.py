@@ -33,11 +33,28 @@ def printed(client: str, variables: dict[str, str] = VARIABLES) -> str:
 @pytest.mark.parametrize(
     "client",
     [
-        *("claude-desktop", "cursor", "gemini", "antigravity", "warp", "windsurf", "cline", "lm-studio", "jetbrains"),
+        *("claude-desktop", "cursor", "antigravity", "warp", "windsurf", "lm-studio", "jetbrains"),
     ],
 )
 def test_most_clients_read_it_as_json(client: str) -> None:
     assert json.loads(printed(client)) == {"mcpServers": {"ros2": ENTRY}}
+
+
+@pytest.mark.parametrize(("client", "timeout"), [("gemini", 3_660_000), ("cline", 3600)])
+def test_clients_that_end_a_long_call_are_told_how_long_one_may_take(client: str, timeout: int) -> None:
+    """Gemini CLI counts in ms; Cline in s, and takes an hour at most."""
+    assert json.loads(printed(client)) == {"mcpServers": {"ros2": {**ENTRY, "timeout": timeout}}}
+
+
+def test_opencode_reads_it_as_json_of_its_own_form() -> None:
+    server = json.loads(printed("opencode"))["mcp"]["ros2"]
+    assert server == {
+        "type": "local",
+        "command": [COMMAND, *ARGS],
+        "environment": VARIABLES,
+        "enabled": True,
+        "timeout": 60_000,
+    }
 
 
 def test_vscode_reads_it_as_json_of_its_own_form() -> None:
@@ -84,7 +101,14 @@ def test_codex_reads_it_as_toml(variables: dict[str, str]) -> None:
     import tomllib
 
     read: dict[str, Any] = tomllib.loads(printed("codex", variables))
-    assert {"env": {}, **read["mcp_servers"]["ros2"]} == {**ENTRY, "env": variables}
+    server = read["mcp_servers"]["ros2"]
+    assert {name: server.get(name, {}) for name in ENTRY} == {**ENTRY, "env": variables}
+    assert {name: value for name, value in server.items() if name not in ENTRY} == {
+        "required": True,
+        "startup_timeout_sec": 60,
+        "tool_timeout_sec": 3660,
+        "tools": {"ros2_stop": {"approval_mode": "approve"}},
+    }
 
 
 @pytest.mark.promise("README", "the clients are claude-desktop")

@@ -54,6 +54,9 @@ def test_over_http_the_texts_of_clients_can_be_read(
     lines = printed("codex").splitlines()
     assert lines[:2] == ["[mcp_servers.ros2]", f'url = "{url}"']
     assert lines[2].startswith('http_headers = { "Authorization" = "Bearer ') and lines[2].endswith('" }')
+    assert "required = true" in lines
+    opencode = json.loads(printed("opencode"))["mcp"]["ros2"]
+    assert (opencode["type"], opencode["url"], opencode["timeout"]) == ("remote", url, 60_000)
     yaml: Any = YAML(typ="safe")
     goose = yaml.load(printed("goose"))["extensions"]["ros2"]
     assert (goose["type"], goose["uri"]) == ("streamable_http", url)

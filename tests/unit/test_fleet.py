@@ -23,6 +23,7 @@ from ros2_mcp.ops import stop as stopping
 from ros2_mcp.robot import Robot
 from ros2_mcp.settings import Settings
 from support.noting_bridge import Noting
+from support.structured import META
 
 CLIENT = Principal(name="http_1", transport="http")
 
@@ -66,11 +67,11 @@ async def test_the_instructions_name_the_robots_and_those_under_a_policy(tmp_pat
 async def test_robots_that_cannot_be_reached_are_shown_with_the_reason_and_a_stop_does_not_look_for_them() -> None:
     assembly = several("lab", "yard")
     async with assembly.running(), Client(assembly.server) as client:
-        stopped = (await client.call_tool("ros2_stop", {})).structured_content or {}
+        stopped = (await client.call_tool("ros2_stop", {}, meta=META)).structured_content or {}
         assert [one["robot"] for one in stopped["robots"]] == ["lab", "yard"]
         assert stopped["confirmed"] and "has never reached it" in stopped["robots"][0]["stopped"]["note"]
         assert all(member.robot.bridge.generation == 0 for member in assembly.fleet.members.values())
-        shown = (await client.call_tool("ros2_robots", {})).structured_content or {}
+        shown = (await client.call_tool("ros2_robots", {}, meta=META)).structured_content or {}
         assert [(robot["robot"], robot["state"]) for robot in shown["robots"]] == [("lab", "away"), ("yard", "away")]
         assert "foxy" in shown["robots"][0]["note"]
         refused = await client.call_tool("ros2_topic_list", {"robot": "yard"})

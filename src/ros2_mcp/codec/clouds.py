@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,6 +61,50 @@ def cloud_of(message: Any) -> Cloud:
         len(xyz),
         int(len(xyz) - finite.sum()),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """Points of a cloud as (x, y, z, further fields) in the units of the message.
+
+    Of the `finite` ones among its `total` points each `stride`-th is taken, at most as many as were asked for.
+    """
+
+    rows: Sequence[tuple[float, ...]]
+    stride: int
+    finite: int
+    total: int
+
+
+def points_of(message: Any, fields: Sequence[str], stride: int | None, limit: int) -> Points:
+    """The points whose place is finite, as plain numbers; float32 in the seven digits that it has.
+
+    Args:
+        message: a PointCloud2, or what has its fields; `data` is an array of uint8.
+        fields: names of further fields of each point; a packed rgb is the integer 0xRRGGBB.
+        stride: 2 takes every second point. None: the smallest with which all fit into `limit`.
+        limit: at most so many points.
+
+    Raises:
+        BadData: if its data does not fit the layout that it tells, or it has no x, y and z or no such field.
+    """
+    names = [field.name for field in message.fields]
+    shown = ", ".join(map(named, names[:_MAX_NAMED])) or "none"
+    if missing := [name for name in ("x", "y", "z", *fields) if name not in names]:
+        raise BadData(f"The cloud has no field {quoted(missing[0])}; its fields are {shown}.")
+    rows: NDArray[Any] = np.ravel(_rows(message))
+    xyz = np.stack([rows[name].astype(np.float64) for name in "xyz"], axis=1)
+    finite = np.flatnonzero((np.abs(xyz) < _FARTHEST_M).all(axis=1))
+    stride = stride or max(1, -(-len(finite) // limit))
+    taken = rows[finite[::stride][:limit]]
+    columns = [_numbers(taken[name]) for name in ("x", "y", "z", *fields)]
+    return Points(list(zip(*columns, strict=True)), stride, len(finite), len(rows))
+
+
+def _numbers(values: NDArray[Any]) -> list[Any]:
+    plain: list[Any] = values.tolist()
+    is_float32 = values.dtype.kind == "f" and values.dtype.itemsize == 4
+    return [float(f"{value:.7g}") for value in plain] if is_float32 else plain
 
 
 def _rows(message: Any) -> NDArray[Any]:

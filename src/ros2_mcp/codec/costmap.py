@@ -94,6 +94,33 @@ class CostGrid:
         best = int(np.argmin((rows - row) ** 2 + (columns - column) ** 2))
         return self.point(int(rows[best]), int(columns[best]))
 
+    def nearest(self, x_m: float, y_m: float, least: int, most: int) -> tuple[int, int] | None:
+        """Row and column of the nearest cell with a value from `least` to `most`; None where there is none.
+
+        It looks at one row after the other, from that of the point outwards: a map of 16 million cells has hits for
+        which there would be no memory.
+        """
+        row, column = self.cell(x_m, y_m)
+        found: tuple[int, int] | None = None
+        nearest = math.inf
+        for other in sorted(range(len(self.cells)), key=lambda each: abs(each - row)):
+            if (other - row) ** 2 >= nearest:
+                break
+            line = self.cells[other]
+            hits = np.flatnonzero((line >= least) & (line <= most))
+            if len(hits):
+                hit = int(hits[np.argmin(np.abs(hits - column))])
+                if (distance := (other - row) ** 2 + (hit - column) ** 2) < nearest:
+                    nearest, found = distance, (other, hit)
+        return found
+
+    def rows(self, together: int) -> list[list[int]]:
+        """The values by rows, from the lowest on; of each square of `together` × `together` cells the largest one."""
+        cells = self.cells
+        for axis, length in enumerate(self.cells.shape):
+            cells = np.maximum.reduceat(cells, range(0, length, together), axis=axis)
+        return cells.tolist()
+
     def reach(self, start: tuple[float, float], goal: tuple[float, float]) -> Reach | None:
         """Where one gets to from `start` through cells in which the robot touches nothing, unknown ones included.
 

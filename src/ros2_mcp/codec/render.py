@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from struct import Struct
 from typing import Any, NamedTuple
@@ -55,7 +55,8 @@ class RenderOptions:
     `fields` selects paths; a slice or a text that it names is given in full as long as it fits. `exact` shows
     everything whole, whatever the size, and in its plainest form: floating-point numbers as such, arrays as lists.
     `native` gives a program the numbers themselves, and not what JSON makes of them: infinities and large integers as
-    numbers, many bytes as `bytes`.
+    numbers, many bytes as `bytes`. With it, `hold` may keep a large array, of which it gives what stands for it; None
+    where it does not.
     """
 
     max_array: int = 64
@@ -64,6 +65,7 @@ class RenderOptions:
     fields: Sequence[str] | None = None
     exact: bool = False
     native: bool = False
+    hold: Callable[[FieldType, NDArray[Any]], Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +132,7 @@ class _Render:
         self._definitions = definitions
         self._exact = options.exact
         self._native = options.native
+        self._hold = options.hold
         self._limits = limits
         self._truncated: dict[str, None] = {}
 
@@ -170,7 +173,8 @@ class _Render:
         if field_type.is_message or field_type.base in TEXTS:
             return self._list(field_type, values, path, depth, most)
         if self._native:
-            return _native_numbers(field_type, values)
+            held = self._hold(field_type, values) if self._hold else None
+            return _native_numbers(field_type, values) if held is None else held
         if len(values) <= most:
             diagonal = None if self._exact or not is_covariance(path) else _diagonal(field_type, values)
             if diagonal is not None:

@@ -243,7 +243,7 @@ async def approved(settings: Settings, tool: BoundTool, arguments: Mapping[str, 
 async def _print_answer(
     settings: Settings, tool: BoundTool, arguments: dict[str, Any], as_json: bool, output: Path | None
 ) -> int:
-    from ros2_mcp.binding import CallFailed
+    from ros2_mcp.binding import SUMMARY, CallFailed
 
     try:
         result = await approved(settings, tool, arguments)
@@ -260,10 +260,10 @@ async def _print_answer(
         print(json.dumps(value, ensure_ascii=False), flush=True)
         print("\n".join(beside), end="\n" if beside else "", file=sys.stderr, flush=True)
     else:
-        summary = getattr(result.content[0], "text", "").partition("\n{")[0].split("\n")
+        summary = value.pop(SUMMARY).split("\n")
         lines = readable([*summary, *beside], value, _columns())
         print("\n".join(lines), flush=True)
-    return _FAILED if stops or _has_gone_wrong(value) else 0
+    return _FAILED if stops or result.is_error or _has_gone_wrong(value) else 0
 
 
 def _has_gone_wrong(result: Mapping[str, Any]) -> bool:

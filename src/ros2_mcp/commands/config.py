@@ -21,8 +21,15 @@ from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.shell import typed
 from ros2_mcp.settings import OPTIONS, Option, Settings
 from ros2_mcp_bridge.finding import path_entries
+from ros2_mcp_bridge.limits import MAX_DURATION_S
 
 NAME = "ros2"
+# Clients end a call by themselves, some after 60 s. The longest call that a tool allows needs a little longer than it
+# says: discovery before it, the answer after it.
+_CALL_S = MAX_DURATION_S + 60
+# How long a client waits for the server's first answer: measured 0.7 s on an idle machine, 4 to 8 s on one with ten
+# times the work that it can do. By themselves Codex waits 10 s, opencode 5 s.
+_START_S = 60
 # Goose's own default for a call, written since it has no other place.
 _GOOSE_TIMEOUT_S = 300
 
@@ -104,6 +111,8 @@ class Client:
     place: str
     text: Callable[[Entry], str]
     http: Callable[[Address], str]
+    notes: Sequence[str] = ()
+    """What its user should know about the printed settings, or set elsewhere; one line each."""
 
 
 def print_config(client: str, arguments: argparse.Namespace, settings: Settings) -> int:
@@ -123,7 +132,7 @@ def print_config(client: str, arguments: argparse.Namespace, settings: Settings)
         entry = Entry(command, [*args, "connect", str(settings.socket.expanduser().absolute())], {})
     else:
         entry = Entry(command, [*args, *options(words, is_here=settings.is_here)], variables)
-    print(f"# {CLIENTS[client].place}", file=sys.stderr)
+    _print_place(CLIENTS[client])
     local = settings.workspaces if settings.is_here else ()
     for missing in (folder for folder in local if not folder.expanduser().is_dir()):
         print(f"# warning: --workspace {missing} is not there: the server will not find its packages.", file=sys.stderr)
@@ -162,9 +171,14 @@ def _print_http(client: str, settings: Settings) -> int:
         )
     else:
         headers = {"Authorization": f"Bearer {own_token(state_home())[0]}"}
-    print(f"# {CLIENTS[client].place}", file=sys.stderr)
+    _print_place(CLIENTS[client])
     print(CLIENTS[client].http(Address(entrance.url.replace("//0.0.0.0", "//127.0.0.1"), headers)))
     return 0
+
+
+def _print_place(client: Client) -> None:
+    for line in (client.place, *client.notes):
+        print(f"# {line}", file=sys.stderr)
 
 
 # ── the texts ──────────────────────────────────────────────────────────────────────────────────────────────────
@@ -172,6 +186,11 @@ def _print_http(client: str, settings: Settings) -> int:
 
 def _mcp_servers(entry: Entry) -> str:
     return _json({"mcpServers": {NAME: entry.json}})
+
+
+def _mcp_servers_with(more: Mapping[str, object]) -> Callable[[Entry], str]:
+    """As nearly all clients write it, with settings of one client."""
+    return lambda entry: _json({"mcpServers": {NAME: {**entry.json, **more}}})
 
 
 def _vscode(entry: Entry) -> str:
@@ -189,8 +208,18 @@ def _claude_code(entry: Entry) -> str:
     return typed(["claude", "mcp", "add", *variables, "--scope", "user", NAME, "--", entry.command, *entry.args])
 
 
+# Where nobody can be asked (`codex exec`), Codex refuses every tool that it would ask about; the stop must never be.
+_CODEX_SETTINGS = (
+    "required = true",
+    f"startup_timeout_sec = {_START_S}",
+    f"tool_timeout_sec = {_CALL_S}",
+    'tools = { ros2_stop = { approval_mode = "approve" } }',
+)
+
+
 def _codex(entry: Entry) -> str:
     lines = [f"[mcp_servers.{NAME}]", f"command = {_scalar(entry.command)}", f"args = {_scalar(entry.args)}"]
+    lines += _CODEX_SETTINGS
     if entry.env:
         lines.append(f"[mcp_servers.{NAME}.env]")
         lines += [f"{name} = {_scalar(value)}" for name, value in entry.env.items()]
@@ -213,18 +242,36 @@ def _goose(entry: Entry) -> str:
     return _extensions(settings)
 
 
+def _opencode(entry: Entry) -> str:
+    command = [entry.command, *entry.args]
+    return _opencode_server({"type": "local", "command": command, "environment": dict(entry.env)})
+
+
+def _http_opencode(at: Address) -> str:
+    return _opencode_server({"type": "remote", "url": at.url, **({"headers": at.headers} if at.headers else {})})
+
+
+def _opencode_server(settings: Mapping[str, object]) -> str:
+    # Progress, which the server reports every second, begins this time-out of a call anew.
+    server = {**settings, "enabled": True, "timeout": _START_S * 1000}
+    return _json({"$schema": "https://opencode.ai/config.json", "mcp": {NAME: server}})
+
+
 def _extensions(settings: Mapping[str, object]) -> str:
     return "\n".join(
         ["extensions:", f"  {NAME}:", *(f"    {key}: {_scalar(value)}" for key, value in settings.items())]
     )
 
 
-def _http_servers(url: str = "url", kind: str = "", within: str = "mcpServers") -> Callable[[Address], str]:
+def _http_servers(
+    url: str = "url", kind: str = "", within: str = "mcpServers", more: Mapping[str, object] = {}
+) -> Callable[[Address], str]:
     """As nearly all clients write it; they differ in what they call the address, and whether they name its kind."""
 
     def text(at: Address) -> str:
         named = {"type": kind} if kind else {}
-        return _json({within: {NAME: {**named, url: at.url, **({"headers": at.headers} if at.headers else {})}}})
+        headers = {"headers": at.headers} if at.headers else {}
+        return _json({within: {NAME: {**named, url: at.url, **headers, **more}}})
 
     return text
 
@@ -244,7 +291,7 @@ def _http_claude_code(at: Address) -> str:
 def _http_codex(at: Address) -> str:
     headers = ", ".join(f"{_scalar(name)} = {_scalar(value)}" for name, value in at.headers.items())
     lines = [f"[mcp_servers.{NAME}]", f"url = {_scalar(at.url)}", f"http_headers = {{ {headers} }}"]
-    return "\n".join(lines[: 3 if at.headers else 2])
+    return "\n".join([*lines[: 3 if at.headers else 2], *_CODEX_SETTINGS])
 
 
 def _http_goose(at: Address) -> str:
@@ -278,6 +325,10 @@ CLIENTS: Mapping[str, Client] = {
         "# this folder, with --scope project for all who share it (.mcp.json)",
         _claude_code,
         _http_claude_code,
+        (
+            'To let the model stop the robot without asking you, add "mcp__ros2__ros2_stop" to permissions.allow in',
+            "~/.claude/settings.json.",
+        ),
     ),
     "vscode": Client(
         ".vscode/mcp.json in the project, or for all: Ctrl+Shift+P > MCP: Open User Configuration",
@@ -285,8 +336,31 @@ CLIENTS: Mapping[str, Client] = {
         _http_servers(kind="http", within="servers"),
     ),
     "cursor": Client("~/.cursor/mcp.json, or .cursor/mcp.json in the project", _mcp_servers, _http_servers()),
-    "codex": Client("~/.codex/config.toml", _codex, _http_codex),
-    "gemini": Client("~/.gemini/settings.json", _mcp_servers, _http_servers("httpUrl")),
+    "codex": Client(
+        "~/.codex/config.toml",
+        _codex,
+        _http_codex,
+        (
+            "required: Codex waits until the server has started, and does not start without it. Without this setting",
+            "the model begins before it has the tools. approval_mode: the model may always stop the robot; Codex asks",
+            "you before every other tool that acts, and refuses it in codex exec, where it cannot ask.",
+        ),
+    ),
+    "gemini": Client(
+        "~/.gemini/settings.json",
+        _mcp_servers_with({"timeout": _CALL_S * 1000}),
+        _http_servers("httpUrl", more={"timeout": _CALL_S * 1000}),
+        (
+            "Gemini CLI starts no server in a folder that you do not trust: /permissions shows and changes that; in a",
+            "script, set GEMINI_CLI_TRUST_WORKSPACE=true. timeout: the longest call, in ms.",
+        ),
+    ),
+    "opencode": Client(
+        "~/.config/opencode/opencode.json, or opencode.json in the project",
+        _opencode,
+        _http_opencode,
+        ("timeout: how long opencode waits for the server's start and for the progress of a call, in ms.",),
+    ),
     "antigravity": Client(
         "mcp_config.json (... of the agent's panel > MCP Servers > Manage MCP Servers > View raw config);\n"
         "# ~/.gemini/config/mcp_config.json, in older versions ~/.gemini/antigravity/mcp_config.json",
@@ -299,8 +373,9 @@ CLIENTS: Mapping[str, Client] = {
     "windsurf": Client("~/.codeium/windsurf/mcp_config.json", _mcp_servers, _http_servers("serverUrl")),
     "cline": Client(
         "cline_mcp_settings.json (MCP Servers > Configure > Configure MCP Servers)",
-        _mcp_servers,
-        _http_servers(kind="streamableHttp"),
+        _mcp_servers_with({"timeout": MAX_DURATION_S}),
+        _http_servers(kind="streamableHttp", more={"timeout": MAX_DURATION_S}),
+        ("timeout: the longest call, in s. Cline ends a call after 60 s by default, and takes 3600 s at most.",),
     ),
     "zed": Client("settings.json (Ctrl+Shift+P > zed: open settings)", _zed, _http_servers(within="context_servers")),
     "goose": Client("~/.config/goose/config.yaml, below the extensions that are there", _goose, _http_goose),

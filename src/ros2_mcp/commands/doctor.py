@@ -120,7 +120,7 @@ def programs_here() -> Finding:
     if sandbox.is_installed():
         return Finding(True, "Programs", f"run in the sandbox pydantic-monty {version('pydantic-monty')}")
     extra = f"For the extra that has one, run: {own_provenance().installing('programs')}"
-    return Finding(None, "Programs", "have no sandbox here: ros2_run is not offered", extra)
+    return Finding(None, "Programs", "have no sandbox here: ros2_program_run is not offered", extra)
 
 
 def policy_in_force(settings: Settings) -> Finding:

@@ -15,6 +15,8 @@ from typing import Any
 from mcp import Client
 from mcp.types import CallToolResult, ImageContent
 
+from ros2_mcp.server import STRUCTURED
+
 _BOLD, _DIM, _GREEN, _RED, _END = "\033[1m", "\033[2m", "\033[32m", "\033[31m", "\033[0m"
 
 
@@ -82,7 +84,7 @@ class Tour:
         async def on_progress(progress: float, total: float | None, message: str | None) -> None:
             print(_paint(_DIM, f"    … {progress:.0f}/{total or 0:.0f} s  {message or ''}"), flush=True)
 
-        result = await self.client.call_tool(tool, arguments, progress_callback=on_progress)
+        result = await self.client.call_tool(tool, arguments, progress_callback=on_progress, meta={STRUCTURED: True})
         elapsed_s = time.monotonic() - started
         text = "".join(getattr(block, "text", "") for block in result.content)
         self.transcript.append({"tool": tool, "arguments": arguments, "seconds": round(elapsed_s, 3), "text": text})

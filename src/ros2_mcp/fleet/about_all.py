@@ -5,8 +5,9 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic
+from typing import Literal
 
 import anyio
 
@@ -15,7 +16,7 @@ from ros2_mcp.model.errors import RobotError
 from ros2_mcp.model.graph import Contact
 from ros2_mcp.model.text import quoted
 from ros2_mcp.ops import stop as stopping
-from ros2_mcp.ops.results import microseconds
+from ros2_mcp.ops.results import IF_ANY, microseconds
 from ros2_mcp.robot import Robot
 
 ROBOTS = "ros2_robots"
@@ -46,7 +47,7 @@ class RobotState:
 
     robot: str
     address: str
-    state: str
+    state: Literal["connected", "connecting", "away"]
     distro: str
     rmw: str
     domain_id: int | None
@@ -55,7 +56,7 @@ class RobotState:
     read_only: bool
     policy: str
     latched: bool
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def line(self) -> str:
         """One line."""
@@ -89,7 +90,7 @@ class StoppedRobots:
 
     robots: Sequence[StoppedRobot]
     confirmed: bool
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
         """A line for each robot."""
@@ -103,7 +104,8 @@ async def states(members: Sequence[Member]) -> RobotStates:
 
 async def _state(member: Member) -> RobotState:
     before = f" The last time: {member.robot.graph.failure}" if member.robot.graph.failure else ""
-    state, note = "connecting", f"It has not answered within {_CONNECT_S:g} s: ask again.{before}"
+    state: Literal["connected", "connecting", "away"] = "connecting"
+    note = f"It has not answered within {_CONNECT_S:g} s: ask again.{before}"
     found: Contact | None = None
     try:
         with anyio.move_on_after(_CONNECT_S):

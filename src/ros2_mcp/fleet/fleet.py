@@ -14,7 +14,7 @@ from typing import Any
 import anyio
 from mcp.types import CallToolResult, TextContent, Tool
 
-from ros2_mcp.binding import CallFailed, answer
+from ros2_mcp.binding import SUMMARY, CallFailed, answer
 from ros2_mcp.fleet import about_all
 from ros2_mcp.fleet.about_all import ROBOTS, STOP, View
 from ros2_mcp.fleet.listing import ROBOT, listed_tools, listed_with_pages
@@ -22,7 +22,6 @@ from ros2_mcp.fleet.member import Member
 from ros2_mcp.library import begin, leave
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.text import listed, quoted
-from ros2_mcp.ops.results import as_json
 from ros2_mcp.tools import PAGE_TOOLS, TOOLS
 
 _MOST_NAMED = 15
@@ -75,7 +74,7 @@ class Fleet:
             if arguments:
                 raise CallFailed(f"{ROBOTS} has no argument {quoted(next(iter(arguments)))}.")
             result = await about_all.states([*self.members.values()])
-            return answer(result, as_json(result))
+            return answer(result)
         named = arguments.get(ROBOT)
         chosen, told = (
             [*self.members.values()],
@@ -86,7 +85,7 @@ class Fleet:
         elif named is not None:
             told.insert(0, f"There is no robot {quoted(str(named))}: all were told to stop.")
         stopped = await about_all.stop(chosen, view, " ".join(told[:_MOST_NAMED]))
-        return answer(stopped, as_json(stopped))
+        return answer(stopped)
 
     def choose(self, tool: str, arguments: Mapping[str, Any]) -> tuple[Member, Mapping[str, Any]]:
         """The robot that a call is about, and the arguments for it.
@@ -122,11 +121,14 @@ class Fleet:
         """A result that says which robot it is about, where there are several."""
         if not self.has_several:
             return result
+        said = f"Robot {member.name}: "
         structured: dict[str, Any] = {ROBOT: member.name, **(result.structured_content or {})}
+        if summary := structured.pop(SUMMARY, ""):
+            structured = {SUMMARY: f"{said}{summary}", **structured}
         content = list(result.content)
         for place, block in enumerate(content):
             if isinstance(block, TextContent):
-                content[place] = TextContent(type="text", text=f"Robot {member.name}: {block.text}")
+                content[place] = TextContent(type="text", text=f"{said}{block.text}")
                 break
         return CallToolResult(content=content, structured_content=structured, is_error=result.is_error)
 

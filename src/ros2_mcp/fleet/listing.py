@@ -7,11 +7,10 @@ from typing import Any
 
 from mcp.types import Tool, ToolAnnotations
 
-from ros2_mcp.binding import BoundTool
+from ros2_mcp.binding import BoundTool, answer_schema
 from ros2_mcp.fleet.about_all import ROBOTS, STOP, RobotStates, StoppedRobots
 from ros2_mcp.fleet.member import Member
 from ros2_mcp.tools import PAGE_TOOLS, TOOLS, ToolDeclaration
-from ros2_mcp.tools.schema import result_schema
 
 ROBOT = "robot"
 _MOST_IN_ENUM = 15
@@ -59,7 +58,7 @@ def _with_robot(tool: Tool, names: Sequence[str], *, is_stop: bool) -> Tool:
         schema["required"] = required
     if is_stop:
         description = f"{tool.description} {_STOP_ALL}"
-        update = {"description": description, "output_schema": result_schema(StoppedRobots)}
+        update = {"description": description, "output_schema": answer_schema(StoppedRobots)}
     else:
         update: dict[str, Any] = {}
         if given := tool.output_schema:
@@ -77,8 +76,9 @@ def _robots_tool() -> Tool:
         description="Show the robots of this server: where each is, whether it can be reached, what may be done to it. "
         "Connects to those that nobody has asked anything of yet, and waits for them for a moment.",
         input_schema={"type": "object", "properties": {}, "additionalProperties": False},
-        output_schema=result_schema(RobotStates),
+        output_schema=answer_schema(RobotStates),
+        _meta={"anthropic/searchHint": "which robots are there, connected, reachable"},
         annotations=ToolAnnotations(
-            title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=True
+            title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
         ),
     )

@@ -87,6 +87,7 @@ class Bridge:
         self._supervisor: asyncio.Task[None] | None = None
         self._outcome: asyncio.Future[Connection | RobotError] | None = None
         self._heard_at = 0.0
+        self._begun_at = math.inf
         self._retry = asyncio.Event()
         self._retry_at = 0.0
         self._closed = False
@@ -213,6 +214,11 @@ class Bridge:
         return time.monotonic() - self._heard_at if self._heard_at else math.inf
 
     @property
+    def age_s(self) -> float:
+        """For how long the present life of the bridge has been connected; 0 while none is."""
+        return max(time.monotonic() - self._begun_at, 0.0)
+
+    @property
     def log_tail(self) -> Sequence[str]:
         """The last lines that the bridge wrote to its log, as far as they came along."""
         return self._carrier.log_tail() if self._carrier else []
@@ -294,12 +300,14 @@ class Bridge:
                 self._note_outage()
             self.nodes.add(connection.hello.node)
             self._sharing = Sharing(connection)
+            self._begun_at = time.monotonic()
             self._settle(connection)
             reason = await connection.run()
             self._heard_at = connection.heard_at
             self._outcome = asyncio.get_running_loop().create_future()
             return True, reason
         finally:
+            self._begun_at = math.inf
             connection.fail(BridgeLost("The link to the robot was closed."))
             if not self._closed:
                 carrier.kill()

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import cache
 from time import monotonic
 from typing import Any, Protocol, TypeVar, cast
 
-from ros2_mcp.model.brief import brief
+from ros2_mcp.model.cells import is_empty
 from ros2_mcp.model.errors import AllFailed, RobotError
 from ros2_mcp.model.pictures import Picture
 from ros2_mcp.model.text import in_quotes, named
@@ -36,8 +36,25 @@ HIDDEN = {"hidden": True}
 ON_REQUEST = {"on_request": True}
 """Metadata of a result's field that is part of its JSON only where it was asked for, or has something; else None."""
 
+IF_ANY = {"if_any": True}
+"""Metadata of a result's field without a default that structured content lacks where it is empty, such as a note."""
+
+ALWAYS = {"always": True}
+"""Metadata of a field that is empty by default, and that structured content has all the same: what was asked for."""
+
 SAID = {"said": True}
 """Metadata of a result's field that its summary tells: the text, which begins with that, does not tell it again."""
+
+EXACT = {"exact": True}
+"""Metadata of a field with a value that can be sent back: the text has it as JSON, its numbers as they are."""
+
+LINES = {"lines": True}
+"""Metadata of a field whose text has lines that are to be read as such."""
+
+
+def beside(name: str) -> dict[str, str]:
+    """Metadata of a list with one value for each element of the list `name`: in the text both are one table."""
+    return {"beside": name}
 
 
 def four_digits(measured: float | None) -> float | None:
@@ -143,7 +160,7 @@ class PictureFacts:
     width: int
     height: int
     mime: str
-    note: str
+    note: str = field(metadata=IF_ANY)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,6 +176,28 @@ def facts(pictures: Sequence[Picture]) -> list[PictureFacts]:
     return [PictureFacts(p.width, p.height, p.mime, p.note) for p in pictures]
 
 
+def may_be_absent(declared: Field[Any]) -> bool:
+    """Whether structured content lacks a field of a result where it is empty: such as it is by default, or `IF_ANY`."""
+    if "on_request" in declared.metadata or "if_any" in declared.metadata:
+        return True
+    if "always" in declared.metadata:
+        return False
+    made = declared.default_factory
+    return is_empty(declared.default if made is MISSING else made())
+
+
+def structured(value: Any) -> Any:
+    """A result as JSON values for a program: as `as_json`, without fields that are empty and say nothing thereby."""
+    if type(value) in _SCALARS:
+        return value
+    if isinstance(value, (list, tuple)):
+        return [structured(item) for item in cast("Sequence[Any]", value)]
+    if not is_dataclass(value):
+        return value
+    shown = ((name, getattr(value, name), may_lack) for name, _, may_lack in _shown_fields(type(value)))
+    return {name: structured(inner) for name, inner, may_lack in shown if not (may_lack and is_empty(inner))}
+
+
 def as_json(value: Any) -> Any:
     """A result as JSON values, field by field, without what is hidden."""
     if type(value) in _SCALARS:  # as nearly all are
@@ -167,58 +206,15 @@ def as_json(value: Any) -> Any:
         return [as_json(item) for item in cast("Sequence[Any]", value)]
     if not is_dataclass(value):
         return value
-    shown = ((name, getattr(value, name), on_request) for name, on_request in _shown_fields(type(value)))
+    shown = ((name, getattr(value, name), on_request) for name, on_request, _ in _shown_fields(type(value)))
     return {name: as_json(inner) for name, inner, on_request in shown if not (on_request and inner is None)}
 
 
-def in_brief(result: Any, value: Any, said: str) -> tuple[Any, bool]:
-    """A result and its `value` as JSON for a reader of text, and whether a list in it is shortened.
-
-    It is without what is empty and sentences that are `said` already, and lists of objects that are much alike are in
-    short (`brief`). The objects of a list keep their sentences: their reader must not look for whose line it was.
-    """
-    is_shortened = False
-
-    def shown(one: Any, value: Any, is_row: bool = False) -> Any:
-        nonlocal is_shortened
-        if type(one) in _SCALARS:
-            return one
-        if isinstance(one, (list, tuple)):
-            items = cast("Sequence[Any]", one)
-            if any(hasattr(item, "summary") for item in items) or not (short := brief(value)):
-                return [shown(*both, is_row=True) for both in zip(items, value, strict=True)]
-            is_shortened = True
-            return short
-        if not is_dataclass(one):
-            return value
-        said_above = () if is_row else _said_fields(type(one))
-        names = [name for name, _ in _shown_fields(type(one)) if name in value and name not in said_above]
-        parts = {name: shown(getattr(one, name), value[name]) for name in names}
-        if not hasattr(one, "summary"):  # a row: what is empty there may be a value
-            return parts
-        return {name: part for name, part in parts.items() if not _is_needless(part, "" if is_row else said)}
-
-    return shown(result, value), is_shortened
-
-
-def _is_needless(part: Any, said: str) -> bool:
-    """Whether it is an empty text or list, or a sentence that has been said; a key, id, name or time is none."""
-    if not isinstance(part, (str, list)) or not part:
-        return isinstance(part, (str, list))
-    return isinstance(part, str) and " " in part and part.endswith(".") and part in said
-
-
 @cache
-def _said_fields(kind: type[Any]) -> frozenset[str]:
-    """The names of those that the summary tells."""
-    return frozenset(field.name for field in fields(kind) if "said" in field.metadata)
-
-
-@cache
-def _shown_fields(kind: type[Any]) -> tuple[tuple[str, bool], ...]:
-    """Names, and whether they are there only on request."""
+def _shown_fields(kind: type[Any]) -> tuple[tuple[str, bool, bool], ...]:
+    """Names, whether they are there only on request, and whether structured content lacks them where they are empty."""
     shown = (field for field in fields(kind) if not field.metadata.get("hidden"))
-    return tuple((field.name, "on_request" in field.metadata) for field in shown)
+    return tuple((field.name, "on_request" in field.metadata, may_be_absent(field)) for field in shown)
 
 
 def exact_time(unix_ns: int) -> str:

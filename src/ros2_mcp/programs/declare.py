@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ros2_mcp.ops.results import Report
     from ros2_mcp.ops.sources.kinds import Sources
     from ros2_mcp.ops.sources.source import Source
+    from ros2_mcp.programs.held import Held
     from ros2_mcp.programs.streams import FollowRequest, Streams
     from ros2_mcp.robot import Robot
     from ros2_mcp.robot.goals import Goal
@@ -51,8 +52,13 @@ class Use(Protocol):
         ...
 
     @property
+    def held(self) -> Held:
+        """The large arrays of the messages that it has read."""
+        ...
+
+    @property
     def report(self) -> Report:
-        """Progress, for who called `ros2_run`."""
+        """Progress, for who called `ros2_program_run`."""
         ...
 
     @property
@@ -66,6 +72,10 @@ class Use(Protocol):
 
     def follow_goal(self, goal: Goal | None) -> Any:
         """Follows the feedback of a goal; what stands for it in the program."""
+        ...
+
+    def tell(self, note: str) -> None:
+        """Adds a sentence to the note of the result, once."""
         ...
 
     def keep(self, picture: Picture) -> None:

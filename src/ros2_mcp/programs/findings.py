@@ -25,12 +25,20 @@ _SURE = frozenset(
     }
 )
 """Rules of the check of types that are wrong at run time, too. Others, such as of what may be None, may be right."""
+_MAY_BE_NONE = re.compile(r"[Ff]ound `(?=[^`]*\|)[^`]*\bNone\b[^`]*`")
+"""Of an argument: the check knows the variable with None, too, as it is before a loop that sets it."""
 _NO_MEMBER = re.compile(r"Module `(\w+)` has no member `(\w+)`")
 _IMPORTS = "It can import robot, math, time, json, re, datetime, asyncio, and no others."
+_ARRAYS = (
+    "There is no NumPy: robot.points, robot.grid and robot.unpack make numbers of clouds, maps and bytes, and "
+    "robot.mean, percentile, slope … compute. help(robot.points) says how."
+)
 _OFFERED = frozenset({"math", "time", "json", "re", "datetime", "asyncio"})
 _MOST_TOLD = 5
 _HINTS = (
     ("`open` used when not defined", "A program has no files: it reads with robot.latest and robot.messages."),
+    ("Cannot resolve imported module `numpy", _ARRAYS),
+    ("Cannot resolve imported module `struct", "robot.unpack(format, data, offset=0) reads bytes by the same formats."),
     ("Cannot resolve imported module", _IMPORTS),
     ("`dict[str, Any]` has no attribute", 'A message is a dict: message["pose"]["position"]["x"].'),
 )
@@ -41,7 +49,7 @@ def require_sound(findings: Sequence[Finding], text: str, functions: Sequence[st
     lines = text.splitlines()
     told: list[str] = []
     for finding in findings:
-        if finding.rule in _SURE and finding.line > 0:
+        if finding.rule in _SURE and finding.line > 0 and not _MAY_BE_NONE.search(finding.message):
             source = lines[finding.line - 1].strip() if finding.line <= len(lines) else ""
             hint = _hint(finding.message, functions)
             told.append(f"line {finding.line} ({source[:80]}): {finding.message}. {hint}".rstrip())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from typing import Any
 
@@ -17,6 +17,7 @@ from ros2_mcp.model.arguments import Argument
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.front_matter import FrontMatterError, entry_of
 from ros2_mcp.model.text import named, quoted
+from ros2_mcp.ops.results import IF_ANY
 from ros2_mcp.programs.findings import require_sound
 from ros2_mcp.programs.kept import KeptProgram, KeptPrograms
 from ros2_mcp.programs.program import Programs
@@ -60,7 +61,7 @@ class ProgramList:
     """The kept programs, what is wrong with files that are none, and the folder, if there is one."""
 
     programs: Sequence[ProgramEntry]
-    mistakes: Sequence[str]
+    mistakes: Sequence[str] = field(metadata=IF_ANY)
     kept_in: str
     note: str = ""
 
@@ -82,7 +83,7 @@ class ProgramSaved:
     def summary(self) -> str:
         """One line."""
         before = f" What was there before is in {named(self.former)}." if self.former else ""
-        how = "" if self.done == "removed" else " Run it with its name as program of ros2_run."
+        how = "" if self.done == "removed" else " Run it with its name as program of ros2_program_run."
         return f"{self.done}: {self.program.summary()}.{how}{before}"
 
 

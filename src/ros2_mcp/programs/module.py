@@ -2,11 +2,14 @@
 
 from collections.abc import Sequence
 
-from ros2_mcp.programs import functions
+from ros2_mcp.programs import functions  # isort: split
+
+# What is used most is declared first, and shown first.
+from ros2_mcp.programs import arrays
 from ros2_mcp.programs.declare import DECLARED, Function, pure
 from ros2_mcp.programs.numbers import NUMBERS
 
-__all__ = ["FUNCTIONS", "functions"]
+__all__ = ["FUNCTIONS", "arrays", "functions"]
 
 FUNCTIONS: Sequence[Function] = [*DECLARED, *(pure(name, implementation) for name, implementation in NUMBERS.items())]
-"""In the order in which they are shown; `functions` has declared its own."""
+"""In the order in which they are shown; `functions` and `arrays` have declared theirs."""

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass, replace
 from time import monotonic
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import anyio
 
@@ -21,6 +21,8 @@ from ros2_mcp.ops.sources.source import Source, SourceKind
 from ros2_mcp.programs.crossing import crossed
 from ros2_mcp.programs.declare import Function
 from ros2_mcp.programs.findings import require_sound
+from ros2_mcp.programs.held import Held
+from ros2_mcp.programs.help_text import help_text
 from ros2_mcp.programs.names import require_names
 from ros2_mcp.programs.rewrite import rewritten
 from ros2_mcp.programs.sandbox import Failure, Sandbox
@@ -80,6 +82,7 @@ class Record:
     commands: int = 0
     done: list[Done] = field(default_factory=list[Done])
     pictures: list[Picture] = field(default_factory=list[Picture])
+    told: dict[str, None] = field(default_factory=dict[str, None])
     ended: list[str] = field(default_factory=list[str])
     value: Any = None
     failure: Failure | None = None
@@ -112,6 +115,10 @@ class _Use:
         return self.program.streams
 
     @property
+    def held(self) -> Held:
+        return self.program.streams.held
+
+    @property
     def report(self) -> Report:
         return silent
 
@@ -120,6 +127,9 @@ class _Use:
 
     def follow_goal(self, goal: Goal | None) -> Any:
         return self.program.follow_goal(self.robot, goal)
+
+    def tell(self, note: str) -> None:
+        self.program.record.told[note] = None
 
     def keep(self, picture: Picture) -> None:
         self.program.keep(picture)
@@ -166,7 +176,7 @@ class Program(Job):
         self._principal = replace(robot.principal, program=self.id)
         self._accepted = robot.accepted or robot.stops.now()
         self._functions = {each.name: each for each in programs.functions}
-        self._sandbox = Sandbox([*self._functions], stub(programs.functions), self._next_message)
+        self._sandbox = Sandbox([*self._functions], stub(programs.functions), self._next_message, self._help)
 
     async def run(self) -> None:
         """Checks it, runs it, and ends all that it has begun."""
@@ -231,7 +241,7 @@ class Program(Job):
             if record.commands > MOST_COMMANDS:
                 raise Failure("limit", line, f"more than {MOST_COMMANDS} commands")
         try:
-            with called_through(function.tool or "ros2_run", f"{self.id}, line {line}"):
+            with called_through(function.tool or "ros2_program_run", f"{self.id}, line {line}"):
                 if acts and self._is_rehearsal:
                     return await self._rehearse(function, arguments, line)
                 result = await self._perform(function, arguments, line)
@@ -286,6 +296,9 @@ class Program(Job):
         self.record.note(Done(line, function.name, "; ".join(robot.rehearsed) or said or "would be done"))
         return dict.fromkeys(getattr(function.signature.return_annotation, "__dataclass_fields__", {}))
 
+    def _help(self, name: str) -> str:
+        return help_text(self.programs.functions, name)
+
     async def _next_message(self, number: int) -> Any:
         self.record.messages += 1
         if self.record.messages > MOST_MESSAGES:
@@ -309,6 +322,7 @@ class Program(Job):
 def _bound(function: Function, given: Sequence[Any], named: Mapping[str, Any]) -> Mapping[str, Any]:
     """The arguments by name; raises `BadInput` for what the function does not take."""
     names = [*function.signature.parameters]
+    named = {name: value for name, value in named.items() if value is not None or not _means_not_given(function, name)}
     if unknown := [name for name in named if name not in names]:
         hint = did_you_mean(unknown[0], names, f"It has: {', '.join(names)}.")
         raise BadInput(f"robot.{function.name} has no argument {unknown[0]!r}.", hint)
@@ -316,7 +330,16 @@ def _bound(function: Function, given: Sequence[Any], named: Mapping[str, Any]) -
         bound = function.signature.bind(*given, **named)
     except TypeError as error:
         raise BadInput(f"robot.{function.name}: {error}.") from error
-    return bound.arguments
+    missing = [name for name, value in bound.arguments.items() if value is None and _means_not_given(function, name)]
+    return {name: value for name, value in bound.arguments.items() if name not in missing}
+
+
+def _means_not_given(function: Function, name: str) -> bool:
+    """Whether None for an argument means that its default is to be taken, as a null does in a call of a tool."""
+    each = function.signature.parameters.get(name)
+    if each is None or each.default in (each.empty, None):
+        return False
+    return type(None) not in get_args(each.annotation)
 
 
 def _in_words(result: Any) -> str:

@@ -40,6 +40,8 @@ def _turn(value, turns):
         return _end
     turns.append(value)
     return message
+def help(about=None):
+    print(_robot.help(about))
 _streams = [Messages(number) for number in range({streams})]
 _streams
 """

@@ -95,11 +95,19 @@ class Sandbox:
     """The process of one program, while it is `open`.
 
     `names` are the functions of the module `robot`, `stubs` says of what types they are. `next_message` gives the next
-    message of a stream by its number, None at its end.
+    message of a stream by its number, None at its end; `help_text` what `help(…)` prints of a function by its name, or
+    of all of them.
     """
 
-    def __init__(self, names: Sequence[str], stubs: str, next_message: Callable[[int], Awaitable[Any]]) -> None:
+    def __init__(
+        self,
+        names: Sequence[str],
+        stubs: str,
+        next_message: Callable[[int], Awaitable[Any]],
+        help_text: Callable[[str], str] = "".join,
+    ) -> None:
         self._names = names
+        self._help_text = help_text
         self._stubs = stubs
         self._next_message = next_message
         self._pid: int | None = None
@@ -183,7 +191,7 @@ class Sandbox:
         """
         from pydantic_monty import ExternalModule, MontyCrashedError, MontyError, MontyRuntimeError, MontySyntaxError
 
-        ask = ExternalModule({"next": _never})
+        ask = ExternalModule({"next": _never, "help": _never})
         modules = {MODULE: self._module(), "_robot": ask}
         async with self._pool.checkout(limits=self._limits(), external_modules=modules) as session:
             self._note_process(session, TURN_S, CPU_S)
@@ -225,6 +233,9 @@ class Sandbox:
             try:
                 if name == "_robot.next":
                     value = await self._next_message(int(snapshot.args[0]))
+                elif name == "_robot.help":
+                    about = snapshot.args[0]
+                    value = self._help_text(about.removeprefix(f"{MODULE}.") if isinstance(about, str) else "")
                 else:
                     line = program.line(source.count(b"\n", 0, snapshot.position.start) + 1)
                     self._last_call = line

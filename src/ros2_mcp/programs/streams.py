@@ -14,10 +14,13 @@ from typing import TYPE_CHECKING, Any
 from ros2_mcp.model import names
 from ros2_mcp.model.aside import aside
 from ros2_mcp.model.errors import BadData, Refused, RobotError, TimedOut
+from ros2_mcp.model.interfaces import OCTETS, FieldType
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.actions.send_goal import follow
 from ros2_mcp.ops.sources.source import Source, Stream
+from ros2_mcp.programs.crossing import MOST_NUMBERS
+from ros2_mcp.programs.held import Held
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 
@@ -29,7 +32,9 @@ MOST_WAITING = 1000
 MOST_WAITING_BYTES = 16_000_000
 """The same in bytes: five raw camera pictures."""
 MOST_BYTES = 2_000_000
-"""Of one message that is given whole: what is larger has to be asked for by its fields, or as a picture."""
+"""Of one message that is given whole: of what is larger, the large arrays stay here, and stand in it as references."""
+_LARGE_ARRAY = 10_000
+"""Elements of an array that stays here, of a message that is larger than that."""
 MOST_STREAMS = 16
 """Followed at the same time; `sandbox.STREAMS` objects stand for them."""
 
@@ -52,9 +57,16 @@ class Followed:
     """
 
     def __init__(
-        self, source: Source, wanted: FollowRequest, *, keep: int = MOST_WAITING, limit: int | None = None
+        self,
+        source: Source,
+        wanted: FollowRequest,
+        held: Held,
+        *,
+        keep: int = MOST_WAITING,
+        limit: int | None = None,
     ) -> None:
         self._source = source
+        self._held = held
         self._wanted = wanted
         self._keep = keep
         self._given = 0
@@ -152,12 +164,7 @@ class Followed:
         """A message as the program gets it: its fields, or those that it asked for, and what is to be known of it."""
         stream = topic.stream
         assert stream
-        if len(sample.data) > MOST_BYTES and not self._wanted.fields:
-            raise Refused(
-                f"A message of {named(topic.name)} has {len(sample.data)} bytes, more than a program is given whole.",
-                "Ask for its fields, or for robot.picture(topic).",
-            )
-        value = await aside(len(sample.data), _values, stream, sample, tuple(self._wanted.fields))
+        value = await aside(len(sample.data), _values, stream, sample, tuple(self._wanted.fields), self._held)
         value["_topic"] = topic.name
         value["_time"] = sample.received_ns / 1e9
         if self._source.is_live:
@@ -242,9 +249,10 @@ class _Topic:
 
 
 class Streams:
-    """All that one program follows; closed with it."""
+    """All that one program follows, and the large arrays of its messages; closed with it."""
 
     def __init__(self) -> None:
+        self.held = Held()
         self._followed: dict[int, Followed | FollowedGoal] = {}
         self._latest: dict[tuple[str, tuple[str, ...]], Followed] = {}
         self._count = 0
@@ -258,7 +266,7 @@ class Streams:
         """
         number = self._free()
         limit = wanted.count if len(wanted.topics) == 1 and not source.is_live else None
-        followed = self._followed[number] = Followed(source, wanted, limit=limit)
+        followed = self._followed[number] = Followed(source, wanted, self.held, limit=limit)
         await followed.opened()
         self._count += 1
         return number
@@ -293,7 +301,7 @@ class Streams:
         if followed is None:
             if len(self._followed) + len(self._latest) >= MOST_STREAMS:
                 await self._latest.pop(next(iter(self._latest))).close()
-            followed = Followed(source, FollowRequest(topics=[topic], fields=fields), keep=1)
+            followed = Followed(source, FollowRequest(topics=[topic], fields=fields), self.held, keep=1)
             self._latest[key] = followed
         try:
             return await followed.newest(timeout_s)
@@ -309,13 +317,31 @@ class Streams:
         await asyncio.gather(*(each.close() for each in followed), return_exceptions=True)
 
 
-def _values(stream: Stream, sample: Sample, fields: tuple[str, ...]) -> dict[str, Any]:
+def _values(stream: Stream, sample: Sample, fields: tuple[str, ...], held: Held) -> dict[str, Any]:
+    """A message as a program gets it; raises `Refused` for one that is too large even without its large arrays."""
     from ros2_mcp.codec.render import RenderOptions, render
 
-    options: RenderOptions = RenderOptions(native=True, fields=fields or None)
+    size = len(sample.data)
+    least = _LARGE_ARRAY if size > MOST_BYTES else MOST_NUMBERS
+    held_bytes = 0
+
+    def hold(kind: FieldType, array: Any) -> Any:
+        nonlocal held_bytes
+        if len(array) <= least or (kind.base in OCTETS and size <= MOST_BYTES):
+            return None
+        held_bytes += array.nbytes
+        return held.reference(array, str(kind))
+
+    options: RenderOptions = RenderOptions(native=True, fields=fields or None, hold=None if fields else hold)
     definitions = stream.codec.definitions
     try:
         message = stream.codec.decode(stream.type, sample.data)
     except BadData as error:
         raise BadData(f"A message of {named(stream.topic)} is not what its type says: {error.message}") from error
-    return render(definitions, stream.type, message, options=options).value
+    value = render(definitions, stream.type, message, options=options).value
+    if size - held_bytes > MOST_BYTES and not fields:
+        raise Refused(
+            f"A message of {named(stream.topic)} has {size} bytes, more than a program is given whole.",
+            "Ask for its fields.",
+        )
+    return value

@@ -23,7 +23,7 @@ _PLAIN: Mapping[Any, str] = {
     inspect.Signature.empty: "Any",
 }
 _HEAD = """\
-from typing import Any, Iterator, Literal, Sequence, TypedDict
+from typing import Any, Iterator, Literal, Mapping, Sequence, TypedDict
 Message = dict[str, Any]
 class Messages:
     def __iter__(self) -> Iterator[Message]: ...
@@ -48,7 +48,9 @@ _SAID_ELSEWHERE = frozenset(
         "condition",
     }
 )
-_MOST_FIELDS = 4
+_TOOLS = "The tools, with all their arguments (here what must be given):"
+_NUMBER = " → float"
+_MOST_FIELDS = 3
 """Of a result in the short form; the check of types knows all, and names the nearest."""
 
 
@@ -66,19 +68,32 @@ def stub(functions: Sequence[Function]) -> str:
 
 
 def short(functions: Sequence[Function]) -> str:
-    """The functions as a model reads them, a line each: arguments with defaults, and the fields of the result."""
-    alike: dict[str, list[str]] = {}
+    """The functions as a model reads them: those that only programs have a line each, with arguments and the fields of
+    the result, but numbers of values in one line; of those that are tools, what must be given. The whole is a part of
+    a description, of which some clients show no more than 2,048 characters.
+    """
+    own: list[str] = []
+    numbers: list[str] = []
     for each in functions:
-        alike.setdefault(f"({_short_arguments(each.signature)}){_short_result(each)}", []).append(each.name)
-    return "\n".join(f"{', '.join(names)}{rest}" for rest, names in alike.items())
+        arguments, result = short_arguments(each.signature), _short_result(each)
+        if result == _NUMBER:
+            numbers.append(each.name if len(each.signature.parameters) == 1 else f"{each.name}({arguments})")
+        elif not each.tool:
+            own.append(f"{each.name}({arguments}){result}")
+    tools = ", ".join(f"{each.name}({_needed_arguments(each.signature)})" for each in functions if each.tool)
+    lines = [*own, ", ".join(numbers) + _NUMBER if numbers else "", f"{_TOOLS}\n{tools}" if tools else ""]
+    return "\n".join(filter(None, lines))
 
 
 def _arguments(signature: inspect.Signature, classes: dict[str, str]) -> str:
     shown: list[str] = []
     for name, each in signature.parameters.items():
         star = "*" if each.kind is inspect.Parameter.VAR_POSITIONAL else ""
-        default = "" if each.default is inspect.Parameter.empty else " = ..."
-        shown.append(f"{star}{name}: {_type(each.annotation, classes)}{default}")
+        # A result, which is a TypedDict, is no dict[str, Any] to the check of types.
+        kind, default = _type(each.annotation, classes).replace("dict[str, Any]", "Mapping[str, Any]"), ""
+        if each.default is not inspect.Parameter.empty:  # None means there that it is not given
+            kind, default = kind if kind in ("Any", "None") or kind.endswith("| None") else f"{kind} | None", " = ..."
+        shown.append(f"{star}{name}: {kind}{default}")
     return ", ".join(shown)
 
 
@@ -134,7 +149,8 @@ def _of_result(kind: Any, classes: dict[str, str]) -> str:
     return _type(kind, classes).replace("Sequence[", "list[")
 
 
-def _short_arguments(signature: inspect.Signature) -> str:
+def short_arguments(signature: inspect.Signature) -> str:
+    """The names of the arguments; those that may be left out with a question mark."""
     shown: list[str] = []
     for name, each in signature.parameters.items():
         if name in _OF_RECORDINGS:
@@ -146,10 +162,18 @@ def _short_arguments(signature: inspect.Signature) -> str:
     return ", ".join(shown)
 
 
+def _needed_arguments(signature: inspect.Signature) -> str:
+    """What must be given; of a function to which nothing must be given, what it is about."""
+    given = [each.name for each in signature.parameters.values() if each.default is inspect.Parameter.empty]
+    return ", ".join(given or [f"{name}?" for name in signature.parameters][:1])
+
+
 def _short_result(function: Function) -> str:
     kind = function.signature.return_annotation
     if kind is Stream:
         return " → for"
+    if len(some := [each for each in get_args(kind) if is_dataclass(each)]) == 1 and type(None) in get_args(kind):
+        return f" → {_names(some[0])} | None"
     if function.unwrapped:
         kind = get_type_hints(kind)[function.unwrapped]
         element = get_args(kind)[0]

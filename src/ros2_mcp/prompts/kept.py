@@ -12,7 +12,7 @@ from ros2_mcp.prompts.markdown import Parsed
 from ros2_mcp.prompts.mistakes import Mistake
 from ros2_mcp.prompts.prompt import Message, Prompt, step
 
-RUNS = "ros2_run"
+RUNS = "ros2_program_run"
 """The tool that these prompts need."""
 
 

@@ -193,6 +193,11 @@ class Graph:
         """Why the robot was not reached the last time; empty once it was."""
         return self._bridge.failure
 
+    @property
+    def bridge_age_s(self) -> float:
+        """For how long the bridge that answers now has been there; 0 while there is none."""
+        return self._bridge.age_s
+
     async def contact(self) -> Contact:
         """Who answers at the other end of the link, which begins if need be; raises as `ask`."""
         hello, clock = await self._bridge.ready(), self._bridge.clock

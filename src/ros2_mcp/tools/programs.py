@@ -1,4 +1,4 @@
-"""Tools that run programs."""
+"""Tools that run programs, and keep them for next time."""
 
 from __future__ import annotations
 
@@ -7,36 +7,101 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from ros2_mcp.ops.results import Report
+from ros2_mcp.programs.keeping import ProgramList, ProgramRequest, ProgramSaved, list_programs, save_program
 from ros2_mcp.programs.kept import KeptPrograms
 from ros2_mcp.programs.run import Ran, run
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import Flag, Number
+from ros2_mcp.tools.arguments import Flag, Number, Pattern
 from ros2_mcp.tools.declare import tool
 from ros2_mcp.tools.injection import ProgramsHere
 
 PLACE = 66
 """Beside what moves the robot, before `ros2_stop`."""
+_KEPT = 121
+"""Of the tools for kept programs: behind those that everybody needs."""
 
 MAX_RUN_S = 600.0
 """Longer work is not a program that somebody waits for."""
 
+Inputs = Annotated[
+    list[dict[str, Any]] | None,
+    Field(
+        description='What it takes: [{"name": "distance_m", "type": "number", "description": "How far", "default": 1, '
+        '"minimum": 0.1, "maximum": 5}]; also "required", "choices". Types: string, number, integer, boolean, list, '
+        "topic, topics, service, node, action, json.",
+    ),
+]
 
-@tool(title="Run a program", risk="actuate", group="programs", recorded=True, runs_programs=True)
-async def ros2_run(
+
+@tool(
+    title="Run a program",
+    risk="actuate",
+    group="programs",
+    recorded=True,
+    runs_programs=True,
+    also_named="ros2_run",
+    finds="run a program, script, Python, loop, calculate, sequence of steps",
+)
+async def ros2_program_run(
     robot: Robot,
     report: Report,
     programs: ProgramsHere,
     program: Annotated[str, Field(description="Python; import robot. Or the name of a kept one.")],
     inputs: Annotated[dict[str, Any] | None, Field(description="Names that the program has, with values.")] = None,
-    timeout: Annotated[Number, Field(gt=0, le=MAX_RUN_S, description="Ends it after so many seconds.")] = 60.0,
+    timeout: Annotated[Number, Field(gt=0, le=MAX_RUN_S, description="Seconds; at most 600.")] = 60.0,
     dry_run: Annotated[Flag, Field(description="Only read, and say what would be done.")] = False,
 ) -> Ran:
     """Run a Python program in a sandbox in which the robot is the module `robot`. Can move the robot.
 
-    Better than calls where every message counts: loops, conditions, sums over many messages, reactions. For one look
-    or one act, call the tool. It may import robot, math, time, json, re, datetime; no files, no network. What
-    it prints is the answer. Messages are dicts: m["pose"]["pose"]["position"]["x"]; with fields, m["ranges[0]"];
-    besides _topic, _time, _age_s, _dropped. Whatever ends it stops what it moves. No await, no yield.
+    For whatever needs every message: loops, sums, reactions. For one look or one act, call the tool. What it prints is
+    the answer. It can import robot, math, time, json, re and datetime; it has no files, network, NumPy, await or yield.
+    Messages are dicts: m["pose"]["pose"]["position"]["x"]; with fields, m["ranges[0]"]; also _topic, _time, _age_s,
+    _dropped. Limits: timeout, 5 s of computing between two calls, 60 s in all, 64 MB of values. Whatever ends it stops
+    what it moves. help() prints all functions, help(robot.drive) one of them.
     """
     code, given = await KeptPrograms(robot.programs_folder).resolve(program, inputs or {})
     return await run(robot, programs, code, given, timeout, report, dry_run=dry_run)
+
+
+@tool(
+    title="Kept programs",
+    risk="read",
+    place=_KEPT,
+    group="programs",
+    by_default=False,
+    recorded=True,
+    finds="kept programs, scripts that exist already",
+)
+async def ros2_program_list(
+    robot: Robot,
+    pattern: Pattern = "",
+    code: Annotated[Flag, Field(description="Also their code.")] = False,
+) -> ProgramList:
+    """List the programs that are kept: what each is for, and its inputs. ros2_program_run runs one by its name."""
+    return await list_programs(robot, pattern, with_code=code)
+
+
+@tool(
+    title="Keep a program",
+    risk="write",
+    place=_KEPT,
+    group="programs",
+    by_default=False,
+    finds="keep a program, save a script for later",
+)
+async def ros2_program_save(
+    robot: Robot,
+    programs: ProgramsHere,
+    name: Annotated[str, Field(description="Such as follow-wall.")],
+    program: Annotated[str, Field(description="As it ran with ros2_program_run; it uses its inputs by name.")] = "",
+    description: Annotated[str, Field(description="What it is for, for who finds it in a list.")] = "",
+    inputs: Inputs = None,
+    replace: Annotated[Flag, Field(description="A new version of one that is kept.")] = False,
+    remove: Annotated[Flag, Field(description="Forget it instead.")] = False,
+) -> ProgramSaved:
+    """Keep a program that has worked, for next time: one short call then, and a prompt for the user. It is checked
+    as for a run; nothing runs."""
+    request = ProgramRequest(
+        name=name, code=program, description=description, inputs=inputs or (), overwrite=replace, remove=remove
+    )
+    return await save_program(robot, programs, request)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any, cast, get_args, get_origin, get_type_hints
+from types import NoneType
+from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
+
+from ros2_mcp.ops.results import may_be_absent
 
 Schema = dict[str, Any]
 _REFERENCE = "#/$defs/"
 # pydantic's names of the bounds of a number → those of JSON schema.
 _BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
 _SCALARS: Mapping[Any, str] = {str: "string", bool: "boolean", int: "integer", float: "number"}
+_IN_SECONDS = re.compile("timeout|duration|^wait_")
+"""Names of arguments that say for how long something goes on, or is waited for."""
 _NULL: Schema = {"type": "null"}
 _ANY_SCALAR: list[Schema] = [{"type": "boolean"}, {"type": "number"}, {"type": "string"}]
 # Of a value whose type is known only at run time, such as that of a parameter. Some clients refuse a schema without a
@@ -22,23 +28,37 @@ def argument_schema(schema: Mapping[str, Any]) -> Schema:
     """A schema of arguments: optional values are shown as plain ones, unknown arguments are errors."""
     result = _plain(schema, schema.get("$defs", {}))
     result["additionalProperties"] = False
-    result.setdefault("properties", {})
+    for name, node in result.setdefault("properties", {}).items():
+        if _IN_SECONDS.search(name):
+            node["description"] = _with_bounds(node)
     return result
 
 
+def _with_bounds(node: Mapping[str, Any]) -> str:
+    """The description with default and maximum in words: some clients drop the keywords, and nobody guesses how long a
+    call may take.
+    """
+    said = [f"default {node['default']:g}"] if "default" in node else []
+    said += [f"at most {node['maximum']:g}"] if "maximum" in node else []
+    words = ", ".join(said)
+    return f"{node['description']} {words[0].upper()}{words[1:]}." if words else node["description"]
+
+
 def result_schema(kind: Any) -> Schema:
-    """The schema of a result: dataclasses of plain values. A field is always there, unless it is so only on request;
-    what may be null says so.
+    """The schema of a result: dataclasses of plain values. A field is always there, unless it is left out where it is
+    empty; what may be null says so.
     """
     options = get_args(kind)
-    if type(None) in options:
-        (present,) = (option for option in options if option is not type(None))
+    if NoneType in options:
+        (present,) = (option for option in options if option is not NoneType)
         return {"anyOf": [result_schema(present), _NULL]}
+    if get_origin(kind) is Literal:
+        return {"type": _SCALARS[type(options[0])], "enum": list(options)}
     if is_dataclass(kind):
         hints = get_type_hints(kind)
         shown = [field for field in fields(kind) if not field.metadata.get("hidden")]
         properties = {field.name: result_schema(hints[field.name]) for field in shown}
-        always = [field.name for field in shown if not field.metadata.get("on_request")]
+        always = [field.name for field in shown if not may_be_absent(field)]
         return {"type": "object", "properties": properties, "required": always}
     origin = get_origin(kind) or kind
     if origin in (list, tuple, Sequence):

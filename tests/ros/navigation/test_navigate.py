@@ -62,7 +62,9 @@ def test_the_patrol_of_the_how_to_visits_its_places_with_nav2(agent):
     (code,) = re.findall(
         r"```python\n(.*?)```", (ROOT / "docs/how-to/programs/patrol.md").read_text("utf-8"), re.DOTALL
     )
-    ran = agent.call("ros2_run", program=code, inputs={"places": [[0.4, 0.1], [0.7, 0.2]], "action": ""}, timeout=90)
+    ran = agent.call(
+        "ros2_program_run", program=code, inputs={"places": [[0.4, 0.1], [0.7, 0.2]], "action": ""}, timeout=90
+    )
     assert ran["returned"] == {"value": ["reached", "reached"]}, ran
     assert math.dist(position(agent), (0.7, 0.2)) < 0.3
 

@@ -28,7 +28,7 @@ def driven(ros_environment: dict[str, str], agent: Agent) -> Iterator[CommandedP
 
 
 def run(agent: Agent, *lines: str, **more: Any) -> dict[str, Any]:
-    return agent.call("ros2_run", program="\n".join(["import robot", *lines]), inputs=INPUTS, **more)
+    return agent.call("ros2_program_run", program="\n".join(["import robot", *lines]), inputs=INPUTS, **more)
 
 
 def test_it_reads_every_message_and_prints_what_it_found(agent: Agent, driven: CommandedProcess) -> None:
@@ -66,9 +66,11 @@ def test_an_error_is_told_with_its_line_and_ends_what_was_begun(agent: Agent, dr
 
 
 def test_what_cannot_be_right_is_refused_before_it_runs(agent: Agent, driven: CommandedProcess) -> None:
-    said = agent.refusal("ros2_run", program="import robot\nrobot.publish('/cmd_vel', {})\nrobot.lates('/odom')")
+    said = agent.refusal(
+        "ros2_program_run", program="import robot\nrobot.publish('/cmd_vel', {})\nrobot.lates('/odom')"
+    )
     assert "line 3" in said and "latest" in said
-    assert "line 2" in agent.refusal("ros2_run", program="x = (")
+    assert "line 2" in agent.refusal("ros2_program_run", program="x = (")
 
 
 def test_its_commands_stand_in_the_audit_with_their_lines(agent: Agent, driven: CommandedProcess) -> None:
@@ -93,15 +95,17 @@ def test_a_dry_run_reads_and_tells_what_would_be_done(agent: Agent, driven: Comm
 
 
 def test_names_that_are_nearly_right_are_refused_before_it_runs(agent: Agent, driven: CommandedProcess) -> None:
-    said = agent.refusal("ros2_run", program="import robot\nrobot.latest('/robot_1/odo')")
+    said = agent.refusal("ros2_program_run", program="import robot\nrobot.latest('/robot_1/odo')")
     assert "line 2" in said and INPUTS["odom"] in said
-    said = agent.refusal("ros2_run", program="import robot\n\nrobot.latest('/robot_1/odom', fields=['pose.pse'])")
+    said = agent.refusal(
+        "ros2_program_run", program="import robot\n\nrobot.latest('/robot_1/odom', fields=['pose.pse'])"
+    )
     assert "line 3" in said and "Did you mean pose?" in said
 
 
 def test_a_stop_ends_a_program_and_what_it_drives(agent: Agent, driven: CommandedProcess) -> None:
     began = agent.begin(
-        "ros2_run",
+        "ros2_program_run",
         program="import robot\nfor m in robot.messages(odom):\n    robot.publish(cmd, {'linear': {'x': 0.3}})",
         inputs=INPUTS,
     )
@@ -115,4 +119,4 @@ def test_a_read_only_server_runs_programs_that_only_read(start_agent: Any, drive
     reader = start_agent("--read-only").knows(INPUTS["odom"])
     ran = run(reader, "print(robot.latest(odom)['_topic'])")
     assert ran["printed"] == [INPUTS["odom"]], ran
-    assert "publish" in reader.refusal("ros2_run", program="import robot\nrobot.publish('/cmd_vel', {})")
+    assert "publish" in reader.refusal("ros2_program_run", program="import robot\nrobot.publish('/cmd_vel', {})")

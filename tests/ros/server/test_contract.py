@@ -213,4 +213,4 @@ def test_a_read_only_server_has_no_tool_that_writes(start_agent, agent) -> None:
     assert not any(verb in name for name in tools for verb in ("publish", "service_call", "send", "cancel", "_set"))
     assert all(tool.annotations.read_only_hint for tool in tools.values())
     writing = {name for name, tool in agent.tools().items() if not tool.annotations.read_only_hint}
-    assert set(agent.tools()) - set(tools) == writing - {"ros2_run"}  # there it runs programs that only read
+    assert set(agent.tools()) - set(tools) == writing - {"ros2_program_run"}  # there it runs programs that only read

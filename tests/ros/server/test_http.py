@@ -14,6 +14,7 @@ from mcp import Client
 
 from support.observer import TWIST, Observer
 from support.ports import listening
+from support.structured import META
 from support.tokens import HEADERS, client_at
 
 PATIENCE_S = 30.0
@@ -35,7 +36,7 @@ def sse_port(ros_environment: dict[str, str]) -> Iterator[int]:
 
 
 async def status(client: Client) -> Any:
-    result = await client.call_tool("ros2_status", {})
+    result = await client.call_tool("ros2_status", {}, meta=META)
     assert not result.is_error, result.content
     return result.structured_content
 
@@ -77,7 +78,7 @@ async def test_a_client_that_is_gone_leaves_no_subscription_behind(port: int) ->
 
 
 async def called(client: Client, tool: str, **arguments: Any) -> Any:
-    result = await client.call_tool(tool, arguments)
+    result = await client.call_tool(tool, arguments, meta=META)
     assert not result.is_error, result.content
     return result.structured_content
 

@@ -30,6 +30,7 @@ from support.networks import Network, NotPermitted, network
 from support.observer import TWIST, Observer, observing
 from support.ports import listening
 from support.standstill import undisturbed
+from support.structured import META
 from support.tokens import client_at
 
 ROUNDS = 200
@@ -441,7 +442,9 @@ async def test_a_repeat_outlasts_ten_seconds_only_where_its_client_answers_pings
         url = f"http://{field.host}:{field.ports['handshake']}/mcp"
         repeat = {"message_type": TWIST, "data": MOVING, "frequency": 20, "duration": 12}
         async with client_at(url, mode=mode) as client:
-            answers[mode] = await client.call_tool("ros2_topic_publish", {"topic_name": f"/{mode}/cmd_vel", **repeat})
+            answers[mode] = await client.call_tool(
+                "ros2_topic_publish", {"topic_name": f"/{mode}/cmd_vel", **repeat}, meta=META
+            )
 
     answers: dict[str, Any] = {}
     drivers = driving(field, clients, lambda _: "repeat", many=1)

@@ -23,6 +23,7 @@ from support.driver import fresh
 from support.observer import Observer, observing
 from support.ports import listening
 from support.raw_server import children
+from support.structured import META as STRUCTURED_META
 from support.tokens import BEARER
 from support.velocities import TWIST
 
@@ -86,7 +87,7 @@ def _own_bytes(pid: int) -> int:
 
 def ask(port: int, tool: str, **arguments: Any) -> dict[str, Any]:
     """One call of a tool in the modern era: its result, or the HTTP error."""
-    params = {"name": tool, "arguments": arguments, "_meta": META}
+    params = {"name": tool, "arguments": arguments, "_meta": {**META, **STRUCTURED_META}}
     headers = {"Accept": "application/json, text/event-stream", "Content-Type": "application/json"}
     headers |= {"Authorization": BEARER, "Mcp-Protocol-Version": MODERN, "Mcp-Method": "tools/call", "Mcp-Name": tool}
     with closing(HTTPConnection("127.0.0.1", port, timeout=ANSWER_S)) as connection:

@@ -22,6 +22,7 @@ from support.agent import FULL, until
 from support.observer import TWIST, Observer
 from support.ports import serving
 from support.standstill import undisturbed
+from support.structured import META
 
 END_S = 30.0
 CLOSED_S, ARRIVES_S = 0.3, 0.05
@@ -76,7 +77,7 @@ class Connected:
 
     def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
         """The structured result of a call."""
-        result = self.ask("tools/call", {"name": tool, "arguments": arguments})
+        result = self.ask("tools/call", {"name": tool, "arguments": arguments, "_meta": META})
         assert not result.get("isError"), result
         return result["structuredContent"]
 
@@ -94,7 +95,7 @@ async def test_clients_of_both_eras_speak_through_connect(
     )
     async with Client(stdio_client(command), mode=mode) as client:
         assert "ros2_topic_list" in {tool.name for tool in (await client.list_tools()).tools}
-        result = await client.call_tool("ros2_status", {})
+        result = await client.call_tool("ros2_status", {}, meta=META)
         assert result.structured_content and result.structured_content["bridge_node"]
 
 

@@ -104,7 +104,7 @@ def begin(server: Driver, observer: Observer, program: str, **options: float) ->
     observer.watch(topic)
     server.knows(topic, 4)
     begun_ns = time.monotonic_ns()
-    request = server.tool("ros2_run", program=program.replace("@TOPIC@", repr(topic)), **options)
+    request = server.tool("ros2_program_run", program=program.replace("@TOPIC@", repr(topic)), **options)
     observer.until_driven(topic, 2, of=4)
     return topic, request, begun_ns
 

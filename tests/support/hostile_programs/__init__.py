@@ -1,4 +1,4 @@
-"""Hostile programs as data: what a fooled model might give to `ros2_run`, in files of text beside this one.
+"""Hostile programs as data: what a fooled model might give to `ros2_program_run`, in files of text beside this one.
 
 In them `=== name` begins a program, `<U+202E>` is one character, and words between @ stand for a `Trap`.
 """

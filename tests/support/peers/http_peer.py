@@ -19,6 +19,8 @@ MODERN, HANDSHAKE = "2026-07-28", "2025-11-25"
 CLIENT = {"name": "sockets by hand", "version": "1"}
 TOKEN = "of-the-tests-0123456789-0123456789-0123456789"
 """As in `support/tokens.py`, which would bring the SDK."""
+STRUCTURED = "io.github.ros2-mcp/structured"
+"""As in `ros2_mcp/server.py`: asks for structured content."""
 PATIENCE_S = 30.0
 AT_ONCE = struct.pack("ii", 1, 0)
 """For SO_LINGER: closing resets the connection."""
@@ -54,6 +56,8 @@ class Client:
         if self.transport == "modern":
             stamp = {"protocolVersion": MODERN, "clientInfo": {**CLIENT, "name": self.name}, "clientCapabilities": {}}
             params["_meta"] = {f"io.modelcontextprotocol/{name}": value for name, value in stamp.items()}
+        if method == "tools/call":
+            params["_meta"] = {**params.get("_meta", {}), STRUCTURED: True}
         return self.post({"jsonrpc": "2.0", "id": self.last_id, "method": method, "params": params})
 
     def post(self, message: dict[str, Any]) -> http.client.HTTPConnection:

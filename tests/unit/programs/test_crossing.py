@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from ros2_mcp.model.errors import BadInput
-from ros2_mcp.programs.crossing import MOST_PARTS, crossed
+from ros2_mcp.programs.crossing import MOST_NUMBERS, MOST_PARTS, crossed
 
 
 def test_small_lists_that_share_their_parts_are_refused_and_not_walked_through() -> None:
@@ -40,3 +40,25 @@ def test_what_json_has_no_word_for_becomes_text() -> None:
 def test_a_number_of_thousands_of_digits_is_refused() -> None:
     with pytest.raises(BadInput, match="digits"):
         crossed([7**1000], "It", for_json=True)
+
+
+def test_a_long_list_of_numbers_is_copied_as_a_whole() -> None:
+    cells = [number % 101 - 1 for number in range(10 * MOST_PARTS)]
+    copied = crossed({"data": cells}, "It")
+    assert copied == {"data": cells} and copied["data"] is not cells
+    with pytest.raises(BadInput, match=f"more than {MOST_NUMBERS} numbers"):
+        crossed([cells, cells, cells], "It")
+
+
+@pytest.mark.parametrize(
+    ("odd", "shown"), [(True, True), (None, None), ("x", "x"), (2**60, str(2**60)), (math.nan, "nan")]
+)
+def test_one_odd_value_in_a_long_list_is_not_overlooked(odd: Any, shown: Any) -> None:
+    [*numbers, last] = crossed([*range(1000), odd], "It", for_json=True)
+    assert numbers == list(range(1000))
+    assert last == shown
+
+
+def test_a_huge_number_in_a_long_list_is_refused() -> None:
+    with pytest.raises(BadInput, match="digits"):
+        crossed([*range(1000), 7**1000], "It")

@@ -44,7 +44,7 @@ async def tools(folder: Path) -> AsyncGenerator[Toolset, None]:
 
 
 async def run(tools: Toolset, name: str, **inputs: Any) -> dict[str, Any]:
-    result = await tools.call("ros2_run", {"program": name, "inputs": inputs}, silent)
+    result = await tools.call("ros2_program_run", {"program": name, "inputs": inputs}, silent)
     value = result.structured_content or {}
     assert value["outcome"] == "ended", value
     return value

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.commands import CancelGoals
 from ros2_mcp.model.errors import BadValue
 from ros2_mcp.model.goals import CANCEL_CODES, goal_id_bytes, goal_id_hex
+from ros2_mcp.ops.results import IF_ANY
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
 
@@ -37,7 +38,7 @@ class Cancellation:
     return_code: int
     return_code_text: str
     goals_canceling: Sequence[CancelledGoal]
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""

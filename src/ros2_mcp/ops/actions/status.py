@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any
 
@@ -13,7 +13,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.goals import STATUS, STATUS_TYPE, TERMINAL, goal_id_hex, stamp_seconds
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import Report, iso_time, reporting, silent
+from ros2_mcp.ops.results import IF_ANY, SAID, Report, iso_time, reporting, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp_bridge.limits import MAX_DURATION_S
@@ -51,9 +51,9 @@ class StatusFrames:
     """How the goals of an action changed during a call."""
 
     topic: str
-    duration_sec: float
+    duration_sec: float = field(metadata=SAID)
     frames: Sequence[StatusFrame]
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""
@@ -80,7 +80,7 @@ class KnownGoals:
 
     goals: Sequence[KnownGoal]
     actions: Sequence[str]
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadName
-from ros2_mcp.ops.results import list_note
+from ros2_mcp.ops.results import IF_ANY, LINES, SAID, list_note
 from ros2_mcp.robot import Robot
 
 
@@ -17,8 +17,8 @@ class InterfaceList:
     """Names of interfaces, sorted."""
 
     interfaces: Sequence[str]
-    total: int
-    note: str
+    total: int = field(metadata=SAID)
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""
@@ -34,10 +34,10 @@ class Definition:
     `result` and `feedback`.
     """
 
-    message_type: str
-    kind: str
+    message_type: str = field(metadata=SAID)
+    kind: str = field(metadata=SAID)
     fields: dict[str, Any]
-    text: str
+    text: str = field(metadata=LINES)
     examples: dict[str, Any]
     hash: str
 

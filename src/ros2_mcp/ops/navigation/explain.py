@@ -14,6 +14,7 @@ from ros2_mcp.ops.log import LogLine
 from ros2_mcp.ops.navigation.situation import Situation, is_of_navigation, line_in_words, look_around
 from ros2_mcp.ops.navigation.targets import Target
 from ros2_mcp.ops.navigation.whereabouts import in_frame, why_not_in_frame
+from ros2_mcp.ops.results import IF_ANY
 from ros2_mcp.robot import Robot
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class Explanation:
     cause: str
     server: str
     error_code: int
-    error: str
+    error: str = field(metadata=IF_ANY)
     goal_cost: str
     start_cost: str
     is_feasible: bool | None

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ros2_mcp.model import names
-from ros2_mcp.ops.results import list_note
+from ros2_mcp.ops.results import IF_ANY, SAID, list_note
 from ros2_mcp.robot import Robot
 
 
@@ -17,10 +17,10 @@ class NodeList:
     """The nodes of the graph by full name; `duplicates` are names that several nodes share, which is a fault."""
 
     nodes: Sequence[str]
-    total: int
-    settled: bool
+    total: int = field(metadata=SAID)
+    settled: bool = field(metadata=SAID)
     duplicates: Sequence[str]
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ros2_mcp.guard.policy import bounded
@@ -12,7 +12,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.pictures import MAX_SIDE
 from ros2_mcp.model.times import seconds_in
-from ros2_mcp.ops.results import Report, WithPictures, facts, iso_time, silent
+from ros2_mcp.ops.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
@@ -66,13 +66,13 @@ class Plot(WithPictures):
     `seconds_in` is `started_at` counted from a recording's beginning.
     """
 
-    source: str
+    source: str = field(metadata=SAID)
     kind: str
     started_at: str
     seconds_in: float | None
     duration: float
     series: Sequence[Series]
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
         """A line for each series."""
@@ -136,13 +136,13 @@ async def _check_fields(source: Source, parts: Sequence[tuple[str, str]]) -> Non
     """Raises the error of a field that does not exist before any time is spent; missing topics are reported later."""
     from ros2_mcp.codec.select import measurable  # with numpy: not before it is needed
 
-    for topic, field in parts:
+    for topic, path in parts:
         try:
             type_name = await source.type_of(topic)
         except NotFound:
             continue
-        if field:
-            measurable(source.codec.definitions, type_name, [field])
+        if path:
+            measurable(source.codec.definitions, type_name, [path])
 
 
 def _drawn(title: str, found: Sequence[tuple[Capture[Columns], str]], request: PlotRequest, notes: list[str]) -> Plot:

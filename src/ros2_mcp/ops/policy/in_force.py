@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ros2_mcp.guard import words
 from ros2_mcp.guard.document import Document
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.watch import most_of
+from ros2_mcp.ops.results import IF_ANY, SAID
 from ros2_mcp.robot import Robot
 
 NONE = (
@@ -29,16 +30,16 @@ _MODES = {
 class InForce:
     """What is allowed. With several `policies` each of them has to allow it."""
 
-    in_force: bool
-    policies: Sequence[str]
+    in_force: bool = field(metadata=SAID)
+    policies: Sequence[str] = field(metadata=SAID)
     mode: str
-    strength: str
+    strength: str = field(metadata=SAID)
     digest: str
     allowed: Sequence[str]
     limits: Sequence[str]
     forbidden: Sequence[str]
     held: str
-    note: str
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
         """All of it: a line each."""

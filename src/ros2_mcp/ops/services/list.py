@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadName, NotFound
-from ros2_mcp.ops.results import list_note
+from ros2_mcp.ops.results import IF_ANY, SAID, list_note
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.resolution import is_infrastructure
 
@@ -29,9 +29,9 @@ class ServiceList:
     """The services of the graph."""
 
     services: Sequence[ServiceEntry]
-    total: int
-    settled: bool
-    note: str
+    total: int = field(metadata=SAID)
+    settled: bool = field(metadata=SAID)
+    note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
         """One line."""

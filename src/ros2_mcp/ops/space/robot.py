@@ -30,6 +30,7 @@ from ros2_mcp.ops.space.body import NO_MOUNT, MountInWords, footprint_in_words, 
 from ros2_mcp.ops.space.brief import MOST_BYTES, Parts, RobotInBrief, within
 from ros2_mcp.ops.space.controllers import LIST_CONTROLLERS, controllers_of, idle_movers, listed_controllers
 from ros2_mcp.ops.space.edges import edge_row, in_words
+from ros2_mcp.ops.space.first_heard import FIRST_S, YOUNG_S, frames_heard, not_heard_in_words
 from ros2_mcp.ops.space.frames import WORLDS, disputed_roots, frames_of, separate_roots
 from ros2_mcp.ops.space.heads import Head, heads_of
 from ros2_mcp.ops.space.inputs import command_inputs, drive_types, orders_by_service, other_actions, waited_for
@@ -71,6 +72,8 @@ _MOST_HEARD = 40
 """Sensors of which rate and frame are looked for, where all are told."""
 _OLD_S = 2.0
 """A place that is older is not that of now."""
+_FIRST = ("frames", "odometry", "diagnostics")
+"""Parts of which a young bridge waits for the first message."""
 _MOST_CORNERS = 200
 """Of an outline: more are a mistake."""
 _logger = logging.getLogger(__name__)
@@ -98,15 +101,24 @@ class _Seen:
     faults: Sequence[str] = ()
     odometry: Any = None
     odometry_topic: str = ""
+    diagnostics_topic: str = ""
+    has_diagnostics: bool = False
     problems: list[str] = field(default_factory=list[str])
     not_read: list[str] = field(default_factory=list[str])
     stands: str = ""
     asked_at: float = field(default_factory=monotonic)
+    listened_at: float = field(default_factory=monotonic)
+    waits_until: float = 0.0
 
     @property
     def listen_s(self) -> float:
         """For how long messages are still waited for."""
         return max(self.asked_at + _ANSWERED_S - monotonic(), _LEAST_S)
+
+    @property
+    def first_s(self) -> float:
+        """For how long the first message of frames, odometry and diagnostics is still waited for."""
+        return max(self.waits_until - monotonic(), self.listen_s)
 
 
 async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> RobotInBrief:
@@ -118,12 +130,16 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
         LinkError: if there is no bridge.
     """
     asked_at = monotonic()
+    is_young = source.is_live and robot.graph.bridge_age_s < YOUNG_S
     await load("ros2_mcp.codec.cdr", "ros2_mcp.codec.select")  # with numpy: not before it is needed
     graph = await source.graph()
     if graph.absence:
         raise NotFound(graph.absence, "ros2_status tells domain and middleware.")
     seen = _Seen(graph, most_sensors=_MOST_HEARD if whole else _MOST_SENSORS, asked_at=asked_at)
     given_up_at = max(asked_at + _GIVEN_UP_S, monotonic() + _LEAST_S) if source.is_live else math.inf
+    if is_young:
+        seen.waits_until = seen.listened_at + FIRST_S
+    first_given_up_at = max(given_up_at, seen.waits_until + _GIVEN_UP_S - _ANSWERED_S)
     gathering = (
         ("description", _description(robot, source, seen)),
         ("frames", _frames(source, seen)),
@@ -138,7 +154,10 @@ async def in_brief(robot: Robot, source: Source, *, whole: bool = False) -> Robo
         ("footprint", _published_footprint(source, seen)),
         ("controllers", _managed(robot, source, seen)),
     )
-    await asyncio.gather(*(_safely(seen, what, work, given_up_at) for what, work in gathering))
+    ends = {what: first_given_up_at if what in _FIRST else given_up_at for what, _ in gathering}
+    await asyncio.gather(*(_safely(seen, what, work, ends[what]) for what, work in gathering))
+    if source.is_live:
+        _note_not_heard(seen)
     parts = _parts(source, seen)
     return parts.in_words(Style()) if whole else await asyncio.to_thread(within, parts, MOST_BYTES)
 
@@ -164,10 +183,25 @@ def _topics(graph: GraphSnapshot, *types: str) -> list[TopicEndpoints]:
     return sorted(found, key=lambda one: one.topic)
 
 
-async def _message(source: Source, seen: _Seen, topic: str, type_name: str) -> Any:
+def _note_not_heard(seen: _Seen) -> None:
+    """What is published and was not heard, with its topics, in the place of the parts that were not read."""
+    waited_s = monotonic() - seen.listened_at
+    silent_parts = {
+        "frames": [] if seen.tree.frames else [one.topic for one in _topics(seen.graph, _TF)],
+        "odometry": [seen.odometry_topic] if seen.odometry_topic and seen.odometry is None else [],
+        "diagnostics": [seen.diagnostics_topic] if seen.diagnostics_topic and not seen.has_diagnostics else [],
+    }
+    for part, topics in silent_parts.items():
+        if topics:
+            seen.not_read = [one for one in seen.not_read if one != part]
+            seen.not_read.append(not_heard_in_words(part, topics, waited_s))
+
+
+async def _message(source: Source, seen: _Seen, topic: str, type_name: str, listen_s: float | None = None) -> Any:
     """The next message of a topic; None if none comes."""
     with suppress(RobotError):
-        return (await next_message(source.lasting(seen.listen_s), topic, type_name, silent)).message
+        lasting = source.lasting(seen.listen_s if listen_s is None else listen_s)
+        return (await next_message(lasting, topic, type_name, silent)).message
     return None
 
 
@@ -195,6 +229,8 @@ async def _frames(source: Source, seen: _Seen) -> None:
             await source.transforms.moved()  # at once: the graph is settled, and frames_of would first wait for /tf
         if source.transforms:  # it grows as they come: what has come is there if time is up
             seen.tree = await source.transforms.listening()
+            published = [one.topic for one in _topics(seen.graph, _TF)]
+            await frames_heard(source.transforms, published, seen.waits_until)
         seen.tree = await frames_of(source, until=is_whole, patience_s=seen.listen_s)
         seen.stands = await standing_time(source, seen.tree, _now_ns(source))
 
@@ -284,9 +320,13 @@ async def _reports(source: Source, seen: _Seen) -> None:
     kind = "diagnostic_msgs/msg/DiagnosticArray"
     worst: dict[str, tuple[str, str]] = {}
     for one in _topics(seen.graph, kind)[:1]:
-        with suppress(RobotError):
-            async with source.lasting(seen.listen_s).follow(one.topic, limit=20) as stream:
+        seen.diagnostics_topic = one.topic
+        with suppress(RobotError), anyio.CancelScope() as listening:
+            async with source.lasting(seen.first_s).follow(one.topic, limit=20) as stream:
                 async for batch in stream.batches:
+                    if batch and source.is_live and not seen.has_diagnostics:  # others are waited for as always
+                        listening.deadline = anyio.current_time() + seen.listen_s
+                    seen.has_diagnostics |= bool(batch)
                     for sample in batch:
                         message: Any = stream.codec.decode(stream.type, sample.data)
                         for status in message.status:
@@ -309,7 +349,8 @@ async def _odometry(source: Source, seen: _Seen) -> None:
     found = [one.topic for one in _topics(seen.graph, ODOMETRY)]
     found.sort(key=lambda name: ("filtered" not in name, name.rpartition("/")[2] != "odom", name))  # the better first
     for topic in found[:1]:
-        seen.odometry, seen.odometry_topic = await _message(source, seen, topic, ODOMETRY), topic
+        seen.odometry_topic = topic
+        seen.odometry = await _message(source, seen, topic, ODOMETRY, seen.first_s)
 
 
 async def _published_footprint(source: Source, seen: _Seen) -> None:
@@ -464,7 +505,8 @@ def _place(source: Source, seen: _Seen, base: str) -> tuple[str, list[str]]:
     if seen.urdf and (fixed := _fixed_in_world(seen.urdf, base)):
         pose = Pose(fixed.xyz, from_roll_pitch_yaw(*fixed.rpy))
         return _pose_in_words(seen.urdf.root, pose.translation, pose.yaw_rad, "URDF, fixed there", None), []
-    if _misses_frames(seen) or "odometry" in seen.not_read:
+    is_silent = source.is_live and bool(seen.odometry_topic)
+    if _misses_frames(seen) or is_silent or "odometry" in seen.not_read:
         return "Where it is was not read in time.", []
     if not seen.tree.frames:
         return "Where it is is not known: no transforms, no odometry.", []
