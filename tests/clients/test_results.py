@@ -61,7 +61,9 @@ def reading(
             run.answers("tools/list")[0]["tools"],
             introduction["instructions"],
         )
+        tools_after_s = run.time_of("tools/list")[1] - run.begun
     request.config.stash.setdefault(COLUMNS, {})[client.name] = Column(
+        tools_after_s,
         {name: len(found.text(name).encode()) for name in CALLS},
         {name: result.size_bytes for name, result in found.shown.items()},
         {name: result.pictures for name, result in found.shown.items()},
