@@ -6,6 +6,7 @@ import base64
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from inspect import Parameter
 from typing import Any, cast, get_args
 
@@ -13,15 +14,14 @@ from mcp.types import CallToolResult, ContentBlock, ImageContent, TextContent, T
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
 from ros2_mcp.model.aside import aside, extent
-from ros2_mcp.model.brief import EXPLAINED
 from ros2_mcp.model.errors import BadInput, RobotError
 from ros2_mcp.model.finite import finite
 from ros2_mcp.model.text import as_sent, quoted, visible, visible_json
-from ros2_mcp.model.values import DIAGONAL, DIAGONAL_EXPLAINED
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import Report, as_json, at_most_every, in_brief, lines_of, structured
+from ros2_mcp.ops.results import Report, as_json, at_most_every, lines_of, structured
 from ros2_mcp.ops.sources.kinds import OWN_KINDS
 from ros2_mcp.ops.sources.source import SourceKind
+from ros2_mcp.ops.text import MOST_CHARACTERS, as_text
 from ros2_mcp.programs.declare import Function
 from ros2_mcp.robot import Robot
 from ros2_mcp.tools import ToolDeclaration
@@ -34,8 +34,6 @@ from ros2_mcp.tools.schema import argument_schema, result_schema, text_for_numbe
 from ros2_mcp.view.viewing import Viewing
 
 _PLAIN_WORDS = {"dict_type": "an object is expected", "list_type": "a list is expected"}
-# About 10,000 tokens: one terminal client refuses more than 25,000, and text costs the model's attention before that.
-_MAX_TEXT = 40_000
 # What of a recording is damaged or missing, in every answer made from it; results with `problems` say it there.
 _DAMAGE = "damage"
 SUMMARY = "summary"
@@ -43,6 +41,10 @@ SUMMARY = "summary"
 # What there is to be said of an answer, also how arguments were taken that do not say it all.
 _NOTE = "note"
 _MOST_NAMED = 5
+_NARROWING = (
+    *("pattern", "fields", "max_array", "every_n", "message_limit", "number_of_messages", "limit", "start", "end"),
+    *("since", "node", "node_name", "node_names", "names", "topic_names", "kind", "package"),
+)
 # Twice a second looks alive, and does not fill the client's log during a minute's wait.
 _PROGRESS_S = 0.5
 
@@ -118,7 +120,8 @@ class BoundTool:
                 text = TextContent(type="text", text=visible(result.told))
                 return CallToolResult(content=[text], structured_content=dict(finite(result.value)))
             noted = self._with_notes(result, told)
-            return await aside(extent(as_json(noted)), answer, noted, self._damage(damage()), told)
+            made = partial(answer, most=self.robot.result_bytes, narrowing=self._narrowing)
+            return await aside(extent(as_json(noted)), made, noted, self._damage(damage()), told)
 
     async def perform(self, arguments: Mapping[str, Any], report: Report, robot: Robot) -> Any:
         """The result itself, for a program; strict as a call is.
@@ -212,6 +215,11 @@ class BoundTool:
         return {**{name: None for name in nulls if type(None) in get_args(fields[name].annotation)}, **taken}, told
 
     @property
+    def _narrowing(self) -> Sequence[str]:
+        """Its arguments with which a caller gets less, or another part."""
+        return [name for name in _NARROWING if name in self.arguments.model_fields]
+
+    @property
     def acts(self) -> bool:
         """Whether it can change or move something, or stop it."""
         return self.declaration.risk != "read"
@@ -251,8 +259,11 @@ def bind(
             read_only_hint=declaration.risk == "read",
             destructive_hint=declaration.risk == "actuate",
             idempotent_hint=declaration.risk in ("read", "stop"),
-            open_world_hint=True,
+            # A client that may not ask runs no tool with an open world: neither what only reads, nor the stop, needs to
+            # be asked about (decision 58).
+            open_world_hint=declaration.risk in ("write", "actuate"),
         ),
+        _meta=_hints_of(declaration),
     )
     results: Mapping[str, Any] = listed.output_schema or {}
     if results and declaration.recorded and "problems" not in results["properties"]:
@@ -273,6 +284,14 @@ def bind(
     )
 
 
+def _hints_of(declaration: ToolDeclaration) -> dict[str, Any] | None:
+    """What one client's search goes by; others leave it alone."""
+    hints: dict[str, Any] = {"anthropic/searchHint": declaration.finds} if declaration.finds else {}
+    if declaration.always_loaded:
+        hints["anthropic/alwaysLoad"] = True
+    return hints or None
+
+
 def answer_schema(kind: Any) -> dict[str, Any]:
     """The schema of the structured content of an answer with such a result."""
     schema = result_schema(kind)
@@ -280,37 +299,40 @@ def answer_schema(kind: Any) -> dict[str, Any]:
     return {**schema, "properties": properties, "required": [SUMMARY, *schema["required"]]}
 
 
-def answer(result: Any, damage: Sequence[str] = (), told: Sequence[str] = ()) -> CallToolResult:
-    """A result and its `value` as MCP content: lines to read, the value as short JSON, pictures, all of it structured.
+def answer(
+    result: Any,
+    damage: Sequence[str] = (),
+    told: Sequence[str] = (),
+    *,
+    most: int = MOST_CHARACTERS,
+    narrowing: Sequence[str] = (),
+) -> CallToolResult:
+    """A result as MCP content: a text of at most so many characters, pictures, and all of it as structured content.
 
     A summary is one line or a list of lines: a line break within one is shown as what it is, and begins no line.
-    `damage` says of the bags that were read for it what of them is damaged or missing, `told` how arguments were taken.
+    `damage` says of the bags that were read for it what of them is damaged or missing, `told` how arguments were taken,
+    `narrowing` names the arguments with which a caller gets less.
     """
-    lines, value = lines_of(result.summary()), as_json(result)
     beside: dict[str, Any] = {}
-    if told:
-        beside[_NOTE] = value.setdefault(_NOTE, " ".join(told))
-        lines = [*lines, *(line for line in told if not any(line in shown for shown in lines))]
+    if told and not hasattr(result, _NOTE):
+        beside[_NOTE] = " ".join(told)
+    lines = [*told]
     if damage and not hasattr(result, "problems"):  # those say it themselves
-        beside[_DAMAGE] = value[_DAMAGE] = list(damage)
-        lines = [*lines, *(f"Damage: {line}" for line in damage)]
-    summary = "\n".join(map(visible, lines))
-    structure, _ = visible_json({**structured(result), **beside})
-    short, is_shortened = in_brief(result, value, "\n".join(lines))
-    _, text = visible_json(short)
-    shown = "\n".join(
-        [
-            summary,
-            text,
-            *([EXPLAINED] if is_shortened else []),
-            *([DIAGONAL_EXPLAINED] if f'"{DIAGONAL}"' in text else []),
-        ]
-    )
-    content: list[ContentBlock] = [TextContent(type="text", text=_cut(shown))]
+        beside[_DAMAGE] = list(damage)
+        lines += [f"Damage: {line}" for line in damage]
+    content: list[ContentBlock] = [
+        TextContent(type="text", text=as_text(result, lines, most=most, narrowing=narrowing))
+    ]
     for image in getattr(result, "images", ()):
         data = base64.b64encode(image.data).decode()
         content.append(ImageContent(type="image", data=data, mime_type=image.mime))
-    return CallToolResult(content=content, structured_content={SUMMARY: summary, **structure})
+    structure, _ = visible_json({**structured(result), **beside})
+    summary = "\n".join(map(visible, lines_of(result.summary())))
+    return CallToolResult(
+        content=content,
+        structured_content={SUMMARY: summary, **structure},
+        is_error=getattr(result, "failed", False),
+    )
 
 
 def _parsed(text: str, *, acts: bool) -> Any:
@@ -348,9 +370,9 @@ def _visibly(report: Report) -> Report:
 
 def _cut(text: str) -> str:
     """Text within the limit of what clients take."""
-    if len(text) <= _MAX_TEXT:
+    if len(text) <= MOST_CHARACTERS:
         return text
-    return text[:_MAX_TEXT] + f"… (cut after {_MAX_TEXT} characters: ask for less, with a pattern, a limit or fields)"
+    return f"{text[:MOST_CHARACTERS]}… (cut after {MOST_CHARACTERS} characters)"
 
 
 def _explain(tool: str, error: ValidationError, schema: Mapping[str, Any]) -> str:

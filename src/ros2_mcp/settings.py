@@ -341,9 +341,9 @@ class Settings:
         (), "--tools", "ROS2_MCP_TOOLS", _SERVING, _names("GROUPS"),
         "groups of tools, such as default,lifecycle, or all", unset="the default ones",
     )
-    # About 10,000 tokens: what one terminal client takes at most is 25,000, and a model should have room for others.
+    # One terminal client cuts what is longer in the middle; another takes 25,000 tokens, some 75,000 bytes.
     result_bytes: int = _option(
-        32_000, "--result-bytes", "ROS2_MCP_RESULT_BYTES", _SERVING, _number(*_RESULT_BYTES),
+        12_000, "--result-bytes", "ROS2_MCP_RESULT_BYTES", _SERVING, _number(*_RESULT_BYTES),
         "bound on the text of one result",
     )
     structured: bool = _option(

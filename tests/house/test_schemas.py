@@ -17,11 +17,17 @@ from ros2_mcp.settings import Settings
 TOOLS = served_tools()
 MOST_TOOLS = 40
 """How many tools a model can choose among well."""
-MOST_BYTES = 32_000
+MOST_BYTES = 36_000
 """Of names, descriptions and input schemas of the default tools: every conversation begins with them."""
 
-MOST_BYTES_WITH_PROGRAMS = 36_000
-"""With `ros2_run`, whose description has the module `robot` in it."""
+MOST_BYTES_OF_THE_LIST = 45_000
+"""Of the answer to `tools/list`, with titles, annotations and hints for a client's search."""
+
+MOST_CHARACTERS = 2_000
+"""Of a description, and of the instructions: a leading client cuts them after 2,048."""
+
+MOST_WORDS = 15
+"""Of a hint for a client's search."""
 
 Node = Mapping[str, Any]
 
@@ -141,13 +147,42 @@ def test_tool_names_are_unique() -> None:
 
 def test_a_model_can_choose_among_the_tools_that_are_offered_by_default() -> None:
     listed = [tool.listed for tool in assemble(Settings()).toolset.by_name.values()]
-    without = [tool for tool in listed if tool.name != "ros2_run"]  # as it is where the sandbox is not installed
-    assert len(without) <= MOST_TOOLS
-    assert bytes_of(without) <= MOST_BYTES
-    assert len(listed) <= MOST_TOOLS + 1
-    assert bytes_of(listed) <= MOST_BYTES_WITH_PROGRAMS
-
-
-def bytes_of(listed: list[Tool]) -> int:
+    assert len(listed) <= MOST_TOOLS
     read = [{"name": tool.name, "description": tool.description, "inputSchema": tool.input_schema} for tool in listed]
-    return len(json.dumps(read, separators=(",", ":"), ensure_ascii=False).encode())
+    assert bytes_of(read) <= MOST_BYTES
+    sent = [tool.model_copy(update={"output_schema": None}) for tool in listed]
+    whole = [tool.model_dump(mode="json", by_alias=True, exclude_none=True) for tool in sent]
+    assert bytes_of(whole) <= MOST_BYTES_OF_THE_LIST
+
+
+def test_no_description_is_so_long_that_a_client_cuts_it() -> None:
+    assert {
+        tool.name: len(tool.description or "") for tool in TOOLS if len(tool.description or "") > MOST_CHARACTERS
+    } == {}
+
+
+@pytest.mark.parametrize("settings", [Settings(), Settings(read_only=True), Settings(tools=("core",))], ids=repr)
+def test_the_instructions_are_not_so_long_that_a_client_cuts_them(settings: Settings) -> None:
+    assert len(assemble(settings).server.instructions or "") <= MOST_CHARACTERS
+
+
+@every_tool
+def test_a_search_for_the_tool_goes_by_words_of_a_person(tool: Tool) -> None:
+    words = str((tool.meta or {})["anthropic/searchHint"]).split()
+    assert 3 <= len(words) <= MOST_WORDS
+
+
+def test_what_is_always_needed_is_there_without_a_search() -> None:
+    assert {tool.name for tool in TOOLS if (tool.meta or {}).get("anthropic/alwaysLoad")} == {"ros2_robot", "ros2_stop"}
+
+
+@every_tool
+def test_a_client_that_may_not_ask_can_read_and_stop(tool: Tool) -> None:
+    """One runs nothing that says it deals with an open world, unless its user approves."""
+    assert tool.annotations
+    acts = not tool.annotations.read_only_hint and tool.name != "ros2_stop"
+    assert tool.annotations.open_world_hint is acts
+
+
+def bytes_of(value: object) -> int:
+    return len(json.dumps(value, separators=(",", ":"), ensure_ascii=False).encode())

@@ -1,4 +1,4 @@
-"""Structured content is for those who ask for it: a model gets text and pictures, whatever its client does with JSON."""
+"""Structured content is for who asks for it: a model gets text and pictures, whatever its client does with JSON."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from time import monotonic
+from typing import Literal
 
 import anyio
 
@@ -46,7 +47,7 @@ class RobotState:
 
     robot: str
     address: str
-    state: str
+    state: Literal["connected", "connecting", "away"]
     distro: str
     rmw: str
     domain_id: int | None
@@ -103,7 +104,8 @@ async def states(members: Sequence[Member]) -> RobotStates:
 
 async def _state(member: Member) -> RobotState:
     before = f" The last time: {member.robot.graph.failure}" if member.robot.graph.failure else ""
-    state, note = "connecting", f"It has not answered within {_CONNECT_S:g} s: ask again.{before}"
+    state: Literal["connected", "connecting", "away"] = "connecting"
+    note = f"It has not answered within {_CONNECT_S:g} s: ask again.{before}"
     found: Contact | None = None
     try:
         with anyio.move_on_after(_CONNECT_S):

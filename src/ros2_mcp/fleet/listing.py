@@ -77,7 +77,8 @@ def _robots_tool() -> Tool:
         "Connects to those that nobody has asked anything of yet, and waits for them for a moment.",
         input_schema={"type": "object", "properties": {}, "additionalProperties": False},
         output_schema=answer_schema(RobotStates),
+        _meta={"anthropic/searchHint": "which robots are there, connected, reachable"},
         annotations=ToolAnnotations(
-            title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=True
+            title=title, read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False
         ),
     )

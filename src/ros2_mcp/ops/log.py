@@ -19,7 +19,7 @@ from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import visible
 from ros2_mcp.model.times import seconds_in
-from ros2_mcp.ops.results import IF_ANY, iso_time
+from ros2_mcp.ops.results import IF_ANY, SAID, beside, iso_time
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Missing, Source
 from ros2_mcp.ops.sources.times import absolute_ns, is_relative, is_seconds_ago, last_ns_of, parsed_ns
@@ -71,13 +71,13 @@ class Log:
     """
 
     lines: Sequence[LogLine]
-    matched: int
-    kept: int
+    matched: int = field(metadata=SAID)
+    kept: int = field(metadata=SAID)
     dropped: int
     listening_since: str
     note: str = field(metadata=IF_ANY)
     source: str = "live"
-    seconds_in: Sequence[float] = ()
+    seconds_in: Sequence[float] = field(default=(), metadata=beside("lines"))
 
     def summary(self) -> str:
         """One line."""

@@ -24,9 +24,9 @@ from ros2_mcp.model.graph import RelayCounts, TopicEndpoints
 from ros2_mcp.model.qos import QoS, for_subscribing
 from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.ops.endings import ended_by, guarded, held_back, limited, reason_of
-from ros2_mcp.ops.results import IF_ANY
+from ros2_mcp.ops.results import IF_ANY, SAID
 from ros2_mcp.robot import Robot
-from ros2_mcp.robot.jobs import Job
+from ros2_mcp.robot.jobs import Job, State
 from ros2_mcp_bridge.limits import MAX_RATE_HZ, MIN_RATE_HZ
 from ros2_mcp_bridge.rhythm import Rhythm
 
@@ -82,18 +82,18 @@ class RelayState:
     `subscribers` and `publishers` are those matched now, or last.
     """
 
-    relay_id: str
-    state: str
-    source_topic: str
-    destination_topic: str
+    relay_id: str = field(metadata=SAID)
+    state: State = field(metadata=SAID)
+    source_topic: str = field(metadata=SAID)
+    destination_topic: str = field(metadata=SAID)
     message_type: str
     destination_type: str
     transform: str
     target_rate_hz: float | None
     duration_sec: float
     elapsed_sec: float
-    passed: int
-    dropped: int
+    passed: int = field(metadata=SAID)
+    dropped: int = field(metadata=SAID)
     lost: int | None
     failed: int
     publishers: int | None

@@ -10,7 +10,7 @@ from functools import cache
 from time import monotonic
 from typing import Any, Protocol, TypeVar, cast
 
-from ros2_mcp.model.brief import brief
+from ros2_mcp.model.cells import is_empty
 from ros2_mcp.model.errors import AllFailed, RobotError
 from ros2_mcp.model.pictures import Picture
 from ros2_mcp.model.text import in_quotes, named
@@ -41,6 +41,17 @@ IF_ANY = {"if_any": True}
 
 SAID = {"said": True}
 """Metadata of a result's field that its summary tells: the text, which begins with that, does not tell it again."""
+
+EXACT = {"exact": True}
+"""Metadata of a field with a value that can be sent back: the text has it as JSON, its numbers as they are."""
+
+LINES = {"lines": True}
+"""Metadata of a field whose text has lines that are to be read as such."""
+
+
+def beside(name: str) -> dict[str, str]:
+    """Metadata of a list with one value for each element of the list `name`: in the text both are one table."""
+    return {"beside": name}
 
 
 def four_digits(measured: float | None) -> float | None:
@@ -167,12 +178,7 @@ def may_be_absent(declared: Field[Any]) -> bool:
     if "on_request" in declared.metadata or "if_any" in declared.metadata:
         return True
     made = declared.default_factory
-    return _is_empty(declared.default if made is MISSING else made())
-
-
-def _is_empty(value: Any) -> bool:
-    """Whether it is nothing: null, an empty text, list or object. 0 and false are values."""
-    return value is None or (isinstance(value, (str, Sequence, Mapping)) and not value)
+    return is_empty(declared.default if made is MISSING else made())
 
 
 def structured(value: Any) -> Any:
@@ -184,7 +190,7 @@ def structured(value: Any) -> Any:
     if not is_dataclass(value):
         return value
     shown = ((name, getattr(value, name), may_lack) for name, _, may_lack in _shown_fields(type(value)))
-    return {name: structured(inner) for name, inner, may_lack in shown if not (may_lack and _is_empty(inner))}
+    return {name: structured(inner) for name, inner, may_lack in shown if not (may_lack and is_empty(inner))}
 
 
 def as_json(value: Any) -> Any:
@@ -197,49 +203,6 @@ def as_json(value: Any) -> Any:
         return value
     shown = ((name, getattr(value, name), on_request) for name, on_request, _ in _shown_fields(type(value)))
     return {name: as_json(inner) for name, inner, on_request in shown if not (on_request and inner is None)}
-
-
-def in_brief(result: Any, value: Any, said: str) -> tuple[Any, bool]:
-    """A result and its `value` as JSON for a reader of text, and whether a list in it is shortened.
-
-    It is without what is empty and sentences that are `said` already, and lists of objects that are much alike are in
-    short (`brief`). The objects of a list keep their sentences: their reader must not look for whose line it was.
-    """
-    is_shortened = False
-
-    def shown(one: Any, value: Any, is_row: bool = False) -> Any:
-        nonlocal is_shortened
-        if type(one) in _SCALARS:
-            return one
-        if isinstance(one, (list, tuple)):
-            items = cast("Sequence[Any]", one)
-            if any(hasattr(item, "summary") for item in items) or not (short := brief(value)):
-                return [shown(*both, is_row=True) for both in zip(items, value, strict=True)]
-            is_shortened = True
-            return short
-        if not is_dataclass(one):
-            return value
-        said_above = () if is_row else _said_fields(type(one))
-        names = [name for name, *_ in _shown_fields(type(one)) if name in value and name not in said_above]
-        parts = {name: shown(getattr(one, name), value[name]) for name in names}
-        if not hasattr(one, "summary"):  # a row: what is empty there may be a value
-            return parts
-        return {name: part for name, part in parts.items() if not _is_needless(part, "" if is_row else said)}
-
-    return shown(result, value), is_shortened
-
-
-def _is_needless(part: Any, said: str) -> bool:
-    """Whether it is an empty text or list, or a sentence that has been said; a key, id, name or time is none."""
-    if not isinstance(part, (str, list)) or not part:
-        return isinstance(part, (str, list))
-    return isinstance(part, str) and " " in part and part.endswith(".") and part in said
-
-
-@cache
-def _said_fields(kind: type[Any]) -> frozenset[str]:
-    """The names of those that the summary tells."""
-    return frozenset(field.name for field in fields(kind) if "said" in field.metadata)
 
 
 @cache

@@ -16,7 +16,7 @@ from ros2_mcp.model.goals import STATUS, TERMINAL
 from ros2_mcp.ops.actions.result import result_of
 from ros2_mcp.ops.flights import StoppedFlight, brake_flights
 from ros2_mcp.ops.observed import Observed, observe_still
-from ros2_mcp.ops.results import HIDDEN, IF_ANY
+from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import UNKNOWN_GOAL, Goal
 from ros2_mcp.robot.jobs import Job
@@ -90,8 +90,8 @@ class Stopped:
     services and topics.
     """
 
-    repeats_stopped: int
-    relays_stopped: int
+    repeats_stopped: int = field(metadata=SAID)
+    relays_stopped: int = field(metadata=SAID)
     topics: Sequence[StoppedTopic]
     goals: Sequence[StoppedGoal]
     flights: Sequence[StoppedFlight] = ()

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, cast
 
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import quoted
-from ros2_mcp.ops.results import HIDDEN, ON_REQUEST, Report, WithPictures, facts, silent
+from ros2_mcp.ops.results import HIDDEN, ON_REQUEST, SAID, Report, WithPictures, facts, silent
 from ros2_mcp.programs.crossing import crossed
 from ros2_mcp.programs.program import MOST_PRINTED, Done, Program, Programs, Record
 from ros2_mcp.robot import Robot
@@ -30,6 +30,9 @@ class ProgramError:
     hint: str = ""
 
 
+ProgramEnd = Literal["ended", "failed", "limit", "stopped", "crashed"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ran(WithPictures):
     """What became of a program.
@@ -40,17 +43,22 @@ class Ran(WithPictures):
     the first and the last. `ended_with_it` was still in motion at its end.
     """
 
-    outcome: str
+    outcome: ProgramEnd = field(metadata=SAID)
     printed: Sequence[str] = ()
     returned: Mapping[str, Any] | None = field(default=None, metadata=ON_REQUEST)
     error: ProgramError | None = field(default=None, metadata=ON_REQUEST)
-    elapsed_s: float
-    calls: int
+    elapsed_s: float = field(metadata=SAID)
+    calls: int = field(metadata=SAID)
     commands: Sequence[Done] = ()
     ended_with_it: Sequence[str] = ()
     program_id: str
     note: str = ""
     commands_given: int = field(default=0, metadata=HIDDEN)
+
+    @property
+    def failed(self) -> bool:
+        """Whether it did not come to its end; a stop is no failure."""
+        return self.outcome in ("failed", "limit", "crashed")
 
     def summary(self) -> str:
         """One line."""
@@ -105,9 +113,9 @@ async def run(
 def _told(program: Program, text: str, note: str) -> Ran:
     record, notes = program.record, [note] if note else []
     failure = record.failure
-    outcome = "ended"
+    outcome: ProgramEnd = "ended"
     if failure:
-        outcome = {"error": "failed", "crash": "crashed"}.get(failure.kind, failure.kind)
+        outcome = cast("ProgramEnd", {"error": "failed", "crash": "crashed"}.get(failure.kind, failure.kind))
     elif program.state == "stopped":
         outcome = "stopped"
         notes.append(f"It was ended by {program.stop_reason or 'a request to cancel it'}.")

@@ -48,6 +48,8 @@ _SAID_ELSEWHERE = frozenset(
         "condition",
     }
 )
+_TOOLS = "As the tools, with their arguments and the fields of their results (print one to see them):"
+_MOST_OPTIONAL = 2
 _MOST_FIELDS = 4
 """Of a result in the short form; the check of types knows all, and names the nearest."""
 
@@ -66,11 +68,17 @@ def stub(functions: Sequence[Function]) -> str:
 
 
 def short(functions: Sequence[Function]) -> str:
-    """The functions as a model reads them, a line each: arguments with defaults, and the fields of the result."""
+    """The functions as a model reads them: those that only programs have a line each, with arguments and the fields of
+    the result; of those that are tools, what must be given. The whole is a part of a description, of which some clients
+    show no more than 2,048 characters.
+    """
     alike: dict[str, list[str]] = {}
     for each in functions:
-        alike.setdefault(f"({_short_arguments(each.signature)}){_short_result(each)}", []).append(each.name)
-    return "\n".join(f"{', '.join(names)}{rest}" for rest, names in alike.items())
+        if not each.tool:
+            alike.setdefault(f"({_short_arguments(each.signature)}){_short_result(each)}", []).append(each.name)
+    own = [f"{', '.join(names)}{rest}" for rest, names in alike.items()]
+    tools = ", ".join(f"{each.name}({_needed_arguments(each.signature)})" for each in functions if each.tool)
+    return "\n".join([*own, *([f"{_TOOLS}\n{tools}"] if tools else [])])
 
 
 def _arguments(signature: inspect.Signature, classes: dict[str, str]) -> str:
@@ -144,6 +152,14 @@ def _short_arguments(signature: inspect.Signature) -> str:
     if _OF_RECORDINGS[0] in signature.parameters:
         shown.append(_OF_RECORDINGS[0] + "?")
     return ", ".join(shown)
+
+
+def _needed_arguments(signature: inspect.Signature) -> str:
+    """What must be given, and as many of the others as tell what it is about."""
+    given = [each.name for each in signature.parameters.values() if each.default is inspect.Parameter.empty]
+    others = [f"{name}?" for name in signature.parameters if name not in given and name not in _OF_RECORDINGS]
+    shown = others[: max(_MOST_OPTIONAL - len(given), 0)]
+    return ", ".join([*given, *shown, *(["…"] if len(shown) < len(others) else [])])
 
 
 def _short_result(function: Function) -> str:

@@ -47,7 +47,7 @@ from ros2_mcp.robot import Robot
 MAX_LISTED = 1000
 # Nodes of the graph whose endpoints are shown: each takes a request to the bridge.
 MAX_NODES = 200
-# Of the log: 32 kB of lines of 160 bytes.
+# Of the log: more than fit; those that have no room are left out, and counted.
 MAX_LINES = 200
 # How long a topic's next message is waited for, while a client waits for the content.
 SAMPLE_S = 2.0

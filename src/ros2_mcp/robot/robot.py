@@ -110,7 +110,7 @@ class Robot(Core):
         self,
         bridge: Bridge,
         guard: Guard | None = None,
-        result_bytes: int = 32_000,
+        result_bytes: int = 12_000,
         *,
         graph: Graph | None = None,
         values: Values | None = None,

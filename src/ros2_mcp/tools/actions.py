@@ -32,13 +32,19 @@ ResultTimeout = Annotated[
 ]
 
 
-@tool(title="List actions", risk="read", group="actions")
+@tool(title="List actions", risk="read", group="actions", finds="which actions are there, list actions, abilities")
 async def ros2_list_actions(robot: Robot, pattern: Pattern = "") -> ActionList:
     """List the actions of the robot with their types and the fields of their goals."""
     return await list_actions(robot, pattern)
 
 
-@tool(title="Send a goal", risk="actuate", group="actions", program="goal")
+@tool(
+    title="Send a goal",
+    risk="actuate",
+    group="actions",
+    program="goal",
+    finds="gripper open or close, arm, dock, take off, start an action",
+)
 async def ros2_send_action_goal(
     robot: Robot,
     report: Report,
@@ -69,7 +75,7 @@ async def ros2_send_action_goal(
     )
 
 
-@tool(title="Cancel goals", risk="actuate", group="actions", program="cancel")
+@tool(title="Cancel goals", risk="actuate", group="actions", program="cancel", finds="cancel a goal, abort an action")
 async def ros2_cancel_action_goal(
     robot: Robot,
     action_name: ActionName,
@@ -94,7 +100,13 @@ async def ros2_cancel_action_goal(
     )
 
 
-@tool(title="Result of a goal", risk="read", group="actions", program="result")
+@tool(
+    title="Result of a goal",
+    risk="read",
+    group="actions",
+    program="result",
+    finds="result of a goal, is the action done",
+)
 async def ros2_action_request_result(
     robot: Robot,
     report: Report,
@@ -121,7 +133,7 @@ async def ros2_action_request_result(
     )
 
 
-@tool(title="Feedback of goals", risk="read", group="actions")
+@tool(title="Feedback of goals", risk="read", group="actions", finds="progress of a goal, action feedback")
 async def ros2_action_subscribe_feedback(
     robot: Robot,
     report: Report,
@@ -146,7 +158,9 @@ async def ros2_action_subscribe_feedback(
     )
 
 
-@tool(title="Status of an action's goals", risk="read", group="actions")
+@tool(
+    title="Status of an action's goals", risk="read", group="actions", finds="follow the states of goals of an action"
+)
 async def ros2_action_subscribe_status(
     robot: Robot,
     report: Report,
@@ -158,7 +172,13 @@ async def ros2_action_subscribe_status(
     return await follow_status(robot, action_name, duration_s=duration_sec, max_messages=max_messages, report=report)
 
 
-@tool(title="All goals", risk="read", group="actions", by_default=False)
+@tool(
+    title="All goals",
+    risk="read",
+    group="actions",
+    by_default=False,
+    finds="which goals are running, state of all actions",
+)
 async def ros2_action_status(robot: Robot) -> KnownGoals:
     """Show every goal of every action with its state and age, in one look."""
     return await all_goals(robot)

@@ -63,7 +63,7 @@ Fields = Annotated[
         "\"transforms[child_frame_id == 'base_link']\"]."
     ),
 ]
-# At most 10,000 elements: with three digits and a comma each that is 40 kB, and a result has 32 kB.
+# At most 10,000 elements: with three digits and a comma each that is 40 kB, and a result has 12 kB.
 MaxArray = Annotated[
     Whole,
     Field(ge=0, le=10_000, description="Longer arrays are summarised."),

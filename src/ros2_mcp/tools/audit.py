@@ -15,7 +15,13 @@ PLACE = 135
 """Behind what was recorded."""
 
 
-@tool(title="What was done", risk="read", group="memory", by_default=False)
+@tool(
+    title="What was done",
+    risk="read",
+    group="memory",
+    by_default=False,
+    finds="what was done, history of commands, audit",
+)
 async def ros2_audit_read(
     robot: Robot,
     limit: Annotated[Whole, Field(ge=1, le=audit.MOST, description="The newest so many.")] = 50,

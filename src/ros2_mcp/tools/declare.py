@@ -43,6 +43,8 @@ class ToolDeclaration:
     not in it. One that `runs_programs` is there where the sandbox is installed, its description shows the module, and
     where nothing may be moved it only reads. `place` is where the tool stands in `tools/list`; None: at the `PLACE` of
     its module. A tool whose `audience` is the page gives `ForPage`; one that `opens_page` has it shown beside the chat.
+    `finds` are words with which a person asks for it, at most fifteen: some clients show their model a tool only after
+    a search. One that is `always_loaded` should be there without.
     """
 
     function: ToolFunction
@@ -59,6 +61,8 @@ class ToolDeclaration:
     place: int | None = None
     audience: Audience = "model"
     opens_page: bool = False
+    finds: str = ""
+    always_loaded: bool = False
 
     @property
     def description(self) -> str:
@@ -102,6 +106,8 @@ def tool(
     place: int | None = None,
     audience: Audience = "model",
     opens_page: bool = False,
+    finds: str = "",
+    always_loaded: bool = False,
 ) -> Callable[[ToolFunction], ToolFunction]:
     """Declares the function as a tool of the same name."""
 
@@ -122,6 +128,8 @@ def tool(
                 place=place,
                 audience=audience,
                 opens_page=opens_page,
+                finds=finds,
+                always_loaded=always_loaded,
             )
         )
         return function

@@ -16,13 +16,24 @@ PLACE = 12
 """After the nodes; the status stands before them, at the very top."""
 
 
-@tool(title="Server and robot status", risk="read", place=10)
+@tool(
+    title="Server and robot status",
+    risk="read",
+    place=10,
+    finds="connection, is ROS running, bridge, distribution, domain, middleware",
+)
 async def ros2_status(robot: Robot, limitations: Limitations) -> status.Status:
     """Show which ROS 2 this server uses (distribution, middleware, domain), its health, and what is not possible."""
     return await status.status(robot, limitations)
 
 
-@tool(title="Definition of an interface", risk="read", recorded=True, aliases={"msg_type": "message_type"})
+@tool(
+    title="Definition of an interface",
+    risk="read",
+    recorded=True,
+    aliases={"msg_type": "message_type"},
+    finds="message definition, fields of a type, example value, msg srv action",
+)
 async def ros2_get_message_fields(
     robot: Robot,
     message_type: Annotated[
@@ -34,7 +45,9 @@ async def ros2_get_message_fields(
     return await interfaces.define(robot, message_type)
 
 
-@tool(title="List interfaces", risk="read", recorded=True)
+@tool(
+    title="List interfaces", risk="read", recorded=True, finds="which message, service and action types are installed"
+)
 async def ros2_interface_list(
     robot: Robot,
     pattern: Pattern = "",

@@ -42,6 +42,8 @@ from ros2_mcp.tools.arguments import (
 )
 from ros2_mcp.view.viewing import Viewing
 
+_FOR_VALUES = 5 / 6
+"""Of a text's bytes; the others are for what stands above and below the values."""
 _TIMES_TO_WAIT = frozenset(
     {"duration", "duration_sec", "timeout", "timeout_sec", "wait_timeout_sec", "wait_for_service_sec"}
 )
@@ -122,7 +124,7 @@ def _selection(
         every_n=every_n,
         duration_s=duration,
         message_limit=message_limit,
-        max_bytes=call.robot.result_bytes,
+        max_bytes=int(call.robot.result_bytes * _FOR_VALUES),
     )
 
 

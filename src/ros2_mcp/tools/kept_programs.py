@@ -24,7 +24,14 @@ Inputs = Annotated[
 ]
 
 
-@tool(title="Kept programs", risk="read", group="programs", by_default=False, recorded=True)
+@tool(
+    title="Kept programs",
+    risk="read",
+    group="programs",
+    by_default=False,
+    recorded=True,
+    finds="kept programs, scripts that exist already",
+)
 async def ros2_program_list(
     robot: Robot,
     pattern: Pattern = "",
@@ -34,7 +41,13 @@ async def ros2_program_list(
     return await list_programs(robot, pattern, with_code=code)
 
 
-@tool(title="Keep a program", risk="write", group="programs", by_default=False)
+@tool(
+    title="Keep a program",
+    risk="write",
+    group="programs",
+    by_default=False,
+    finds="keep a program, save a script for later",
+)
 async def ros2_program_save(
     robot: Robot,
     programs: ProgramsHere,

@@ -16,7 +16,13 @@ from ros2_mcp.tools.injection import LogSource
 PLACE = 50
 
 
-@tool(title="Read the log", risk="read", recorded=True, program="log")
+@tool(
+    title="Read the log",
+    risk="read",
+    recorded=True,
+    program="log",
+    finds="log, rosout, errors, warnings, what happened, what did nodes say",
+)
 async def ros2_log_read(
     robot: Robot,
     since: Since = "",

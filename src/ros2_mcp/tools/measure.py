@@ -24,7 +24,14 @@ MeasuredFor = Annotated[Number, Field(ge=0.1, le=600, description="Measure for s
 Names = Annotated[list[str] | None, Field(max_length=100, description="Names that must be there.")]
 
 
-@tool(title="Wait until a condition holds", risk="read", group="measure", recorded=True, program="wait_until")
+@tool(
+    title="Wait until a condition holds",
+    risk="read",
+    group="measure",
+    recorded=True,
+    program="wait_until",
+    finds="wait until something happens, condition, event, threshold",
+)
 async def ros2_wait_until(
     report: Report,
     topic_name: TopicName,
@@ -52,7 +59,13 @@ async def ros2_wait_until(
     return await waiting.wait_until(lasting, topic_name, condition, report, max_bytes=selection.max_bytes)
 
 
-@tool(title="Health of the robot", risk="read", group="measure", recorded=True)
+@tool(
+    title="Health of the robot",
+    risk="read",
+    group="measure",
+    recorded=True,
+    finds="why does it not move, what is wrong, diagnose, broken, silent sensors, problems",
+)
 async def ros2_health_check(
     report: Report,
     expected_topics: Names = None,
@@ -84,6 +97,7 @@ async def ros2_health_check(
     group="measure",
     recorded=True,
     program="statistics",
+    finds="average, minimum, maximum, noise, drift, stuck values, analyse numbers",
 )
 async def ros2_topic_statistics(
     report: Report,
@@ -100,7 +114,14 @@ async def ros2_topic_statistics(
     return await statistics.measure(source.lasting(duration), topic_names, selection, report)
 
 
-@tool(title="Compare two topics", risk="read", group="measure", recorded=True, program="compare")
+@tool(
+    title="Compare two topics",
+    risk="read",
+    group="measure",
+    recorded=True,
+    program="compare",
+    finds="compare two topics or sensors, difference, delay between them",
+)
 async def ros2_topic_compare(
     report: Report,
     topic1_name: TopicName,

@@ -41,7 +41,13 @@ RecordingId = Annotated[str, Field(description="As ros2_record_start gave it. De
 PlaybackId = Annotated[str, Field(description="As ros2_bag_play gave it.")]
 
 
-@tool(title="Record topics", risk="write", group="memory", by_default=False)
+@tool(
+    title="Record topics",
+    risk="write",
+    group="memory",
+    by_default=False,
+    finds="record a bag, rosbag, save topics to a file",
+)
 async def ros2_record_start(
     robot: Robot,
     store: BagStore,
@@ -74,7 +80,7 @@ async def ros2_record_start(
     return await record.start(robot, store, request)
 
 
-@tool(title="Recordings", risk="read", group="memory", by_default=False)
+@tool(title="Recordings", risk="read", group="memory", by_default=False, finds="is it recording, how large is the bag")
 async def ros2_record_status(
     robot: Robot, recording_id: Annotated[str, Field(description="Only this one; default: all.")] = ""
 ) -> record.RecordingStates:
@@ -82,25 +88,46 @@ async def ros2_record_status(
     return await record.status(robot, recording_id)
 
 
-@tool(title="Stop recording", risk="write", group="memory", by_default=False)
+@tool(title="Stop recording", risk="write", group="memory", by_default=False, finds="end a recording, close the bag")
 async def ros2_record_stop(robot: Robot, recording_id: RecordingId = "") -> record.RecordingState:
     """End a recording and close its files."""
     return await record.stop(robot, recording_id)
 
 
-@tool(title="List bags", risk="read", group="memory", by_default=False, recorded=True)
+@tool(
+    title="List bags",
+    risk="read",
+    group="memory",
+    by_default=False,
+    recorded=True,
+    finds="which bags, recordings, rosbag files are there",
+)
 async def ros2_bag_list(store: BagStore, pattern: Pattern = "", limit: Limit = 200) -> bags.BagList:
     """List the bags (recordings) that can be read, the newest first."""
     return await bags.list_bags(store, pattern, limit)
 
 
-@tool(title="What is in a bag", risk="read", group="memory", by_default=False, recorded=True)
+@tool(
+    title="What is in a bag",
+    risk="read",
+    group="memory",
+    by_default=False,
+    recorded=True,
+    finds="what is in a bag: topics, duration, size",
+)
 async def ros2_bag_info(store: BagStore, bag: BagName) -> bags.BagInfo:
     """Show the topics, types, counts and times of a bag, and what of it is damaged or missing."""
     return await bags.info(store, bag)
 
 
-@tool(title="Read a bag", risk="read", group="memory", by_default=False, recorded=True)
+@tool(
+    title="Read a bag",
+    risk="read",
+    group="memory",
+    by_default=False,
+    recorded=True,
+    finds="read messages of a bag, recording, what happened",
+)
 async def ros2_bag_read(
     robot: Robot,
     store: BagStore,
@@ -117,7 +144,7 @@ async def ros2_bag_read(
     return await bags.read(robot, store, bag, topic_name, chosen, start=start, end=end)
 
 
-@tool(title="Play a bag", risk="actuate", group="memory", by_default=False)
+@tool(title="Play a bag", risk="actuate", group="memory", by_default=False, finds="replay, play back a bag")
 async def ros2_bag_play(
     robot: Robot,
     store: BagStore,
@@ -147,7 +174,7 @@ async def ros2_bag_play(
     return await play.play(robot, store, request, wait_sec, report)
 
 
-@tool(title="Playbacks", risk="read", group="memory", by_default=False)
+@tool(title="Playbacks", risk="read", group="memory", by_default=False, finds="how far is the playback")
 async def ros2_bag_play_status(
     robot: Robot, playback_id: Annotated[str, Field(description="Only this one; default: all.")] = ""
 ) -> play.PlaybackStates:
@@ -155,7 +182,7 @@ async def ros2_bag_play_status(
     return await play.status(robot, playback_id)
 
 
-@tool(title="Stop playing", risk="write", group="memory", by_default=False)
+@tool(title="Stop playing", risk="write", group="memory", by_default=False, finds="end a playback")
 async def ros2_bag_play_stop(robot: Robot, playback_id: PlaybackId) -> play.PlaybackState:
     """Stop playing a bag."""
     return await play.stop(robot, playback_id)
@@ -169,6 +196,7 @@ async def ros2_bag_play_stop(robot: Robot, playback_id: PlaybackId) -> play.Play
     recorded=True,
     place=HISTORY_PLACE,
     also_named="ros2_get_messages_stored_in_influx_data_base",
+    finds="history, messages of the past, black box, what happened before",
 )
 async def ros2_get_messages(
     sources: Sources,

@@ -21,7 +21,13 @@ Found = Annotated[str, Field(description="Default: found.")]
 MetresPerSecond = Annotated[Number, Field(ge=-10, le=10, description="In m/s.")]
 
 
-@tool(title="Drive by odometry", risk="actuate", group="motion", program="drive")
+@tool(
+    title="Drive by odometry",
+    risk="actuate",
+    group="motion",
+    program="drive",
+    finds="move forward or back, drive a distance, turn, rotate",
+)
 async def ros2_drive(
     robot: Robot,
     report: Report,
@@ -53,7 +59,14 @@ async def ros2_drive(
     return await drive.drive(robot, request, report)
 
 
-@tool(title="Move until a condition holds", risk="actuate", group="motion", by_default=False, program="move_until")
+@tool(
+    title="Move until a condition holds",
+    risk="actuate",
+    group="motion",
+    by_default=False,
+    program="move_until",
+    finds="move until an obstacle, a wall, contact, a condition",
+)
 async def ros2_move_until(
     robot: Robot,
     report: Report,
@@ -91,7 +104,14 @@ async def ros2_move_until(
     return await until.move_until(robot, request, report)
 
 
-@tool(title="Move joints", risk="actuate", group="motion", by_default=False, program="joint_move")
+@tool(
+    title="Move joints",
+    risk="actuate",
+    group="motion",
+    by_default=False,
+    program="joint_move",
+    finds="move the arm, joints, head, pan, tilt, manipulator",
+)
 async def ros2_joint_move(
     robot: Robot,
     report: Report,

@@ -39,7 +39,13 @@ Action = Annotated[str, Field(description="If there are several.")]
 Metres = Annotated[Number | None, Field(description="Metres. Without x and y: where the robot is.")]
 
 
-@tool(title="Navigate", risk="actuate", group="motion", program="navigate")
+@tool(
+    title="Navigate",
+    risk="actuate",
+    group="motion",
+    program="navigate",
+    finds="go to the kitchen, drive to a place or room, navigation, waypoints, Nav2",
+)
 async def ros2_navigate(
     robot: Robot,
     report: Report,
@@ -60,7 +66,13 @@ async def ros2_navigate(
     return await navigate(robot, to, action=action_name, job_id=job_id, timeout_s=timeout_sec, report=report)
 
 
-@tool(title="Preview a way", risk="write", group="motion", by_default=False)
+@tool(
+    title="Preview a way",
+    risk="write",
+    group="motion",
+    by_default=False,
+    finds="plan a path without moving, route, is a place reachable",
+)
 async def ros2_nav_preview(
     robot: Robot,
     report: Report,
@@ -78,13 +90,21 @@ async def ros2_nav_preview(
     return await preview(robot, to, start, planner_id=planner_id, action=action_name, report=report)
 
 
-@tool(title="List places", risk="read", group="space", by_default=False)
+@tool(
+    title="List places", risk="read", group="space", by_default=False, finds="named places, rooms, where is the kitchen"
+)
 async def ros2_place_list(robot: Robot, pattern: Pattern = "") -> PlaceList:
     """List the places that are known by name, with their poses and how far away they are."""
     return await list_places(robot, pattern)
 
 
-@tool(title="Keep a place", risk="write", group="space", by_default=False)
+@tool(
+    title="Keep a place",
+    risk="write",
+    group="space",
+    by_default=False,
+    finds="remember this place, name or save a location",
+)
 async def ros2_place_set(
     robot: Robot,
     name: Annotated[str, Field(description="Its name, such as door.")],

@@ -19,7 +19,9 @@ NodeName = Annotated[str, Field(description="Full name, such as /base_controller
 NodeNames = Annotated[list[str] | None, Field(description="Full names of nodes; default: every node.")]
 
 
-@tool(title="List nodes", risk="read", place=11, program="nodes")
+@tool(
+    title="List nodes", risk="read", place=11, program="nodes", finds="which nodes are running, list nodes, processes"
+)
 async def ros2_node_list(
     robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 200
 ) -> NodeList:
@@ -27,13 +29,19 @@ async def ros2_node_list(
     return await list_nodes(robot, pattern, include_hidden, limit)
 
 
-@tool(title="Node details", risk="read", place=11)
+@tool(
+    title="Node details",
+    risk="read",
+    group="lifecycle",
+    by_default=False,
+    finds="what does a node do, its topics, services, lifecycle",
+)
 async def ros2_node_info(robot: Robot, node_name: NodeName) -> info.NodeInfo:
     """Show what a node publishes, subscribes to, offers and calls, its lifecycle state and how many parameters."""
     return await info.node_info(robot, node_name)
 
 
-@tool(title="List parameters", risk="read", group="parameters")
+@tool(title="List parameters", risk="read", group="parameters", finds="settings, configuration, parameters of nodes")
 async def ros2_parameter_list(
     robot: Robot, node_names: NodeNames = None, pattern: Pattern = "", limit: Limit = 100
 ) -> parameters.ParameterList:
@@ -41,7 +49,14 @@ async def ros2_parameter_list(
     return await parameters.describe(robot, node_names or (), pattern, limit)
 
 
-@tool(title="Read parameters", risk="read", group="parameters", by_default=False, program="parameters")
+@tool(
+    title="Read parameters",
+    risk="read",
+    group="parameters",
+    by_default=False,
+    program="parameters",
+    finds="read all parameter values of a node",
+)
 async def ros2_parameter_get(
     robot: Robot,
     node_name: NodeName,
@@ -52,7 +67,13 @@ async def ros2_parameter_get(
     return await parameters.dump(robot, node_name, names, whole=whole)
 
 
-@tool(title="Set parameters", risk="actuate", group="parameters", program="set_parameter")
+@tool(
+    title="Set parameters",
+    risk="actuate",
+    group="parameters",
+    program="set_parameter",
+    finds="change a setting, configure, tune, parameter",
+)
 async def ros2_parameter_set(
     robot: Robot,
     node_name: NodeName,
@@ -63,13 +84,25 @@ async def ros2_parameter_set(
     return await parameters.set_values(robot, node_name, values, atomic=atomic)
 
 
-@tool(title="Lifecycle states", risk="read", group="lifecycle", by_default=False)
+@tool(
+    title="Lifecycle states",
+    risk="read",
+    group="lifecycle",
+    by_default=False,
+    finds="is a node active, inactive, unconfigured",
+)
 async def ros2_lifecycle_state(robot: Robot, node_names: NodeNames = None) -> lifecycle.LifecycleStates:
     """Show the state of lifecycle nodes and the transitions possible now."""
     return await lifecycle.states(robot, node_names or ())
 
 
-@tool(title="Change a lifecycle state", risk="actuate", group="lifecycle", by_default=False)
+@tool(
+    title="Change a lifecycle state",
+    risk="actuate",
+    group="lifecycle",
+    by_default=False,
+    finds="activate, deactivate, configure, start a lifecycle node",
+)
 async def ros2_lifecycle_change(
     robot: Robot,
     node_name: NodeName,

@@ -26,7 +26,15 @@ Limit = Annotated[
 Height = Annotated[Number | None, Field(description="Only points within these heights, in metres. Default: all.")]
 
 
-@tool(title="Plot", risk="read", group="pictures", recorded=True, by_default=False, aliases={"topic_names": "series"})
+@tool(
+    title="Plot",
+    risk="read",
+    group="pictures",
+    recorded=True,
+    by_default=False,
+    aliases={"topic_names": "series"},
+    finds="plot, curve, chart, graph over time, trajectory picture",
+)
 async def ros2_plot(
     report: Report,
     series: Annotated[
@@ -51,7 +59,13 @@ async def ros2_plot(
     return await plot(source.lasting(duration), PlotRequest(series, kind, width, height), report)
 
 
-@tool(title="Map as a picture", risk="read", group="pictures", recorded=True)
+@tool(
+    title="Map as a picture",
+    risk="read",
+    group="pictures",
+    recorded=True,
+    finds="map picture, occupancy grid, costmap, walls, rooms",
+)
 async def ros2_get_map_as_image(
     robot: Robot,
     report: Report,
@@ -65,7 +79,14 @@ async def ros2_get_map_as_image(
     return await map_picture(robot, source.lasting(timeout), topic_name, report)
 
 
-@tool(title="Point cloud from above", risk="read", group="pictures", recorded=True, by_default=False)
+@tool(
+    title="Point cloud from above",
+    risk="read",
+    group="pictures",
+    recorded=True,
+    by_default=False,
+    finds="point cloud picture, lidar, depth camera from above",
+)
 async def ros2_get_pointcloud_as_bev(
     report: Report,
     topic_name: Annotated[str, Field(description="A topic of sensor_msgs/PointCloud2. Default: the only one.")] = "",

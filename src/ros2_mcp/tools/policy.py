@@ -10,7 +10,7 @@ PLACE = 11
 """Right behind the status: whoever wants to act asks it first."""
 
 
-@tool(title="What is allowed", risk="read")
+@tool(title="What is allowed", risk="read", finds="what is allowed, permissions, speed limits, forbidden, rules")
 async def ros2_policy(robot: Robot) -> in_force.InForce:
     """Show what this server's policy allows, in words and numbers: topics, speeds, rates, durations, approvals. Plan
     within it; nothing here changes it.

@@ -21,7 +21,14 @@ MAX_RUN_S = 600.0
 """Longer work is not a program that somebody waits for."""
 
 
-@tool(title="Run a program", risk="actuate", group="programs", recorded=True, runs_programs=True)
+@tool(
+    title="Run a program",
+    risk="actuate",
+    group="programs",
+    recorded=True,
+    runs_programs=True,
+    finds="run a program, script, Python, loop, calculate, sequence of steps",
+)
 async def ros2_run(
     robot: Robot,
     report: Report,

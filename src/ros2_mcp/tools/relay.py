@@ -27,7 +27,9 @@ Mapping = Annotated[
 ]
 
 
-@tool(title="Start a relay", risk="actuate", group="relay")
+@tool(
+    title="Start a relay", risk="actuate", group="relay", finds="forward a topic, throttle, republish, convert, filter"
+)
 async def ros2_relay_start(
     robot: Robot,
     source_topic: Annotated[str, Field(description="Where the messages come from.")],
@@ -66,13 +68,13 @@ async def ros2_relay_start(
     return await relay.start(robot, request)
 
 
-@tool(title="List relays", risk="read", group="relay")
+@tool(title="List relays", risk="read", group="relay", finds="which relays are running")
 async def ros2_relay_list(robot: Robot) -> relay.RelayList:
     """List the relays of this server with what they passed and dropped so far, and the last that ended."""
     return await relay.list_relays(robot)
 
 
-@tool(title="Stop a relay", risk="write", group="relay")
+@tool(title="Stop a relay", risk="write", group="relay", finds="end a relay")
 async def ros2_relay_stop(
     robot: Robot, relay_id: Annotated[str, Field(description="As ros2_relay_start gave it.")]
 ) -> relay.RelayState:

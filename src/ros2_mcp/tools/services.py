@@ -24,7 +24,13 @@ def _empty_request(value: Any) -> Any:
     return None if value is None or value == [] or (isinstance(value, str) and value.strip() in _EMPTY) else value
 
 
-@tool(title="List services", risk="read", group="services", program="services")
+@tool(
+    title="List services",
+    risk="read",
+    group="services",
+    program="services",
+    finds="which services are there, list services",
+)
 async def ros2_service_list(
     robot: Robot, pattern: Pattern = "", include_hidden: Hidden = False, limit: Limit = 100
 ) -> ServiceList:
@@ -32,7 +38,14 @@ async def ros2_service_list(
     return await list_services(robot, pattern, include_hidden, limit)
 
 
-@tool(title="Call a service", risk="actuate", group="services", aliases={"timeout": "timeout_sec"}, program="call")
+@tool(
+    title="Call a service",
+    risk="actuate",
+    group="services",
+    aliases={"timeout": "timeout_sec"},
+    program="call",
+    finds="call a service: take off, land, arm, reset, enable, set mode",
+)
 async def ros2_service_call(
     robot: Robot,
     report: Report,

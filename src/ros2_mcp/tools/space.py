@@ -21,7 +21,14 @@ from ros2_mcp.tools.injection import AtOneTime, RecordingSource
 PLACE = 35
 
 
-@tool(title="The robot in brief", risk="read", recorded=True, place=9)
+@tool(
+    title="The robot in brief",
+    risk="read",
+    recorded=True,
+    place=9,
+    finds="what robot is this, overview, what can it do, where is it, battery",
+    always_loaded=True,
+)
 async def ros2_robot(
     robot: Robot,
     whole: Annotated[Flag, Field(description="All, also beyond 2 kB.")] = False,
@@ -39,6 +46,7 @@ async def ros2_robot(
     recorded=True,
     aliases={"target_frame": "target", "source_frame": "source", "frame": "source"},
     program="tf",
+    finds="where is it, position, pose, transform between frames, distance",
 )
 async def ros2_tf_lookup(
     report: Report,
@@ -60,7 +68,13 @@ async def ros2_tf_lookup(
     return await tf_lookup(reading, request, report)
 
 
-@tool(title="Scene from above", risk="read", group="space", recorded=True)
+@tool(
+    title="Scene from above",
+    risk="read",
+    group="space",
+    recorded=True,
+    finds="what is around the robot, obstacle, free space, laser and map from above, picture",
+)
 async def ros2_scene(
     robot: Robot,
     report: Report,
@@ -75,7 +89,14 @@ async def ros2_scene(
     return await scene(robot, source, SceneRequest(frame, grid, radius_m), report)
 
 
-@tool(title="Tree of frames", risk="read", group="space", recorded=True, by_default=False)
+@tool(
+    title="Tree of frames",
+    risk="read",
+    group="space",
+    recorded=True,
+    by_default=False,
+    finds="frames, transform tree, TF problems",
+)
 async def ros2_tf_tree(
     report: Report,
     frame: Annotated[str, Field(description="Only what is below this frame. Default: all.")] = "",

@@ -9,7 +9,12 @@ from ros2_mcp.tools.declare import tool
 PLACE = 70
 
 
-@tool(title="Stop the robot", risk="stop")
+@tool(
+    title="Stop the robot",
+    risk="stop",
+    finds="stop, halt, emergency stop, freeze, cancel everything",
+    always_loaded=True,
+)
 async def ros2_stop(robot: Robot) -> stopping.Stopped:
     """Stop at once everything that this server has set in motion, for any client: zero on velocity topics, goals
     cancelled, repeated publishing, relays and playbacks ended; what was accepted before and has not been sent is

@@ -74,7 +74,13 @@ class TopicToPublish(BaseModel):
     duration: Annotated[Number, Field(gt=0, le=MAX_DURATION_S, description=_SECONDS)] = 5.0
 
 
-@tool(title="List topics", risk="read", recorded=True, program="topics")
+@tool(
+    title="List topics",
+    risk="read",
+    recorded=True,
+    program="topics",
+    finds="which topics are there, list topics, which sensors",
+)
 async def ros2_topic_list(
     robot: Robot,
     pattern: Pattern = "",
@@ -86,13 +92,24 @@ async def ros2_topic_list(
     return await list_topics(robot, pattern, include_hidden, limit, with_fields=request_fields)
 
 
-@tool(title="Topic details", risk="read", recorded=True)
+@tool(
+    title="Topic details",
+    risk="read",
+    recorded=True,
+    finds="who publishes, who subscribes, QoS, why does nothing arrive on a topic",
+)
 async def ros2_topic_info(robot: Robot, topic_name: TopicName) -> info.TopicInfo:
     """Show who publishes and subscribes on a topic, with type, type hash and QoS, and why pairs do not match."""
     return await info.topic_info(robot, topic_name)
 
 
-@tool(title="Read messages", risk="read", recorded=True, aliases={"message_type": "msg_type"})
+@tool(
+    title="Read messages",
+    risk="read",
+    recorded=True,
+    aliases={"message_type": "msg_type"},
+    finds="camera picture image photo, laser scan obstacle, odometry, battery level, sensor values, echo topic",
+)
 async def ros2_topic_subscribe(
     report: Report, topic_name: TopicName, msg_type: MessageType = "", *, selection: LimitedMessages, source: Source
 ) -> subscribe.Reading:
@@ -105,7 +122,7 @@ async def ros2_topic_subscribe(
     return await subscribe.read(source, topic_name, msg_type, selection, report)
 
 
-@tool(title="Read several topics", risk="read", recorded=True)
+@tool(title="Read several topics", risk="read", recorded=True, finds="read several topics or sensors at the same time")
 async def ros2_subscribe_multiple_topics(
     report: Report,
     topics: Annotated[list[TopicToRead], _SEVERAL, Field(description="The topics to read.")],
@@ -133,7 +150,13 @@ async def ros2_subscribe_multiple_topics(
     return await subscribe.read_several(source, requests, report)
 
 
-@tool(title="Wait for a message", risk="read", recorded=True, aliases={"msg_type": "message_type"})
+@tool(
+    title="Wait for a message",
+    risk="read",
+    recorded=True,
+    aliases={"msg_type": "message_type"},
+    finds="wait for the next message, one current value of a topic",
+)
 async def ros2_topic_echo_wait(
     topic_name: TopicName,
     message_type: MessageType = "",
@@ -149,7 +172,13 @@ async def ros2_topic_echo_wait(
     return await subscribe.echo(source.lasting(timeout), topic_name, message_type, selection)
 
 
-@tool(title="Rate and age of topics", risk="read", recorded=True, program="rates")
+@tool(
+    title="Rate and age of topics",
+    risk="read",
+    recorded=True,
+    program="rates",
+    finds="rate, Hz, frequency, bandwidth, delay, latency, lost messages",
+)
 async def ros2_topic_stats(
     report: Report,
     topic_names: Annotated[
@@ -171,7 +200,14 @@ async def ros2_topic_stats(
     return await stats.measure(lasting, topic_names, report)
 
 
-@tool(title="Publish", risk="actuate", place=_PUBLISHING_PLACE, aliases={"msg_type": "message_type"}, program="publish")
+@tool(
+    title="Publish",
+    risk="actuate",
+    place=_PUBLISHING_PLACE,
+    aliases={"msg_type": "message_type"},
+    program="publish",
+    finds="send a message, velocity command, cmd_vel, move by hand",
+)
 async def ros2_topic_publish(
     robot: Robot,
     report: Report,
@@ -192,7 +228,12 @@ async def ros2_topic_publish(
     return await publish.publish(robot, request, report)
 
 
-@tool(title="Publish on several topics", risk="actuate", place=_PUBLISHING_PLACE)
+@tool(
+    title="Publish on several topics",
+    risk="actuate",
+    place=_PUBLISHING_PLACE,
+    finds="send on several topics at the same time",
+)
 async def ros2_publish_multiple_topics(
     robot: Robot,
     report: Report,

@@ -68,6 +68,7 @@ class ViewState:
     also_named="ros2_viewer_app",
     aliases={"topic_name": "topics", "preferred_kind": "kind", "plot_fields": "fields", "auto_start": ""},
     opens_page=True,
+    finds="show the user a live page: camera, map, plot, viewer",
 )
 async def ros2_view(
     robot: Robot,
@@ -92,7 +93,14 @@ async def ros2_view(
     return await opened(robot, source, request, shows_pages=shows_pages, others=others, report=report)
 
 
-@tool(title="What the user sees", risk="read", group="view", by_default=False, recorded=True)
+@tool(
+    title="What the user sees",
+    risk="read",
+    group="view",
+    by_default=False,
+    recorded=True,
+    finds="what did the user click, pick or point at",
+)
 async def ros2_view_state(robot: Robot, viewing: Viewing) -> ViewState:
     """What the pages show your user, and what they picked there: a place (metres in a frame), a point in 3D, a box in a
     picture, a time in a plot."""

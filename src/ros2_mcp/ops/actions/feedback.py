@@ -11,7 +11,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model import names
 from ros2_mcp.model.goals import goal_id_bytes, goal_id_hex
 from ros2_mcp.ops.actions.status import MAX_MESSAGES, SERVER_S
-from ros2_mcp.ops.results import IF_ANY, Report, iso_time, reporting, silent
+from ros2_mcp.ops.results import IF_ANY, SAID, Report, iso_time, reporting, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
@@ -32,7 +32,7 @@ class FeedbackMessages:
     topic: str
     action_type: str
     goal_id_filter: str | None
-    duration_sec: float
+    duration_sec: float = field(metadata=SAID)
     messages: Sequence[FeedbackMessage]
     omitted: int
     note: str = field(metadata=IF_ANY)

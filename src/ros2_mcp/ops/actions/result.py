@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any
 
@@ -14,7 +14,7 @@ from ros2_mcp.model.goals import STATUS, TERMINAL, goal_id_bytes, goal_id_hex
 from ros2_mcp.ops.actions.cancel_when import note_on
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
 from ros2_mcp.ops.endings import ended_by, reason_of
-from ros2_mcp.ops.results import Report, reporting, silent
+from ros2_mcp.ops.results import SAID, Report, reporting, silent
 from ros2_mcp.robot import Answer, Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp_bridge.limits import MAX_DURATION_S
@@ -32,11 +32,11 @@ class GoalResult:
     """The result of a goal, whoever sent it; `TIMEOUT` (code 0) if it had not ended in time."""
 
     service: str
-    goal_id: str
+    goal_id: str = field(metadata=SAID)
     waited: bool
     result_timeout_sec: float | None
     status_code: int
-    status: str
+    status: str = field(metadata=SAID)
     result: dict[str, Any] | None = None
     note: str = ""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import Any
 
@@ -18,7 +18,7 @@ from ros2_mcp.ops.actions.cancel_when import ConditionalCancel, asked_for, begin
 from ros2_mcp.ops.actions.result import STATUS_AFTER_S, result_of
 from ros2_mcp.ops.actions.status import SERVER_S, states_now
 from ros2_mcp.ops.defaults import left_at_default
-from ros2_mcp.ops.results import Report, in_words, silent
+from ros2_mcp.ops.results import SAID, Report, in_words, silent
 from ros2_mcp.robot import Answer, Listening, Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp_bridge.limits import MAX_DURATION_S
@@ -39,19 +39,24 @@ class GoalOutcome:
     `status` is `TIMEOUT` (code 0) if the waiting ended first; the goal then goes on. `result` is null until it ended.
     """
 
-    action_name: str
+    action_name: str = field(metadata=SAID)
     action_type: str
     accepted: bool
-    goal_id: str
+    goal_id: str = field(metadata=SAID)
     send_goal_stamp: dict[str, Any] | None
     waited: bool = False
     result_timeout_sec: float | None = None
     status_code: int = 1
-    status: str = STATUS[1]
+    status: str = field(default=STATUS[1], metadata=SAID)
     result: dict[str, Any] | None = None
     feedback_count: int = 0
     last_feedback: dict[str, Any] | None = None
     note: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether its server did not accept it, or gave it up; one that goes on, or was cancelled, is no failure."""
+        return not self.accepted or self.status == "ABORTED"
 
     def summary(self) -> str:
         """One line."""

@@ -13,7 +13,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import NotFound
 from ros2_mcp.model.goals import STATUS, STATUS_TYPE, TERMINAL, goal_id_hex, stamp_seconds
 from ros2_mcp.model.samples import Sample
-from ros2_mcp.ops.results import IF_ANY, Report, iso_time, reporting, silent
+from ros2_mcp.ops.results import IF_ANY, SAID, Report, iso_time, reporting, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp_bridge.limits import MAX_DURATION_S
@@ -51,7 +51,7 @@ class StatusFrames:
     """How the goals of an action changed during a call."""
 
     topic: str
-    duration_sec: float
+    duration_sec: float = field(metadata=SAID)
     frames: Sequence[StatusFrame]
     note: str = field(metadata=IF_ANY)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadName
-from ros2_mcp.ops.results import IF_ANY, list_note
+from ros2_mcp.ops.results import IF_ANY, LINES, SAID, list_note
 from ros2_mcp.robot import Robot
 
 
@@ -17,7 +17,7 @@ class InterfaceList:
     """Names of interfaces, sorted."""
 
     interfaces: Sequence[str]
-    total: int
+    total: int = field(metadata=SAID)
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:
@@ -34,10 +34,10 @@ class Definition:
     `result` and `feedback`.
     """
 
-    message_type: str
-    kind: str
+    message_type: str = field(metadata=SAID)
+    kind: str = field(metadata=SAID)
     fields: dict[str, Any]
-    text: str
+    text: str = field(metadata=LINES)
     examples: dict[str, Any]
     hash: str
 

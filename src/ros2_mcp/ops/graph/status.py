@@ -10,7 +10,7 @@ from importlib.metadata import version
 
 from ros2_mcp.guard.consent import Auditing
 from ros2_mcp.guard.state import RESET_HINT, latched
-from ros2_mcp.ops.results import IF_ANY, microseconds
+from ros2_mcp.ops.results import IF_ANY, SAID, microseconds
 from ros2_mcp.robot import Robot
 
 NO_POLICY = "none is in force, whatever fits its definition is sent"
@@ -34,10 +34,10 @@ class Status:
 
     server_version: str
     python: str
-    distro: str
-    rmw: str
-    domain_id: int
-    bridge_node: str
+    distro: str = field(metadata=SAID)
+    rmw: str = field(metadata=SAID)
+    domain_id: int = field(metadata=SAID)
+    bridge_node: str = field(metadata=SAID)
     bridge_python: str
     bridge_pid: int
     bridge_starts: int
@@ -50,7 +50,7 @@ class Status:
     publishers: int
     service_clients: int
     read_only: bool
-    policy: str
+    policy: str = field(metadata=SAID)
     policy_strength: str
     policy_digest: str
     mode: str

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput
 from ros2_mcp.model.text import listed
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results import SAID, Report, silent
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
@@ -75,10 +75,10 @@ class Comparison:
     second topic's message of a pair is received later, in the mean.
     """
 
-    topic1: str
-    topic2: str
-    verdict: Verdict
-    reasons: Sequence[str]
+    topic1: str = field(metadata=SAID)
+    topic2: str = field(metadata=SAID)
+    verdict: Verdict = field(metadata=SAID)
+    reasons: Sequence[str] = field(metadata=SAID)
     tolerance_percent: float
     paired_by: str
     count1: int

@@ -22,7 +22,7 @@ from ros2_mcp.model.times import both_times
 from ros2_mcp.ops.measure.diagnostics import DIAGNOSTICS, Diagnostic, DiagnosticTable
 from ros2_mcp.ops.measure.findings import Finding, joined
 from ros2_mcp.ops.measure.flow import Silence, is_burst, periods_s, silence_in
-from ros2_mcp.ops.results import IF_ANY, Report, four_digits, microseconds, silent
+from ros2_mcp.ops.results import IF_ANY, SAID, Report, four_digits, microseconds, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Capture, GraphSnapshot, Missing, Source, Stream
 from ros2_mcp.ops.topics.info import mismatches
@@ -124,8 +124,8 @@ class Health:
     topics with their state, as `OK, 10 Hz`.
     """
 
-    verdict: Verdict
-    findings: Sequence[Finding]
+    verdict: Verdict = field(metadata=SAID)
+    findings: Sequence[Finding] = field(metadata=SAID)
     topics: Sequence[TopicRow]
     in_short: Mapping[str, str]
     services: Mapping[str, Presence]

@@ -13,7 +13,7 @@ from ros2_mcp.model.errors import BadData, BadValue, NotFound
 from ros2_mcp.model.samples import Sample
 from ros2_mcp.model.text import in_quotes
 from ros2_mcp.model.times import recorded_time, seconds_in
-from ros2_mcp.ops.results import HIDDEN, IF_ANY, Report, iso_time, reporting, silent
+from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID, Report, iso_time, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source, Stream
 
@@ -37,19 +37,19 @@ class Wait:
     looked at. `seconds_in` is `at` counted from a recording's beginning.
     """
 
-    topic_name: str
+    topic_name: str = field(metadata=SAID)
     topic_type: str
-    condition: str
-    met: bool
+    condition: str = field(metadata=SAID)
+    met: bool = field(metadata=SAID)
     at: str
     seconds_in: float | None
-    waited: float
+    waited: float = field(metadata=SAID)
     looked_at: int
     undecided: int
     dropped: int
-    values: Mapping[str, Any]
+    values: Mapping[str, Any] = field(metadata=SAID)
     message: dict[str, Any] | None
-    source: str
+    source: str = field(metadata=SAID)
     note: str = field(metadata=IF_ANY)
     is_live: bool = field(default=True, metadata=HIDDEN)
     when: str = field(default="", metadata=HIDDEN)

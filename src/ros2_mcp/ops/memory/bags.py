@@ -14,7 +14,7 @@ from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import named
 from ros2_mcp.model.times import recorded_time
 from ros2_mcp.ops.memory.bag_store import BagStore
-from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, iso_time
+from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, SAID, beside, iso_time
 from ros2_mcp.ops.sources.bag import open_bag
 from ros2_mcp.ops.sources.selection import Selection, fit, message_times
 from ros2_mcp.ops.space.meaning import meaning_of_newest
@@ -47,8 +47,8 @@ class BagList:
     """The bags below the folder that this server may read."""
 
     bags: Sequence[BagEntry]
-    total: int
-    folder: str
+    total: int = field(metadata=SAID)
+    folder: str = field(metadata=SAID)
 
     def summary(self) -> str:
         """One line."""
@@ -75,14 +75,14 @@ class BagInfo:
     `note` says whether all of it was read to find damage.
     """
 
-    bag: str
-    start: str
-    end: str
-    duration_s: float
-    messages: int
+    bag: str = field(metadata=SAID)
+    start: str = field(metadata=SAID)
+    end: str = field(metadata=SAID)
+    duration_s: float = field(metadata=SAID)
+    messages: int = field(metadata=SAID)
     bytes: int
     topics: Sequence[BagTopic]
-    problems: Sequence[str] = field(metadata=IF_ANY)
+    problems: Sequence[str] = field(metadata={**IF_ANY, **SAID})
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> list[str]:
@@ -101,16 +101,16 @@ class BagMessages:
     """
 
     bag: str
-    topic_name: str
+    topic_name: str = field(metadata=SAID)
     topic_type: str
     messages: Sequence[dict[str, Any]]
     start: str
-    times_s: Sequence[float]
-    count: int
-    truncated: Sequence[str] = field(metadata=IF_ANY)
-    problems: Sequence[str] = field(metadata=IF_ANY)
+    times_s: Sequence[float] = field(metadata=beside("messages"))
+    count: int = field(metadata=SAID)
+    truncated: Sequence[str] = field(metadata={**IF_ANY, **SAID})
+    problems: Sequence[str] = field(metadata={**IF_ANY, **SAID})
     note: str = field(metadata=IF_ANY)
-    meaning: Meaning | None = field(default=None, metadata=ON_REQUEST)
+    meaning: Meaning | None = field(default=None, metadata={**ON_REQUEST, **SAID})
 
     def summary(self) -> list[str]:
         """One line, and one for each problem."""

@@ -13,7 +13,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadData, BadName, BadValue, NotFound, RobotError
 from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
-from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, Report, iso_time, reporting, silent
+from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, SAID, Report, beside, iso_time, reporting, silent
 from ros2_mcp.ops.sources.bag import end_note
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.selection import MAX_MESSAGES, Fitted, Selection, fit, message_times
@@ -35,18 +35,18 @@ class StoredMessages:
     image, seen from the robot's base.
     """
 
-    source: str
-    topic_name: str
+    source: str = field(metadata=SAID)
+    topic_name: str = field(metadata=SAID)
     topic_type: str
     timestamps: Sequence[str]
     start: str
-    times_s: Sequence[float]
+    times_s: Sequence[float] = field(metadata=beside("messages"))
     messages: Sequence[dict[str, Any]]
-    count: int
-    found: int
-    truncated: Sequence[str] = field(metadata=IF_ANY)
+    count: int = field(metadata=SAID)
+    found: int = field(metadata=SAID)
+    truncated: Sequence[str] = field(metadata={**IF_ANY, **SAID})
     note: str = field(metadata=IF_ANY)
-    meaning: Meaning | None = field(default=None, metadata=ON_REQUEST)
+    meaning: Meaning | None = field(default=None, metadata={**ON_REQUEST, **SAID})
 
     def summary(self) -> str:
         """One line."""

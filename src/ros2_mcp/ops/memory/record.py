@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import anyio
 from anyio import to_thread
@@ -35,7 +35,7 @@ from ros2_mcp.model.samples import Counts, Sample
 from ros2_mcp.model.text import named
 from ros2_mcp.model.times import Outage
 from ros2_mcp.ops.memory.bag_store import BLACK_BOX, BagStore
-from ros2_mcp.ops.results import HIDDEN, IF_ANY, iso_time
+from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID, iso_time
 from ros2_mcp.robot import Listening, Robot
 from ros2_mcp.robot.jobs import Job
 
@@ -131,16 +131,16 @@ class TopicCounts:
 class RecordingState:
     """A recording. `bag` is its name for the tools that read bags; `state` is `recording`, `ended` or `failed`."""
 
-    recording_id: str
-    state: str
-    bag: str
+    recording_id: str = field(metadata=SAID)
+    state: Literal["recording", "ended", "failed"] = field(metadata=SAID)
+    bag: str = field(metadata=SAID)
     path: str
-    started_at: str
-    elapsed_s: float
-    bytes: int
-    messages: int
+    started_at: str = field(metadata=SAID)
+    elapsed_s: float = field(metadata=SAID)
+    bytes: int = field(metadata=SAID)
+    messages: int = field(metadata=SAID)
     topics: Sequence[TopicCounts]
-    reason: str = field(metadata=IF_ANY)
+    reason: str = field(metadata={**IF_ANY, **SAID})
     notes: Sequence[str] = field(metadata=IF_ANY)
     why_dropped: str = field(default="", metadata=HIDDEN)
 

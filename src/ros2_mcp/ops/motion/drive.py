@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, cast
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, cast
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.commands import Move, Moved
@@ -16,7 +16,7 @@ from ros2_mcp.ops.motion.body import body_of
 from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of, scan_of
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results import SAID, Report, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.drive import STEER_MOST
 
@@ -89,6 +89,20 @@ class DriveRequest:
             bounded("guard_m", self.guard_m, MIN_GUARD_M, MAX_GUARD_M, "m")
 
 
+DriveEnd = Literal[
+    "reached",
+    "guard",
+    "silent",
+    "stuck",
+    "jumped",
+    "missed",
+    "time_out",
+    "refused",
+    "nobody_listens",
+    "ended",
+]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Driven:
     """What a drive came to.
@@ -101,19 +115,24 @@ class Driven:
     the end: less than the mean distance to a wall by the noise of the scan.
     """
 
-    outcome: str
-    asked: float
-    measured: float | None
-    error: float | None
-    unit: str
+    outcome: DriveEnd = field(metadata=SAID)
+    asked: float = field(metadata=SAID)
+    measured: float | None = field(metadata=SAID)
+    error: float | None = field(metadata=SAID)
+    unit: str = field(metadata=SAID)
     aside_m: float | None = None
     heading_deg: float | None = None
     free_m: float | None = None
-    elapsed_s: float
+    elapsed_s: float = field(metadata=SAID)
     topic_name: str
-    odometry: str
+    odometry: str = field(metadata=SAID)
     scan: str = ""
     note: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether it did not get there by itself; a stop is no failure."""
+        return self.outcome not in ("reached", "ended")
 
     def summary(self) -> str:
         """One line."""
@@ -233,7 +252,7 @@ def _driven(
         return cast("float", told[name]) if has_moved and told.get(name) is not None else None
 
     return Driven(
-        outcome=moved.outcome or "ended",
+        outcome=cast("DriveEnd", moved.outcome or "ended"),
         asked=round(request.length if is_arc else sign * request.length, 4),
         measured=measured("done"),
         error=measured("error"),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from time import monotonic
-from typing import Any
+from typing import Any, Literal, cast
 
 import anyio
 
@@ -23,7 +23,7 @@ from ros2_mcp.ops.description import described
 from ros2_mcp.ops.endings import ended_by
 from ros2_mcp.ops.motion.controllers import FOLLOW, TRAJECTORY, Controller, controller_for
 from ros2_mcp.ops.motion.joint_states import JointStates, joint_states
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results import SAID, Report, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
 from ros2_mcp.robot.jobs import Job
@@ -89,6 +89,9 @@ class JointResult:
     unit: str
 
 
+JointsEnd = Literal["reached", "silent", "time_out", "failed", "rejected", "nobody_listens", "ended"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointsMoved:
     """What a move of joints came to.
@@ -98,13 +101,18 @@ class JointsMoved:
     went through.
     """
 
-    outcome: str
+    outcome: JointsEnd = field(metadata=SAID)
     joints: Sequence[JointResult]
     controller: str
     way: str
     planned_s: float
-    elapsed_s: float
+    elapsed_s: float = field(metadata=SAID)
     note: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether they did not arrive; a stop is no failure."""
+        return self.outcome not in ("reached", "ended")
 
     def summary(self) -> str:
         """One line."""
@@ -310,7 +318,7 @@ class JointMotion(Job):
         if not word:
             word, why = "ended", ended_by(self.stop_reason or "a request to cancel it")
         return JointsMoved(
-            outcome=word,
+            outcome=cast("JointsEnd", word),
             joints=rows,
             controller=plan.controller.name,
             way=plan.controller.way,

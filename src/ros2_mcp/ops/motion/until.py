@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, cast
 
 from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.aside import load
@@ -18,7 +18,7 @@ from ros2_mcp.ops.endings import ended_by, guarded, limited
 from ros2_mcp.ops.motion.find import Found, command_input, first_message, header_frame, mount_of, odometry_of
 from ros2_mcp.ops.motion.held import others_on, why_it_stands
 from ros2_mcp.ops.motion.job import run_motion
-from ros2_mcp.ops.results import Report, silent, told_values
+from ros2_mcp.ops.results import SAID, Report, silent, told_values
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 from ros2_mcp_bridge.scans import LASER_SCAN
@@ -51,6 +51,9 @@ class UntilRequest:
     odometry_topic: str = ""
 
 
+UntilEnd = Literal["met", "distance", "time_out", "silent", "nobody_listens", "refused", "ended"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MovedUntil:
     """What ended a motion: `outcome` is `met`, `distance`, `time_out`, `silent`, `nobody_listens`, `refused`, or
@@ -60,22 +63,27 @@ class MovedUntil:
     it could not be said. `distance_m` is the way by odometry until the end of the commands, null without odometry.
     """
 
-    outcome: str
-    met: bool
-    topic_name: str
+    outcome: UntilEnd
+    met: bool = field(metadata=SAID)
+    topic_name: str = field(metadata=SAID)
     topic_type: str
-    condition: str
-    values: Mapping[str, Any]
+    condition: str = field(metadata=SAID)
+    values: Mapping[str, Any] = field(metadata=SAID)
     looked_at: int
     undecided: int
     command_topic: str
     velocity: Mapping[str, float]
     sent: int
-    elapsed: float
-    distance_m: float | None
-    odometry_topic: str = ""
+    elapsed: float = field(metadata=SAID)
+    distance_m: float | None = field(metadata=SAID)
+    odometry_topic: str = field(default="", metadata=SAID)
     stopped_with_zero: bool = False
     note: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether something went wrong; a limit of time or way that the caller gave, and a stop, are no failures."""
+        return self.outcome in ("silent", "nobody_listens", "refused")
 
     def summary(self) -> str:
         """One line."""
@@ -204,7 +212,7 @@ def _result(command: Move, moved: Moved, reason: str, known: str) -> MovedUntil:
         notes.append("A zero command was sent at the end.")
     odometry = asked["odometry"]
     return MovedUntil(
-        outcome="ended" if reason else moved.outcome,
+        outcome="ended" if reason else cast("UntilEnd", moved.outcome),
         met=told["met"],
         topic_name=asked["topic"],
         topic_type=asked["type"],

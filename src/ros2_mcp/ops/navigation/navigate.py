@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import monotonic
 from typing import Any, Literal
 
@@ -23,7 +23,7 @@ from ros2_mcp.ops.navigation.explain import Explanation, Failure, explain
 from ros2_mcp.ops.navigation.health import health_of
 from ros2_mcp.ops.navigation.targets import MAP_FRAME, Target, targets_of
 from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
-from ros2_mcp.ops.results import Report, silent
+from ros2_mcp.ops.results import SAID, Report, silent
 from ros2_mcp.ops.space.plans import hear_plans
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.goals import Goal
@@ -71,14 +71,19 @@ class Navigated:
     base up.
     """
 
-    outcome: LegState
+    outcome: LegState = field(metadata=SAID)
     action_name: str
     job_id: str
-    duration_s: float
+    duration_s: float = field(metadata=SAID)
     legs: Sequence[Leg]
     explanation: Explanation | None = None
-    health: Sequence[str] = ()
+    health: Sequence[str] = field(default=(), metadata=SAID)
     note: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether it did not get there; one that goes on, or that somebody has cancelled, is no failure."""
+        return self.outcome in ("failed", "rejected", "not begun")
 
     def summary(self) -> list[str]:
         """What became of it, and of a failure its cause."""

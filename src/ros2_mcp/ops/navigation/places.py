@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.text import named, quoted
 from ros2_mcp.ops.navigation.whereabouts import in_frame, whereabouts
+from ros2_mcp.ops.results import EXACT
 from ros2_mcp.robot import Robot
 from ros2_mcp.robot.places import NamedPlace
 
@@ -23,9 +24,9 @@ class PlaceEntry:
 
     name: str
     frame: str
-    x_m: float
-    y_m: float
-    yaw_deg: float | None
+    x_m: float = field(metadata=EXACT)
+    y_m: float = field(metadata=EXACT)
+    yaw_deg: float | None = field(metadata=EXACT)
     away_m: float | None = None
 
     def summary(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any
 
@@ -14,6 +14,7 @@ from ros2_mcp.model.graph import NamedTypes, NodeEndpoints
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import ask_node, service_of
+from ros2_mcp.ops.results import SAID
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.rules import CHANGE_STATE
 
@@ -51,7 +52,7 @@ class NodeInfo:
     none or did not answer at once. `settled` is false if discovery was still under way, or has told nothing of it.
     """
 
-    node: str
+    node: str = field(metadata=SAID)
     publishes: Sequence[Offer]
     subscribes: Sequence[Offer]
     services: Sequence[Offer]
@@ -60,11 +61,11 @@ class NodeInfo:
     action_clients: Sequence[Offer]
     has_parameters: bool
     is_lifecycle: bool
-    parameters: int | None
-    lifecycle_state: str | None
-    ours: bool = False
-    left_out: int = 0
-    settled: bool = True
+    parameters: int | None = field(metadata=SAID)
+    lifecycle_state: str | None = field(metadata=SAID)
+    ours: bool = field(default=False, metadata=SAID)
+    left_out: int = field(default=0, metadata=SAID)
+    settled: bool = field(default=True, metadata=SAID)
 
     def summary(self) -> str:
         """One line."""

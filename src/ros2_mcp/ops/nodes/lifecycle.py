@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -13,7 +13,7 @@ from ros2_mcp.model.commands import ChangeState
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.text import named
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
-from ros2_mcp.ops.results import or_error
+from ros2_mcp.ops.results import SAID, or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.rules import CHANGE_STATE
 
@@ -50,11 +50,11 @@ class LifecycleStates:
 class Transition:
     """The result of a transition: the states before and after, and what is possible now."""
 
-    node: str
-    transition: str
-    successful: bool
-    state_before: str
-    state: str
+    node: str = field(metadata=SAID)
+    transition: str = field(metadata=SAID)
+    successful: bool = field(metadata=SAID)
+    state_before: str = field(metadata=SAID)
+    state: str = field(metadata=SAID)
     transitions: Sequence[str]
 
     def summary(self) -> str:

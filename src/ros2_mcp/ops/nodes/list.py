@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from ros2_mcp.model import names
-from ros2_mcp.ops.results import IF_ANY, list_note
+from ros2_mcp.ops.results import IF_ANY, SAID, list_note
 from ros2_mcp.robot import Robot
 
 
@@ -17,8 +17,8 @@ class NodeList:
     """The nodes of the graph by full name; `duplicates` are names that several nodes share, which is a fault."""
 
     nodes: Sequence[str]
-    total: int
-    settled: bool
+    total: int = field(metadata=SAID)
+    settled: bool = field(metadata=SAID)
     duplicates: Sequence[str]
     note: str = field(metadata=IF_ANY)
 

@@ -16,7 +16,7 @@ from ros2_mcp.model.errors import BadInput, BadValue, NotFound
 from ros2_mcp.model.text import in_quotes, listed, named, quoted
 from ros2_mcp.ops.nodes.list import list_nodes
 from ros2_mcp.ops.nodes.own_services import APPEAR_S, TIMEOUT_S, ask_node, fields_of_answer, service_of
-from ros2_mcp.ops.results import HIDDEN, IF_ANY, list_note, or_error
+from ros2_mcp.ops.results import EXACT, HIDDEN, IF_ANY, SAID, list_note, or_error
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.rules import SET_PARAMETERS, SET_PARAMETERS_ATOMICALLY
 
@@ -46,7 +46,7 @@ class Parameter:
 
     name: str
     type: str
-    value: Any
+    value: Any = field(metadata=EXACT)
     description: str = ""
     read_only: bool = False
     range: dict[str, Any] | None = None
@@ -84,7 +84,7 @@ class Dump:
     as they are.
     """
 
-    node: str
+    node: str = field(metadata=SAID)
     parameters: dict[str, Any]
     read_only: Sequence[str]
     left_out: dict[str, str] = field(metadata=IF_ANY)
@@ -110,7 +110,7 @@ class SetOne:
     name: str
     successful: bool
     reason: str = field(metadata=IF_ANY)
-    value: Any
+    value: Any = field(metadata=EXACT)
     left_out: str = ""
     before: Any = field(default=None, metadata=HIDDEN)
 
@@ -119,7 +119,7 @@ class SetOne:
 class SetResult:
     """Whether the node took each value. With `atomic` it took all or none."""
 
-    node: str
+    node: str = field(metadata=SAID)
     successful: bool
     atomic: bool
     parameters: Sequence[SetOne]

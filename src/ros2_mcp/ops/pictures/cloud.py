@@ -13,7 +13,7 @@ from ros2_mcp.model.pictures import POINT_CLOUD, BirdEyeOptions
 from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.pictures.next_message import next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
-from ros2_mcp.ops.results import IF_ANY, Report, WithPictures, facts, iso_time, silent
+from ros2_mcp.ops.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.sources.only import only_topic
 from ros2_mcp.ops.sources.source import Source
 
@@ -29,10 +29,10 @@ class CloudPicture(WithPictures):
     recording's beginning.
     """
 
-    topic_name: str
+    topic_name: str = field(metadata=SAID)
     frame_id: str
-    points: int
-    shown: int
+    points: int = field(metadata=SAID)
+    shown: int = field(metadata=SAID)
     not_finite: int
     resolution_m: float
     metres_per_pixel: float

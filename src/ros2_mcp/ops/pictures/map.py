@@ -13,7 +13,7 @@ from ros2_mcp.model.times import seconds_in
 from ros2_mcp.ops.navigation.costmaps import costmap_of, updates_of
 from ros2_mcp.ops.pictures.next_message import Next, next_message
 from ros2_mcp.ops.pictures.robot_place import robot_place
-from ros2_mcp.ops.results import IF_ANY, Report, WithPictures, facts, iso_time, reporting, silent
+from ros2_mcp.ops.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, reporting, silent
 from ros2_mcp.ops.sources.only import only_topic
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.robot import Robot
@@ -28,7 +28,7 @@ class MapPicture(WithPictures):
     the robot is in `frame_id` is null where nobody says so. `seconds_in` counts from a recording's beginning.
     """
 
-    topic_name: str
+    topic_name: str = field(metadata=SAID)
     frame_id: str
     resolution_m: float
     width: int

@@ -12,7 +12,7 @@ from ros2_mcp.model import names
 from ros2_mcp.model.errors import BadInput, NotFound
 from ros2_mcp.model.pictures import MAX_SIDE
 from ros2_mcp.model.times import seconds_in
-from ros2_mcp.ops.results import IF_ANY, Report, WithPictures, facts, iso_time, silent
+from ros2_mcp.ops.results import IF_ANY, SAID, Report, WithPictures, facts, iso_time, silent
 from ros2_mcp.ops.sources.source import Capture, Missing, Source, Stream
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Plot(WithPictures):
     `seconds_in` is `started_at` counted from a recording's beginning.
     """
 
-    source: str
+    source: str = field(metadata=SAID)
     kind: str
     started_at: str
     seconds_in: float | None

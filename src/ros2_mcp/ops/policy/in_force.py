@@ -9,7 +9,7 @@ from ros2_mcp.guard import words
 from ros2_mcp.guard.document import Document
 from ros2_mcp.guard.policy import Policy
 from ros2_mcp.guard.watch import most_of
-from ros2_mcp.ops.results import IF_ANY
+from ros2_mcp.ops.results import IF_ANY, SAID
 from ros2_mcp.robot import Robot
 
 NONE = (
@@ -30,10 +30,10 @@ _MODES = {
 class InForce:
     """What is allowed. With several `policies` each of them has to allow it."""
 
-    in_force: bool
-    policies: Sequence[str]
+    in_force: bool = field(metadata=SAID)
+    policies: Sequence[str] = field(metadata=SAID)
     mode: str
-    strength: str
+    strength: str = field(metadata=SAID)
     digest: str
     allowed: Sequence[str]
     limits: Sequence[str]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.guard.policy import bounded
@@ -12,7 +12,7 @@ from ros2_mcp.model.commands import ServiceCall
 from ros2_mcp.model.errors import BadInput, NotFound, TimedOut
 from ros2_mcp.ops import flights
 from ros2_mcp.ops.defaults import left_at_default
-from ros2_mcp.ops.results import Report, in_words, reporting, silent
+from ros2_mcp.ops.results import SAID, Report, in_words, reporting, silent
 from ros2_mcp.robot import Robot
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
@@ -24,9 +24,9 @@ _LEAST_TIMEOUT_S = 0.01
 class ServiceAnswer:
     """The response of a service as an object, or `called` false with the request fields that are missing."""
 
-    service_name: str
+    service_name: str = field(metadata=SAID)
     service_type: str
-    called: bool
+    called: bool = field(metadata=SAID)
     result: dict[str, Any] | None = None
     missing_fields: Sequence[str] = ()
     elapsed: float = 0.0

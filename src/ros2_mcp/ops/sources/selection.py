@@ -25,7 +25,7 @@ LIMITED_S = 20.0
 """How long a number of messages is waited for without a duration: some clients give a call up after 30 s."""
 MAX_MESSAGES = 100_000
 MAX_BYTES = 64_000_000
-"""Memory for messages to be shown: sixty raw camera pictures. The result shows 32 kB of them in the end."""
+"""Memory for messages to be shown: sixty raw camera pictures. The result shows 10 kB of them in the end."""
 MAX_BYTES_IN_TOTAL = 192_000_000
 """Of all that is collected at the same time, by all clients: as much as one measurement may have."""
 _LITTLE_BYTES = 1_000_000
@@ -50,7 +50,7 @@ class Selection:
     every_n: int = 1
     duration_s: float | None = None
     message_limit: int | None = None
-    max_bytes: int = 32_000
+    max_bytes: int = 10_000
     shared: bool = False
 
     @property

@@ -11,12 +11,12 @@ from typing import Any
 
 from ros2_mcp.model.text import quoted
 from ros2_mcp.ops.results import ON_REQUEST, SAID, as_json
-from ros2_mcp.ops.results import in_brief as in_text
 from ros2_mcp.ops.space.controllers import Controller, controllers_in_words
 from ros2_mcp.ops.space.inputs import CommandInput, inputs_in_words
 from ros2_mcp.ops.space.joints import JointNow, joints_in_words, without_last_speeds
 from ros2_mcp.ops.space.sensors import Sensor, sensors_in_words
 from ros2_mcp.ops.space.style import Names, Style
+from ros2_mcp.ops.text import as_text
 
 MOST_BYTES = 2_000
 """Of the answer: it is read at the beginning of most sessions."""
@@ -223,10 +223,5 @@ def _without_last(parts: Parts, name: str, count: int = 1) -> Parts:
 
 def _size(brief: RobotInBrief) -> int:
     """Bytes of its JSON, or of its text, whichever is more."""
-    value, summary = as_json(brief), brief.summary()
-    text, _ = in_text(brief, value, summary)
-    return max(_bytes(value), len(f"{summary}\n".encode()) + _bytes(text))
-
-
-def _bytes(value: Any) -> int:
-    return len(json.dumps(value, ensure_ascii=False, separators=(",", ":")).encode())
+    value = json.dumps(as_json(brief), ensure_ascii=False, separators=(",", ":"))
+    return max(len(value.encode()), len(as_text(brief).encode()))

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ros2_mcp.model.meanings import Meaning
 from ros2_mcp.model.text import named
-from ros2_mcp.ops.results import WithPictures
+from ros2_mcp.ops.results import SAID, WithPictures
 
 _FLAT_M = 0.05
 """A base that stands on the ground of its map may be told so much above or below it."""
@@ -64,12 +64,12 @@ class ScenePicture(WithPictures):
     the time that is shown.
     """
 
-    frame_id: str
+    frame_id: str = field(metadata=SAID)
     x_min_m: float
     x_max_m: float
     y_min_m: float
     y_max_m: float
-    line_m: float
+    line_m: float = field(metadata=SAID)
     metres_per_pixel: float
     left_px: int
     top_px: int
@@ -77,10 +77,10 @@ class ScenePicture(WithPictures):
     robot_y_m: float | None
     robot_z_m: float | None
     robot_yaw_deg: float | None
-    robot_age_s: float | None
+    robot_age_s: float | None = field(metadata=SAID)
     layers: Sequence[SceneLayer]
-    meaning: Meaning | None
-    missing: Sequence[str]
+    meaning: Meaning | None = field(metadata=SAID)
+    missing: Sequence[str] = field(metadata=SAID)
     at: str
     seconds_in: float | None
     source: str

@@ -15,7 +15,7 @@ from ros2_mcp.guard.policy import bounded
 from ros2_mcp.model.errors import BadInput, BadValue, NoTransform
 from ros2_mcp.model.poses import Pose, angle_between_rad, mean_of, normalised, product
 from ros2_mcp.model.text import named, quoted
-from ros2_mcp.ops.results import ON_REQUEST, Report, microseconds, reporting, silent
+from ros2_mcp.ops.results import EXACT, ON_REQUEST, SAID, Report, microseconds, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.sources.times import is_relative, parsed_ns
@@ -109,23 +109,23 @@ class Lookup:
     qw].
     """
 
-    target: str
-    source: str
-    translation: Xyz
-    rotation: Xyzw
-    roll_deg: float
-    pitch_deg: float
-    yaw_deg: float
+    target: str = field(metadata=SAID)
+    source: str = field(metadata=SAID)
+    translation: Xyz = field(metadata=EXACT)
+    rotation: Xyzw = field(metadata=EXACT)
+    roll_deg: float = field(metadata=SAID)
+    pitch_deg: float = field(metadata=SAID)
+    yaw_deg: float = field(metadata=SAID)
     distance_m: float
-    stamp: str | None
+    stamp: str | None = field(metadata=SAID)
     stamp_ns: str | None
-    age_s: float | None
-    is_static: bool
-    chain: Sequence[str]
-    edges: Sequence[EdgeRow]
+    age_s: float | None = field(metadata=SAID)
+    is_static: bool = field(metadata=SAID)
+    chain: Sequence[str] = field(metadata=SAID)
+    edges: Sequence[EdgeRow] = field(metadata=SAID)
     spread: Spread | None = field(default=None, metadata=ON_REQUEST)
     transformed: Sequence[Sequence[float]] | None = field(default=None, metadata=ON_REQUEST)
-    read_from: str = ""
+    read_from: str = field(default="", metadata=SAID)
     note: str = ""
 
     def summary(self) -> list[str]:

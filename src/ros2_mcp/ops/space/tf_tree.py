@@ -14,7 +14,7 @@ from ros2_mcp.model.errors import NotFound, NoTransform
 from ros2_mcp.model.names import did_you_mean
 from ros2_mcp.model.pictures import BOUNDS, Picture
 from ros2_mcp.model.text import is_name, named
-from ros2_mcp.ops.results import HIDDEN, IF_ANY, Report, WithPictures, facts, reporting, silent
+from ros2_mcp.ops.results import HIDDEN, IF_ANY, SAID, Report, WithPictures, facts, reporting, silent
 from ros2_mcp.ops.sources.selection import undecodable
 from ros2_mcp.ops.sources.source import Source
 from ros2_mcp.ops.space.edges import EdgeRow, edge_row, in_words
@@ -24,7 +24,7 @@ from ros2_mcp.ops.space.tellers import Tellers, silent_in_words, tellers_of
 from ros2_mcp.ops.space.unheard import followed_in_words, unheard_publishers
 
 _MOST_LINES = 150
-"""Of the text: the largest robots have that many frames, and a result has 32 kB."""
+"""Of the text: the largest robots have that many frames, and a result has 12 kB."""
 
 _AGAIN_NS = 4_000_000_000
 """For the second message of an edge that came once: its rate is not known before; and for the first message of a
@@ -46,10 +46,10 @@ class Tree(WithPictures):
     parents before their children. `problems` are sentences; none: the tree is healthy.
     """
 
-    frames: int
-    roots: Sequence[str]
-    edges: Sequence[EdgeRow]
-    problems: Sequence[str] = field(metadata=IF_ANY)
+    frames: int = field(metadata=SAID)
+    roots: Sequence[str] = field(metadata=SAID)
+    edges: Sequence[EdgeRow] = field(metadata=SAID)
+    problems: Sequence[str] = field(metadata={**IF_ANY, **SAID})
     read_from: str
     note: str = ""
     lines: Sequence[str] = field(default=(), metadata=HIDDEN)

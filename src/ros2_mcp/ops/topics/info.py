@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ros2_mcp.model import names, qos
 from ros2_mcp.model.qos import Endpoint
 from ros2_mcp.model.text import named
+from ros2_mcp.ops.results import SAID
 from ros2_mcp.robot import Robot
 
 
@@ -35,12 +36,12 @@ class EndpointInfo:
 class TopicInfo:
     """Everything that the graph knows of one topic; `mismatches` says in words which pairs exchange no messages."""
 
-    topic_name: str
-    topic_types: Sequence[str]
+    topic_name: str = field(metadata=SAID)
+    topic_types: Sequence[str] = field(metadata=SAID)
     type_hash: str
     publishers: Sequence[EndpointInfo]
     subscribers: Sequence[EndpointInfo]
-    mismatches: Sequence[str]
+    mismatches: Sequence[str] = field(metadata=SAID)
 
     def summary(self) -> list[str]:
         """One line, and one for each mismatch."""

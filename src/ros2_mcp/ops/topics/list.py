@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ros2_mcp.model import names
-from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, list_note
+from ros2_mcp.ops.results import IF_ANY, ON_REQUEST, SAID, list_note
 from ros2_mcp.robot import Robot
 
 
@@ -31,8 +31,8 @@ class TopicList:
     """The topics of the graph; `settled` is false if discovery was still under way when the wait for it ended."""
 
     topics: Sequence[TopicEntry]
-    total: int
-    settled: bool
+    total: int = field(metadata=SAID)
+    settled: bool = field(metadata=SAID)
     note: str = field(metadata=IF_ANY)
 
     def summary(self) -> str:

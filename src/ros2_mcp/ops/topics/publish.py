@@ -15,7 +15,7 @@ from ros2_mcp.model.commands import Move, Publish, Repeat
 from ros2_mcp.model.errors import BadInput, LinkError, Stopped
 from ros2_mcp.ops.defaults import left_at_default
 from ros2_mcp.ops.endings import ended_by, guarded, limited, reason_of
-from ros2_mcp.ops.results import HIDDEN, Report, or_error, silent, unless_all_failed
+from ros2_mcp.ops.results import HIDDEN, SAID, Report, or_error, silent, unless_all_failed
 from ros2_mcp.ops.topics.info import mismatches
 from ros2_mcp.robot import HOLD_TYPES, MOTION_TYPES, VELOCITY_TYPES, Robot, Sent
 from ros2_mcp.robot.jobs import Job
@@ -47,10 +47,10 @@ class Published:
     """
 
     status: str
-    topic_name: str
+    topic_name: str = field(metadata=SAID)
     topic_type: str = ""
-    sent: int = 0
-    subscribers: int = 0
+    sent: int = field(default=0, metadata=SAID)
+    subscribers: int = field(default=0, metadata=SAID)
     acknowledged: bool | None = None
     stopped_with_zero: bool = False
     elapsed: float = 0.0

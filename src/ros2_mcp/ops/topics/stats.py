@@ -30,6 +30,7 @@ from ros2_mcp.ops.measure.flow import (
 from ros2_mcp.ops.measure.health_check import LARGE_TYPES
 from ros2_mcp.ops.results import (
     HIDDEN,
+    SAID,
     Report,
     four_digits,
     microseconds,
@@ -125,8 +126,8 @@ class Stats:
 
     topics: Sequence[TopicStats]
     duration: float
-    source: str
-    note: str = ""
+    source: str = field(metadata=SAID)
+    note: str = field(default="", metadata=SAID)
     is_live: bool = field(default=True, metadata=HIDDEN)
 
     def summary(self) -> list[str]:

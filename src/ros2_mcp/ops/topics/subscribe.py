@@ -25,8 +25,10 @@ from ros2_mcp.ops.results import (
     HIDDEN,
     IF_ANY,
     ON_REQUEST,
+    SAID,
     Report,
     WithPictures,
+    beside,
     exact_time,
     facts,
     iso_time,
@@ -70,23 +72,23 @@ class Reading(WithPictures):
     beginning, or live the first message.
     """
 
-    topic_name: str
+    topic_name: str = field(metadata=SAID)
     topic_type: str = ""
     messages: Sequence[dict[str, Any]] = ()
     start: str = ""
-    times_s: Sequence[float] = ()
-    count: int = 0
+    times_s: Sequence[float] = field(default=(), metadata=beside("messages"))
+    count: int = field(default=0, metadata=SAID)
     duration: float = 0.0
-    received: int = 0
+    received: int = field(default=0, metadata=SAID)
     dropped: int = 0
     lost: int | None = None
     publishers: Sequence[str] = ()
     qos: str = ""
-    truncated: Sequence[str] = ()
+    truncated: Sequence[str] = field(default=(), metadata=SAID)
     note: str = ""
     error: str = ""
-    source: str = ""
-    meaning: Meaning | None = field(default=None, metadata=ON_REQUEST)
+    source: str = field(default="", metadata=SAID)
+    meaning: Meaning | None = field(default=None, metadata={**ON_REQUEST, **SAID})
     is_live: bool = field(default=True, metadata=HIDDEN)
     received_ns: Sequence[int] = field(default=(), metadata=HIDDEN)
 
@@ -119,18 +121,18 @@ class Echo(WithPictures):
     `seconds_in` counts from the beginning of the recording; null live, and of a black box.
     """
 
-    topic_name: str
+    topic_name: str = field(metadata=SAID)
     topic_type: str
-    received: bool
+    received: bool = field(metadata=SAID)
     message: dict[str, Any] | None
     received_at: str
     seconds_in: float | None
-    waited: float
+    waited: float = field(metadata=SAID)
     publishers: Sequence[str]
-    truncated: Sequence[str] = field(metadata=IF_ANY)
+    truncated: Sequence[str] = field(metadata={**IF_ANY, **SAID})
     note: str = field(metadata=IF_ANY)
-    source: str
-    meaning: Meaning | None = field(default=None, metadata=ON_REQUEST)
+    source: str = field(metadata=SAID)
+    meaning: Meaning | None = field(default=None, metadata={**ON_REQUEST, **SAID})
     is_live: bool = field(metadata=HIDDEN)
 
     def summary(self) -> str:
