@@ -27,7 +27,7 @@ MAX_RUN_S = 600.0
     group="programs",
     recorded=True,
     runs_programs=True,
-    finds="run a program, script, Python, loop, calculate, sequence of steps",
+    finds="program, script, Python, loop, calculate, sequence of steps",
 )
 async def ros2_run(
     robot: Robot,
