@@ -15,6 +15,8 @@ from support.clients.script import Request, ShownResult, picture_and_text
 from support.clients.table import COLUMNS, Column
 from support.processes import peer_command, running
 
+pytestmark = [pytest.mark.full, pytest.mark.timeout(300)]
+
 ENDS_S = 200.0
 """Measured: 22 to 76 s for these calls, beside other work."""
 READ_BYTES = 30_000

@@ -11,6 +11,8 @@ from support.clients.claude_code import ClaudeCode
 from support.clients.client import session
 from support.clients.script import Call
 
+pytestmark = [pytest.mark.full, pytest.mark.timeout(300)]
+
 ENDS_S = 120.0
 PHRASES: Mapping[str, tuple[str, ...]] = {
     "camera picture": ("ros2_topic_subscribe",),

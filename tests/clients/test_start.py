@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import subprocess
 
+import pytest
+
 from support.clients.client import session
 from support.clients.codex import Codex
+
+pytestmark = [pytest.mark.full, pytest.mark.timeout(300)]
 
 ENDS_S = 60.0
 
