@@ -70,11 +70,14 @@ def test_a_client_that_is_interrupted_leaves_no_motion_behind(
     before = sum(observer.driven(topic=CMD_VEL).values())
     with session(client, ros_environment, [[LONG_MOTION]], options=client.allow_all) as run:
         _until(lambda: sum(observer.driven(topic=CMD_VEL).values()) > before + 10, DRIVES_S, run.said)
-        run.interrupt()
+        # opencode does nothing on SIGINT or SIGTERM while a tool runs; in a terminal its server gets SIGINT, too.
+        ignores = client.name == "opencode"
+        run.interrupt(with_its_server=ignores)
         interrupted = time.monotonic()
         assert observer.comes_to_rest(CMD_VEL, ZERO_S) == []
         print(f"{client.name}: zero within {time.monotonic() - interrupted:.2f} s")
-        run.process.wait(LEAVES_S)
+        if not ignores:
+            run.process.wait(LEAVES_S)
     assert observer.moving(topic=CMD_VEL) == []
 
 

@@ -106,9 +106,12 @@ class Session:
             raise AssertionError(f"it did not end within {within_s} s\n{self.said()}") from None
         assert code == 0, self.said()
 
-    def interrupt(self) -> None:
-        """What Ctrl+C does to a client without a terminal."""
-        self.process.send_signal(signal.SIGINT)
+    def interrupt(self, *, with_its_server: bool = False) -> None:
+        """SIGINT to the client; `with_its_server` to its whole group, as Ctrl+C does in a terminal."""
+        if with_its_server:
+            os.killpg(self.process.pid, signal.SIGINT)
+        else:
+            self.process.send_signal(signal.SIGINT)
 
     def said(self) -> str:
         """The end of what it has written."""
