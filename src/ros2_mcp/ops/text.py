@@ -76,7 +76,9 @@ def as_text(
         narrowing: the arguments with which a caller gets less, or another part.
     """
     summary = [visible(one) for one in lines_of(result.summary())]
-    summary += [one for one in map(visible, lines) if not any(one in said for said in summary)]
+    for one in map(visible, lines):
+        if not any(one in said for said in summary):
+            summary.append(one)
     summary = summary or [_NOTHING_FOUND]
     body = _Body("\n".join(summary))
     body.add(result)
@@ -127,7 +129,9 @@ class _Body:
         What the summary says is not said again, but in the rows of a list: nobody should look for whose line it was.
         """
         found = [(declared, getattr(one, declared.name)) for declared in _shown_fields(type(one))]
-        beside = {declared.metadata["beside"]: (declared.name, value) for declared, value in found if _beside(declared)}
+        beside: dict[str, tuple[str, Sequence[Any]]] = {
+            declared.metadata["beside"]: (declared.name, value) for declared, value in found if _beside(declared)
+        }
         scalars: list[str] = []
         others: list[tuple[Field[Any], Any]] = []
         for declared, value in found:
@@ -193,8 +197,8 @@ class _Body:
         inner = _nested(values)
         if not inner:
             self.parts.append(_flat(name, _with(beside, [_row(value) for value in values])))
-        elif len(inner) == 1 and len(values) > 1 and _is_table(values, *inner):
-            self.parts.append(_grouped(name, values, *inner, self.said))
+        elif len(inner) == 1 and len(values) > 1 and _is_table(values, inner[0]):
+            self.parts.append(_grouped(name, values, inner[0], self.said))
         else:
             for number, value in enumerate(values, 1):
                 which = f" {number} of {len(values)}" if len(values) > 1 else ""
@@ -258,7 +262,7 @@ def _grouped(name: str, values: Sequence[Any], inner: str, said: str) -> _Part:
     """Objects with a list of flat ones each: one table, in which a line for each object stands above its rows; without
     objects of which there is nothing to say but what is `said` already.
     """
-    groups = [[_row(one) for one in getattr(value, inner)] for value in values]
+    groups = [[_row(one) for one in _items(getattr(value, inner))] for value in values]
     rows = [row for group in groups for row in group]
     columns, shared = told_apart(rows)
     lines = [f"{name} ({len(values)}), {inner} of each{_in_all(rows[0], shared)}:", *table((), columns)]
@@ -285,26 +289,29 @@ def _nested(values: Sequence[Any]) -> list[str]:
     found: dict[str, None] = {}
     for value in values:
         for declared in _shown_fields(type(value)):
-            inner = getattr(value, declared.name)
-            first = inner[0] if isinstance(inner, (list, tuple)) and inner else inner
-            is_list = first is not inner and isinstance(first, Mapping)
-            if is_list or is_dataclass(first) or ("lines" in declared.metadata and inner):
+            inner: Any = getattr(value, declared.name)
+            items = _items(inner)
+            is_list = bool(items) and isinstance(items[0], Mapping)
+            if is_list or is_dataclass(items[0] if items else inner) or ("lines" in declared.metadata and inner):
                 found[declared.name] = None
     return list(found)
 
 
 def _is_table(values: Sequence[Any], inner: str) -> bool:
     """Whether that field of the objects has lists of flat objects."""
-    elements = [getattr(value, inner) for value in values]
-    return all(
-        isinstance(one, (list, tuple)) and (not one or is_dataclass(one[0])) for one in elements
-    ) and not _nested([element for one in elements for element in one])
+    elements = [element for value in values for element in _items(getattr(value, inner))]
+    return bool(elements) and all(map(is_dataclass, elements)) and not _nested(elements)
 
 
 def _is_short(value: Any) -> bool:
     """Whether it shares a line with others."""
-    one = value[0] if isinstance(value, (list, tuple)) and len(cast("Sequence[Any]", value)) == 1 else value
-    return isinstance(one, (str, int, float))
+    items = _items(value)
+    return isinstance(items[0] if len(items) == 1 else value, (str, int, float))
+
+
+def _items(value: Any) -> Sequence[Any]:
+    """The elements of a list; of anything else none."""
+    return cast("Sequence[Any]", value) if isinstance(value, (list, tuple)) else ()
 
 
 def _row(one: Any) -> dict[str, Any]:

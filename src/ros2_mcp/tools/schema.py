@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from types import NoneType
@@ -14,6 +15,8 @@ _REFERENCE = "#/$defs/"
 # pydantic's names of the bounds of a number → those of JSON schema.
 _BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
 _SCALARS: Mapping[Any, str] = {str: "string", bool: "boolean", int: "integer", float: "number"}
+_IN_SECONDS = re.compile("timeout|duration|^wait_")
+"""Names of arguments that say for how long something goes on, or is waited for."""
 _NULL: Schema = {"type": "null"}
 _ANY_SCALAR: list[Schema] = [{"type": "boolean"}, {"type": "number"}, {"type": "string"}]
 # Of a value whose type is known only at run time, such as that of a parameter. Some clients refuse a schema without a
@@ -25,8 +28,20 @@ def argument_schema(schema: Mapping[str, Any]) -> Schema:
     """A schema of arguments: optional values are shown as plain ones, unknown arguments are errors."""
     result = _plain(schema, schema.get("$defs", {}))
     result["additionalProperties"] = False
-    result.setdefault("properties", {})
+    for name, node in result.setdefault("properties", {}).items():
+        if _IN_SECONDS.search(name):
+            node["description"] = _with_bounds(node)
     return result
+
+
+def _with_bounds(node: Mapping[str, Any]) -> str:
+    """The description with default and maximum in words: some clients drop the keywords, and nobody guesses how long a
+    call may take.
+    """
+    said = [f"default {node['default']:g}"] if "default" in node else []
+    said += [f"at most {node['maximum']:g}"] if "maximum" in node else []
+    words = ", ".join(said)
+    return f"{node['description']} {words[0].upper()}{words[1:]}." if words else node["description"]
 
 
 def result_schema(kind: Any) -> Schema:

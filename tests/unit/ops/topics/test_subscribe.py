@@ -17,7 +17,7 @@ from ros2_mcp.model.samples import Sample
 from ros2_mcp.ops.memory import bags
 from ros2_mcp.ops.memory.bag_store import BagStore
 from ros2_mcp.ops.memory.messages import get_messages
-from ros2_mcp.ops.results import as_json, silent
+from ros2_mcp.ops.results import silent
 from ros2_mcp.ops.sources.bag import BagSource, open_bag
 from ros2_mcp.ops.sources.kinds import Sources
 from ros2_mcp.ops.sources.live import Live
@@ -87,17 +87,19 @@ def test_a_live_read_says_how_long_it_took_and_the_bound_apart() -> None:
 
 async def test_the_text_says_once_what_all_messages_share_and_the_structured_content_is_whole(bag: BagSource) -> None:
     read = await reading.read(bag, "/pose", "", Selection(message_limit=6))
-    result = answer(read, as_json(read))
-    line, values, explained = result.content[0].text.splitlines()  # type: ignore[union-attr]
-    shown = json.loads(values)
-    assert "6 message(s)" in line and '"first" is whole' in explained
-    assert shown["messages"]["first"] == read.messages[0]
-    assert shown["messages"]["columns"] == ["pose.pose.position.x"]
-    assert shown["messages"]["rows"] == [[number / 3 if number != 3 else 1] for number in range(1, 6)]
-    assert not {"note", "error", "truncated", "pictures"} & shown.keys()
+    result = answer(read)
+    text: str = result.content[0].text  # type: ignore[union-attr]
+    lines = text.splitlines()
+    at = next(number for number, line in enumerate(lines) if line.startswith("messages (6), the first whole"))
+    assert "6 message(s)" in lines[0]
+    assert json.loads(lines[at + 1]) == read.messages[0]
+    assert lines[at + 2] == "times_s | pose.pose.position.x"
+    rows = [line.split(" | ") for line in lines[at + 3 : at + 9]]
+    assert [json.loads(x) for _, x in rows] == [number / 3 if number != 3 else 1 for number in range(6)]
+    assert not [name for name in ("note", "error", "truncated", "picture") if name in text]
     structured = result.structured_content
-    assert structured and structured["messages"] == read.messages and structured["note"] == ""
-    assert len(values) * 3 < len(json.dumps(structured))
+    assert structured and structured["messages"] == read.messages and "note" not in structured
+    assert len(text) * 2 < len(json.dumps(structured))
 
 
 BASE = 'transforms[child_frame_id == "base_link"]'
@@ -155,8 +157,8 @@ async def test_fields_for_several_topics_are_those_that_each_type_has_and_the_ot
     called = await bind(tool, robot, store).call(asked, silent)
     assert called.structured_content
     pose, camera, tf = called.structured_content["topics"]
-    assert list(pose["messages"][0]) == fields and "no such field" not in pose["note"]
-    assert camera["messages"] == [{"header.frame_id": ""}] and not camera["error"]
+    assert list(pose["messages"][0]) == fields and "no such field" not in pose.get("note", "")
+    assert camera["messages"] == [{"header.frame_id": ""}] and "error" not in camera
     assert "sensor_msgs/msg/Image has no such field: pose.pose.position.x." in camera["note"]
     assert "has no field 'header'" in tf["error"]
     own = {**asked, "topics": [{"name": "/pose"}, {"name": "/camera", "fields": fields}]}
