@@ -7,26 +7,19 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
 from support.clients.claude_code import ClaudeCode
 from support.clients.client import Client
 from support.clients.codex import Codex
+from support.clients.opencode import OpenCode
 from support.clients.table import COLUMNS, table
 from support.demo_robot import build_interfaces, with_interfaces
 from support.domains import reserved_domains
 from support.processes import TESTS, python_path, running
 
-CLIENTS = {"claude-code": ClaudeCode, "codex": Codex}
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if item.path.is_relative_to(Path(__file__).parent):
-            item.add_marker(pytest.mark.full)
-            item.add_marker(pytest.mark.timeout(300))
+CLIENTS = {"claude-code": ClaudeCode, "codex": Codex, "opencode": OpenCode}
 
 
 @pytest.fixture(scope="module", params=list(CLIENTS))

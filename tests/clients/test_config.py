@@ -12,6 +12,8 @@ from support.clients.codex import Codex
 from support.clients.gemini import Gemini
 from support.clients.opencode import OpenCode
 
+pytestmark = [pytest.mark.full, pytest.mark.timeout(300)]
+
 NOBODY = "http://127.0.0.1:9"
 """No model is asked."""
 

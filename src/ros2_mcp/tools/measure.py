@@ -64,7 +64,7 @@ async def ros2_wait_until(
     risk="read",
     group="measure",
     recorded=True,
-    finds="why does it not move, what is wrong, diagnose, broken, silent sensors, problems",
+    finds="why does it not move, what is wrong, diagnose, broken, silent sensors, battery",
 )
 async def ros2_health_check(
     report: Report,

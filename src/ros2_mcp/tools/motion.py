@@ -26,7 +26,7 @@ MetresPerSecond = Annotated[Number, Field(ge=-10, le=10, description="In m/s.")]
     risk="actuate",
     group="motion",
     program="drive",
-    finds="move forward or back, drive a distance, turn, rotate",
+    finds="forward, back, drive a distance, turn around, rotate",
 )
 async def ros2_drive(
     robot: Robot,
@@ -65,7 +65,7 @@ async def ros2_drive(
     group="motion",
     by_default=False,
     program="move_until",
-    finds="move until an obstacle, a wall, contact, a condition",
+    finds="until an obstacle, wall, contact, condition; approach",
 )
 async def ros2_move_until(
     robot: Robot,
@@ -110,7 +110,7 @@ async def ros2_move_until(
     group="motion",
     by_default=False,
     program="joint_move",
-    finds="move the arm, joints, head, pan, tilt, manipulator",
+    finds="arm, joints, gripper, head, pan, tilt, manipulator",
 )
 async def ros2_joint_move(
     robot: Robot,

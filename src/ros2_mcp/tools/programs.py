@@ -40,7 +40,7 @@ Inputs = Annotated[
     recorded=True,
     runs_programs=True,
     also_named="ros2_run",
-    finds="run a program, script, Python, loop, calculate, sequence of steps",
+    finds="program, script, Python, loop, calculate, sequence of steps",
 )
 async def ros2_program_run(
     robot: Robot,

@@ -44,7 +44,7 @@ async def ros2_service_list(
     group="services",
     aliases={"timeout": "timeout_sec"},
     program="call",
-    finds="call a service: take off, land, arm, reset, enable, set mode",
+    finds="call a service: take off, land, drone, arm, reset, enable, set mode",
 )
 async def ros2_service_call(
     robot: Robot,

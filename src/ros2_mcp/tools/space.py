@@ -73,7 +73,7 @@ async def ros2_tf_lookup(
     risk="read",
     group="space",
     recorded=True,
-    finds="what is around the robot, obstacle, free space, laser and map from above, picture",
+    finds="what is around, obstacle in front, free space, laser and map picture from above",
 )
 async def ros2_scene(
     robot: Robot,

@@ -122,7 +122,7 @@ async def ros2_topic_subscribe(
     return await subscribe.read(source, topic_name, msg_type, selection, report)
 
 
-@tool(title="Read several topics", risk="read", recorded=True, finds="read several topics or sensors at the same time")
+@tool(title="Read several topics", risk="read", recorded=True, finds="read several topics or sensors together")
 async def ros2_subscribe_multiple_topics(
     report: Report,
     topics: Annotated[list[TopicToRead], _SEVERAL, Field(description="The topics to read.")],
@@ -155,7 +155,7 @@ async def ros2_subscribe_multiple_topics(
     risk="read",
     recorded=True,
     aliases={"msg_type": "message_type"},
-    finds="wait for the next message, one current value of a topic",
+    finds="wait for next message, one current value of a topic",
 )
 async def ros2_topic_echo_wait(
     topic_name: TopicName,
@@ -232,7 +232,7 @@ async def ros2_topic_publish(
     title="Publish on several topics",
     risk="actuate",
     place=_PUBLISHING_PLACE,
-    finds="send on several topics at the same time",
+    finds="send on several topics together",
 )
 async def ros2_publish_multiple_topics(
     robot: Robot,

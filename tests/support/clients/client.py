@@ -106,9 +106,12 @@ class Session:
             raise AssertionError(f"it did not end within {within_s} s\n{self.said()}") from None
         assert code == 0, self.said()
 
-    def interrupt(self) -> None:
-        """What Ctrl+C does to a client without a terminal."""
-        self.process.send_signal(signal.SIGINT)
+    def interrupt(self, *, with_its_server: bool = False) -> None:
+        """SIGINT to the client; `with_its_server` to its whole group, as Ctrl+C does in a terminal."""
+        if with_its_server:
+            os.killpg(self.process.pid, signal.SIGINT)
+        else:
+            self.process.send_signal(signal.SIGINT)
 
     def said(self) -> str:
         """The end of what it has written."""
@@ -121,13 +124,22 @@ class Session:
         lines = self.place.log.read_text(encoding="utf-8").splitlines(keepends=True)
         return [json.loads(line) for line in lines if line.endswith("\n")]
 
+    @property
+    def begun(self) -> float:
+        """When the client started the server: monotonic, in s."""
+        return self.messages()[0]["message"]["begun"]
+
     def answers(self, method: str) -> list[dict[str, Any]]:
         """The results that the server gave to requests of a method, in the order in which they were asked."""
         passed = [(entry["from"], entry["message"]) for entry in self.messages() if isinstance(entry["message"], dict)]
         answers = [message for side, message in passed if side == "server" and "result" in message]
         results = {message["id"]: message["result"] for message in answers}
-        asked = [message["id"] for side, message in passed if side == "client" and message.get("method") == method]
-        return [results[identity] for identity in asked if identity in results]
+        return [results[request["id"]] for request in self.asked(method) if request["id"] in results]
+
+    def asked(self, method: str) -> list[dict[str, Any]]:
+        """The client's requests of a method."""
+        sent = [entry["message"] for entry in self.messages() if entry["from"] == "client" and _method(entry) == method]
+        return [message for message in sent if "id" in message]
 
     def time_of(self, method: str) -> tuple[float, float]:
         """When the first request of a method reached the server, and when its answer came back: monotonic, in s."""

@@ -14,6 +14,9 @@ from support.clients.calls import REFUSED
 class Column:
     """What one client showed: bytes of our text and of what was read, and pictures, by the name of the call."""
 
+    tools_after_s: float
+    """From the start of the server's process to its list of tools."""
+
     sent: Mapping[str, int]
     read: Mapping[str, int]
     pictures: Mapping[str, int]
@@ -34,6 +37,8 @@ def table(columns: Mapping[str, Column]) -> Iterator[str]:
     good = [name for name in names if name not in REFUSED]
     sums = [sum(sizes[name] for name in good) for column in columns.values() for sizes in (column.sent, column.read)]
     yield f"| **sum of {len(good)}** | " + " | ".join(f"**{size}**" for size in sums) + " |"
+    times = [f"{column.tools_after_s:.1f} s" for column in columns.values()]
+    yield "| list of tools after | " + " | ".join(f"{time} |" for time in times) + " |"
 
 
 def _read(column: Column, name: str) -> str:
