@@ -26,7 +26,9 @@ async def reactions(client: StdioClient, peer: Peer, programs: int, seconds: flo
     running = [
         asyncio.ensure_future(
             client.call(
-                "ros2_program_run", program=PROGRAM.replace("@", str(number)).replace("COUNT", str(programs)), timeout=60
+                "ros2_program_run",
+                program=PROGRAM.replace("@", str(number)).replace("COUNT", str(programs)),
+                timeout=60,
             )
         )
         for number in range(programs)
