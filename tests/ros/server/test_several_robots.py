@@ -325,7 +325,8 @@ def test_a_robot_of_the_file_has_rules_of_its_own(
         "yard": {"at": "local", "domain_id": robots["yard"], "policy": "teleop-slow"},
     }
     file.write_text(json.dumps({"robots": entries}))  # YAML is more than JSON
-    with agent_for(ros_environment, "--robots", str(file)) as agent:
+    own_state = {**ros_environment, "XDG_STATE_HOME": str(tmp_path / "state")}  # it sets a latch
+    with agent_for(own_state, "--robots", str(file)) as agent:
         tools = agent.tools()
         assert tools["ros2_topic_publish"].input_schema["properties"]["robot"]["enum"] == ["yard"]
         assert tools["ros2_topic_list"].input_schema["properties"]["robot"]["enum"] == ["lab", "yard"]

@@ -136,6 +136,7 @@ def test_a_server_that_is_stopped_leaves_nothing_moving_for_longer_than_its_leas
 @pytest.mark.promise("stopping", "when it goes on, its calls say what ended them")
 def test_a_server_that_is_stopped_leaves_nothing_moving_and_says_so_when_it_goes_on(server, observer, action) -> None:
     """While it is stopped, every way in which it drove has its zero and its goal is cancelled; then nothing moves."""
+    observer.forget()
     one = Round(server, observer, action)
     one.stop()
     one.is_at_rest()
