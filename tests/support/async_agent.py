@@ -8,7 +8,7 @@ from typing import Any
 
 from mcp import Client
 
-from support.agent import Refusal
+from support.agent import DISCOVERY_S, Refusal
 
 
 class AsyncAgent:
@@ -26,9 +26,11 @@ class AsyncAgent:
 
     async def knows(self, topic: str, publishers: int = 1, subscribers: int = 0) -> dict[str, Any]:
         """Waits until the server sees that many endpoints on the topic; returns the topic's information."""
-        while True:
+        deadline = asyncio.get_running_loop().time() + DISCOVERY_S
+        while asyncio.get_running_loop().time() < deadline:
             with contextlib.suppress(Refusal):
                 info = await self.call("ros2_topic_info", topic_name=topic)
                 if len(info["publishers"]) >= publishers and len(info["subscribers"]) >= subscribers:
                     return info
             await asyncio.sleep(0.05)
+        raise AssertionError(f"{topic} was not discovered with {publishers} publishers and {subscribers} subscribers")
