@@ -33,7 +33,7 @@ def pytest_pycollect_makeitem(collector: pytest.Module, name: str, obj: object) 
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
-    """How many files run side by side: with ROS two for each processor, since half of their time is waiting; else one."""
+    """How many files run side by side: with ROS two for each processor, as half of their time is waiting."""
     if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
         return None
     has_turns = FULL or not _several_files_wait_for_ros(config)
