@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from typing import Any
 
 from mcp import Client
@@ -26,11 +25,15 @@ class AsyncAgent:
 
     async def knows(self, topic: str, publishers: int = 1, subscribers: int = 0) -> dict[str, Any]:
         """Waits until the server sees that many endpoints on the topic; returns the topic's information."""
-        deadline = asyncio.get_running_loop().time() + DISCOVERY_S
-        while asyncio.get_running_loop().time() < deadline:
-            with contextlib.suppress(Refusal):
-                info = await self.call("ros2_topic_info", topic_name=topic)
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + DISCOVERY_S
+        seen: object = None
+        while loop.time() < deadline:
+            try:
+                info = seen = await self.call("ros2_topic_info", topic_name=topic)
                 if len(info["publishers"]) >= publishers and len(info["subscribers"]) >= subscribers:
                     return info
+            except Refusal as refusal:
+                seen = refusal
             await asyncio.sleep(0.05)
-        raise AssertionError(f"{topic} was not discovered with {publishers} publishers and {subscribers} subscribers")
+        raise AssertionError(f"{topic} is not known in {DISCOVERY_S:.0f} s: {seen}")
