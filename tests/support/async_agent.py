@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from typing import Any
 
 from mcp import Client
 
-from support.agent import Refusal
+from support.agent import DISCOVERY_S, Refusal
 from support.structured import META, read
 
 
@@ -31,9 +30,15 @@ class AsyncAgent:
 
     async def knows(self, topic: str, publishers: int = 1, subscribers: int = 0) -> dict[str, Any]:
         """Waits until the server sees that many endpoints on the topic; returns the topic's information."""
-        while True:
-            with contextlib.suppress(Refusal):
-                info = await self.call("ros2_topic_info", topic_name=topic)
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + DISCOVERY_S
+        seen: object = None
+        while loop.time() < deadline:
+            try:
+                info = seen = await self.call("ros2_topic_info", topic_name=topic)
                 if len(info["publishers"]) >= publishers and len(info["subscribers"]) >= subscribers:
                     return info
+            except Refusal as refusal:
+                seen = refusal
             await asyncio.sleep(0.05)
+        raise AssertionError(f"{topic} is not known in {DISCOVERY_S:.0f} s: {seen}")

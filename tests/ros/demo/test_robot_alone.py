@@ -5,6 +5,7 @@ import os
 import shlex
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,23 @@ CHOOSES_GRAPH = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOS
 SERVER = [sys.executable, "-m", "ros2_mcp"]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def start_alone(prefixes):
-    """Start the robot as a user does, with these variables of its graph and no others."""
+    """Start the robot as a user does, with these variables of its graph and no others; it ends after the test."""
+    with robots_alone() as start:
+        yield start
+
+
+@pytest.fixture(scope="module")
+def robot(prefixes):
+    """The first robot on this machine."""
+    with robots_alone() as start:
+        yield start()
+
+
+@contextmanager
+def robots_alone():
+    """What starts robots, which end with the block."""
     started = []
 
     def start(*options, **variables):
@@ -30,17 +45,13 @@ def start_alone(prefixes):
         process.told = told
         return process
 
-    yield start
-    for process in started:
-        process.terminate()
-    for process in started:
-        process.communicate(timeout=20)
-
-
-@pytest.fixture(scope="module")
-def robot(start_alone):
-    """The first robot on this machine."""
-    return start_alone()
+    try:
+        yield start
+    finally:
+        for process in started:
+            process.terminate()
+        for process in started:
+            process.communicate(timeout=20)
 
 
 def graph_of(process):

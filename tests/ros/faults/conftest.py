@@ -9,6 +9,7 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 import pytest
 from mcp import Client, StdioServerParameters
 
+from support.agent import CALL_S
 from support.async_agent import AsyncAgent
 from support.faulty_peer import FaultyPeer
 
@@ -16,7 +17,7 @@ from support.faulty_peer import FaultyPeer
 @pytest.fixture(scope="module")
 async def agent(anyio_backend: str, ros_environment: dict[str, str]) -> AsyncIterator[AsyncAgent]:
     """A client of the server that all tests of the file share."""
-    async with Client(server(ros_environment)) as client:
+    async with Client(server(ros_environment), read_timeout_seconds=CALL_S) as client:
         yield AsyncAgent(client)
 
 
@@ -26,7 +27,7 @@ def start_agent(ros_environment: dict[str, str]) -> Callable[[], AbstractAsyncCo
 
     @asynccontextmanager
     async def begin() -> AsyncIterator[AsyncAgent]:
-        async with Client(server(ros_environment)) as client:
+        async with Client(server(ros_environment), read_timeout_seconds=CALL_S) as client:
             yield AsyncAgent(client)
 
     return begin

@@ -16,7 +16,7 @@ import pytest
 
 from support.agent import Refusal
 from support.async_agent import AsyncAgent
-from support.processes import SOURCES
+from support.processes import SOURCES, python_path
 from support.standstill import undisturbed_async
 
 
@@ -37,7 +37,7 @@ def built_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     if done.returncode:
         pytest.skip(f"needs what builds interface packages: {done.stderr[-300:]}")
     prefix = done.stdout.split()[-1]
-    return {"AMENT_PREFIX_PATH": f"{prefix}:{sys.prefix}", "PYTHONPATH": f"{prefix}/site-packages"}
+    return {"AMENT_PREFIX_PATH": f"{prefix}:{sys.prefix}", "PYTHONPATH": python_path(f"{prefix}/site-packages")}
 
 
 @pytest.mark.promise("README", "the package with that type is not where the bridge runs: --workspace")
