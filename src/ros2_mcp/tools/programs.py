@@ -48,7 +48,7 @@ async def ros2_program_run(
     programs: ProgramsHere,
     program: Annotated[str, Field(description="Python; import robot. Or the name of a kept one.")],
     inputs: Annotated[dict[str, Any] | None, Field(description="Names that the program has, with values.")] = None,
-    timeout: Annotated[Number, Field(gt=0, le=MAX_RUN_S, description="Seconds; at most 600.")] = 60.0,
+    timeout: Annotated[Number, Field(gt=0, le=MAX_RUN_S, description="In seconds: default 60, at most 600.")] = 60.0,
     dry_run: Annotated[Flag, Field(description="Only read, and say what would be done.")] = False,
 ) -> Ran:
     """Run a Python program in a sandbox in which the robot is the module `robot`. Can move the robot.
