@@ -96,10 +96,16 @@ def test_a_slow_sensor_is_found(agent: Agent, robot: subprocess.Popen[str]) -> N
     ],
 )
 def test_a_sensor_that_is_dead_or_slow_is_found_at_the_first_look(
-    agent: Agent, robot: subprocess.Popen[str], name: str, value: object, usual: object, said: tuple[Any, ...]
+    agent: Agent,
+    robot: subprocess.Popen[str],
+    name: str,
+    value: object,
+    usual: object,
+    listen: dict[str, float],
+    said: tuple[Any, ...],
 ) -> None:
     with setting(agent, name, value, usual):
-        found = undisturbed(lambda: agent.call("ros2_health_check", **LISTEN))
+        found = undisturbed(lambda: agent.call("ros2_health_check", **listen))
     assert (found["verdict"], subjects(found), state(found, "/scan")) == said
 
 
