@@ -16,11 +16,12 @@ from support.processes import python_path
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
+REPEATS = {"CI", "BUILD_NUMBER"}
+"""With one of these pytest tells each error whole a second time, in its summary."""
 CONFTEST = """
 import subprocess, sys
 import pytest
 from support import own_processes, shared_memory
-from support.domains import reserved_domains
 from support.domains import reserved_domains
 
 own_processes.END_S = 3.0
@@ -150,7 +151,8 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> str:
     for name, text in PLANTED.items():
         (folder / f"{name}.py").write_text(text)
     options = ["-p", "support.leaves_nothing", "-p", "no:cacheprovider", "-rEp", "--tb=short", "-n0"]
-    environment = {**os.environ, "PYTHONPATH": python_path(), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    told_once = {name: value for name, value in os.environ.items() if name not in REPEATS}
+    environment = {**told_once, "PYTHONPATH": python_path(), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     command = [sys.executable, "-m", "pytest", *options, str(folder)]
     ran = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, check=False)
     return ran.stdout + ran.stderr

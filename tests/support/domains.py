@@ -61,7 +61,7 @@ def _leave(domains: range, since: float) -> None:
     left = own_processes.wait_for_end(lambda: _in(domains))
     wrong = [f"{one.pid} ({one.command}) is left" for one in left]
     own_processes.kill(left)
-    held = shared_memory.holders(domains)
+    held = _holders_that_stay(domains)
     for pid, ports in held.items():
         holder = own_processes.process(pid)
         wrong.append(f"{pid} ({holder.command if holder else 'has ended'}) still has open {', '.join(ports)}")
@@ -73,6 +73,17 @@ def _leave(domains: range, since: float) -> None:
     if not held:
         shared_memory.remove_ports(domains)
     assert not wrong, "\n".join([f"in the domains {[*domains]}:", *wrong])
+
+
+def _holders_that_stay(domains: range) -> dict[int, list[str]]:
+    """Who still has ports of these domains open after END_S: one that is just ending closes them at its very end.
+
+    Its environment may be gone before that, by which it is known as ours.
+    """
+    deadline = time.monotonic() + own_processes.END_S
+    while (held := shared_memory.holders(domains)) and time.monotonic() < deadline:
+        time.sleep(own_processes.POLL_S)
+    return held
 
 
 def _told(segment: Segment, command: str) -> str:

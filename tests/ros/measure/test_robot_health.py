@@ -101,7 +101,7 @@ def test_a_sensor_that_is_dead_or_slow_is_found_at_the_first_look(
     name: str,
     value: object,
     usual: object,
-    listen: dict[str, int],
+    listen: dict[str, float],
     said: tuple[Any, ...],
 ) -> None:
     with setting(agent, name, value, usual):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from functools import cache
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 
@@ -24,19 +23,32 @@ def events(ros_environment: dict[str, str]) -> Iterator[CommandedProcess]:
 
 
 @pytest.fixture(scope="module")
-def listener_of(ros_environment: dict[str, str], events: CommandedProcess) -> Iterator[Callable[[str], Listener]]:
-    """A raw client of an era; all tests share the one of each era."""
-    with ExitStack() as running:
+def handshake_listener(ros_environment: dict[str, str], events: CommandedProcess) -> Iterator[Listener]:
+    """The raw client of the older era that all tests of a file share."""
+    with listening(ros_environment, HANDSHAKE) as server:
+        yield server
 
-        @cache
-        def begin(era: str) -> Listener:
-            server = Listener(ros_environment, "--tools", "all")
-            running.callback(server.end)
-            server.begin(era)
-            wait_until_known(server)
-            return server
 
-        yield begin
+@pytest.fixture(scope="module")
+def modern_listener(ros_environment: dict[str, str], events: CommandedProcess) -> Iterator[Listener]:
+    """The raw client of the newer era that all tests of a file share."""
+    with listening(ros_environment, MODERN) as server:
+        yield server
+
+
+FIXTURES = {HANDSHAKE: "handshake_listener", MODERN: "modern_listener"}
+
+
+@contextmanager
+def listening(environment: dict[str, str], era: str) -> Iterator[Listener]:
+    """A raw client of that era; its server knows the robot."""
+    server = Listener(environment, "--tools", "all")
+    try:
+        server.begin(era)
+        wait_until_known(server)
+        yield server
+    finally:
+        server.end()
 
 
 def wait_until_known(server: Listener) -> None:
@@ -47,12 +59,12 @@ def wait_until_known(server: Listener) -> None:
 
 
 @pytest.fixture(params=[HANDSHAKE, MODERN] if FULL else [MODERN])
-def listener(request: pytest.FixtureRequest, listener_of: Callable[[str], Listener]) -> Listener:
+def listener(request: pytest.FixtureRequest) -> Listener:
     """A raw client of the newer era: what is told and when is the same in both."""
-    return listener_of(request.param)
+    return request.getfixturevalue(FIXTURES[request.param])
 
 
 @pytest.fixture(params=[HANDSHAKE, MODERN])
-def listener_of_each_era(request: pytest.FixtureRequest, listener_of: Callable[[str], Listener]) -> Listener:
+def listener_of_each_era(request: pytest.FixtureRequest) -> Listener:
     """A raw client of each era: the way of asking differs."""
-    return listener_of(request.param)
+    return request.getfixturevalue(FIXTURES[request.param])

@@ -18,6 +18,7 @@ import pytest
 from anyio.from_thread import start_blocking_portal
 from mcp.shared.exceptions import MCPError
 
+from ros2_mcp.guard.state import StateFolder
 from support.agent import FULL, Agent, agent_for, until
 from support.observer import TWIST, Observer, observing
 from support.ports import listening
@@ -337,3 +338,5 @@ def test_a_robot_of_the_file_has_rules_of_its_own(
         assert (shown["yard"]["read_only"], shown["yard"]["policy"]) == (False, "teleop-slow")
         stopped = {one["robot"]: one["stopped"] for one in agent.call("ros2_stop")["robots"]}
         assert (stopped["lab"]["latched"], stopped["yard"]["latched"]) == (False, True)
+        latch = StateFolder.of(domain_id=robots["yard"], env=ros_environment).latch()
+        latch.reset(by="operator", seen=latch.look().count)

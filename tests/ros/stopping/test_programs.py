@@ -38,6 +38,11 @@ def drive():
     time.sleep(0.05)
 """
 FOR_EVER = f"{DRIVES}\nwhile True: drive()"
+LASTS = f"""
+import robot
+robot.publish(@TOPIC@, message_type="{TWIST}", data={{"linear": {{"x": {SPEED}}}}}, frequency=20, duration=60)
+"""
+"""One call: a bridge that is lost between two of them is started again by the next, and the program goes on."""
 FOR_A_WHILE = f"{DRIVES}\nfor _ in range(90): drive()\n"
 """Longer than the 3 s after which a publisher is discovered whose first announcement was missed."""
 
@@ -152,7 +157,7 @@ def test_a_program_that_is_ended_while_it_drives_leaves_nobody_without_a_zero(
 ) -> None:
     """And with nothing that moves the robot after that zero, by the order in which the messages were written."""
     mine = start_server() if fate in LAST else server
-    topic, request, _ = begin(mine, observer, FOR_EVER)
+    topic, request, _ = begin(mine, observer, LASTS if fate == "the bridge is killed" else FOR_EVER)
     processes, since_ns = started(mine), time.time_ns()
     FROM_OUTSIDE[fate](mine, request)
     observer.until_stopped(topic, since_ns)
