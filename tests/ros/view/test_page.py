@@ -88,9 +88,13 @@ def driving(agent: Agent, observer: Observer) -> Future[dict[str, Any]]:
     return call
 
 
-def reset(environment: dict[str, str]) -> None:
+@pytest.fixture
+def latched(agent: Agent, demo_environment: dict[str, str]) -> Iterator[None]:
+    """Of a test that sets the latch: it is reset when all have answered."""
+    yield
+    agent.call("ros2_status")
     operate = [sys.executable, "-m", "ros2_mcp", "operate"]
-    subprocess.run([*operate, "reset"], env=environment, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([*operate, "reset"], env=demo_environment, check=True, stdout=subprocess.DEVNULL)
 
 
 def test_what_is_picked_in_the_browser_is_told_to_the_agent(page: Page, agent: Agent) -> None:
@@ -105,6 +109,7 @@ def test_what_is_picked_in_the_browser_is_told_to_the_agent(page: Page, agent: A
 
 
 @pytest.mark.promise("README", "Its one button stops every server that acts on the robot from this machine")
+@pytest.mark.usefixtures("latched")
 def test_the_button_stops_the_agent_and_says_who_answered(page: Page, agent: Agent, observer: Observer) -> None:
     recording = agent.call("ros2_record_start", topics=["/odom"])["recording_id"]
     call = driving(agent, observer)
@@ -155,10 +160,10 @@ def test_a_box_that_is_drawn_in_a_depth_picture_is_told_with_the_depth_there(pag
     assert page.complaints == []
 
 
+@pytest.mark.usefixtures("latched")
 def test_a_stop_that_is_not_confirmed_looks_like_an_alarm(
     page: Page, agent: Agent, demo_environment: dict[str, str], observer: Observer
 ) -> None:
-    reset(demo_environment)
     driving(agent, observer)
     page.until(f"{text('#moves')}.startsWith('agent drives /cmd_vel')")
     with running(demo_environment, *peer_command("stranger_peer", "/cmd_vel")):  # publishes there, too
@@ -171,10 +176,10 @@ def test_a_stop_that_is_not_confirmed_looks_like_an_alarm(
     pictured_in_all_sizes(page, "doubted")
 
 
+@pytest.mark.usefixtures("latched")
 def test_where_a_server_hangs_the_latch_is_set_and_the_page_says_that_it_did_not_answer(
     page: Page, agent: Agent, demo_environment: dict[str, str], observer: Observer
 ) -> None:
-    reset(demo_environment)
     driving(agent, observer)
     page.until(f"{text('#moves')}.startsWith('agent drives /cmd_vel')")
     pid = server_of(demo_environment)
