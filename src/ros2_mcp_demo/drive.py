@@ -68,9 +68,18 @@ class Drive:
         self._next_look = now
         self._mark, self._marked_at = Pose(math.inf), now  # no place yet
         self._back_off_until, self._bumps, self._lost = 0.0, 0, 0
+        self._forward = False
 
     def step(self, pose: Pose, now, blocked, fastest, turning):
-        """The velocities (m/s, rad/s) to drive with from here; `blocked`: the base stands against something."""
+        """The velocities (m/s, rad/s) to drive with from here; `blocked`: the base was commanded to drive, but stands
+        against something. Only what stops it on its way forward counts: at the beginning it may have been somebody
+        else's command, and when it backs off there may be a wall behind it.
+        """
+        linear, angular = self._velocity(pose, now, blocked and self._forward, fastest, turning)
+        self._forward = linear > 0.0
+        return linear, angular
+
+    def _velocity(self, pose, now, blocked, fastest, turning):
         arrived = self._has_arrived(pose)
         if not arrived and now >= self._next_look:
             self._next_look = now + LOOK_EVERY_S

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import subprocess
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from typing import Any
 
+from support.agent import until
 from support.processes import peer_command
 from support.prompting import PromptAgent
 
@@ -24,8 +24,7 @@ def _deaf_subscriber(agent: PromptAgent, environment: dict[str, str]) -> Iterato
     with subprocess.Popen(peer_command("deaf_subscriber"), stdout=subprocess.PIPE, env=environment) as peer:
         assert peer.stdout
         assert peer.stdout.readline()
-        while not agent.agent.call("ros2_topic_info", topic_name="/imu")["mismatches"]:
-            time.sleep(0.1)
+        until(lambda: agent.agent.call("ros2_topic_info", topic_name="/imu")["mismatches"])
         yield
         peer.kill()
 

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from support.agent import Agent
+from support.agent import Agent, until
 from support.processes import peer_command, running
 
 
@@ -36,8 +36,7 @@ def robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[subprocess.
     """The simulated robot, discovered."""
     with running(ros_environment, sys.executable, "-m", "ros2_mcp_demo") as process:
         agent.knows("/scan", "/odom", "/map", "/imu", "/diagnostics")
-        while not agent.call("ros2_service_list", pattern="/self_test")["services"]:
-            pass
+        until(lambda: agent.call("ros2_service_list", pattern="/self_test")["services"])
         yield process
 
 

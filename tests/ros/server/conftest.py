@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs the ROS 2 wheels, or a sourced ROS 2")
 
-from support.agent import Agent
+from support.agent import Agent, until
 from support.commanded import CommandedProcess
 from support.processes import peer_command
 from support.raw_server import RawServer
@@ -46,10 +46,8 @@ def small_robot(ros_environment: dict[str, str], agent: Agent) -> Iterator[subpr
     process = subprocess.Popen(peer_command("server_robot"), stdout=subprocess.PIPE, text=True, env=ros_environment)
     assert process.stdout
     assert process.stdout.readline() == "ready\n"
-    while not all(name in str(agent.call("ros2_service_list")) for name in ("/set_lamp", "/slow_lamp")):
-        pass
-    while not agent.call("ros2_list_actions")["actions"]:
-        pass
+    until(lambda: all(name in str(agent.call("ros2_service_list")) for name in ("/set_lamp", "/slow_lamp")))
+    until(lambda: agent.call("ros2_list_actions")["actions"])
     # a server throws the answers to a client away that it has not discovered yet
     agent.until_answered("ros2_service_call", service_name="/set_lamp", fields={"data": False}, timeout_sec=1)
     agent.until_answered("ros2_cancel_action_goal", action_name="/fibonacci", cancel_all=True, wait_timeout_sec=1)

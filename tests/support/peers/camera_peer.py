@@ -9,12 +9,15 @@ It says `ready`, answers each line of its stdin with how many raw pictures it ha
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
 
 import rclpy
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CompressedImage, Image
+
+from support.leaving import leave_on_sigterm
 
 
 def main() -> None:
@@ -47,11 +50,17 @@ def main() -> None:
     def answer() -> None:
         for _ in sys.stdin:
             print(published, flush=True)
-        os._exit(0)
+        os.kill(os.getpid(), signal.SIGTERM)
 
+    told_to_end = threading.Event()
+    leave_on_sigterm(told_to_end.set)
     threading.Thread(target=answer, daemon=True).start()
     print("ready", flush=True)
-    rclpy.spin(node)
+    while not told_to_end.is_set():
+        rclpy.spin_once(node, timeout_sec=0.1)
+    node.destroy_node()
+    rclpy.try_shutdown()
+    os._exit(0)  # the daemon thread may still wait for its input
 
 
 def scene_of(width: int, height: int) -> bytes:

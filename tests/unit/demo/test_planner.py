@@ -95,6 +95,18 @@ def test_a_blind_drive_bumps_into_an_unknown_obstacle_backs_off_and_gives_up():
     assert least > RADIUS - 0.02
 
 
+def test_a_drive_starts_from_a_wall_behind_it_though_the_base_was_just_driven_against_that():
+    simulation = Simulation()
+    simulation.commanded = (-0.5, 0.0)
+    for _ in range(3000):
+        simulation.step(0.02)
+        if simulation.base.blocked:
+            break
+    assert simulation.base.blocked
+    drive, _ = run(simulation, Goal(0.0, 0.0))
+    assert (drive.outcome, drive.recoveries) == ((True, "arrived"), 0)
+
+
 def test_a_drive_gives_up_when_the_base_does_not_move():
     drive = Drive(Goal(1.0, 0.0), Surroundings(*World().occupancy(), 0.05), 0.0)
     for tenth in range(60):
