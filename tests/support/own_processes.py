@@ -18,6 +18,7 @@ from typing import NamedTuple
 END_S = 10.0
 """A node leaves within a second, a stopper 4 s after its bridge; a busy machine stretches that."""
 POLL_S = 0.02
+ENDS_WITHOUT_A_WORD = (signal.SIGKILL, signal.SIGSTOP)
 HALF = 0xFFFF
 """What Fast DDS keeps of a process id."""
 MOST_CHARS = 300
@@ -64,7 +65,7 @@ def boot_s() -> float:
 
 _commands: dict[int, str] = {}
 _killed: set[int] = set()
-"""Whom this process has killed (SIGKILL)."""
+"""Whom this process has killed (SIGKILL), or stopped (SIGSTOP): the product kills a bridge that no longer answers."""
 
 
 def note_kills() -> None:
@@ -83,9 +84,9 @@ def seen(lower_half: int | None) -> str:
 
 
 def _note_kill(event: str, arguments: tuple[object, ...]) -> None:
-    if event == "os.kill" and arguments[1] == signal.SIGKILL:
+    if event == "os.kill" and arguments[1] in ENDS_WITHOUT_A_WORD:
         _killed.add(int(str(arguments[0])))
-    elif event == "os.killpg" and arguments[1] == signal.SIGKILL:
+    elif event == "os.killpg" and arguments[1] in ENDS_WITHOUT_A_WORD:
         _killed.update(pid for pid in listed() if (one := process(pid)) and one.group == arguments[0])
 
 
