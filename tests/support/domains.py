@@ -55,8 +55,10 @@ def _last_used(path: Path) -> float:
 def _leave(domains: range, since: float) -> None:
     """Nobody of ours is in the domains any more, and nothing of those who were: else it is told, ended and removed.
 
-    What a test has killed leaves its segment. Whose one is, is not known if that process never said anything, or was
-    not there when a test began or ended.
+    What a test has killed leaves its segment, and so does a bridge or stopper that its own alarm ends, 1 s after it was
+    told to end: on a busy machine that is nobody's fault (`test_bridge_leaves.py` holds that a bridge with an exit
+    status of 0 leaves nothing). Whose a segment is, is not known if that process never said anything, or was not there
+    when a test began or ended.
     """
     left = own_processes.wait_for_end(lambda: _in(domains))
     wrong = [f"{one.pid} ({one.command}) is left" for one in left]
@@ -68,11 +70,16 @@ def _leave(domains: range, since: float) -> None:
     for segment in shared_memory.dead_segments():
         if segment.at >= since and (command := own_processes.seen(segment.process)):
             shared_memory.remove_segment(segment)
-            if segment.process not in own_processes.killed_ids():
+            if segment.process not in own_processes.killed_ids() and not _has_an_alarm(command):
                 wrong.append(_told(segment, command))
     if not held:
         shared_memory.remove_ports(domains)
     assert not wrong, "\n".join([f"in the domains {[*domains]}:", *wrong])
+
+
+def _has_an_alarm(command: str) -> bool:
+    """Whether it is a bridge or a stopper, started as a module or by the program that is sent to a robot."""
+    return "ros2_mcp_bridge" in command or "-c import sys sys.path[:] = " in command
 
 
 def _holders_that_stay(domains: range) -> dict[int, list[str]]:
