@@ -15,6 +15,7 @@ from support.agent import DISCOVERY_S, until
 from support.driver import MOVING, fresh
 from support.observer import Observer
 from support.ports import listening
+from support.structured import META
 from support.tokens import BEARER
 from support.velocities import TWIST, speed
 
@@ -55,7 +56,7 @@ class Session:
 
     def call(self, name: str, *, padding: str = "", **arguments: Any) -> tuple[int, HTTPConnection]:
         """Posts a call of a tool."""
-        return self.begin("tools/call", {"name": name, "arguments": arguments}, padding)
+        return self.begin("tools/call", {"name": name, "arguments": arguments, "_meta": META}, padding)
 
     def has_come(self) -> None:
         """Waits until the server has received what was posted before: it has answered something that came later."""
