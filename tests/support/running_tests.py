@@ -25,7 +25,8 @@ class RunningTests:
     """Keeps the note of this process up to date; it goes with the process, unless that does not end."""
 
     def __init__(self, note: Path) -> None:
-        self._note = note
+        # Kept open: a test may take another user's id for a while, who must not write here by name.
+        self._descriptor = os.open(note, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o600)
         self._say("collects tests, or waits for its workers")
         atexit.register(note.unlink, missing_ok=True)  # after the last thread that is not a daemon
 
@@ -49,4 +50,5 @@ class RunningTests:
         self._say("has finished its tests, and its Python does not end")
 
     def _say(self, what: str) -> None:
-        self._note.write_text(what, encoding="utf-8")
+        os.ftruncate(self._descriptor, 0)
+        os.pwrite(self._descriptor, what.encode(), 0)
