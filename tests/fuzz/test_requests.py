@@ -31,12 +31,16 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_hostile_bag(tmp_path_factory.mktemp("fuzz") / "bag")
 
 
-@pytest.fixture(scope="module")
+def started(bag: Path) -> RawServer:
+    return RawServer({**os.environ}, "--tools", "all", "--log-level", "error", "--bag", str(bag))
+
+
+@pytest.fixture
 def start(bag: Path) -> Iterator[Callable[[], RawServer]]:
     servers: list[RawServer] = []
 
     def begin() -> RawServer:
-        servers.append(RawServer({**os.environ}, "--tools", "all", "--log-level", "error", "--bag", str(bag)))
+        servers.append(started(bag))
         return servers[-1]
 
     yield begin
@@ -45,11 +49,12 @@ def start(bag: Path) -> Iterator[Callable[[], RawServer]]:
 
 
 @pytest.fixture(scope="module")
-def shared(start: Callable[[], RawServer]) -> RawServer:
+def shared(bag: Path) -> Iterator[RawServer]:
     """A server of several tests, begun in the handshake era."""
-    server = start()
+    server = started(bag)
     server.begin(HANDSHAKE)
-    return server
+    yield server
+    server.end()
 
 
 @pytest.fixture
