@@ -269,7 +269,7 @@ def test_a_signal_to_the_runner_ends_all_that_it_has_started(tmp_path: Path, num
         outer.send_signal(number)
         output, _ = outer.communicate(timeout=ENDED_WITHIN_S)
     assert outer.returncode == 128 + number
-    assert Ended(outer.returncode, output, 0, 0, mark).left() == []
+    assert Ended(outer.returncode, output, mark).left() == []
 
 
 def test_the_status_of_a_step_is_that_of_its_command() -> None:
