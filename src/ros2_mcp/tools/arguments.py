@@ -11,6 +11,9 @@ from ros2_mcp.ops.sources.selection import MAX_MESSAGES
 from ros2_mcp.ops.sources.times import is_seconds_ago, taken_as
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
+WHOLE_SENTENCE = "whole_sentence"
+"""The type of a validation error whose message also says what was given."""
+
 
 def _no_bool(value: Any) -> Any:
     """Python's `True` is the integer 1: as a number it can only be a mistake."""

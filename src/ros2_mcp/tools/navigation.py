@@ -5,13 +5,15 @@ from __future__ import annotations
 from typing import Annotated, Any, cast
 
 from pydantic import BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
+from ros2_mcp.model.text import excerpt
 from ros2_mcp.ops.navigation.navigate import Navigated, navigate
 from ros2_mcp.ops.navigation.places import PlaceKept, PlaceList, PlaceRequest, list_places, set_place
 from ros2_mcp.ops.navigation.preview import Preview, preview
 from ros2_mcp.ops.results import Report
 from ros2_mcp.robot import Robot
-from ros2_mcp.tools.arguments import Flag, Number, Pattern
+from ros2_mcp.tools.arguments import WHOLE_SENTENCE, Flag, Number, Pattern
 from ros2_mcp.tools.declare import tool
 from ros2_mcp_bridge.limits import MAX_DURATION_S
 
@@ -20,12 +22,24 @@ PLACE = 95
 
 def _as_object(to: Any) -> Any:
     """A name alone is that of a place."""
-    return {"place": to} if isinstance(to, str) else to
+    if isinstance(to, (dict, type(None))):
+        return cast("Any", to)
+    if isinstance(to, str):
+        return {"place": to}
+    raise _no_place(to)
+
+
+def _no_place(to: object) -> PydanticCustomError:
+    return PydanticCustomError(
+        WHOLE_SENTENCE, '{given} is not a place: write {"x": 1, "y": 0} or its name.', {"given": excerpt(to)}
+    )
 
 
 def _as_list(to: Any) -> Any:
     """One place is a list of one."""
     if isinstance(to, list):
+        if to and not any(isinstance(one, (str, dict, list)) for one in cast("list[Any]", to)):
+            raise _no_place(cast("object", to))  # numbers alone are the coordinates of one place
         return [_as_object(one) for one in cast("list[Any]", to)]
     return to if to is None else [_as_object(to)]
 
