@@ -27,7 +27,7 @@ def test_without_a_policy_the_instructions_and_doctor_say_so() -> None:
 
 def test_under_a_policy_the_agent_is_told_to_ask_it_and_doctor_names_it() -> None:
     told = instructions(SLOW)
-    assert "ros2_policy says what is allowed" in told and "No policy" not in told
+    assert "ros2_policy shows what is allowed" in told and "No policy" not in told
     finding = policy_in_force(SLOW)
     assert finding.ok and "teleop-slow (profile teleop-slow), mode autonomous, advisory, sha256 " in finding.detail
 
