@@ -14,7 +14,7 @@ from support.standstill import undisturbed
 SWITCH = "std_srvs/srv/SetBool"
 SLOW = "test_msgs/srv/BasicTypes"
 ROUNDS = 200 if FULL else 3
-HINT = "It may still be working on it; a longer timeout_sec waits for longer."
+HINT = "The server may still be working on it; give a longer timeout_sec."
 
 
 def slow_request(text: str, delay_s: float = 0.0) -> dict[str, object]:

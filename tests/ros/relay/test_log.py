@@ -74,4 +74,4 @@ def test_the_log_survives_a_lost_bridge_without_lines_twice(start_agent: Callabl
 
 def test_a_level_that_is_not_there_is_refused(agent) -> None:
     assert "Did you mean error?" in agent.refusal("ros2_log_read", level="eror")
-    assert "neither seconds nor a time" in agent.refusal("ros2_log_read", since="yesterday")
+    assert "Give seconds ago" in agent.refusal("ros2_log_read", since="yesterday")

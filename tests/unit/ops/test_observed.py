@@ -59,8 +59,14 @@ def test_what_is_no_speed_is_not_heard(message: dict[str, Any]) -> None:
     ("topics", "sentence"),
     [
         ([("/odom", ["nav_msgs/msg/Odometry"], 1, 0)], "Not observed: /odom told nothing of the robot's speed."),
-        ([("/odom", ["nav_msgs/msg/Odometry"], 0, 1)], "Not observed: no odometry says whether the robot stands."),
-        ([("/scan", ["sensor_msgs/msg/LaserScan"], 1, 0)], "Not observed: no odometry says whether the robot stands."),
+        (
+            [("/odom", ["nav_msgs/msg/Odometry"], 0, 1)],
+            "Not observed: no odometry reports whether the robot has stopped.",
+        ),
+        (
+            [("/scan", ["sensor_msgs/msg/LaserScan"], 1, 0)],
+            "Not observed: no odometry reports whether the robot has stopped.",
+        ),
     ],
 )
 async def test_without_a_policy_the_odometry_that_is_there_is_read(

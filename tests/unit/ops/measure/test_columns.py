@@ -81,7 +81,7 @@ def test_a_message_that_is_not_what_its_type_says_is_counted_and_told() -> None:
     samples.insert(1, Sample(START_NS + 1, 0, None, b"\0\1\0\0no"))
     kept = columns(NUMBER, samples, Room())
     assert (kept.count, kept.decoded, kept.undecodable) == (4, 3, 1)
-    assert "1 message(s) are not what their type says" in kept.skipped
+    assert "1 message that cannot be decoded" in kept.skipped
 
 
 def test_a_column_without_a_message_is_empty() -> None:

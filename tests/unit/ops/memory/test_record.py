@@ -136,7 +136,7 @@ async def test_a_topic_of_the_robot_with_the_name_of_our_own_is_told_as_not_reco
 ) -> None:
     bridge.topics = lambda: [["/agent/calls", [NUMBER], 1, 0]]
     begun = await recording.start(robot, BagStore(tmp_path), RecordRequest())
-    assert begun.notes == ["/agent/calls is not recorded from the robot: here it has what this server does."]
+    assert begun.notes == ["/agent/calls records what this server does, not the topic of that name on the robot."]
 
 
 async def test_the_only_recording_that_runs_is_stopped_without_its_id_and_never_the_black_box(
@@ -197,7 +197,7 @@ async def test_a_recording_that_runs_goes_on_until_now_however_long_nothing_came
 
 async def test_a_named_topic_that_nobody_publishes_is_told(tmp_path: Path, robot: Robot) -> None:
     state = await recording.start(robot, BagStore(tmp_path), RecordRequest(topics=["/later"]))
-    assert state.notes == ["/later: nobody has published it so far; it joins within a second after somebody does."]
+    assert state.notes == ["/later: nobody publishes it yet; recording begins within a second after somebody does."]
 
 
 async def test_what_is_still_being_recorded_is_not_called_damaged(tmp_path: Path, robot: Robot) -> None:

@@ -38,12 +38,12 @@ def test_a_time_without_a_zone_is_utc_and_a_unix_time_is_exact(text: str, at_ns:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("2026-01-01T00:00:00", "2026-01-01T00:00:00 has no time zone, UTC was taken"),
+        ("2026-01-01T00:00:00", "2026-01-01T00:00:00 has no time zone and was read as UTC"),
         ("1767225600", "1767225600 is 2026-01-01T00:00:00.000000Z"),
         ("9" * 40, f"{'9' * 40} is 2262-04-11T23:47:16.854776Z"),
         ("2026-01-01T00:00:00Z", ""),
         ("last 30 s", ""),
-        ("first 1 s", "first 1 s is the moment so long after the beginning, which itself is 0 s in"),
+        ("first 1 s", "first 1 s means the time that long after the beginning (0 s in)"),
         ("yesterday", ""),
         ("", ""),
     ],

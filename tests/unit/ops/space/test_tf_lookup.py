@@ -140,7 +140,7 @@ async def test_a_message_that_cannot_be_decoded_is_skipped_counted_and_told(wind
     broken = Sample(START_NS + SECOND, 0, None, b"\x00\x01\x00\x00\xff\xff\xff\x7f")
     damaged = replace(both[0], samples=[*both[0].samples, broken])
     found = await tf_lookup(Recorded([damaged, both[1]]), request())
-    assert "1 message(s) are not what their type says" in found.note
+    assert "1 message that cannot be decoded" in found.note
     assert found.translation.x == pytest.approx(14.5)
 
 

@@ -35,7 +35,7 @@ async def test_a_topic_that_has_stopped_is_told(window: Make) -> None:
     found = await only(window, [0.1, 0.2, 0.3, 0.4], 2.4)
     assert (found.gaps, found.longest_gap_s) == (1, pytest.approx(2.0))
     assert found.rate_hz == pytest.approx(10.0)
-    assert found.note == "It has stopped: nothing came in the last 2 s, from 0.400 s (2023-11-14T22:13:20.400Z) on."
+    assert found.note == "It has stopped: no message in the last 2 s, from 0.400 s (2023-11-14T22:13:20.400Z) on."
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ async def test_replayed_history_is_in_no_rate(window: Make) -> None:
     found = await only(window, [*before, 1.0, 2.0, 3.0, 4.0], 4.5)
     assert (found.count, found.replayed, found.rate_hz) == (4, 100, pytest.approx(1.0))
     assert found.bytes_per_second == 10.67  # 4 * 12 / 4.5
-    assert found.note == "100 latched message(s) from before are not counted."
+    assert found.note == "Not counted: 100 earlier latched messages."
 
 
 async def test_of_a_single_moment_no_bytes_per_second_are_told(window: Make) -> None:
@@ -134,7 +134,7 @@ async def test_without_names_all_topics_are_measured_that_somebody_publishes(win
     windows = [window("/z_camera", FLOAT, []), *(window(name, FLOAT, []) for name in published)]
     found = await measure(Recorded(windows, GraphSnapshot(topics, None, None)))
     assert sorted(row.topic_name for row in found.topics) == [*published[: MAX_TOPICS - 1], "/z_camera"]
-    assert found.note == f"Not measured, as 64 are the most: {', '.join(published[-3:])}." == found.summary()[-1]
+    assert found.note == f"Not measured (at most 64 topics): {', '.join(published[-3:])}." == found.summary()[-1]
 
 
 async def test_without_names_and_without_topics_it_says_so(window: Make) -> None:
@@ -156,9 +156,9 @@ def stamped(window: Make, topic: str, age_s: float, size: int = 0) -> Window:
     ("age_s", "note"),
     [
         (0.02, ""),
-        (47.0, "All its stamps are old, 47 s in the mean: it is delayed, or its clock is behind."),
-        (-3.0, "All its stamps lie in the future, 3 s in the mean: its clock is ahead."),
-        (1.7e9, "Its stamps are not from this clock (simulated time?), so ages are left out."),
+        (47.0, "Its stamps are 47 s old on average: messages are late, or its clock is behind."),
+        (-3.0, "Its stamps are 3 s in the future on average: its clock is ahead."),
+        (1.7e9, "Its stamps come from another clock (simulated time?), so no ages are given."),
     ],
 )
 async def test_the_first_line_tells_the_age(window: Make, age_s: float, note: str) -> None:
