@@ -8,7 +8,7 @@ from ros2_mcp.codec.frame_edges import Edge
 from ros2_mcp.codec.transforms import BASES, FrameTree, Located
 from ros2_mcp.model.errors import NoTransform
 from ros2_mcp.model.names import may_be_one, nearest
-from ros2_mcp.model.text import listed, named
+from ros2_mcp.model.text import counted, listed, named
 from ros2_mcp.model.times import recorded_time
 
 _MOST_NAMED = 8
@@ -81,7 +81,9 @@ def why_none(tree: FrameTree, target: str, frame: str, at_ns: int | None) -> NoT
 def _unknown(tree: FrameTree, name: str) -> NoTransform:
     if not tree.frames:
         heard = sum(tree.messages.values())
-        said = f"{heard} message(s) came, with no transform in them." if heard else "Nothing came on /tf or /tf_static."
+        said = (
+            f"{counted(heard, 'message')} came without a transform." if heard else "Nothing came on /tf or /tf_static."
+        )
         return NoTransform("never published", f"No transform is known at all. {said}")
     near = nearest(name, list(tree.frames))
     blank = " (published with a blank before or behind its name)" if near != near.strip() else ""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ros2_mcp.model.names import full_node_name
+from ros2_mcp.model.text import counted
 
 if TYPE_CHECKING:
     from ros2_mcp_bridge import protocol
@@ -87,7 +88,7 @@ def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100) -> Choice:
             "transient_local" if latched == len(publishers) else "volatile",
             depth=depth,
         ),
-        f"of {len(publishers)} publisher(s) {reliable} offer reliable, {latched} transient_local",
+        f"of {counted(len(publishers), 'publisher')} {reliable} offer reliable, {latched} transient_local",
     )
 
 

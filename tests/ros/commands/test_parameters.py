@@ -127,7 +127,7 @@ def test_what_every_node_has_is_left_out_of_a_list_unless_it_is_asked_for_or_set
 def test_a_set_tells_what_each_value_was(agent, robot) -> None:
     values = {"speed": 1.5, "label": "other"}
     found = agent.whole("ros2_parameter_set", {"node_name": robot.name("tuned"), "values": values})
-    said = f"{robot.name('tuned')}: 2 of 2 parameter(s) set: speed = 1.5 (was 0.5), label = «other» (was «3»)."
+    said = f"{robot.name('tuned')}: 2 of 2 parameters set: speed = 1.5 (was 0.5), label = «other» (was «3»)."
     assert found.content[0].text.startswith(said)
 
 

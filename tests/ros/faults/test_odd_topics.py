@@ -145,7 +145,7 @@ async def test_a_publisher_that_dies_during_a_read_is_told_with_what_had_come(
     assert 10 <= result["received"] < 200
     assert "the last one came at" in result["note"], result["note"]
     if number == signal.SIGTERM:
-        assert "1 publisher(s) left" in result["note"]
+        assert "1 publisher left" in result["note"]
     await agent.call("ros2_status")
 
 

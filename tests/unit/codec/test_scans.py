@@ -114,7 +114,7 @@ def test_invalid_beams_are_neither_free_nor_an_obstacle(scan: Any, invalid: floa
 def test_what_is_too_close_to_be_measured_is_the_nearest(scan: Any) -> None:
     meaning = scan_meaning(scan({-45: -INF}))
     assert nearest(meaning) == pytest.approx((0.1, -45.0))
-    assert "1 beam(s) end at something nearer than the scanner can measure" in meaning.note
+    assert "1 beam hit something nearer than the scanner can measure" in meaning.note
 
 
 def test_a_scan_of_the_front_alone_says_nothing_of_the_rear(scan: Any) -> None:

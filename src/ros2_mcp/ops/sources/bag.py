@@ -343,7 +343,7 @@ class Bags(SourceKind):
             if BLACK_BOX not in store.own:
                 hint = f"Name the recording with bag. {await asyncio.to_thread(store.which)}"
                 asked = " and ".join(request.names)
-                raise BadInput(f"{asked} needs a recording, but no bag is named.", hint)
+                raise BadInput(f"{asked}: no recording is named.", hint)
             name = BLACK_BOX
         if not name:
             return None

@@ -93,7 +93,7 @@ async def test_why_a_message_has_no_answer_is_told_with_the_indices_that_there_a
     source = Recorded([window("/scan", "sensor_msgs/msg/LaserScan", scans)])
     found = await wait_until(source, "/scan", "ranges[5] < 1.0")
     assert (found.met, found.undecided) == (False, 4)
-    said = "Of 4 of 4 message(s) it cannot be said: ranges[5]: there is no element [5], only [0] to [2]."
+    said = "4 of 4 messages could not be checked: ranges[5]: there is no element [5], only [0] to [2]."
     assert found.note == said
     empty = Recorded([window("/scan", "sensor_msgs/msg/LaserScan", [(0.0, {})])])
     assert (await wait_until(empty, "/scan", "ranges[0] < 1.0")).note.endswith("there is no element [0], it is empty.")

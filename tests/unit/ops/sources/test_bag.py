@@ -316,7 +316,7 @@ async def test_what_is_read_between_the_times_that_were_shown_is_everything(tmp_
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        ("yesterday", "not a moment"),
+        ("yesterday", "not a time"),
         ("last 2 min in", "from both the beginning and the end"),
         ("first 2 min ago", "from both the beginning and the end"),
     ],

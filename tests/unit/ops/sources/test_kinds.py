@@ -79,7 +79,7 @@ async def test_a_new_kind_of_source_is_one_class_and_one_line(tmp_path: Path, wi
 async def test_no_name_means_the_robot_and_moments_mean_a_recording(tmp_path: Path) -> None:
     robot, store = robot_of(MadeBridge()), BagStore(tmp_path)
     assert (await Sources(robot, store).open()).is_live
-    with pytest.raises(BadInput, match="none is named"):
+    with pytest.raises(BadInput, match="no recording is named"):
         await Sources(robot, store).open(start="last 1 s")
     with pytest.raises(NotFound, match="no bag"):
         await Sources(robot, store).open("nowhere")

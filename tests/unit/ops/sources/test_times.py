@@ -74,13 +74,13 @@ def test_an_error_names_the_argument_of_the_caller(start: str, end: str, named: 
 @pytest.mark.parametrize("text", ["9" * 5000, "1." + "9" * 5000, "٣٠"])
 def test_a_number_that_is_no_time_is_refused_like_any_other_text(text: str) -> None:
     assert taken_as(text) == ""
-    with pytest.raises(BadValue, match="is not a moment"):
+    with pytest.raises(BadValue, match="is not a time"):
         parsed_ns("start", text, 0, 100)
 
 
 @pytest.mark.parametrize(("start", "end"), [("3", ""), ("0", ""), ("", "2.5")])
 def test_seconds_from_the_beginning_that_are_written_as_a_unix_time_are_refused(start: str, end: str) -> None:
-    with pytest.raises(BadValue, match=f'Write "{start or end} s in"'):
+    with pytest.raises(BadValue, match=f'write "{start or end} s in"'):
         span_of(start, end, AT_NS, AT_NS + 4 * SECOND)
     assert span_of("3", "", 0, 4 * SECOND).start_ns == 3 * SECOND  # a recording of simulated time
 

@@ -91,7 +91,7 @@ async def test_the_text_says_once_what_all_messages_share_and_the_structured_con
     text: str = result.content[0].text  # type: ignore[union-attr]
     lines = text.splitlines()
     at = next(number for number, line in enumerate(lines) if line.startswith("messages (6), the first whole"))
-    assert "6 message(s)" in lines[0]
+    assert "6 messages" in lines[0]
     assert json.loads(lines[at + 1]) == read.messages[0]
     assert lines[at + 2] == "times_s | pose.pose.position.x"
     rows = [line.split(" | ") for line in lines[at + 3 : at + 9]]
@@ -113,7 +113,7 @@ async def test_messages_without_an_element_that_the_fields_ask_for_are_left_out_
     (whole,) = (await reading.read(bag, "/tf", "", Selection(fields=[BASE]))).messages
     assert [each["child_frame_id"] for each in whole[BASE]] == ["base_link"]
     nowhere = await reading.read(bag, "/tf", "", Selection(fields=['transforms[child_frame_id == "arm"]']))
-    assert nowhere.count == 0 and "6 other message(s)" in nowhere.note
+    assert nowhere.count == 0 and "6 other messages" in nowhere.note
     with pytest.raises(BadValue, match="cannot be asked of"):
         await reading.read(bag, "/tf", "", Selection(fields=["transforms[child_frame_id == 3]"]))
 
@@ -132,7 +132,7 @@ async def test_reads_with_a_filter_and_a_limit_say_how_to_read_on(bag: BagSource
     early = await get_messages(
         Sources(robot, store), "/tf", "", SourceRequest(end="2.2 s in"), replace(asked, message_limit=1)
     )
-    assert early.times_s == [1.5] and "1 other message(s)" not in early.note and "no such element" in early.note
+    assert early.times_s == [1.5] and "1 other message" not in early.note and "no such element" in early.note
     await store.close()
 
 
