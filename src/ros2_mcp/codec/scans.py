@@ -129,7 +129,7 @@ def _sector(bearings: NDArray[np.float64]) -> NDArray[np.int64]:
 def _note(points: ScanPoints, pose: Pose, is_base: bool) -> str:
     notes: list[str] = []
     if not is_base:
-        notes.append("Seen from the scanner in its own frame, as its mount on the base is not known.")
+        notes.append("Measured from the scanner in its own frame, because its mount on the base is unknown.")
     if points.too_close:
         notes.append(f"{counted(points.too_close, 'beam')} hit something nearer than the scanner can measure.")
     if points.invalid * 10 > points.beams:

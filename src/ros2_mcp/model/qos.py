@@ -79,7 +79,7 @@ class Choice:
 def for_subscribing(publishers: Sequence[Endpoint], depth: int = 100) -> Choice:
     """What a subscription needs so that it matches every publisher and loses as little as possible."""
     if not publishers:
-        return Choice(QoS("best_effort", "volatile", depth=depth), "no publisher is known; this matches any")
+        return Choice(QoS("best_effort", "volatile", depth=depth), "no publisher is known; this QoS matches any")
     reliable = sum(publisher.qos.reliability == "reliable" for publisher in publishers)
     latched = sum(publisher.qos.durability == "transient_local" for publisher in publishers)
     return Choice(

@@ -157,7 +157,7 @@ def test_values_are_converted_where_nothing_is_lost(agent, robot, name, given, t
         ("steps", 11, "steps: 11 is out of range. It takes 0 to 10."),
         ("gains", [1.0, "x"], 'gains[1]: "x" is not of type double.'),
         ("flags", True, "flags: true is not an array."),
-        ("octets", [256], "octets[0]: 256 is no byte."),
+        ("octets", [256], "octets[0]: 256 is not a byte."),
         ("serial", "B-2", "serial: it is read-only."),
         ("sped", 1.0, "sped: "),
     ],

@@ -178,7 +178,7 @@ def test_special_types_of_the_first_generation_come_as_messages(agent: Agent) ->
 @of_the_first_generation
 def test_an_answer_that_breaks_off_gives_what_is_whole(agent: Agent) -> None:
     answer = agent.call(TOOL, topic_name="/kept/torn", message_type="std_msgs/msg/Int32")
-    assert answer["messages"] == [{"data": 5}] and "breaks off in message 2" in answer["note"]
+    assert answer["messages"] == [{"data": 5}] and "truncated in message 2" in answer["note"]
     assert datetime.fromisoformat(answer["timestamps"][0].replace("Z", "+00:00")).tzinfo == timezone.utc
 
 

@@ -224,7 +224,7 @@ def test_a_cloud_that_does_not_fit_its_layout_is_refused(definitions: Definition
 def test_rows_that_overlap_are_refused(definitions: Definitions) -> None:
     message = cloud(definitions, XYZ, places([(0, 0, 0), (1, 1, 1)]), height=2)
     message.row_step = 4
-    with pytest.raises(BadData, match="takes 12 bytes, but row_step is 4"):
+    with pytest.raises(BadData, match="needs 12 bytes, but row_step is 4"):
         cloud_of(message)
 
 

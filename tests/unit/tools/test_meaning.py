@@ -92,7 +92,7 @@ async def test_distances_are_from_the_base_and_not_from_the_scanner(tools: Tools
 async def test_without_transforms_the_scanners_own_frame_is_told(tools: Toolset) -> None:
     summary, found = await answer(tools, "ros2_topic_subscribe", topic_name="/scan", bag="unmounted")
     assert found["meaning"]["scan"]["seen_from"] == "laser"
-    assert "its mount on the base is not known" in summary
+    assert "its mount on the base is unknown" in summary
 
 
 async def test_other_messages_have_no_meaning(tools: Toolset) -> None:

@@ -168,7 +168,7 @@ def test_statistics_are_those_of_the_other_reader(large: Path, known: dict[str, 
         long = int(np.argmax(periods))
         (gap,) = topic["gaps"]
         assert gap.startswith(f"nothing for {periods[long]:.3f} s from {(times[long] - start_ns) / 1e9:.3f} s (")
-        assert "too much" not in topic["note"]
+        assert "did not fit" not in topic.get("note", "")
     speed = next(field for field in odom["fields"] if field["field"] == "twist.twist.linear.x")
     values = np.array(known["/odom"]["values"])
     times_s = (np.array(known["/odom"]["times"]) - start_ns) / 1e9
