@@ -203,4 +203,4 @@ async def test_a_node_of_which_nothing_is_discovered_yet_is_asked_for_again(
 
     monkeypatch.setattr(bridge, "_node", never)
     found = await node_info(robot, "/lidar")
-    assert not found.settled and "Discovery had not settled yet" in found.summary()
+    assert not found.settled and "Discovery had not settled" in found.summary()

@@ -190,7 +190,7 @@ async def test_a_hint_names_only_tools_that_are_offered(folder: Path) -> None:
     ):
         with pytest.raises(CallFailed) as refused:
             await answer(tools, "ros2_topic_stats", topic_names=["/odom"], bag="none-such")
-        assert str(refused.value).endswith(f"There are: run. {said}")
+        assert str(refused.value).endswith(f"Bags: run. {said}")
 
 
 async def test_the_flow_of_all_topics_of_a_recording_is_one_call(tools: Toolset) -> None:

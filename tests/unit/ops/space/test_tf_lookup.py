@@ -159,7 +159,7 @@ URDF = """<robot name="r"><link name="base_link"/><link name="wheel"/><link name
 )
 async def test_of_a_frame_that_no_transform_names_the_description_is_asked(window: Make, frame: str, said: str) -> None:
     described = window("/robot_description", "std_msgs/msg/String", [(0.0, {"data": URDF})])
-    with pytest.raises(NoTransform, match=f"No transform names the frame {frame}.*{said}"):
+    with pytest.raises(NoTransform, match=f"There is no frame {frame} in TF.*{said}"):
         await tf_lookup(Recorded([*windows(window), described]), request(frame=frame))
 
 
