@@ -53,7 +53,7 @@ async def test_a_few_messages_that_came_together_have_no_rate(
 ) -> None:
     found = await only(window, times, 5.0)
     assert found.rate_hz == (rate_hz and pytest.approx(rate_hz))
-    assert ("too few to tell a rate" in found.note) == (rate_hz is None) == ("rate unknown" in found.summary())
+    assert ("too few to measure a rate" in found.note) == (rate_hz is None) == ("rate unknown" in found.summary())
 
 
 class OfTwoTypes(Recorded):
@@ -101,7 +101,7 @@ async def test_what_is_irregular_is_said_and_the_worst_is_named(window: Make) ->
     assert "gaps" not in lines["/steady"]
     assert ", gaps 0, longest period 0.25 s, " in lines["/late"]
     assert ", gaps 1, longest 0.6 s, " in lines["/broken"]
-    assert found.summary()[-1] == "Least regular: /broken, nothing for 0.6 s, 6 times its usual period of 0.1 s."
+    assert found.summary()[-1] == "Least regular: /broken, silent for 0.6 s, 6 times its usual period of 0.1 s."
 
 
 async def test_figures_have_no_digits_of_chance(window: Make) -> None:

@@ -132,7 +132,7 @@ async def test_reads_with_a_filter_and_a_limit_say_how_to_read_on(bag: BagSource
     early = await get_messages(
         Sources(robot, store), "/tf", "", SourceRequest(end="2.2 s in"), replace(asked, message_limit=1)
     )
-    assert early.times_s == [1.5] and "1 other message" not in early.note and "no such element" in early.note
+    assert early.times_s == [1.5] and "1 other message" not in early.note and "No such element" in early.note
     await store.close()
 
 
