@@ -126,7 +126,7 @@ async def test_reads_with_a_filter_and_a_limit_say_how_to_read_on(bag: BagSource
     robot = recorded_robot(store, 32_000)
     first = await bags.read(robot, store, "run", "/tf", asked, start="0 s in")
     assert first.times_s == [0.5, 1.5]
-    assert "There may be later messages: to read them, give start" in first.note and "no such element" in first.note
+    assert "There may be later messages: to read them, give start" in first.note and "No such element" in first.note
     past = await get_messages(Sources(robot, store), "/tf", "", SourceRequest(), replace(asked, message_limit=1))
     assert [each["child_frame_id"] for each in past.messages[0][BASE]] == ["base_link"]
     early = await get_messages(
