@@ -56,7 +56,7 @@ class Wait:
 
     def summary(self) -> str:
         """One line."""
-        outcome = "was met" if self.met else "was not met"
+        outcome = "is met" if self.met else "was not met"
         seen = f", {'at' if self.met else 'last message at'} {self.when}" if self.when else ""
         when = f"after {self.waited:.3f} s" if self.is_live else f"in {self.source}{seen}"
         values = ", ".join(f"{path} = {in_quotes(value)}" for path, value in self.values.items())

@@ -68,8 +68,8 @@ def test_the_differences_agree_with_numpy(window: Make) -> None:
 def test_a_known_delay_is_found(window: Make, delay: float) -> None:
     found = evaluate(floats(window, "/a", TIMES, wave(TIMES)), floats(window, "/b", TIMES, wave(TIMES - delay)))
     assert found.delay_s == pytest.approx(delay, abs=0.003)
-    later = [reason for reason in found.reasons if "later" in reason]
-    whose = {-1: "By its values /a is", 1: "By its values /b is"}
+    later = [reason for reason in found.reasons if "ms behind" in reason]
+    whose = {-1: "By its values, /a is", 1: "By its values, /b is"}
     assert [reason.startswith(whose[1 if delay > 0 else -1]) for reason in later] == ([True] if delay else [])
 
 

@@ -183,7 +183,7 @@ async def test_earlier_messages_that_were_not_read_are_told_and_how_to_get_them(
     while True:
         answer = await agent.get("/raw", **asked)
         seen += answer.found
-        if "earlier ones" not in answer.note:
+        if "There are earlier" not in answer.note:
             break
         assert answer.found == 31
         asked = {"end": re.findall(r"time_end (\S+)\.", answer.note)[0]}
@@ -218,7 +218,7 @@ async def test_only_the_messages_that_are_shown_are_decoded(tmp_path: Path, aske
 
 async def test_messages_of_which_none_can_be_read_are_an_error(tmp_path: Path, asker: Callable[..., Asker]) -> None:
     make_bag(tmp_path / "robot", COUNT, Sample(START_NS, 0, 1, b"\0\1\0\0"))
-    with pytest.raises(BadData, match="has 1 messages of /count, but none"):
+    with pytest.raises(BadData, match="has 1 message of /count, but none"):
         await asker("robot").get()
 
 

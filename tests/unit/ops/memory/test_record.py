@@ -115,9 +115,9 @@ async def test_a_topic_with_two_types_is_told_in_words_at_start_in_status_and_at
     tmp_path: Path, bridge: MadeBridge, robot: Robot
 ) -> None:
     bridge.topics, bridge.sent = lambda: [["/scan", ["a/msg/One", "a/msg/Other"], 2, 0]], ("a/msg/One", "a/msg/Other")
-    told = "Nothing of /scan is recorded: It has several types: a/msg/One, a/msg/Other."
+    told = "/scan is not recorded: It has several types: a/msg/One, a/msg/Other."
     begun = await recording.start(robot, BagStore(tmp_path), RecordRequest(topics=["/scan"]))
-    assert begun.summary().endswith(f"on. {told}") and " 0 messages of 0 topics" in begun.summary()
+    assert begun.summary().endswith(f"Z. {told}") and " 0 messages of 0 topics" in begun.summary()
     assert (await recording.status(robot)).summary()[0].endswith(told)
     assert (await recording.stop(robot, begun.recording_id)).summary().endswith(f"stopped. {told}")
 
@@ -144,7 +144,7 @@ async def test_the_only_recording_that_runs_is_stopped_without_its_id_and_never_
 ) -> None:
     store = BagStore(tmp_path)
     await keep_black_box(robot, store, Settings(black_box=()))
-    with pytest.raises(NotFound, match="No recording runs"):
+    with pytest.raises(NotFound, match="No recording has been started"):
         await recording.stop(robot)
     first, second = [await recording.start(robot, store, RecordRequest(name=name)) for name in ("one", "two")]
     with pytest.raises(BadInput, match=f"{first.recording_id}, {second.recording_id}"):
