@@ -154,7 +154,7 @@ def _kept(cloud: Cloud, options: BirdEyeOptions) -> tuple[NDArray[np.bool_], str
     for axis in (0, 1):
         if limits[axis] == (None, None) and extent is not None:
             within &= (cloud.xyz[:, axis] >= extent[0][axis]) & (cloud.xyz[:, axis] <= extent[1][axis])
-    far = np.count_nonzero(kept & ~within)
+    far = int(np.count_nonzero(kept & ~within))
     note = (
         f"Left out: {counted(far, 'point')} far from the others; give xmin, xmax, ymin, ymax to show them."
         if far

@@ -116,7 +116,8 @@ async def test_a_time_in_a_recording_also_counts_from_its_beginning(window: Make
     assert found.seconds_in == 2.401
     assert "is met in made, at 2023-11-14T22:13:20.401000Z (2.401 s in) (data = 401)." in found.summary()
     assert (
-        "last message at 2023-11-14T22:13:20.999000Z (2.999 s in)" in (await wait_until(source, "/x", "data < 0")).summary()
+        "last message at 2023-11-14T22:13:20.999000Z (2.999 s in)"
+        in (await wait_until(source, "/x", "data < 0")).summary()
     )
 
 
