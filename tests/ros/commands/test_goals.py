@@ -279,7 +279,7 @@ def test_cancelling_without_a_goal_or_with_zeros_is_refused_since_it_would_mean_
 
     before = robot.count(name="count cancel")
     assert said("").startswith("BadValue: goal_id_hex: no goal is named.")
-    assert said("0" * 32).startswith("BadValue: goal_id_hex: all zeros is no goal, it stands for every goal.")
+    assert said("0" * 32).startswith("BadValue: goal_id_hex: all zeros mean every goal, not one.")
     assert said("xyz").startswith("BadValue: goal_id_hex: 'xyz' is not a goal id.")
     assert robot.count(name="count cancel") == before
 

@@ -112,7 +112,7 @@ def test_a_link_that_comes_back_is_used_at_once_and_what_was_recorded_and_watche
     until(lambda: written() > 10)
     link.cut()
     lost = server.outcome(server.tool("ros2_topic_info", topic_name=topic))
-    assert "stops what this server drove 2 s after the last word it heard" in lost
+    assert "stops what this server drove 2 s after the last message it received" in lost
     again = server.outcome(server.tool("ros2_topic_info", topic_name=topic), OUTAGE_S)
     assert "does not answer" in again
     stopped, _ = server.stop()

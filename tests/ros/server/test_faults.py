@@ -274,7 +274,7 @@ def assert_whole(listing: dict[str, Any], topics: set[str]) -> None:
     [
         ("ros2_topic_subscribe", {"topic_nam": "/x"}, "Did you mean topic_name?"),
         ("ros2_topic_subscribe", {}, "ros2_topic_subscribe needs the argument 'topic_name'."),
-        ("ros2_topic_subscribe", {"topic_name": "/x", "duration": True}, "duration: a number is meant, not true."),
+        ("ros2_topic_subscribe", {"topic_name": "/x", "duration": True}, "duration: a number is expected, not true."),
         (
             "ros2_subscribe_multiple_topics",
             {"topics": [{"name": "/x", "durtion": 1}]},
