@@ -124,7 +124,7 @@ class Silence:
         if self.length_s(now) <= self.max_age_s or not (self.was_heard or now - began > FIRST_S):
             return ""
         why = self.why or ("" if self.was_heard else f" yet as {self.type}")
-        return f"{self.topic} has sent nothing usable{why} for {self.length_s(now):.2f} s while the robot is driven"
+        return f"{self.topic} has sent nothing{why} for {self.length_s(now):.2f} s while the robot is driven"
 
 
 class Watchdog:

@@ -138,7 +138,7 @@ class Approvals:
         raise ApprovalNeeded(
             f"needs_approval {request.id}: this waits for a person; nothing was sent.",
             "Tell the operator, who runs `ros2-mcp operate`. Once approved, repeat the same call within "
-            f"{self._valid_s:g} s; it is carried out once.",
+            f"{self._valid_s:g} s, without what was already done; it is carried out once.",
             request_id=request.id,
         )
 

@@ -137,7 +137,7 @@ def test_a_goal_that_another_one_replaces_says_so(agent):
     second = agent.begin("ros2_navigate", to=[{"x": 0.0, "y": 0.0}], timeout_sec=60)
     done = first.result(60)
     assert (done["outcome"], done["explanation"]) == ("failed", None)
-    assert "Another goal has replaced it" in done["legs"][0]["note"]
+    assert "replaced it" in done["legs"][0]["note"]
     assert second.result(60)["outcome"] == "reached"
 
 

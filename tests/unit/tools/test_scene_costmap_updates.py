@@ -102,7 +102,7 @@ async def test_what_changed_before_the_recording_is_not_known_and_that_is_told(t
     occupied, facts = await look(tools, bag="late")
     assert occupied == [1, 2, 3]
     [said] = [line for line in facts["missing"] if "costmap" in line]
-    assert "was sent whole 63.0 s ago; updates since: 3, the last 0.0 s ago. Some of what" in said
+    assert "was sent whole 63.0 s ago; updates since: 3, the last 0.0 s ago. Some later updates" in said
 
 
 async def map_shown(tools: Toolset, **arguments: str) -> tuple[list[int], dict[str, Any]]:

@@ -48,8 +48,16 @@ def line(node, text, level="ERROR"):
 @pytest.mark.parametrize(
     ("case", "cause", "helps"),
     [
-        ({"code": 206, "goal": (3.05, 0.55)}, "The goal (3.05, 0.55) is occupied on /global_costmap", "nearest free place"),
-        ({"code": 206, "goal": (1.85, 0.55)}, "so near to an obstacle that the robot would touch it", "nearest free place"),
+        (
+            {"code": 206, "goal": (3.05, 0.55)},
+            "The goal (3.05, 0.55) is occupied on /global_costmap",
+            "nearest free place",
+        ),
+        (
+            {"code": 206, "goal": (1.85, 0.55)},
+            "so near to an obstacle that the robot would touch it",
+            "nearest free place",
+        ),
         ({"code": 204, "goal": (9.0, 0.5)}, "outside of /global_costmap/costmap, which covers x 0.00", "on it"),
         ({"code": 208, "goal": (3.5, 1.5)}, "no free path from the robot to the goal", "Open the path"),
         ({"code": 0, "goal": (3.5, 1.5)}, "no free path from the robot to the goal", "Open the path"),
@@ -87,7 +95,7 @@ def test_what_stands_on_the_local_costmap_is_told_and_is_the_cause_where_it_is_t
     far = explained(105, local=ahead)
     assert "no component reports why. On /local_costmap/costmap" in far.cause and far.local_costmap == str(ahead)
     touched = explained(104, local=local(1.85, 1.05, 0.0))
-    assert "the robot's middle is so near to an obstacle that the robot touches it" in touched.cause
+    assert "the robot's centre is so near to an obstacle that the robot touches it" in touched.cause
     assert "a recovery would touch it" in explained(714, local=ahead).cause
     assert "unknown" in explained(105).local_costmap
     assert "nothing stands on it" in str(Local(topic="/local_costmap/costmap", cost=None))

@@ -200,4 +200,4 @@ def test_comparing_checking_plotting_and_waiting_look_at_all_of_it(large: Path, 
     assert (never["met"], never["looked_at"]) == (False, count)
     part = called(large, "ros2_topic_subscribe", topic_name="/camera", duration=3600)
     assert part["received"] == len(known["/camera"]["times"])
-    assert part["dropped"] == 0 or "were too much to keep" in part["note"]
+    assert part["dropped"] == 0 or "too many to keep" in part["note"]

@@ -178,7 +178,7 @@ async def test_a_pause_around_the_time_that_is_asked_for_is_told(window: Make) -
         Recorded([window("/tf", TF, told)]), request("odom", "base_link", time=f"{START_NS / 1e9 + 3:.3f}")
     )
     assert "odom → base_link was not published for 5 s around that time, from 2023" in found.note
-    assert "the nearest are 2.9 s before and 2.1 s after it, and this pose is interpolated" in found.note
+    assert "the nearest transforms are 2.9 s before and 2.1 s after it, and this pose is interpolated" in found.note
     assert found.age_s is None and found.edges[0].age_s == pytest.approx(2.9)
     assert "0 ms old" not in " ".join(found.summary())
 
