@@ -176,9 +176,9 @@ def test_a_stop_ends_it_and_it_says_so(agent: Agent, robot: CommandedProcess) ->
     base = place(robot, agent)
     driving = agent.begin("ros2_drive", topic_name=f"{base}/cmd_vel", distance_m=20.0, speed=0.2)
     until(lambda: robot.state()["speed"] > 0.1)
-    with pytest.raises(Refusal, match="drives by"):
+    with pytest.raises(Refusal, match="drives the robot by"):
         drive(agent, base, distance_m=-1.0)
-    with pytest.raises(Refusal, match="has sole use of .* until it ends: nothing was sent"):
+    with pytest.raises(Refusal, match="until it ends: nothing was sent"):
         agent.call(
             "ros2_topic_publish",
             topic_name=f"{base}/cmd_vel",

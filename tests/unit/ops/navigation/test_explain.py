@@ -51,12 +51,12 @@ def line(node, text, level="ERROR"):
         (
             {"code": 206, "goal": (3.05, 0.55)},
             "The goal (3.05, 0.55) is occupied on /global_costmap",
-            "nearest free place",
+            "free place",
         ),
         (
             {"code": 206, "goal": (1.85, 0.55)},
             "so near to an obstacle that the robot would touch it",
-            "nearest free place",
+            "free place",
         ),
         ({"code": 204, "goal": (9.0, 0.5)}, "outside of /global_costmap/costmap, which covers x 0.00", "on it"),
         ({"code": 208, "goal": (3.5, 1.5)}, "no free path from the robot to the goal", "Open the path"),
