@@ -211,7 +211,7 @@ async def test_a_large_picture_is_read_where_it_stays(tools: Toolset) -> None:
     [
         ("robot.unpack('<Q', b'1234')", "4 bytes, and 8 are needed"),
         ("robot.unpack('<H', b'1234', count=2, step=3)", "5 are needed"),
-        ("robot.unpack('<W', b'1234')", "no format"),
+        ("robot.unpack('<W', b'1234')", "not a format"),
         ("robot.unpack('0s', b'1234')", "1 to 100000 values"),
         ("robot.unpack('200000B', b'1234')", "1 to 100000 values"),
         ("robot.unpack('<H', b'1234', offset=-2)", "offset"),
