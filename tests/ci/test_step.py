@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -188,7 +188,7 @@ def hang_in_chromium(folder: Path) -> Ended:
 
 
 @pytest.fixture(scope="module")
-def ends(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mapping[str, Future[Ended]]]:
+def ends(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Future[Ended]]:
     """How each planted hang ended; they mostly wait, so some wait side by side."""
     with ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
         options = {"thread": ["-n0"], "fixture": ["-n0"], "c": ["-n1"], "stopped": ["-n1"]}
@@ -200,7 +200,7 @@ def ends(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Mapping[str, Futu
             futures["uv"] = pool.submit(hang_in_uv, tmp_path_factory.mktemp("uv"))
         if CHROMIUM:
             futures["chromium"] = pool.submit(hang_in_chromium, tmp_path_factory.mktemp("chromium"))
-        yield futures
+    return futures  # all have ended: what runs on while a test runs would count as left behind by that test
 
 
 @pytest.mark.parametrize(

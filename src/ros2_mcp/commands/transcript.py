@@ -63,9 +63,9 @@ class Tour:
             self._is_over = True
 
     async def call(self, tool: str, **arguments: Any) -> Any:
-        """One tool call; returns its structured content and saves its pictures."""
+        """One tool call; returns its structured content, also of a motion that failed, and saves its pictures."""
         result, text = await self._ask(tool, arguments)
-        if result.is_error:
+        if result.structured_content is None:
             raise StepFailed(f"{tool}: {text}")
         return result.structured_content
 
