@@ -54,6 +54,9 @@ class ProcessorLimit:
         finally:
             self._timer.cancel()
             self._used_s += self._now() - self._began
+            if self.exceeded is None and self._used_s >= self._all_s:  # no look falls into turns that are short
+                self.exceeded = self._all_s
+                self._exceed()
 
     def _look_after(self, seconds: float) -> None:
         self._timer = asyncio.get_running_loop().call_later(max(seconds, _LOOK_S), self._look)
