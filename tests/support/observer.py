@@ -45,7 +45,8 @@ class Observer(CommandedProcess):
         """
         with suppress(AssertionError):
             until(lambda: not self.unstopped(topic=topic, since=since_ns), full_s if FULL else STOPS_S)
-        assert self.unstopped(topic=topic, since=since_ns) == []
+        wrong = self.unstopped(topic=topic, since=since_ns)
+        assert wrong == [], f"{topic} has not stopped: {wrong}"
 
     def comes_to_rest(self, topic: str, within_s: float) -> list[str]:
         """The subscribers that a last message still moves when that time is over; returns as soon as there are none."""
