@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from ros2_mcp.model.errors import BadInput
 
 PRELUDE = """\
-import _robot
+import _robot, robot
 class Messages:
     def __init__(self, number):
         self.number = number

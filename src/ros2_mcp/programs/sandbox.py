@@ -154,7 +154,7 @@ class Sandbox:
 
         modules = {MODULE: self._module(), _GATE: ExternalModule({}, stubs="")}
         given = "\n".join(["from typing import Any", *(f"{name}: Any" for name in inputs)])
-        gated = f"import {_GATE}\n{without_async(text)}"
+        gated = f"import {_GATE}, {MODULE}\n{without_async(text)}"
         try:
             async with self._session(
                 CHECK_S,
