@@ -9,7 +9,6 @@ import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from time import monotonic
 from typing import TYPE_CHECKING
 
 from ros2_mcp.model.errors import BadInput, NotFound
@@ -157,17 +156,15 @@ async def measure(source: Source, topics: Sequence[str] | None = None, report: R
         topics, note = await _published(source)
     if not 1 <= len(topics) <= MAX_TOPICS:
         raise BadInput(f"{len(topics)} topics are given.", f"Give 1 to {MAX_TOPICS}.")
-    started = monotonic()
     if source.is_live:
         measuring = [or_error(_live(source, topic, report), partial(TopicStats, topic_name=topic)) for topic in topics]
         results = unless_all_failed(await asyncio.gather(*measuring))
     else:
         results = unless_all_failed(await _recorded(source, topics, report))
-    duration_s = monotonic() - started if source.is_live else source.duration_s
     if any(found.error for found in results):
         results = _with_publishers(results, await source.graph())
     results = sorted(results, key=lambda found: -(found.bytes_per_second or 0.0))
-    return Stats(results, round(duration_s, 6), source.words, note, source.is_live)
+    return Stats(results, round(source.duration_s, 6), source.words, note, source.is_live)
 
 
 def _with_publishers(results: Sequence[TopicStats], graph: GraphSnapshot) -> Sequence[TopicStats]:
