@@ -115,7 +115,7 @@ def test_the_gripper_is_another_controller_and_is_found_by_its_joint(agent, witn
     agent.call("ros2_joint_move", joints={"gripper_joint": 0.02}, tolerance=0.002)
 
 
-@pytest.mark.promise("ros2_joint_move", "Checked against the URDF's limits of position and speed")
+@pytest.mark.promise("ros2_joint_move", "Targets are checked against the URDF's limits of position and speed")
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [

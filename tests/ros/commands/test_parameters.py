@@ -215,7 +215,7 @@ def test_a_node_that_allows_undeclared_parameters_takes_new_ones(agent, robot) -
 
 @pytest.mark.promise(
     "ros2_node_info",
-    "Show what a node publishes, subscribes to, offers and calls, its lifecycle state and how many parameters",
+    "Show what a node publishes, subscribes to, serves and calls, its lifecycle state and number of parameters",
 )
 def test_node_info_tells_parameters_lifecycle_services_and_actions(agent, robot) -> None:
     tuned = answered(agent, robot.name("tuned"), "parameters")
@@ -254,7 +254,7 @@ def asked_of_the_deaf(agent, robot) -> tuple[float, dict]:
 
 
 @pytest.mark.promise("ros2_lifecycle_state", "Show the state of lifecycle nodes and the transitions possible now")
-@pytest.mark.promise("ros2_lifecycle_change", "Make a transition of a lifecycle node by name")
+@pytest.mark.promise("ros2_lifecycle_change", "Trigger a transition of a lifecycle node by name")
 def test_a_lifecycle_node_is_moved_by_name_and_says_what_is_possible(agent, robot) -> None:
     node = robot.name("valve")
 

@@ -53,7 +53,9 @@ def test_the_response_is_an_object(agent, robot) -> None:
     assert answer["result"] == {"success": True, "message": "asked True"}
 
 
-@pytest.mark.promise("ros2_service_call", "If request fields are missing it is not called: the answer names them")
+@pytest.mark.promise(
+    "ros2_service_call", "If request fields are missing, the service is not called, and the result names them"
+)
 def test_missing_fields_are_named_and_nothing_is_called_unless_forced(agent, robot) -> None:
     before = robot.count(name="switch")
     asked = {"service_name": robot.name("switch"), "service_type": SWITCH, "fields": {}}

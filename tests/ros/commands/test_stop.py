@@ -168,7 +168,7 @@ def test_a_bridge_that_is_killed_is_replaced_by_one_that_sends_zero(start_raw, f
 
 @pytest.mark.promise("README", "ros2_stop ends at once what this server has set in motion")
 @pytest.mark.promise("ros2_stop", "Stop at once everything that this server has set in motion")
-@pytest.mark.promise("ros2_stop", "Says what was confirmed")
+@pytest.mark.promise("ros2_stop", "Reports what was confirmed")
 def test_stop_waits_behind_nothing_and_says_what_was_confirmed(start_raw, start_peer, robot) -> None:
     # Who is held up for longer than a stop waits for acknowledgements is told of as unconfirmed.
     assert any(busy_stop(start_raw(), start_peer("watch", "counting"), robot)[0] for _ in range(TIMES))
@@ -227,7 +227,7 @@ def held(server: RawServer) -> tuple[int, int]:
 
 
 @pytest.mark.promise("README", "What was accepted before it and has not been sent is not sent after it")
-@pytest.mark.promise("ros2_stop", "what was accepted before and has not been sent is dropped")
+@pytest.mark.promise("ros2_stop", "commands accepted earlier but not yet sent are dropped")
 def test_what_waits_when_a_stop_comes_is_not_sent_and_says_so(start_raw, robot) -> None:
     """A call that waits for its server, and a publish that waits for its first subscriber."""
     server = begun(start_raw(), robot)

@@ -54,7 +54,7 @@ def ask(agent: Agent, **arguments: Any) -> dict[str, Any]:
     return agent.call(TOOL, **{"topic_name": "/kept/Float64", "message_type": "std_msgs/msg/Float64", **arguments})
 
 
-@pytest.mark.promise("ros2_get_messages", "Get messages that were sent earlier")
+@pytest.mark.promise("ros2_get_messages", "Get messages published earlier")
 @pytest.mark.parametrize("kind", TYPES)
 def test_messages_of_every_type_come_back_with_values_and_times(agent: Agent, kind: str) -> None:
     answer = agent.call(TOOL, topic_name=f"/kept/{kind}", message_type=TYPES[kind])
@@ -194,7 +194,7 @@ def test_the_box_is_asked_like_a_bag_by_its_name(agent: Agent) -> None:
     assert numbers(read) == [2, 3, 4] and f"generation {agent.generation}" in read["source"]
 
 
-@pytest.mark.promise("ros2_get_messages", "and say from where")
+@pytest.mark.promise("ros2_get_messages", "names the source")
 def test_what_the_box_does_not_have_comes_from_the_own_recording(agent: Agent) -> None:
     said = {"topic_name": "/aside", "message_type": "std_msgs/msg/Int32"}
     recording_id = agent.call("ros2_record_start", topics=["/aside"], name="aside")["recording_id"]

@@ -18,7 +18,7 @@ def publish(agent: Agent, *numbers: int) -> None:
         agent.call("ros2_topic_publish", topic_name="/said", message_type="std_msgs/msg/Int32", data={"data": number})
 
 
-@pytest.mark.promise("ros2_get_messages", "and say from where: a WiseVision Data Black Box, recordings, opened bags")
+@pytest.mark.promise("ros2_get_messages", "from a WiseVision Data Black Box, recordings or opened bags")
 def test_a_recording_answers_while_it_runs_and_a_bag_once_it_is_opened(
     start_agent: Callable[..., Agent], tmp_path: Path
 ) -> None:

@@ -236,10 +236,10 @@ def check_that_reading_works(
 @pytest.mark.promise("README", "Camera topics come back as pictures")
 @pytest.mark.promise("ros2_topic_subscribe", "Images and maps come as pictures")
 @pytest.mark.promise("README", "ros2-mcp --bag FILE serves one in the place of the robot, with no ROS at all")
-@pytest.mark.promise("ros2_topic_subscribe", "from start on, else the last seconds or messages")
-@pytest.mark.promise("ros2_subscribe_multiple_topics", "from start on, else the last seconds or messages")
-@pytest.mark.promise("ros2_topic_echo_wait", "else the last one")
-@pytest.mark.promise("ros2_interface_list", "or that a recording has")
+@pytest.mark.promise("ros2_topic_subscribe", "from start on, or without start the last seconds or messages")
+@pytest.mark.promise("ros2_subscribe_multiple_topics", "from start on, or without start the last seconds or messages")
+@pytest.mark.promise("ros2_topic_echo_wait", "or without start the last message")
+@pytest.mark.promise("ros2_interface_list", "or stored in the recording")
 def test_a_recording_in_the_place_of_the_robot_needs_no_ros(
     recorded: Recorded, ros_environment: dict[str, str], tmp_path: Path
 ) -> None:

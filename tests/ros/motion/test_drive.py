@@ -45,7 +45,7 @@ def truth(robot: CommandedProcess) -> tuple[float, float, float]:
     return x, y, yaw
 
 
-@pytest.mark.promise("ros2_drive", "Says how far it came, what is missing, and what ended it")
+@pytest.mark.promise("ros2_drive", "Reports how far the robot came, what is missing, and what ended the motion")
 @pytest.mark.parametrize("seed", range(ROUNDS))
 def test_it_comes_to_stand_where_it_was_told(agent: Agent, robot: CommandedProcess, seed: int) -> None:
     rng = random.Random(seed)
@@ -123,7 +123,7 @@ def silenced(agent: Agent, robot: CommandedProcess, topic: str) -> dict[str, Any
     return result
 
 
-@pytest.mark.promise("ros2_drive", "It stops when odometry or scan falls silent")
+@pytest.mark.promise("ros2_drive", "Stops when odometry or scan falls silent")
 @pytest.mark.promise("stopping", "odometry or scan is silent while `ros2_drive` or `ros2_move_until` goes by it")
 @pytest.mark.parametrize("topic", ["odom", "scan"])
 def test_it_stands_when_what_it_goes_by_is_silent(agent: Agent, robot: CommandedProcess, topic: str) -> None:

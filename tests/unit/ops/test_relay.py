@@ -50,7 +50,7 @@ async def test_the_same_relay_runs_once(robot: Robot) -> None:
         await relay.start(robot, from_to("/a", "/b"))
 
 
-@pytest.mark.promise("ros2_relay_list", "and the last that ended")
+@pytest.mark.promise("ros2_relay_list", "and the relays that ended last")
 async def test_a_relay_whose_bridge_is_lost_has_failed_and_says_so(bridge: MadeBridge, robot: Robot) -> None:
     await relay.start(robot, from_to("/a", "/b"))
     [running] = robot.jobs.running(Relay)

@@ -98,7 +98,7 @@ async def answer_of(
             return text.partition("\n{")[0], result.structured_content or {}
 
 
-@pytest.mark.promise("ros2_bag_info", "and what of it is damaged or missing")
+@pytest.mark.promise("ros2_bag_info", "and which parts are damaged or missing")
 @pytest.mark.parametrize("name", READERS)
 async def test_it_says_which_times_are_lost_and_lays_no_hole_to_the_robot(damaged: Damaged, name: str) -> None:
     store = BagStore(damaged.folder)

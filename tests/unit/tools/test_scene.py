@@ -92,7 +92,7 @@ def near(points: np.ndarray, x: float, y: float, within: float) -> int:
     return int((np.hypot(points[:, 0] - x, points[:, 1] - y) <= within).sum())
 
 
-@pytest.mark.promise("ros2_scene", "A picture from above with labelled lines in metres: map or costmap")
+@pytest.mark.promise("ros2_scene", "Draw the scene from above with lines labelled in metres: map or costmap")
 async def test_walls_and_free_floor_lie_where_the_map_has_them(tools: Toolset) -> None:
     seen = await look(tools, bag="room")
     assert seen.facts["frame_id"] == "map"

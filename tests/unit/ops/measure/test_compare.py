@@ -167,7 +167,7 @@ def turned(window: Make, topic: str, angles, sign=1.0, kind="geometry_msgs/msg/Q
     return window(topic, kind, [(float(t), {"quaternion": q}) for t, q in zip(TIMES, found, strict=True)])
 
 
-@pytest.mark.promise("ros2_topic_compare", "Quaternions as rotations")
+@pytest.mark.promise("ros2_topic_compare", "Quaternions are compared as rotations")
 def test_a_quaternion_and_its_negative_are_the_same_rotation(window: Make) -> None:
     flips = np.where(np.arange(len(TIMES)) % 3 == 0, -1.0, 1.0)[:, None]
     found = evaluate(turned(window, "/a", wave(TIMES)), turned(window, "/b", wave(TIMES), flips))
@@ -178,7 +178,7 @@ def test_a_quaternion_and_its_negative_are_the_same_rotation(window: Make) -> No
     assert field.delay_s == pytest.approx(0.0, abs=0.001)
 
 
-@pytest.mark.promise("ros2_topic_compare", "Quaternions as rotations")
+@pytest.mark.promise("ros2_topic_compare", "Quaternions are compared as rotations")
 def test_rotations_differ_by_the_angle_between_them(window: Make) -> None:
     a, b = turned(window, "/a", wave(TIMES)), turned(window, "/b", wave(TIMES) + 0.3, -1.0)
     found = evaluate(a, b)
@@ -224,7 +224,7 @@ def poses(window: Make, topic: str, thetas):
     )
 
 
-@pytest.mark.promise("ros2_topic_compare", "angles (by name: yaw, heading, ...) modulo a turn")
+@pytest.mark.promise("ros2_topic_compare", "angles (by name: yaw, heading, ...) modulo one turn")
 def test_an_angle_on_the_other_side_of_a_turn_is_near(window: Make) -> None:
     heading = math.pi + 0.2 * wave(TIMES)
     wrapped = (heading + 0.01 + math.pi) % math.tau - math.pi

@@ -224,7 +224,7 @@ def test_numbers_at_the_end_of_their_range_are_measured(window: Make) -> None:
     assert (found.count, found.max, found.std) == (10, 1.7e308, None)
 
 
-@pytest.mark.promise("ros2_topic_statistics", "Trends too")
+@pytest.mark.promise("ros2_topic_statistics", "Also trends")
 def test_a_drift_under_noise_stands_in_a_line(window: Make) -> None:
     times = np.arange(0, 60, 0.1)
     noise = np.random.default_rng(2).normal(0, 0.2, len(times))

@@ -19,7 +19,7 @@ def ramp(window: Make) -> Recorded:
 
 
 @pytest.mark.promise("ros2_wait_until", "Wait until a message of a topic meets a condition")
-@pytest.mark.promise("ros2_wait_until", "In a recording: the first one that met it")
+@pytest.mark.promise("ros2_wait_until", "In a recording, returns the first that met it")
 async def test_the_first_message_that_meets_the_condition_is_returned(window: Make) -> None:
     found = await wait_until(ramp(window), "/x", "data > 400")
     assert (found.met, found.looked_at, found.message, dict(found.values)) == (

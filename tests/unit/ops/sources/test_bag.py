@@ -99,8 +99,8 @@ async def read_of(
     return [message["data"] for message in found.messages], found.note
 
 
-@pytest.mark.promise("ros2_topic_subscribe", "from start on, else the last seconds or messages")
-@pytest.mark.promise("ros2_topic_echo_wait", "the next one from start on, else the last one")
+@pytest.mark.promise("ros2_topic_subscribe", "from start on, or without start the last seconds or messages")
+@pytest.mark.promise("ros2_topic_echo_wait", "the next message from start on, or without start the last message")
 @pytest.mark.promise("ros2_bag_read", "the first ones from start on, or without start the last ones")
 @pytest.mark.parametrize(
     ("start", "end", "duration_s", "limit", "expected"),

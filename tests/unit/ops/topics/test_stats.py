@@ -123,7 +123,7 @@ async def test_of_a_single_moment_no_bytes_per_second_are_told(window: Make) -> 
     assert "rate unknown, bytes/s unknown, 1 message(s)" in found.summary()
 
 
-@pytest.mark.promise("ros2_topic_stats", "Measure how topics flow, several at once")
+@pytest.mark.promise("ros2_topic_stats", "Measure the traffic of topics, several at once")
 async def test_without_names_all_topics_are_measured_that_somebody_publishes(window: Make) -> None:
     here = Endpoint("/node", FLOAT, "", "", QoS())
     published = [f"/speed_{number:02}" for number in range(MAX_TOPICS + 2)]
@@ -183,7 +183,7 @@ async def test_empty_stamps_are_counted_and_leave_the_ages_of_the_others(window:
     assert (found.age_mean_s, found.note) == (None, "30 of 30 stamps are empty (0).")
 
 
-@pytest.mark.promise("ros2_topic_stats", "The largest first")
+@pytest.mark.promise("ros2_topic_stats", "The largest come first")
 async def test_the_largest_comes_first_with_its_bytes(window: Make) -> None:
     windows = [stamped(window, f"/scan{size}", 0.0, size) for size in (0, 10_000, 100)]
     found = await measure(Recorded(windows, GraphSnapshot({}, None, None)), ["/scan0", "/scan10000", "/scan100"])
