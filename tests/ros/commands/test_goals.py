@@ -246,7 +246,7 @@ def test_every_cancel_code_is_told(agent, robot) -> None:
     assert (refused["return_code"], refused["return_code_text"]) == (1, "ERROR_REJECTED")
     kept = cancel(agent, stubborn, goal_id_hex=send(agent, stubborn, 1)["goal_id"])  # how rclpy refuses
     assert (kept["return_code"], kept["goals_canceling"]) == (0, [])
-    assert kept["note"] == "The server refuses to cancel this goal."
+    assert kept["note"] == "The server refused to cancel this goal."
     unknown = cancel(agent, count, goal_id_hex=UNKNOWN_ID)
     assert (unknown["return_code"], unknown["return_code_text"]) == (2, "ERROR_UNKNOWN_GOAL_ID")
     ended = cancel(agent, count, goal_id_hex=running)
@@ -267,7 +267,7 @@ def test_all_goals_or_those_up_to_a_time_are_cancelled(agent, robot) -> None:
     rest = cancel(agent, action, cancel_all=True)
     assert [goal["goal_id"] for goal in rest["goals_canceling"]] == [second["goal_id"]]
     assert result(agent, action, second["goal_id"])["status"] == "CANCELED"
-    assert cancel(agent, action, cancel_all=True)["note"] == "Nothing was running, or the server refuses."
+    assert cancel(agent, action, cancel_all=True)["note"] == "No goal was running, or the server refused."
 
 
 def at_ns(stamp) -> int:
@@ -279,8 +279,8 @@ def test_cancelling_without_a_goal_or_with_zeros_is_refused_since_it_would_mean_
         return agent.refusal("ros2_cancel_action_goal", action_name=robot.name("count"), goal_id_hex=goal_id)
 
     before = robot.count(name="count cancel")
-    assert said("").startswith("BadValue: goal_id_hex: no goal is named.")
-    assert said("0" * 32).startswith("BadValue: goal_id_hex: all zeros is no goal, it stands for every goal.")
+    assert said("").startswith("BadValue: goal_id_hex: no goal id is given.")
+    assert said("0" * 32).startswith("BadValue: goal_id_hex: an id of zeros stands for every goal.")
     assert said("xyz").startswith("BadValue: goal_id_hex: 'xyz' is not a goal id.")
     assert robot.count(name="count cancel") == before
 
@@ -292,7 +292,7 @@ def test_a_goal_that_the_server_never_knew_or_has_forgotten_is_unknown(agent, ro
     wait_until(lambda: result(agent, action, sent["goal_id"])["status"] == "UNKNOWN")
     ended = result(agent, action, sent["goal_id"])
     assert (ended["status_code"], ended["result"]) == (0, None)
-    assert ended["note"] == "The server does not know this goal: it never was, or it has been forgotten."
+    assert ended["note"] == "The server does not know this goal: the id is wrong, or the server has dropped the goal."
     open_now = [goal["goal_id"] for goal in agent.call("ros2_stop")["goals"]]
     assert not {UNKNOWN_ID, sent["goal_id"]} & set(open_now)
 

@@ -16,10 +16,10 @@ from support.raw_server import MODERN, RawServer, children
 from support.standstill import TIMES, undisturbed
 
 ROUNDS = 50
-NOT_SETTLED = "Discovery had not settled yet"
+NOT_SETTLED = "Discovery had not settled"
 MOVING = {"linear": {"x": 0.5}}
 STOP_S, LAST_S = 0.5, 0.1
-UNOBSERVED = "Not observed: no odometry says whether the robot stands."
+UNOBSERVED = "Not observed: no odometry reports whether the robot has stopped."
 LIMITS_S = {"stdin closed": 0.3, "SIGTERM": 0.3, "SIGKILL": 1.0}
 
 

@@ -187,7 +187,7 @@ def test_a_second_type_that_joins_a_topic_is_told(start_agent: StartAgent, start
     start_peer("listen", "/other")  # it publishes on /live, too
     assert until(lambda: topic_of(agent, "run", "/live")["other_types"]) == ["std_msgs/msg/Int32"]
     told = agent.whole("ros2_record_stop", {}).content[0].text
-    assert "Of /live only std_msgs/msg/UInt8MultiArray is recorded, not what is sent as std_msgs/msg/Int32." in told
+    assert "/live: only std_msgs/msg/UInt8MultiArray is recorded, not std_msgs/msg/Int32." in told
 
 
 @pytest.mark.promise("README", "--black-box keeps the last hours without being asked")

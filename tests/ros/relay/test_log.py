@@ -69,9 +69,9 @@ def test_the_log_survives_a_lost_bridge_without_lines_twice(start_agent: Callabl
     speaker.tell("after all")
     assert texts(own, 5, node=speaker.node)[-2:] == ["the arm is stuck", "after all"]
     found = own.call("ros2_log_read", node=speaker.node)
-    assert (found["matched"], "The bridge was lost 1 time(s)" in found["note"]) == (5, True)
+    assert (found["matched"], "was lost 1 time:" in found["note"]) == (5, True)
 
 
 def test_a_level_that_is_not_there_is_refused(agent) -> None:
     assert "Did you mean error?" in agent.refusal("ros2_log_read", level="eror")
-    assert "neither seconds nor a time" in agent.refusal("ros2_log_read", since="yesterday")
+    assert "Give seconds ago" in agent.refusal("ros2_log_read", since="yesterday")

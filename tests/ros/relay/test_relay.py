@@ -173,7 +173,7 @@ def test_relays_never_feed_themselves(agent) -> None:
     refused = agent.refusal(
         "ros2_relay_start", source_topic="/ring_c", destination_topic="/ring_a", message_type="std_msgs/msg/String"
     )
-    assert "relays lead from /ring_a to /ring_b to /ring_c already" in refused
+    assert "relays already lead from /ring_a to /ring_b to /ring_c" in refused
     end(agent, one)
     three = begin(agent, "/ring_c", "/ring_a", message_type="std_msgs/msg/String")
     for relay in (two, three):

@@ -123,7 +123,7 @@ def test_a_link_that_comes_back_is_used_at_once_and_what_was_recorded_and_watche
     print("answered again after", round(time.monotonic() - since, 2), "s", flush=True)
     until(lambda: written() > before + 10)
     state = server.do("ros2_record_stop", recording_id=recording)
-    assert any("The robot was out of reach from" in note for note in state["notes"]), state["notes"]
+    assert any("The robot was out of reach for" in note for note in state["notes"]), state["notes"]
     status = server.do("ros2_status")
     assert "It was reached again" in status["bridge_restarts"][-1]
     observer.hush(topic=topic)

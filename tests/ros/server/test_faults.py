@@ -167,7 +167,7 @@ def test_a_goal_goes_on_when_the_waiting_ends_and_says_so(agent, small_robot) ->
         "ros2_send_action_goal", **COUNTING, goal_fields={"order": 30}, wait_for_result=True, timeout_sec=0.3
     )
     assert (waited["status"], waited["status_code"], waited["result"]) == ("TIMEOUT", 0, None)
-    assert "The goal was not cancelled" in waited["note"]
+    assert "the goal was not cancelled" in waited["note"]
     result = agent.call("ros2_action_request_result", **COUNTING, goal_id_hex=waited["goal_id"])
     assert (result["status"], len(result["result"]["sequence"])) == ("SUCCEEDED", 32)
 

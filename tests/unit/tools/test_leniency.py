@@ -155,10 +155,12 @@ async def test_an_answer_and_an_error_tell_how_times_were_taken(tools: Toolset) 
     lines, value = await answer(tools, "ros2_get_messages", topic_name="/odom", time_start=start_s)
     assert f"time_start: {start_s} is 2023-11-14T22:13:20.000000Z." in value["note"] and value["note"] in lines
     lines, value = await answer(tools, "ros2_topic_stats", topic_names=["/odom"], start="2023-11-14T22:13:20")
-    assert "start: 2023-11-14T22:13:20 has no time zone, UTC was taken." in value["note"]
-    with pytest.raises(CallFailed, match=r"start: .* has nothing in that time.* start: 2026-01-01 has no time zone"):
+    assert "start: 2023-11-14T22:13:20 has no time zone and was read as UTC." in value["note"]
+    with pytest.raises(
+        CallFailed, match=r"start: .* has no messages in that time.* start: 2026-01-01 has no time zone"
+    ):
         await answer(tools, "ros2_topic_stats", topic_names=["/odom"], start="2026-01-01")
-    with pytest.raises(CallFailed, match=r"since: .* has nothing in that time"):
+    with pytest.raises(CallFailed, match=r"since: .* has no messages in that time"):
         await answer(tools, "ros2_log_read", since=1_767_225_600)
 
 
@@ -184,11 +186,11 @@ async def test_a_hint_names_only_tools_that_are_offered(folder: Path) -> None:
     default, all_of_them = (assemble(Settings(tools=groups, record_dir=folder)).toolset for groups in ((), ("all",)))
     for tools, said in (
         (default, "Tools for this are not offered here: the option --tools default,memory is needed."),
-        (all_of_them, "ros2_bag_list shows what can be read."),
+        (all_of_them, "ros2_bag_list lists what can be read."),
     ):
         with pytest.raises(CallFailed) as refused:
             await answer(tools, "ros2_topic_stats", topic_names=["/odom"], bag="none-such")
-        assert str(refused.value).endswith(f"There are: run. {said}")
+        assert str(refused.value).endswith(f"Bags: run. {said}")
 
 
 async def test_the_flow_of_all_topics_of_a_recording_is_one_call(tools: Toolset) -> None:

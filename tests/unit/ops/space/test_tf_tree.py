@@ -146,7 +146,7 @@ async def test_a_refused_edge_is_named_by_its_own_parent_and_not_by_an_empty_one
     wrong = tf("base_link", "camera", 0.1)
     wrong["transform"]["rotation"] = {"w": 0.0}
     said = await problems_of(window, (0.0, tf("odom", "base_link", 0.0)), (0.1, wrong))
-    assert "base_link → camera is refused: its rotation is no unit quaternion" in said
+    assert "base_link → camera is refused: its rotation is not a unit quaternion" in said
     assert "«»" not in said
 
 
@@ -184,7 +184,7 @@ async def test_what_is_refused_now_is_told_with_its_last_good_one_and_not_as_sil
         none["transform"]["translation"] = {"x": math.nan}
         told.append((n / 10, none))
     said = await problems_of(window, *told)
-    assert "base_link is refused: it has numbers that are not finite (NaN); the last good one came 4 s ago" in said
+    assert "base_link is refused: it has values that are not finite (NaN); the last good one came 4 s ago" in said
     assert "since then only such" in said and "stale" not in said
 
 
