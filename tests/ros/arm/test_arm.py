@@ -166,7 +166,7 @@ def test_joint_states_that_fall_silent_end_the_move(agent, witness) -> None:
     finally:
         agent.call("ros2_parameter_set", node_name="/joint_state_broadcaster", values={"enabled": True})
     assert moved["outcome"] == "silent"
-    assert f"Nothing was heard of the joints for {'1.' if FULL else ''}" in moved["note"]
+    assert f"No joint state was received for {'1.' if FULL else ''}" in moved["note"]
     assert witness.until_still()[PAN] < far()[PAN] - 0.3
 
 

@@ -88,7 +88,7 @@ async def test_a_topic_with_two_types_names_both_and_each_can_be_read(agent: Asy
         peer("repeat", "/both", kind, 50)
 
     await agent.knows("/both", publishers=2)
-    with pytest.raises(Refusal, match=r"2 types: std_msgs/msg/String, std_msgs/msg/UInt64.*type you mean"):
+    with pytest.raises(Refusal, match=r"2 types: std_msgs/msg/String, std_msgs/msg/UInt64.*give the type"):
         await agent.call("ros2_topic_subscribe", topic_name="/both")
     for kind in types:
         reading = await agent.call("ros2_topic_subscribe", topic_name="/both", msg_type=kind)

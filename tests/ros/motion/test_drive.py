@@ -87,7 +87,7 @@ def test_it_parks_before_what_stands_in_its_way(agent: Agent, robot: CommandedPr
     assert 0.0 < nearest <= gap_m + 0.06
     if FULL:
         assert gap_m - 0.01 <= nearest
-    assert f"The robot's size is that of {base}/robot_description: 0.20 m ahead" in result["note"]
+    assert f"The robot's size comes from {base}/robot_description: 0.20 m ahead" in result["note"]
     assert "The nearest beam is" in result["note"]
 
 
@@ -176,9 +176,9 @@ def test_a_stop_ends_it_and_it_says_so(agent: Agent, robot: CommandedProcess) ->
     base = place(robot, agent)
     driving = agent.begin("ros2_drive", topic_name=f"{base}/cmd_vel", distance_m=20.0, speed=0.2)
     until(lambda: robot.state()["speed"] > 0.1)
-    with pytest.raises(Refusal, match="drives by"):
+    with pytest.raises(Refusal, match="drives the robot by"):
         drive(agent, base, distance_m=-1.0)
-    with pytest.raises(Refusal, match="is its alone until it ends: nothing was sent"):
+    with pytest.raises(Refusal, match="until it ends: nothing was sent"):
         agent.call(
             "ros2_topic_publish",
             topic_name=f"{base}/cmd_vel",

@@ -99,7 +99,7 @@ def test_it_ends_when_what_it_goes_by_is_silent(agent: Agent, robot: CommandedPr
     robot.silence(topic=topic)
     result = moving.result(30)
     assert result["outcome"] == "silent", result["note"]
-    assert f"{base}/{topic} has told nothing" in result["note"]
+    assert f"{base}/{topic} has sent nothing" in result["note"]
 
 
 def test_a_stop_ends_it(agent: Agent, robot: CommandedProcess) -> None:

@@ -200,7 +200,7 @@ async def test_without_transforms_the_map_is_shown_and_it_says_what_is_missing(t
     assert {layer["kind"] for layer in seen.facts["layers"]} == {"grid", "goal", "path"}
     missing = " ".join(seen.facts["missing"])
     assert "The scan /scan is not shown: no transforms connect its frame laser with map." in missing
-    assert "The robot is not shown: nobody says where it is in map." in missing
+    assert "The robot is not shown: nothing reports its place in map." in missing
 
 
 async def test_without_a_map_the_scan_shows_the_room(tools: Toolset) -> None:
