@@ -48,9 +48,7 @@ async def ros2_program_run(
     programs: ProgramsHere,
     program: Annotated[str, Field(description="Python code (import robot), or the name of a kept program.")],
     inputs: Annotated[dict[str, Any] | None, Field(description="Variables for the program: name → value.")] = None,
-    timeout: Annotated[
-        Number, Field(gt=0, le=MAX_RUN_S, description="Maximum duration in seconds: default 60, at most 600.")
-    ] = 60.0,
+    timeout: Annotated[Number, Field(gt=0, le=MAX_RUN_S, description="Maximum duration in seconds.")] = 60.0,
     dry_run: Annotated[Flag, Field(description="Only read, and report what would be done.")] = False,
 ) -> Ran:
     """Run a Python program in a sandbox, with the robot as the module `robot`. Can move the robot.

@@ -243,7 +243,7 @@ async def test_help_prints_all_functions_or_one_with_its_arguments_and_result(to
     for each in tools.functions():
         assert f"\n{each.name}(" in text
     assert "robot.drive(distance_m: float | None = None," in text
-    assert "  distance_m: Ahead; negative: back." in text and "  outcome: " in text
+    assert "  distance_m: Metres ahead; negative: back." in text and "  outcome: " in text
     assert "robot.tf(target: str," in text
     assert "The value of a help has" not in found.get("note", "")
 
