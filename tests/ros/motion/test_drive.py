@@ -119,7 +119,7 @@ def silenced(agent: Agent, robot: CommandedProcess, topic: str) -> dict[str, Any
     robot.silence(topic=topic)
     result = driving.result(60)
     assert result["outcome"] == "silent", result["note"]
-    assert f"{base}/{topic} has told nothing" in result["note"]
+    assert f"{base}/{topic} has sent nothing" in result["note"]
     return result
 
 
