@@ -33,11 +33,11 @@ def pytest_pycollect_makeitem(collector: pytest.Module, name: str, obj: object) 
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
-    """How many files run side by side: with ROS two for each processor, as half of their time is waiting."""
+    """How many files run side by side: with ROS three for each processor, as most of their time is waiting."""
     if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
         return None
     has_turns = FULL or not _several_files_wait_for_ros(config)
-    return 0 if has_turns else 2 * len(os.sched_getaffinity(0))
+    return 0 if has_turns else 3 * len(os.sched_getaffinity(0))
 
 
 def _several_files_wait_for_ros(config: pytest.Config) -> bool:

@@ -169,6 +169,19 @@ def drive(server: Driver, observer: Observer, topic: str) -> int:
     return server.tool("ros2_drive", topic_name=topic, odometry=f"{topic}_odom", **far)
 
 
+def going_on(server: Driver, observer: Observer, topic: str, request: int) -> int:
+    """Begin the drive of a topic anew as often as it has ended by itself, which it does where its odometry is silent
+    for half a second, as on a busy machine. Returns the request that drives.
+    """
+    while not observer.moving(topic=topic):
+        print("the drive ended by itself:", server.outcome(request))
+        observer.hush(topic=f"{topic}_odom")
+        observer.forget_topic(topic=topic)
+        request = drive(server, observer, topic)
+        observer.until_driven(topic)
+    return request
+
+
 WAYS: dict[str, Callable[[Driver, Observer, str], int]] = {
     "repeat": repeat,
     "once": once,

@@ -154,32 +154,32 @@ class Sandbox:
 
         modules = {MODULE: self._module(), _GATE: ExternalModule({}, stubs="")}
         given = "\n".join(["from typing import Any", *(f"{name}: Any" for name in inputs)])
-        async with self._pool.checkout(
-            limits=self._limits(),
-            type_check=True,
-            type_check_stubs=given,
-            type_check_format="concise",
-            external_modules=modules,
-        ) as session:
-            self._note_process(session, CHECK_S, CHECK_S)
-            gated = f"import {_GATE}\n{without_async(text)}"
-            try:
+        gated = f"import {_GATE}, {MODULE}\n{without_async(text)}"
+        try:
+            async with self._session(
+                CHECK_S,
+                CHECK_S,
+                type_check=True,
+                type_check_stubs=given,
+                type_check_format="concise",
+                external_modules=modules,
+            ) as session:
                 with anyio.fail_after(CHECK_WITHIN_S):
                     snapshot = await self._turn(session.feed_start(gated, inputs=dict(inputs), print_callback=_dropped))
                     while isinstance(snapshot, AsyncFunctionSnapshot) and snapshot.function_name == "import_stubs":
                         snapshot = await self._turn(snapshot.resume_auto())
-            except MontyTypingError as error:
-                return _findings(error.display())
-            except MontyRuntimeError:
-                return []  # what is wrong at run time is said there
-            except MontyCrashedError as error:
-                if self._limit and self._limit.exceeded is not None:
-                    raise Failure("limit", 0, f"its check took more than {CHECK_S:g} s of computing") from None
-                raise _crash(error) from None
-            except TimeoutError:
-                why = f"its check did not end within {CHECK_WITHIN_S:g} s: this machine has too much to do"
-                raise Failure("limit", 0, why) from None
-            return []
+        except MontyTypingError as error:
+            return _findings(error.display())
+        except MontyRuntimeError:
+            return []  # what is wrong at run time is said there
+        except MontyCrashedError as error:
+            if self._limit and self._limit.exceeded is not None:
+                raise Failure("limit", 0, f"its check took more than {CHECK_S:g} s of computing") from None
+            raise _crash(error) from None
+        except TimeoutError:
+            why = f"its check did not end within {CHECK_WITHIN_S:g} s: this machine has too much to do"
+            raise Failure("limit", 0, why) from None
+        return []
 
     async def run(
         self, program: Rewritten, inputs: Mapping[str, Any], answer: Answer, printed: Callable[[str], None]
@@ -193,8 +193,7 @@ class Sandbox:
 
         ask = ExternalModule({"next": _never, "help": _never})
         modules = {MODULE: self._module(), "_robot": ask}
-        async with self._pool.checkout(limits=self._limits(), external_modules=modules) as session:
-            self._note_process(session, TURN_S, CPU_S)
+        async with self._session(TURN_S, CPU_S, external_modules=modules) as session:
             try:
                 self._streams = cast(
                     "Sequence[MontyClassProxy]", await self._turn(session.feed_run(PRELUDE.format(streams=STREAMS)))
@@ -260,11 +259,7 @@ class Sandbox:
 
     async def _turn(self, step: Awaitable[T]) -> T:
         """The result of a step in which the sandbox computes, within the limits of its processor time."""
-        try:
-            return await (self._limit.turn(step) if self._limit else step)
-        except asyncio.CancelledError:
-            self.kill()  # else the end of its session waits for an answer, which one that is not run never gives
-            raise
+        return await (self._limit.turn(step) if self._limit else step)
 
     def _computed_too_long(self, limit_s: float) -> Failure:
         if limit_s != TURN_S:
@@ -277,13 +272,26 @@ class Sandbox:
 
         return ExternalModule(dict.fromkeys(self._names, _never), stubs=self._stubs)
 
-    def _limits(self) -> ResourceLimits:
-        """Without limits of time: those of the sandbox go by the clock, also while the machine does not run it."""
-        return {
+    @asynccontextmanager
+    async def _session(self, turn_s: float, all_s: float, **options: Any) -> AsyncGenerator[AsyncMontySession, None]:
+        """A session with its limits of processor time (s). The limits of the sandbox go by the clock, also while the
+        machine does not run its process: they are not used.
+
+        The process is killed first at the end, which else waits for an answer of it: one that is not run gives none.
+        The next session begins with a new one, after 4 ms.
+        """
+        limits: ResourceLimits = {
             "max_memory": MEMORY_BYTES,
             "max_recursion_depth": DEEPEST_CALLS,
             "max_suspensions": _MOST_SUSPENSIONS,
         }
+        async with self._pool.checkout(limits=limits, **options) as session:
+            self._note_process(session, turn_s, all_s)
+            try:
+                yield session
+            finally:
+                self.kill()
+                self._pid = None
 
     def _note_process(self, session: AsyncMontySession, turn_s: float, all_s: float) -> None:
         self._pid = session.worker_pid

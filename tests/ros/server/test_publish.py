@@ -101,7 +101,7 @@ def test_a_publish_tells_this_servers_own_subscribers_apart(agent, peer) -> None
     assert "own" not in publish()["note"]
     relay = agent.call("ros2_relay_start", source_topic="/reached", destination_topic="/reached_further")
     sent = until(lambda: (each := publish())["subscribers"] == 2 and each)
-    assert "1 of the 2 subscriber(s) are this server's own" in sent["note"]
+    assert "1 of 2 subscribers belong to this server" in sent["note"]
     agent.call("ros2_relay_stop", relay_id=relay["relay_id"])
     peer.forget(topic="/reached")
 
@@ -182,6 +182,7 @@ def test_a_call_on_several_topics_of_which_all_fail_is_an_error(agent, peer) -> 
     missing = [{"name": "/nowhere_at_all", "duration": 0.1}]
     assert "/nowhere_at_all" in agent.refusal("ros2_subscribe_multiple_topics", topics=missing)
     assert "/nowhere_at_all" in agent.refusal("ros2_topic_stats", topic_names=["/nowhere_at_all"], duration=0.1)
+    assert agent.call("ros2_topic_stats", topic_names=["/is_there"], duration=0.5)["duration"] == 0.5
     one_of_two = agent.call("ros2_subscribe_multiple_topics", topics=[*missing, {"name": "/is_there"}])["topics"]
     assert [bool(read["error"]) for read in one_of_two] == [True, False]
 

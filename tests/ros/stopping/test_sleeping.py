@@ -11,7 +11,7 @@ from contextlib import suppress
 import pytest
 
 from support.agent import FULL, Refusal, until
-from support.driver import WAYS, calm, fresh
+from support.driver import WAYS, calm, fresh, going_on
 from support.standstill import undisturbed
 
 ROUNDS = 200
@@ -58,6 +58,7 @@ class Round:
         for way, topic in self.topics.items():
             observer.until_driven(topic, 1, of=1 if way == "once" else 2)  # what is said once may escape the lossy one
         until(lambda: [one["status"] for one in observer.goals_of(action=self.action)] == ["running"])
+        self.requests["drive"] = going_on(server, observer, self.topics["drive"], self.requests["drive"])
 
     def stop(self) -> None:
         """Stops the server, and waits until everything has stopped that it moved."""
@@ -152,8 +153,11 @@ def test_a_server_that_is_stopped_leaves_nothing_moving_and_says_so_when_it_goes
     playback_id = server.result(one.requests["playback"])["playback_id"]
     (playback,) = server.do("ros2_bag_play_status", playback_id=playback_id)["playbacks"]
     assert playback["state"] == "stopped" and "link lease" in playback["note"], playback
-    for way in ("once", "drive"):
-        server.outcome(one.requests[way])
+    server.outcome(one.requests["once"])
+    drove = server.outcome(one.requests["drive"])
+    assert "link lease" in drove or "has told nothing" in drove, (
+        drove
+    )  # a busy machine can make its odometry silent first
     one.is_at_rest()
     one.end()
 

@@ -209,6 +209,10 @@ class Observer:
         """Forget what was heard so far, and the requests and goals."""
         self.heard, self.goals, self.requests = [], [], {name: [] for name in self.requests}
 
+    def forget_topic(self, topic: str) -> None:
+        """Forget what was heard on one topic."""
+        self.heard = [one for one in self.heard if one.topic != topic]
+
     def messages(self, by: str = "", topic: str = "", after: int = 0) -> list[dict[str, Any]]:
         """What arrived, in order."""
         return [asdict(one) for one in self._found(by, topic) if one.at > after]

@@ -33,6 +33,11 @@ async def test_a_call_by_the_former_name_is_taken_and_that_name_is_not_listed(to
     assert (result.structured_content or {})["printed"] == ["42"]
 
 
+async def test_the_module_robot_needs_no_import(tools: Toolset) -> None:
+    result = await tools.call("ros2_program_run", {"program": "robot.mean([1, 2, 6])"}, silent)
+    assert (result.structured_content or {})["returned"] == {"value": 3}
+
+
 async def test_who_starts_an_executable_by_the_former_name_is_told_what_it_takes(tools: Toolset) -> None:
     with pytest.raises(CallFailed, match=r"ros2_program_run has no argument 'package'.*program"):
         await tools.call("ros2_run", {"package": "demo_nodes_cpp", "executable": "talker"}, silent)
