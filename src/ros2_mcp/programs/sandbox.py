@@ -2,7 +2,8 @@
 
 The program runs there until it calls a function of the module `robot`; that call comes here, as a question with a line,
 and the program stands still until it is answered. So nothing of a program runs in this process, and it can do nothing
-but ask. One process for one program: what one has done to it, no other meets, and an idle server has none.
+but ask. Its check, before it, has another process. No process serves two programs: what one has done to it, no other
+meets, and an idle server has none.
 """
 
 from __future__ import annotations
@@ -117,20 +118,16 @@ class Sandbox:
 
     @asynccontextmanager
     async def open(self) -> AsyncGenerator[Sandbox, None]:
-        """While it is entered there is the process; at the end it is killed, whatever it does then."""
+        """While it is entered there is a process, anew for check and run; each is killed at its end."""
         from pydantic_monty import AsyncMonty
 
         async with AsyncMonty(
             min_processes=1,
             max_processes=1,
-            max_checkouts_per_worker=1000,
             feed_duration_limit_grace=None,  # these two end the process by the clock, however little it has computed
             turn_duration_limit_grace=None,
         ) as self._pool:
-            try:
-                yield self
-            finally:
-                self.kill()
+            yield self
 
     def kill(self) -> None:
         """Ends the process at once, if it runs."""
