@@ -8,7 +8,8 @@ import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
-from unittest.mock import patch
+
+import pytest
 
 from ros2_mcp_bridge import limiter
 from ros2_mcp_bridge.checks import Checks
@@ -114,11 +115,10 @@ def without_limiter() -> Iterator[None]:
     def passing(*_: Any) -> Iterator[bool]:
         yield False
 
-    with (
-        patch.object(limiter.TopicLimits, "fit", lambda *_: False),
-        patch.object(limiter.TopicLimits, "passing", passing),
-        patch.object(limiter.TopicLimits, "needs_value", lambda *_: False),
-        patch.object(limiter.Limiter, "publishing", lambda _, *asked: everything.topic(*asked)),
-        patch.object(limiter.Limiter, "check_call", lambda *_: None),
-    ):
+    with pytest.MonkeyPatch.context() as fault:
+        fault.setattr(limiter.TopicLimits, "fit", lambda *_: False)
+        fault.setattr(limiter.TopicLimits, "passing", passing)
+        fault.setattr(limiter.TopicLimits, "needs_value", lambda *_: False)
+        fault.setattr(limiter.Limiter, "publishing", lambda _, *asked: everything.topic(*asked))
+        fault.setattr(limiter.Limiter, "check_call", lambda *_: None)
         yield

@@ -51,17 +51,17 @@ def end(server, observer, topic: str, request: int, since_ns: int = 0) -> None:
 @pytest.mark.promise("stopping", "its successor sends the zeros, to each subscriber as it discovers it")
 def test_a_bridge_that_is_killed_leaves_nobody_without_a_zero_however_it_drove(server, observer) -> None:
     """Four subscribers of each topic, and two of the last that join meanwhile, whom its successor discovers last."""
-    driven = [drive(server, observer, way) for way in sorted({*WAYS} - {"once"})]
-    driven.append(drive(server, observer, "once", late_s=(0.1, 0.5)))
-    topic, request = driven[0]  # "drive" is the first by name
-    driven[0] = topic, going_on(server, observer, topic, request)
+    driven = {way: drive(server, observer, way) for way in sorted({*WAYS} - {"once"})}
+    driven["once"] = drive(server, observer, "once", late_s=(0.1, 0.5))
+    topic, request = driven["drive"]
+    driven["drive"] = topic, going_on(server, observer, topic, request)
     bridge, since_ns = server.bridge(), time.time_ns()
     os.kill(bridge, signal.SIGKILL)
-    for topic, _ in driven:
+    for topic, _ in driven.values():
         observer.until_stopped(topic, since_ns)
     until(lambda: server.bridge() != bridge)
     server.stop()
-    for topic, request in driven:
+    for topic, request in driven.values():
         end(server, observer, topic, request, since_ns)
 
 

@@ -155,9 +155,8 @@ def test_a_server_that_is_stopped_leaves_nothing_moving_and_says_so_when_it_goes
     assert playback["state"] == "stopped" and "link lease" in playback["note"], playback
     server.outcome(one.requests["once"])
     drove = server.outcome(one.requests["drive"])
-    assert "link lease" in drove or "has told nothing" in drove, (
-        drove
-    )  # a busy machine can make its odometry silent first
+    # A busy machine can make its odometry silent first.
+    assert "link lease" in drove or "has told nothing" in drove, drove
     one.is_at_rest()
     one.end()
 
